@@ -1,0 +1,1 @@
+"""How an attack is found. One file an adversary; `base.Adversary` is the contract."""

@@ -1,0 +1,22 @@
+"""What an adversary is: a way of finding an attack."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Attack, Budget, Case, Rollout
+from deepmf_sumo.policies.base import Policy
+
+Simulate = Callable[[Policy | None], Rollout]
+"""One episode under a policy; without one nobody is attacked."""
+
+
+class Adversary(Protocol):
+    """Finds an attack through simulated episodes; never sees SUMO."""
+
+    def attack(
+        self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
+    ) -> Attack:
+        """The best attack found within the budget."""
+        ...

@@ -1,0 +1,1 @@
+"""Specs -> tasks -> isolated workers -> result folder."""

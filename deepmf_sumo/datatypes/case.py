@@ -1,0 +1,51 @@
+"""What is simulated: who is the AV, from when, for how long, who drives whom."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from deepmf_sumo.datatypes.net import SumoNet
+from deepmf_sumo.datatypes.road import RoadMap
+from deepmf_sumo.datatypes.scene import AgentId, Scene
+
+Traffic = Literal["log", "sumo"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkSource:
+    """A SUMO configuration with traffic, run by SUMO up to ``start_s``, and its AV."""
+
+    config: Path
+    start_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Case:
+    """One situation to attack.
+
+    Exactly one of ``scene`` (with ``net``) and ``network`` is given.
+
+    Attributes:
+        name: stable and unique in a batch; the run id is made of it.
+        road: the map that views show: the recording's, or the SUMO network's.
+        av_id: track id, or SUMO vehicle id.
+        duration_steps: steps after the current one.
+        partner_id: the labelled opponent, if the recording names one (`opponent: partner`).
+    """
+
+    name: str
+    road: RoadMap
+    av_id: AgentId
+    duration_steps: int
+    traffic: Traffic
+    seed: int
+    scene: Scene | None = None
+    net: SumoNet | None = None
+    network: NetworkSource | None = None
+    partner_id: AgentId | None = None
+
+    def __post_init__(self) -> None:
+        if (self.scene is None) == (self.network is None):
+            raise ValueError("a case has either a scene or a network")
+        if (self.scene is None) != (self.net is None):
+            raise ValueError("a case with a scene has a converted net, and only such a case")

@@ -1,0 +1,62 @@
+"""A plan for the opponent, and why it was chosen."""
+
+from dataclasses import dataclass, field
+
+from deepmf_sumo.datatypes.arrays import Bools, Floats, frozen
+from deepmf_sumo.datatypes.forecast import Forecast, OpponentScores
+from deepmf_sumo.datatypes.scene import AgentId
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanReason:
+    """What a plan was chosen from.
+
+    Attributes:
+        scores: of the surrounding vehicles, or None where the opponent was given.
+        candidates: N1 futures of the opponent with P(OV).
+        reactions: N1 forecasts of the AV, N2 modes each, given the candidate.
+        collides: (N1, N2) boxes overlap at the same time.
+        collision_step: (N1, N2) first step of overlap, counted from 0; F where there is none.
+        value: (N1) the rule's value of each candidate.
+        product: (N1) the paper's plain product P_j * sum_k P_jk * Coll_jk.
+        chosen: index of the candidate.
+        rule: the rule that chose it, or ``fallback`` where no pair collides.
+        bent_m: (N1) farthest that the kinematic limits moved a candidate from its prediction.
+        milliseconds: wall time by part.
+    """
+
+    scores: OpponentScores | None
+    candidates: Forecast
+    reactions: tuple[Forecast, ...]
+    collides: Bools
+    collision_step: Floats
+    value: Floats
+    product: Floats
+    chosen: int
+    rule: str
+    bent_m: Floats
+    milliseconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """K poses for the opponent, for the steps first_step, first_step + 1, ...
+
+    Attributes:
+        position_m: (K, 2) box centre. heading_rad, speed_mps: (K).
+    """
+
+    agent_id: AgentId
+    first_step: int
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+    reason: PlanReason | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("position_m", "heading_rad", "speed_mps"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def covers(self, step: int) -> bool:
+        """Whether the plan says where the opponent is at ``step``."""
+        return self.first_step <= step < self.first_step + len(self.position_m)

@@ -1,0 +1,105 @@
+"""What happened in one simulated episode."""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Literal
+
+from deepmf_sumo.datatypes.arrays import Bytes, Floats, frozen
+from deepmf_sumo.datatypes.plan import Plan
+from deepmf_sumo.datatypes.scene import AgentId, Tracks
+
+ContactKind = Literal["av_opponent", "av_other", "opponent_other"]
+
+
+class Driver(IntEnum):
+    """Who drove an agent at a step."""
+
+    NOBODY = 0
+    PLANNER = 1
+    POLICY = 2
+    LOG = 3
+    SUMO = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contact:
+    """Two boxes overlap for the first time.
+
+    Attributes:
+        first_id: the AV, or the opponent where the AV takes no part. second_id: the other.
+        striker_id: who ran into whom: the one that moved towards the other's box faster.
+        pose_first, pose_second: (3) x, y, heading at the contact.
+        relative_mps: length of the velocity difference at the last step before the contact.
+        closing_mps: speed at which the centres approached.
+        sector: impact sector on the first agent, eight of 45 degrees counted counter-clockwise;
+            front = 0, left = 2, rear = 4, right = 6.
+        delta_v_mps: change of the first agent's velocity in a plastic impact of masses
+            proportional to the boxes' areas.
+    """
+
+    kind: ContactKind
+    step: int
+    first_id: AgentId
+    second_id: AgentId
+    striker_id: AgentId
+    pose_first: Floats
+    pose_second: Floats
+    relative_mps: float
+    closing_mps: float
+    sector: int
+    delta_v_mps: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pose_first", frozen(self.pose_first))
+        object.__setattr__(self, "pose_second", frozen(self.pose_second))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something that a reader of the result has to know: e.g. ``lane_lost``, ``arrived``."""
+
+    step: int
+    agent_id: AgentId
+    kind: str
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rollout:
+    """One episode.
+
+    Attributes:
+        tracks: (A, T) from the first history step to the last simulated one.
+        driver: (A, T) Driver numbers.
+        now: index of the current step, at which the simulation took over.
+        opponent_id: None if there was nobody to attack.
+        ended: ``contact`` (AV and opponent), ``time``, ``av_gone``.
+        seconds: wall time by part (``simulation``, ``policy``, ``planner``).
+    """
+
+    tracks: Tracks
+    driver: Bytes
+    now: int
+    dt_s: float
+    av_id: AgentId
+    opponent_id: AgentId | None
+    contacts: tuple[Contact, ...]
+    events: tuple[Event, ...]
+    plans: tuple[Plan, ...]
+    ended: str
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "driver", frozen(self.driver, "uint8"))
+
+    def first(self, kind: ContactKind) -> Contact | None:
+        """First contact of a kind."""
+        return next((contact for contact in self.contacts if contact.kind == kind), None)
+
+    @property
+    def outcome(self) -> str:
+        """``av_opponent`` if the attack hit, else the earliest other contact, else ``none``."""
+        if self.first("av_opponent"):
+            return "av_opponent"
+        others = sorted(self.contacts, key=lambda contact: contact.step)
+        return others[0].kind if others else "none"

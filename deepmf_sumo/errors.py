@@ -1,0 +1,81 @@
+"""Every error that a user can meet, and the exit code that goes with it.
+
+::
+
+    DeepmfError                 exit code
+    +-- UsageError              2   the command line or a spec is wrong
+    |   +-- SpecError           2
+    |   +-- PluginError         2   unknown plug-in, or settings that it refuses
+    |   +-- WeightsError        2   weights missing, corrupt, or of another shape
+    |   +-- OutputError         2   the output folder cannot be written
+    +-- RunError                3   one run failed; the others go on
+        +-- ReaderError         3   a recorded file or record that cannot be used
+        +-- ConversionError     3   a scene whose network cannot be built
+        +-- SimulationError     3   SUMO refused, or the AV never appeared
+        +-- RunTimeoutError          3
+
+A message is one sentence that names the file, the field and the value, and says what to do.
+"""
+
+
+class DeepmfError(Exception):
+    """Base of all errors that are reported to the user as one line."""
+
+    exit_code = 3
+
+
+class UsageError(DeepmfError):
+    """The command or a spec is wrong; nothing was run."""
+
+    exit_code = 2
+
+
+class SpecError(UsageError):
+    """A spec file is wrong: unknown, duplicate or mistyped keys, or values out of range."""
+
+
+class PluginError(UsageError):
+    """No plug-in of that name, or settings that it refuses."""
+
+
+class WeightsError(UsageError):
+    """A weights folder is missing, corrupt, or holds tensors of another shape."""
+
+
+class OutputError(UsageError):
+    """The output folder cannot be created or written."""
+
+
+class RunError(DeepmfError):
+    """One run failed; the rest of the batch goes on."""
+
+
+class ReaderError(RunError):
+    """A recorded file, or one record in it, cannot be used."""
+
+
+class ConversionError(RunError):
+    """No SUMO network can be built from this scene."""
+
+
+class SimulationError(RunError):
+    """SUMO refused something, or the AV never appeared."""
+
+
+class RunTimeoutError(RunError):
+    """A run took longer than its time limit."""
+
+
+__all__ = [
+    "ConversionError",
+    "DeepmfError",
+    "OutputError",
+    "PluginError",
+    "ReaderError",
+    "RunError",
+    "RunTimeoutError",
+    "SimulationError",
+    "SpecError",
+    "UsageError",
+    "WeightsError",
+]

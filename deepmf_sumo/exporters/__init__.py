@@ -1,0 +1,1 @@
+"""Rollout -> other people's formats."""

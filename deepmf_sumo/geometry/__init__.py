@@ -1,0 +1,1 @@
+"""Pure functions on angles, frames, oriented boxes and polylines."""

@@ -1,0 +1,1 @@
+"""Rollout -> MetricValue. One subject a file; each module exposes `NAME` and `measure`."""

@@ -1,0 +1,1 @@
+"""Scene -> SUMO network, and SUMO network -> RoadMap."""

@@ -1,0 +1,24 @@
+"""What a planner is: whatever drives the AV."""
+
+from typing import Protocol
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
+
+
+class Planner(Protocol):
+    """Drives the AV, one command a step."""
+
+    @property
+    def model(self) -> VehicleModel | None:
+        """Parameters of the AV's IDM in SUMO; None keeps the vehicle type of the network."""
+        ...
+
+    def reset(self, case: Case, rng: np.random.Generator) -> None:
+        """Start of an episode."""
+        ...
+
+    def act(self, view: View) -> Command:
+        """The command for the step that follows ``view``."""
+        ...

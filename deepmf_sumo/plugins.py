@@ -1,0 +1,85 @@
+"""Plug-ins: a file in the folder of its kind, or a class of an installed package.
+
+A plug-in module exposes ``Settings`` (a `plugins.Settings` subclass) and ``build(settings, ...)``.
+The folder's listing is the registry; other packages join through the entry point group
+``deepmf_sumo.<kind>``, or by ``my_package.my_module:MyClass``.
+"""
+
+import difflib
+import importlib
+import importlib.metadata
+import pkgutil
+from types import ModuleType
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from deepmf_sumo.errors import PluginError
+
+Kind = Literal["readers", "planners", "policies", "adversaries", "metrics", "exporters"]
+
+
+class Settings(BaseModel):
+    """Base of all plug-in settings: strict types, no unknown keys, immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def names(kind: Kind) -> list[str]:
+    """Names of all plug-ins of a kind, sorted."""
+    package = importlib.import_module(f"deepmf_sumo.{kind}")
+    own = [
+        module.name
+        for module in pkgutil.iter_modules(package.__path__)
+        if module.name != "base" and not module.name.startswith("_") and not module.ispkg
+    ]
+    points = importlib.metadata.entry_points(group=f"deepmf_sumo.{kind}")
+    return sorted({*own, *(point.name for point in points)})
+
+
+def load(kind: Kind, name: str) -> Any:
+    """The plug-in module (or class, for ``package.module:Class``) of a name.
+
+    Raises PluginError, with the nearest name, where there is none.
+    """
+    if ":" in name:
+        return _load_class(kind, name)
+    if name not in names(kind):
+        nearest = difflib.get_close_matches(name, names(kind), n=1)
+        hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+        known = ", ".join(names(kind))
+        raise PluginError(f"No plug-in '{name}' in {kind}.{hint} Known: {known}.")
+    for point in importlib.metadata.entry_points(group=f"deepmf_sumo.{kind}"):
+        if point.name == name:
+            return point.load()
+    module: ModuleType = importlib.import_module(f"deepmf_sumo.{kind}.{name}")
+    return module
+
+
+def settings(kind: Kind, name: str, values: dict[str, Any]) -> Any:
+    """The plug-in's checked settings. Raises PluginError naming the key, its value, the rule."""
+    plugin = load(kind, name)
+    schema: type[BaseModel] = plugin.Settings
+    try:
+        return schema.model_validate(values)
+    except ValidationError as error:
+        raise PluginError(f"{kind} '{name}': {explain(error, schema)}") from None
+
+
+def explain(error: ValidationError, schema: type[BaseModel]) -> str:
+    """One sentence for the first problem that pydantic found, with the nearest key."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        nearest = difflib.get_close_matches(str(first["loc"][-1]), list(schema.model_fields), n=1)
+        hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+        return f"unknown key '{key}'.{hint} Known: {', '.join(schema.model_fields)}."
+    return f"'{key}' is {first['input']!r}: {first['msg']}."
+
+
+def _load_class(kind: Kind, name: str) -> Any:
+    module_name, _, class_name = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module_name), class_name)
+    except (ImportError, AttributeError) as error:
+        raise PluginError(f"{kind} '{name}' cannot be imported: {error}.") from None

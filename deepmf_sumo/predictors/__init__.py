@@ -1,0 +1,1 @@
+"""View -> Forecast: features, networks, weights."""

@@ -1,0 +1,1 @@
+"""Recorded file -> Scene. One file a format; `base.Reader` is the contract."""

@@ -1,0 +1,1 @@
+"""Result folder -> pictures and tables."""

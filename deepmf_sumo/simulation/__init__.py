@@ -1,0 +1,1 @@
+"""Case + planner + policy -> Rollout, over SUMO. SUMO's own conventions exist here alone."""
