@@ -36,4 +36,28 @@ lint: $(READY)  ## ruff, formatting, import contracts, unused dependencies
 types: $(READY)  ## mypy --strict on the package
 	$(VENV)/bin/mypy
 
-.PHONY: help setup run test test-slow lint types
+protos: $(READY)  ## regenerate the protobuf code
+	$(PY) -m grpc_tools.protoc -I deepmf_sumo/readers/protos --python_out deepmf_sumo/readers/protos \
+	    --pyi_out deepmf_sumo/readers/protos deepmf_sumo/readers/protos/scenario.proto
+
+nets: $(READY)  ## rebuild the networks of sumo_nets/ from their sources
+	$(PY) sumo_nets/build.py
+
+bench: $(READY)  ## speed and memory, as ratios and milliseconds side by side
+	$(PY) -m tests.bench
+
+WOMD ?= ../shared/womd
+train: $(READY) open-weights  ## train the weights of the package, from our own SUMO traffic alone
+
+open-weights: $(READY)  ## record SUMO traffic and train the set `open` on it
+	$(RUN) record sumo_nets/*/*.sumocfg --out .cache/open-scenes --scenes 60 --seed 1
+	$(RUN) train all --data .cache/open-scenes --name open --seed 1
+
+womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
+	$(RUN) train all --data $(WOMD)/train --name womd --seed 1
+
+docs: $(READY)  ## build the documentation into build/site
+	$(PY) -m pip install --quiet --group docs
+	$(VENV)/bin/mkdocs build --quiet
+
+.PHONY: help setup run test test-slow lint types protos nets bench train open-weights womd-weights docs
