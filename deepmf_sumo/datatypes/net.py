@@ -30,7 +30,10 @@ class ConversionReport:
         lost_lanes, lost_connections: what is not in the net, with the reason.
         error_mean_m, error_p99_m, error_max_m: distances of points of the scene's lanes to SUMO's
             and the reverse, taken together.
-        seconds: wall time.
+        seconds: wall time; 0 where the net was read back.
+        bridged_connections: joins of lanes that do not touch, which got a way of their own, with the
+            distance.
+        lost_signals: lanes whose light is at no link, with the reason.
     """
 
     lanes: int
@@ -41,6 +44,8 @@ class ConversionReport:
     error_p99_m: float = 0.0
     error_max_m: float = 0.0
     seconds: float = 0.0
+    bridged_connections: tuple[tuple[str, str, str], ...] = ()
+    lost_signals: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +58,8 @@ class SumoNet:
         pieces: scene lane id -> its pieces in driving order.
         lane_of: SUMO lane id -> scene lane ids on it, in driving order (extensions map to none).
         signals: scene lane id -> links whose light it sees.
-        edges: SUMO edge of each normal SUMO lane.
+        ghost_edge: SUMO edge along the AV's recorded path, joined to no other, where that path leaves
+            the lanes; None where it does not.
     """
 
     file: Path
@@ -62,3 +68,4 @@ class SumoNet:
     lane_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
     signals: dict[str, tuple[SignalLink, ...]] = field(default_factory=dict)
     report: ConversionReport | None = None
+    ghost_edge: str | None = None

@@ -23,6 +23,8 @@ class PlanReason:
         rule: the rule that chose it, or ``fallback`` where no pair collides.
         bent_m: (N1) farthest that the kinematic limits moved a candidate from its prediction.
         milliseconds: wall time by part.
+        origin: (N1) where each candidate comes from: ``mode`` of the prediction, ``goal`` around the
+            AV's predicted way, ``tail`` of the last plan; empty where all are modes.
     """
 
     scores: OpponentScores | None
@@ -36,6 +38,7 @@ class PlanReason:
     rule: str
     bent_m: Floats
     milliseconds: dict[str, float] = field(default_factory=dict)
+    origin: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

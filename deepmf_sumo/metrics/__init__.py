@@ -1,1 +1,4 @@
-"""Rollout -> MetricValue. One subject a file; each module exposes `NAME` and `measure`."""
+"""Rollout -> MetricValue. One subject a file, named as the metric.
+
+Each module exposes ``UNIT``, ``BETTER`` (for the attacker) and ``measure(rollout, case)``.
+"""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from deepmf_sumo.datatypes import Scene
 
@@ -16,10 +16,20 @@ class Refusal:
     record: int
     name: str
     reason: str
+    dataset: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where a scene lies in a file: its id, its number, and where its record begins."""
+
+    name: str
+    record: int
+    offset: int
 
 
 class Reader(Protocol):
-    """One file format."""
+    """One file format. A module with these two functions is a reader too."""
 
     def accepts(self, path: Path) -> bool:
         """Whether the file looks like this format (by its first bytes, not by its name alone)."""
@@ -27,4 +37,17 @@ class Reader(Protocol):
 
     def scenes(self, path: Path) -> Iterator[Scene | Refusal]:
         """The file's scenes in order; what cannot be used comes as a Refusal."""
+        ...
+
+
+@runtime_checkable
+class IndexedReader(Protocol):
+    """What a reader of files with many scenes offers besides: one scene without the others."""
+
+    def places(self, path: Path) -> Iterator[Place]:
+        """Where the file's scenes lie, in order, whether or not they can be used."""
+        ...
+
+    def scene_at(self, path: Path, place: Place) -> Scene | Refusal:
+        """The scene at a place."""
         ...

@@ -1,1 +1,6 @@
-"""Case + planner + policy -> Rollout, over SUMO. SUMO's own conventions exist here alone."""
+"""Case + planner + policy -> Rollout: the loop over SUMO."""
+
+from deepmf_sumo.simulation.cases import network_case
+from deepmf_sumo.simulation.loop import simulate
+
+__all__ = ["network_case", "simulate"]

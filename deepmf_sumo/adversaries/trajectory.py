@@ -1,0 +1,31 @@
+"""A fixed trajectory as an adversary: replays a known attack."""
+
+import numpy as np
+
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.datatypes import Attack, Budget, Case
+from deepmf_sumo.policies import trajectory
+
+Settings = trajectory.Settings
+
+
+class Trajectory:
+    """One episode under the fixed trajectory."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._policy = trajectory.build(settings)
+
+    def attack(
+        self,
+        case: Case,  # noqa: ARG002
+        simulate: Simulate,
+        budget: Budget,  # noqa: ARG002
+        rng: np.random.Generator,  # noqa: ARG002
+    ) -> Attack:
+        """The episode."""
+        return Attack(rollout=simulate(self._policy), simulations=1, generation_s=0.0)
+
+
+def build(settings: Settings, weights: str) -> Trajectory:  # noqa: ARG001
+    """The adversary. Raises PluginError where the trajectory's file cannot be used."""
+    return Trajectory(settings)

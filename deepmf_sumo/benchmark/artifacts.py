@@ -1,0 +1,86 @@
+"""Rollout -> ``tracks.csv.gz`` and ``plans.npz``."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepmf_sumo.benchmark import files
+from deepmf_sumo.datatypes import Driver, Plan, PlanReason, Rollout
+
+TRACK_COLUMNS: Final = (
+    "step,time_s,id,kind,role,driver,x_m,y_m,heading_rad,speed_mps,length_m,width_m"
+)
+
+
+def write_tracks(path: Path, rollout: Rollout) -> None:
+    """One row an agent and step present; time 0 is the step at which the simulation took over."""
+    tracks = rollout.tracks
+    roles = {rollout.opponent_id: "opponent", rollout.av_id: "av"}
+    drivers = {int(driver): driver.name.lower() for driver in Driver}
+    names = [_quoted(agent_id) for agent_id in tracks.ids]
+    speed = tracks.speed_mps
+    lines = [TRACK_COLUMNS]
+    for step, row in zip(*np.nonzero(tracks.valid.T), strict=True):
+        x, y = tracks.position_m[row, step]
+        length, width, _ = tracks.size_m[row]
+        lines.append(
+            f"{step},{(step - rollout.now) * rollout.dt_s:.1f},{names[row]},{tracks.kinds[row]},"
+            f"{roles.get(tracks.ids[row], 'other')},{drivers[int(rollout.driver[row, step])]},"
+            f"{x:.4f},{y:.4f},{tracks.heading_rad[row, step]:.5f},{speed[row, step]:.4f},"
+            f"{length:.3f},{width:.3f}"
+        )
+    files.write(path, files.gzipped("\n".join(lines) + "\n"))
+
+
+def write_plans(path: Path, rollout: Rollout) -> None:
+    """All plans and their reasons, ``<number>/<field>``; see `datatypes.plan` for the shapes."""
+    arrays: dict[str, NDArray[Any]] = {"plans": np.array(len(rollout.plans))}
+    for number, plan in enumerate(rollout.plans):
+        fields = {**_plan(plan), **(_reason(plan.reason) if plan.reason else {})}
+        arrays.update({f"{number:02d}/{name}": array for name, array in fields.items()})
+    files.write(path, files.npz(arrays))
+
+
+def _plan(plan: Plan) -> dict[str, NDArray[Any]]:
+    return {
+        "agent_id": np.array(plan.agent_id),
+        "first_step": np.array(plan.first_step),
+        "position_m": plan.position_m,
+        "heading_rad": plan.heading_rad,
+        "speed_mps": plan.speed_mps,
+    }
+
+
+def _reason(reason: PlanReason) -> dict[str, NDArray[Any]]:
+    """Positions in single precision: a tenth of a millimetre is enough to draw them."""
+    reactions = reason.reactions
+    arrays = {
+        "rule": np.array(reason.rule),
+        "chosen": np.array(reason.chosen),
+        "candidate_position_m": reason.candidates.futures.position_m.astype("float32"),
+        "candidate_heading_rad": reason.candidates.futures.heading_rad.astype("float32"),
+        "candidate_probability": reason.candidates.probability,
+        "collides": reason.collides,
+        "collision_step": reason.collision_step,
+        "value": reason.value,
+        "product": reason.product,
+        "bent_m": reason.bent_m,
+    }
+    if reason.origin:
+        arrays["candidate_origin"] = np.array(reason.origin)
+    if reactions:
+        positions = np.stack([one.futures.position_m for one in reactions])
+        arrays["reaction_position_m"] = positions.astype("float32")
+        arrays["reaction_probability"] = np.stack([one.probability for one in reactions])
+    if reason.scores:
+        arrays["score_ids"] = np.array(reason.scores.ids, dtype=str)
+        arrays["score_logits"] = reason.scores.logits
+        arrays["score_partner_logits"] = reason.scores.partner_logits
+    return arrays
+
+
+def _quoted(text: str) -> str:
+    plain = not any(mark in text for mark in ',"\n\r')
+    return text if plain else '"' + text.replace('"', '""') + '"'

@@ -1,0 +1,94 @@
+"""Specs -> result folder."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepmf_sumo.benchmark import episode, pool, result, tasks
+from deepmf_sumo.benchmark.home import cache_folder
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.store import Store, open_folder
+from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.spec import Expect, Spec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """How a batch is run; nothing here changes its results.
+
+    Attributes:
+        out: the result folder.
+        name_filter: only runs whose id holds it.
+        timeout_s: for one run; None is no limit.
+        draw: makes the pictures, by name importable in a worker; None makes none.
+        resume: keep the runs that an earlier, equal batch finished.
+    """
+
+    out: Path
+    name_filter: str = ""
+    jobs: int = 1
+    timeout_s: float | None = 600.0
+    draw: episode.Draw | None = None
+    gui: bool = False
+    junit: bool = False
+    resume: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """A run has ended (``last``), or none has yet."""
+
+    done: int
+    of: int
+    kept: int
+    last: Result | None = None
+
+
+def run(
+    specs: Sequence[Spec],
+    options: Options,
+    report: Callable[[Progress], None] = lambda _: None,
+) -> list[Result]:
+    """Run all tasks of the specs and write the result folder; results in the order of the tasks.
+
+    An interrupt leaves the finished runs and their tables behind and is passed on. Raises SpecError
+    or OutputError before anything runs.
+    """
+    cache = cache_folder()
+    planned = tasks.plan(specs, cache, options.name_filter)
+    store = open_folder(options.out, resume=options.resume)
+    store.begin(planned, {"jobs": options.jobs, "timeout_s": options.timeout_s})
+    found = {task.run_id: kept for task in planned if (kept := store.result(task))}
+    left = [task for task in planned if task.run_id not in found]
+    kept_runs, interrupted = len(found), True
+    report(Progress(done=kept_runs, of=len(planned), kept=kept_runs))
+    work = episode.Episode(runs=store.runs, cache=cache, draw=options.draw, gui=options.gui)
+    endings = pool.run(work, left, jobs=options.jobs, timeout_s=options.timeout_s)
+    try:
+        for ending in endings:
+            task = left[ending.index]
+            found[task.run_id] = last = _result(store, task, ending)
+            report(Progress(done=len(found), of=len(planned), kept=kept_runs, last=last))
+        interrupted = False
+    finally:
+        endings.close()
+        results = [found[task.run_id] for task in planned if task.run_id in found]
+        expects = any(spec.expect != Expect() for spec in specs)
+        store.finish(results, junit_too=options.junit or expects, interrupted=interrupted)
+    return results
+
+
+def _result(store: Store, task: Task, ending: pool.Finished) -> Result:
+    """What the worker wrote, or why it could not."""
+    if ending.status != "done":
+        status: result.Status = "timeout" if ending.status == "timeout" else "failed"
+        lost = result.unfinished(task, status, ending.reason, ending.seconds)
+        episode.finish(store.runs, task, lost)
+    return store.read(task)
+
+
+def exit_code(results: Sequence[Result]) -> int:
+    """0 all ran and expectations hold, 1 an expectation is broken, 3 a run failed or timed out."""
+    if any(one["status"] in {"failed", "timeout"} for one in results):
+        return 3
+    return int(any(one["expectations_broken"] for one in results))

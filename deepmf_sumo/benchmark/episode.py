@@ -1,0 +1,168 @@
+"""One task in a worker: case, attack, metrics, files."""
+
+import contextlib
+import functools
+import json
+import os
+import shutil
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from deepmf_sumo import network, plugins, readers, simulation
+from deepmf_sumo.benchmark import artifacts, expectations, files, result
+from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, MetricValue, Rollout
+from deepmf_sumo.errors import DeepmfError, ReaderError
+from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.spec import FromNetwork
+
+Draw = Callable[[Rollout, Case, Path], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """Does tasks; each leaves a folder ``runs/<run id>``, whole or not at all.
+
+    Attributes:
+        runs: the folder of all runs. cache: of converted networks.
+        draw: makes ``picture.png``; None makes none.
+    """
+
+    runs: Path
+    cache: Path
+    draw: Draw | None = None
+    gui: bool = False
+
+    def __call__(self, task: Task) -> None:
+        """Run the task. A run that fails leaves its reason in ``result.json``."""
+        folder = working_folder(self.runs, task)
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        resolved = yaml.safe_dump(task.resolved(), sort_keys=False, allow_unicode=True)
+        files.write(folder / "spec.yaml", resolved)
+        begin = time.perf_counter()
+        with _logged(folder / "log.txt"):
+            try:
+                found = self._attack(task, folder)
+            except ReaderError as error:
+                found = result.unfinished(task, "skipped", str(error), time.perf_counter() - begin)
+            except DeepmfError as error:
+                found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
+            except Exception as error:  # noqa: BLE001 - a planner under test may raise anything
+                traceback.print_exc()
+                reason = f"{type(error).__name__}: {error} (see log.txt)"
+                found = result.unfinished(task, "failed", reason, time.perf_counter() - begin)
+        finish(self.runs, task, found)
+
+    def _attack(self, task: Task, folder: Path) -> result.Result:
+        begin = time.perf_counter()
+        case = make_case(task, self.cache)
+        attack = attack_case(task, case, gui=self.gui)
+        rollout = attack.rollout
+        metrics = measure(rollout, case)
+        artifacts.write_tracks(folder / "tracks.csv.gz", rollout)
+        artifacts.write_plans(folder / "plans.npz", rollout)
+        plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")
+        if self.draw:
+            self.draw(rollout, case, folder / "picture.png")
+        return result.finished(task, case, attack, metrics, time.perf_counter() - begin)
+
+
+def make_case(task: Task, cache: Path) -> Case:
+    """The situation of a task. Raises ReaderError, ConversionError or SimulationError."""
+    spec, source = task.spec, task.spec.source
+    steps = round(spec.duration_s / DT_S)
+    if isinstance(source, FromNetwork):
+        return simulation.network_case(
+            source.network, source.start_s, source.av.vehicle, steps, spec.seed, task.run_id
+        )
+    scene = readers.scene(source.recording, task.scene, cache)
+    return Case(
+        name=task.run_id,
+        road=scene.road,
+        av_id=scene.av_id,
+        duration_steps=steps,
+        traffic=spec.traffic,
+        seed=spec.seed,
+        scene=scene,
+        net=network.cached(scene, cache / "nets"),
+        partner_id=scene.partner_id,
+    )
+
+
+def attack_case(task: Task, case: Case, *, gui: bool = False) -> Attack:
+    """The adversary's attack; every episode of a search begins with the same random numbers."""
+    spec = task.spec
+
+    def simulate(policy: Policy | None) -> Rollout:
+        planner_settings = plugins.settings("planners", spec.planner.name, spec.planner.settings)
+        planner = plugins.load("planners", spec.planner.name).build(planner_settings)
+        rng = np.random.default_rng([*task.entropy(), 1])
+        return simulation.simulate(case, planner, policy, rng=rng, gui=gui)
+
+    adversary = _adversary(
+        spec.adversary.name, json.dumps(spec.adversary.settings, sort_keys=True), spec.weights
+    )
+    rng = np.random.default_rng(task.entropy())
+    attack: Attack = adversary.attack(case, simulate, Budget(), rng)
+    return attack
+
+
+@functools.lru_cache(maxsize=16)
+def _adversary(name: str, settings: str, weights: str) -> Any:
+    """Kept between tasks: loading its weights takes longer than an episode."""
+    checked = plugins.settings("adversaries", name, json.loads(settings))
+    return plugins.load("adversaries", name).build(checked, weights)
+
+
+def measure(rollout: Rollout, case: Case) -> list[MetricValue]:
+    """All metrics, in the order of their names."""
+    return [
+        plugins.load("metrics", name).measure(rollout, case) for name in plugins.names("metrics")
+    ]
+
+
+def working_folder(runs: Path, task: Task) -> Path:
+    """Where a run's files lie until it is finished."""
+    return runs / f".{task.run_id}.partial"
+
+
+def finish(runs: Path, task: Task, found: result.Result) -> None:
+    """Write ``result.json`` and put the folder in its place."""
+    folder, place = working_folder(runs, task), runs / task.run_id
+    folder.mkdir(parents=True, exist_ok=True)
+    found["expectations_broken"] = expectations.broken(task.spec.expect, found)
+    files.write_json(folder / "result.json", found)
+    if place.exists():
+        shutil.rmtree(place)
+    folder.rename(place)
+
+
+@contextlib.contextmanager
+def _logged(path: Path) -> Iterator[None]:
+    """Let standard output and error end in a file, SUMO's own included."""
+    with path.open("wb") as log:
+        kept = [os.dup(number) for number in (1, 2)]
+        _flush()
+        for number in (1, 2):
+            os.dup2(log.fileno(), number)
+        try:
+            yield
+        finally:
+            _flush()
+            for number, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, number)
+                os.close(copy)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()

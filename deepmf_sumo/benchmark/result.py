@@ -1,0 +1,187 @@
+"""What is known of one run: the content of ``result.json``, and its row in ``runs.csv``.
+
+All that differs between two equal runs stands under ``timings``.
+"""
+
+from dataclasses import asdict
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from deepmf_sumo import plugins
+from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, MetricValue, Rollout
+from deepmf_sumo.spec import VERSIONS
+
+Status = Literal["ok", "failed", "timeout", "skipped"]
+Result = dict[str, Any]
+
+COLUMNS: Final = (
+    "run_id",
+    "spec",
+    "scene",
+    "planner",
+    "perception",
+    "adversary",
+    "version",
+    "seed",
+    "status",
+    "outcome",
+    "contact_time_s",
+    "contact_speed_mps",
+    "impact_sector",
+    "opponent",
+    "opponent_score",
+    "feasible",
+    "on_road",
+    "generation_s",
+    "cycle_ms_median",
+    "simulation_s",
+    "error",
+)
+TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
+"""Columns that differ between equal runs."""
+
+
+def unfinished(task: Task, status: Status, error: str, wall_s: float = 0.0) -> Result:
+    """The result of a run that has none, and why."""
+    return {
+        **_identity(task),
+        "status": status,
+        "error": " ".join(error.split()),
+        "timings": {"wall_s": wall_s},
+    }
+
+
+def finished(
+    task: Task, case: Case, attack: Attack, metrics: list[MetricValue], wall_s: float
+) -> Result:
+    """The result of a run that went through."""
+    rollout = attack.rollout
+    return {
+        **_identity(task),
+        "status": "ok",
+        "error": "",
+        "outcome": rollout.outcome,
+        "ended": rollout.ended,
+        "steps": rollout.tracks.steps - 1 - rollout.now,
+        "opponent": rollout.opponent_id,
+        "opponent_score": _opponent_score(rollout),
+        "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
+        "events": [asdict(event) for event in rollout.events],
+        "metrics": {value.name: _metric(value) for value in metrics},
+        "plans": len(rollout.plans),
+        "rules": [plan.reason.rule for plan in rollout.plans if plan.reason],
+        "search": {
+            "simulations": attack.simulations,
+            "trials": [asdict(trial) for trial in attack.trials],
+        },
+        "conversion": _conversion(case.net.report if case.net else None),
+        "repairs": list(case.scene.repairs) if case.scene else [],
+        "timings": _timings(attack, case, wall_s),
+    }
+
+
+def row(result: Result) -> dict[str, str]:
+    """The run's row in ``runs.csv``; what is not known is empty."""
+    contact = first_contact(result) or {}
+    metrics, timings = result.get("metrics", {}), result["timings"]
+    known = {
+        **{key: result.get(key) for key in COLUMNS},
+        "contact_time_s": contact.get("time_s"),
+        "contact_speed_mps": contact.get("relative_mps"),
+        "impact_sector": contact.get("sector"),
+        **{key: metrics.get(key, {}).get("value") for key in ("feasible", "on_road")},
+        **{key: timings.get(key) for key in TIMINGS},
+    }
+    return {key: _text(known[key]) for key in COLUMNS}
+
+
+def first_contact(result: Result) -> dict[str, Any] | None:
+    """The contact that the outcome names."""
+    contacts = result.get("contacts", [])
+    return next((one for one in contacts if one["kind"] == result["outcome"]), None)
+
+
+def _identity(task: Task) -> dict[str, Any]:
+    spec = task.spec
+    planner = plugins.settings("planners", spec.planner.name, spec.planner.settings)
+    adversary = plugins.settings("adversaries", spec.adversary.name, spec.adversary.settings)
+    return {
+        "run_id": task.run_id,
+        "key": task.key,
+        "spec": spec.name,
+        "scene": task.scene,
+        "planner": spec.planner.name,
+        "perception": getattr(planner, "perception", None),
+        "adversary": spec.adversary.name,
+        "version": _version(adversary),
+        "weights": spec.weights,
+        "seed": spec.seed,
+        "settings": {
+            "planner": planner.model_dump(mode="json"),
+            "adversary": adversary.model_dump(mode="json"),
+        },
+    }
+
+
+def _version(adversary: Any) -> str | None:
+    """The paper's name for the period between plans."""
+    if "period_s" not in type(adversary).model_fields:
+        return None
+    names = {period: name for name, period in VERSIONS.items()}
+    return names.get(adversary.period_s, f"S{adversary.period_s}")
+
+
+def _opponent_score(rollout: Rollout) -> float | None:
+    """Probability that the chosen opponent was given, from the first plan that knows."""
+    for plan in rollout.plans:
+        scores = plan.reason.scores if plan.reason else None
+        if scores and rollout.opponent_id in scores.ids:
+            logit = scores.logits[scores.ids.index(rollout.opponent_id)]
+            return float(1.0 / (1.0 + np.exp(-logit)))
+    return None
+
+
+def _contact(contact: Contact, rollout: Rollout) -> dict[str, Any]:
+    values = asdict(contact)
+    values["time_s"] = round((contact.step - rollout.now) * rollout.dt_s, 3)
+    for name in ("pose_first", "pose_second"):
+        values[name] = [float(value) for value in values[name]]
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _metric(value: MetricValue) -> dict[str, Any]:
+    return {key: part for key, part in asdict(value).items() if key != "name"}
+
+
+def _conversion(report: ConversionReport | None) -> dict[str, Any] | None:
+    if report is None:
+        return None
+    return {key: _plain(value) for key, value in asdict(report).items() if key != "seconds"}
+
+
+def _timings(attack: Attack, case: Case, wall_s: float) -> dict[str, Any]:
+    rollout = attack.rollout
+    parts = [plan.reason.milliseconds for plan in rollout.plans if plan.reason]
+    cycles = [float(sum(part.values())) for part in parts]
+    report = case.net.report if case.net else None
+    return {
+        "wall_s": wall_s,
+        "generation_s": float(attack.generation_s),
+        "simulation_s": float(rollout.seconds.get("simulation", 0.0)),
+        "cycle_ms_median": float(np.median(cycles)) if cycles else None,
+        "episode_s": {part: float(value) for part, value in rollout.seconds.items()},
+        "plans_ms": [{name: float(value) for name, value in part.items()} for part in parts],
+        "conversion_s": report.seconds if report else None,
+    }
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,170 @@
+"""A result folder."""
+
+import csv
+import io
+import json
+import os
+import platform
+import shutil
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any, Final
+
+import deepmf_sumo
+from deepmf_sumo.benchmark import files, junit, result
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.errors import OutputError
+from deepmf_sumo.metrics.statistics.wilson import wilson
+
+FORMAT_VERSION: Final = 1
+_PACKAGES: Final = ("libsumo", "eclipse-sumo", "torch", "numpy", "pydantic", "shapely")
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A result folder that is being filled."""
+
+    out: Path
+
+    @property
+    def runs(self) -> Path:
+        """The folder of all runs."""
+        return self.out / "runs"
+
+    def result(self, task: Task) -> Result | None:
+        """The result of an equal run that is already there, if it went through."""
+        try:
+            found: Result = json.loads((self.runs / task.run_id / "result.json").read_text("utf-8"))
+        except (OSError, ValueError):
+            return None
+        return found if found.get("key") == task.key and found.get("status") == "ok" else None
+
+    def read(self, task: Task) -> Result:
+        """The result that a worker has written."""
+        found: Result = json.loads((self.runs / task.run_id / "result.json").read_text("utf-8"))
+        return found
+
+    def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
+        """Write the manifest; ``machine`` is what may differ between equal batches."""
+        manifest = {
+            "format_version": FORMAT_VERSION,
+            "tool": "deepmf-sumo",
+            "version": deepmf_sumo.__version__,
+            "packages": {name: _installed(name) for name in _PACKAGES},
+            "runs": {task.run_id: task.key for task in tasks},
+            "machine": {
+                "command": sys.argv,
+                "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+                "python": platform.python_version(),
+                "platform": platform.platform(),
+                "cores": os.cpu_count(),
+                **machine,
+            },
+        }
+        files.write_json(self.out / "manifest.json", manifest)
+
+    def finish(self, results: Sequence[Result], *, junit_too: bool, interrupted: bool) -> None:
+        """Write the tables of all runs, in the order of the tasks."""
+        table = io.StringIO()
+        writer = csv.DictWriter(table, result.COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(result.row(one) for one in results)
+        files.write(self.out / "runs.csv", table.getvalue())
+        files.write_json(self.out / "summary.json", summary(results, interrupted=interrupted))
+        if junit_too:
+            junit.write(self.out / "junit.xml", results)
+
+
+def open_folder(out: Path, *, resume: bool) -> Store:
+    """An empty result folder; earlier results in it are removed unless ``resume``.
+
+    Raises OutputError where it cannot be written, or holds something else.
+    """
+    manifest = out / "manifest.json"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()) and not _is_ours(manifest):
+            raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
+        if not resume:
+            for name in ("runs", "runs.csv", "summary.json", "junit.xml", "report.html"):
+                _remove(out / name)
+        (out / "runs").mkdir(exist_ok=True)
+        files.write(out / "runs" / ".writable", "")
+        (out / "runs" / ".writable").unlink()
+    except OSError as error:
+        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
+    return Store(out)
+
+
+def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:
+    """Counts, rates with 95 % intervals, and the metrics over all runs that went through."""
+    done = [one for one in results if one["status"] == "ok"]
+    hits = [one for one in done if one["outcome"] == "av_opponent"]
+    speeds = [one["relative_mps"] for one in map(result.first_contact, hits) if one]
+    rate = wilson(len(hits), len(done)) if done else None
+    return {
+        "runs": len(results),
+        "interrupted": interrupted,
+        "status": dict(Counter(one["status"] for one in results)),
+        "outcome": dict(Counter(one["outcome"] for one in done)),
+        "expectations_broken": {
+            one["run_id"]: one["expectations_broken"]
+            for one in results
+            if one["expectations_broken"]
+        },
+        "collision_rate": rate._asdict() if rate else None,
+        "contact_speed_mps_mean": fmean(speeds) if speeds else None,
+        "metrics": _over_runs(done),
+        "timings": {
+            name: median(values) if (values := _timings(done, name)) else None
+            for name in (*result.TIMINGS, "wall_s")
+        },
+    }
+
+
+def _over_runs(done: Sequence[Result]) -> dict[str, Any]:
+    names = sorted({name for one in done for name in one["metrics"]})
+    table = {}
+    for name in names:
+        found = [one["metrics"][name] for one in done if name in one["metrics"]]
+        values = [value["value"] for value in found if value["value"] is not None]
+        table[name] = {
+            "unit": found[0]["unit"],
+            "better": found[0]["better"],
+            "runs": len(values),
+            "mean": fmean(values) if values else None,
+            "median": median(values) if values else None,
+        }
+    return table
+
+
+def _timings(done: Sequence[Result], name: str) -> list[float]:
+    return [one["timings"][name] for one in done if one["timings"].get(name) is not None]
+
+
+def _is_ours(manifest: Path) -> bool:
+    try:
+        return bool(json.loads(manifest.read_text("utf-8"))["tool"] == "deepmf-sumo")
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,100 @@
+"""Specs -> tasks: one for every scene of a recording, one for a network."""
+
+import difflib
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import deepmf_sumo
+from deepmf_sumo import readers
+from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.spec import First, FromNetwork, FromRecording, Spec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One run.
+
+    Attributes:
+        run_id: ``<spec>--<scene>--<seed>``, safe as a file name, unique in a batch.
+        scene: id in the recording, or the network's file name without suffix.
+    """
+
+    run_id: str
+    spec: Spec
+    scene: str
+
+    @property
+    def key(self) -> str:
+        """Digest of all that the result depends on, apart from plug-ins of other packages."""
+        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.spec.resolved()]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+    def entropy(self) -> list[int]:
+        """Seeds of the run's random generators."""
+        return [self.spec.seed, crc32(self.run_id.encode())]
+
+    def resolved(self) -> dict[str, Any]:
+        """The spec of this run alone."""
+        values = self.spec.resolved()
+        if isinstance(self.spec.source, FromRecording):
+            values["source"]["scenes"] = [self.scene]
+        return values
+
+
+def plan(specs: Sequence[Spec], cache: Path, name_filter: str = "") -> list[Task]:
+    """All runs of the specs whose id holds ``name_filter``, in order.
+
+    Raises SpecError where a recording holds no scene, or not the one asked for, or where two runs
+    would have one id; UsageError where the filter leaves nothing.
+    """
+    tasks: dict[str, Task] = {}
+    for spec in specs:
+        for scene in _scenes(spec, cache):
+            run_id = "--".join([slug(spec.name), slug(scene), str(spec.seed)])
+            if run_id in tasks:
+                raise SpecError(
+                    f"Two runs are called '{run_id}'; give the specs different names or seeds."
+                )
+            tasks[run_id] = Task(run_id=run_id, spec=spec, scene=scene)
+    chosen = [task for task in tasks.values() if name_filter.lower() in task.run_id.lower()]
+    if not chosen:
+        raise UsageError(
+            f"-k {name_filter} leaves none of {len(tasks)} runs; e.g. {next(iter(tasks), 'none')}."
+        )
+    return chosen
+
+
+def slug(name: str) -> str:
+    """Lower-case letters, digits and single dashes; a checksum where that lost something."""
+    plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60].strip("-")
+    spelled = re.sub(r"[\s_.-]+", "-", name.lower())
+    return plain if plain and plain == spelled else f"{plain}-{crc32(name.encode()):08x}".strip("-")
+
+
+def _scenes(spec: Spec, cache: Path) -> Iterator[str]:
+    source = spec.source
+    if isinstance(source, FromNetwork):
+        yield source.network.stem
+        return
+    ids = list(dict.fromkeys(readers.ids(source.recording, cache)))
+    if not ids:
+        raise SpecError(f"spec '{spec.name}': {source.recording} holds no recorded scene.")
+    if isinstance(source.scenes, First):
+        yield from ids[: source.scenes.first]
+    elif source.scenes == "all":
+        yield from ids
+    else:
+        for scene in source.scenes:
+            if scene not in ids:
+                nearest = difflib.get_close_matches(scene, ids, n=1)
+                hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+                raise SpecError(
+                    f"spec '{spec.name}': {source.recording} has no scene '{scene}'.{hint}"
+                )
+            yield scene

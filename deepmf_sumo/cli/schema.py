@@ -1,0 +1,31 @@
+"""``deepmf-sumo schema``: the JSON Schema of specs."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command(name="schema")
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write to this file instead of the screen.",
+)
+def command(out: Path | None) -> None:
+    """Print the JSON Schema of specs, for completion and checks in an editor.
+
+    Name the file in a spec's first line: # yaml-language-server: $schema=spec.schema.json
+    """
+    import json
+
+    from deepmf_sumo import spec
+    from deepmf_sumo.errors import OutputError
+
+    text = json.dumps(spec.schema(), indent=2, ensure_ascii=False) + "\n"
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None

@@ -1,0 +1,31 @@
+"""Wasserstein distance of the opponent's accelerations to its recording's.
+
+Of the signed change of speed (10 Hz differences, as measured) over the planned 8 s.
+"""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode import distributions, parts
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "m/s2"
+BETTER: Better = "lower"
+_QUANTITY = Quantity("acceleration_wasserstein", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:
+    """The metric of one rollout."""
+    row = parts.opponent_row(rollout)
+    if row is None:
+        return _QUANTITY.missing(parts.NO_OPPONENT)
+    logged = parts.logged_path(case, rollout.tracks.ids[row])
+    if logged is None:
+        return _QUANTITY.missing(parts.NO_LOG)
+    path = parts.planned_path(rollout, row, case.duration_steps)
+    if len(path) < 3:
+        return _QUANTITY.missing(parts.NEVER_DRIVEN)
+    return _QUANTITY.value(
+        distributions.wasserstein(
+            distributions.speed_changes(path, rollout.dt_s),
+            distributions.speed_changes(logged, rollout.dt_s),
+        )
+    )

@@ -1,0 +1,14 @@
+"""Contacts of the AV with others than the opponent."""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "1"
+BETTER: Better = "neither"
+_QUANTITY = Quantity("av_third_party", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+    """The metric of one rollout."""
+    hits = [contact for contact in rollout.contacts if contact.kind == "av_other"]
+    return _QUANTITY.value(len(hits))

@@ -1,0 +1,17 @@
+"""Whether AV and opponent collided: 1 or 0; its mean is the collision rate."""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode import parts
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "1"
+BETTER: Better = "higher"
+_QUANTITY = Quantity("collision", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+    """The metric of one rollout."""
+    row = parts.opponent_row(rollout)
+    if row is None:
+        return _QUANTITY.missing(parts.NO_OPPONENT)
+    return _QUANTITY.value(rollout.first("av_opponent") is not None)

@@ -1,0 +1,16 @@
+"""Time from the current step to the contact of AV and opponent."""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "s"
+BETTER: Better = "lower"
+_QUANTITY = Quantity("collision_time_s", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+    """The metric of one rollout."""
+    contact = rollout.first("av_opponent")
+    if contact is None:
+        return _QUANTITY.missing("AV and opponent did not collide")
+    return _QUANTITY.value((contact.step - rollout.now) * rollout.dt_s)

@@ -1,0 +1,16 @@
+"""Change of the AV's velocity in a plastic impact with the opponent."""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "m/s"
+BETTER: Better = "higher"
+_QUANTITY = Quantity("delta_v", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+    """The metric of one rollout."""
+    contact = rollout.first("av_opponent")
+    if contact is None:
+        return _QUANTITY.missing("AV and opponent did not collide")
+    return _QUANTITY.value(contact.delta_v_mps)

@@ -1,0 +1,55 @@
+"""Parts of a rollout: steps after the current one, steps driven by the policy."""
+
+import numpy as np
+
+from deepmf_sumo.datatypes import AgentId, Bools, Case, Driver, Floats, Rollout
+
+NO_OPPONENT = "nobody was attacked"
+NEVER_DRIVEN = "the policy never drove the opponent"
+NO_LOG = "the case has no recording to compare with"
+
+
+def opponent_row(rollout: Rollout) -> int | None:
+    """Row of the opponent in the tracks; None if there was nobody to attack."""
+    if rollout.opponent_id is None or rollout.opponent_id not in rollout.tracks.ids:
+        return None
+    return rollout.tracks.row(rollout.opponent_id)
+
+
+def driven(rollout: Rollout, row: int) -> Bools:
+    """(T) steps after the current one at which the policy drove the agent."""
+    mask: Bools = (rollout.driver[row] == Driver.POLICY) & rollout.tracks.valid[row]
+    return mask & (np.arange(rollout.tracks.steps) > rollout.now)
+
+
+def together(rollout: Rollout, row: int) -> tuple[int, Bools]:
+    """Row of the AV, and (T) steps after the current one at which it and the agent are there."""
+    av = rollout.tracks.row(rollout.av_id)
+    both = rollout.tracks.valid[av] & rollout.tracks.valid[row]
+    return av, both & (np.arange(rollout.tracks.steps) > rollout.now)
+
+
+def planned_path(rollout: Rollout, row: int, steps_at_most: int) -> Floats:
+    """(K, 2) the opponent's driven poses, and what its last plan says of the time after the end.
+
+    The episode ends at the contact; what the opponent was going to do is in its plan.
+    """
+    steps = np.flatnonzero(driven(rollout, row))
+    path: Floats = rollout.tracks.position_m[row, steps]
+    if len(steps) == 0 or not rollout.plans:
+        return path
+    plan = rollout.plans[-1]
+    rest = plan.position_m[max(0, int(steps[-1]) + 1 - plan.first_step) :]
+    whole: Floats = np.concatenate([path, rest])[:steps_at_most]
+    return whole
+
+
+def logged_path(case: Case, agent_id: AgentId) -> Floats | None:
+    """(K, 2) where the recording has the agent after now; None if it has fewer than three."""
+    scene = case.scene
+    if scene is None or agent_id not in scene.tracks.ids:
+        return None
+    row = scene.tracks.row(agent_id)
+    steps = slice(scene.now + 1, scene.now + 1 + case.duration_steps)
+    path: Floats = scene.tracks.position_m[row, steps][scene.tracks.valid[row, steps]]
+    return path if len(path) > 2 else None

@@ -1,0 +1,26 @@
+"""Whether points are on the road: near the centre line of a lane for cars."""
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Floats, RoadMap
+from deepmf_sumo.geometry import polylines
+
+_WIDTH_M = 3.7  # of a lane whose source says nothing
+MARGIN_M = 0.5
+
+
+def on_road(road: RoadMap, points_m: Floats) -> Bools:
+    """(N) points (N, 2) within half a lane's width and 0.5 m of its centre line; no cycle lanes."""
+    points = np.asarray(points_m, float)
+    inside = np.zeros(len(points), dtype=bool)
+    if len(points) == 0:
+        return inside
+    low, high = points.min(axis=0), points.max(axis=0)
+    for lane in road.lanes.values():
+        reach = (lane.width_m or _WIDTH_M) / 2 + MARGIN_M
+        centre = lane.centre_m
+        outside = (centre.max(axis=0) < low - reach) | (centre.min(axis=0) > high + reach)
+        if lane.kind == "bike" or len(centre) < 2 or outside.any():
+            continue
+        inside |= polylines.project(centre, points).distance_m <= reach
+    return inside

@@ -1,0 +1,25 @@
+"""Share of the policy-driven steps at which the opponent's centre is on the road.
+
+On the road: within half a lane's width (3.7 m where unknown) and 0.5 m of the centre line of a lane
+for cars. Human drivers do not reach 1 everywhere: driveways and car parks have no lanes.
+"""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode import parts, road
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "1"
+BETTER: Better = "higher"
+_QUANTITY = Quantity("on_road", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:
+    """The metric of one rollout."""
+    row = parts.opponent_row(rollout)
+    if row is None:
+        return _QUANTITY.missing(parts.NO_OPPONENT)
+    steps = parts.driven(rollout, row)
+    if not steps.any():
+        return _QUANTITY.missing(parts.NEVER_DRIVEN)
+    inside = road.on_road(case.road, rollout.tracks.position_m[row, steps])
+    return _QUANTITY.value(inside.mean())

@@ -1,0 +1,31 @@
+"""RMS of the opponent's acceleration along its motion while the policy drove it."""
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode import motion, parts
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "m/s2"
+BETTER: Better = "lower"
+_QUANTITY = Quantity("opponent_rms_acceleration", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+    """The metric of one rollout."""
+    row = parts.opponent_row(rollout)
+    if row is None:
+        return _QUANTITY.missing(parts.NO_OPPONENT)
+    steps = parts.driven(rollout, row)
+    if not steps.any():
+        return _QUANTITY.missing(parts.NEVER_DRIVEN)
+    position, heading = rollout.tracks.position_m[row], rollout.tracks.heading_rad[row]
+    along = np.concatenate(
+        [
+            motion.accelerations(position[run], heading[run], rollout.dt_s).along
+            for run in motion.runs(steps)
+        ]
+    )
+    if len(along) == 0:
+        return _QUANTITY.missing("the policy drove fewer than five steps in a row")
+    return _QUANTITY.value(np.sqrt(np.mean(along**2)))

@@ -1,0 +1,166 @@
+"""Many scenes into nets: a folder a scene, and a table of how it went."""
+
+import csv
+import multiprocessing
+import re
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Final, Literal, Protocol
+
+from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.errors import DeepmfError, OutputError
+from deepmf_sumo.network.conversion import convert
+
+TABLE: Final = "convert.csv"
+_AHEAD: Final = 2
+"""Scenes that are read ahead for each worker: enough to keep it busy, few to keep in memory."""
+
+
+class Refused(Protocol):
+    """A record that its reader could not use."""
+
+    @property
+    def name(self) -> str:
+        """The scene's name, or empty."""
+        ...
+
+    @property
+    def reason(self) -> str:
+        """Why it could not be used."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One scene of the table; figures are None where there is no net."""
+
+    scene: str
+    status: Literal["ok", "failed"]
+    reason: str = ""
+    lanes: int | None = None
+    lanes_lost: int | None = None
+    connections: int | None = None
+    connections_lost: int | None = None
+    error_mean_m: float | None = None
+    error_p99_m: float | None = None
+    error_max_m: float | None = None
+    seconds: float | None = None
+    connections_bridged: int | None = None
+    signals_lost: int | None = None
+    ghost: bool | None = None
+    folder: str = ""
+
+
+def convert_all(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[Row]:
+    """Convert scenes into folders of ``out``; rows in the order of the scenes.
+
+    A scene that fails is a row with the reason; the others go on. The table ``convert.csv`` is
+    there when the iterator ends, also when it is closed before.
+
+    Args:
+        scenes: as readers give them.
+        out: made if need be.
+        jobs: worker processes; 1 converts in this one.
+
+    Raises OutputError where ``out`` cannot be written.
+    """
+    beside = out / f".{TABLE}"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        file = beside.open("w", encoding="utf-8", newline="")
+    except OSError as error:
+        raise OutputError(f"'{out}' cannot be written: {error.strerror}.") from None
+    names = [field.name for field in fields(Row)]
+    try:
+        with file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(names)
+            for row in _rows(scenes, out, jobs):
+                table.writerow([_cell(getattr(row, name)) for name in names])
+                yield row
+    finally:
+        beside.replace(out / TABLE)
+
+
+def _cell(value: object) -> object:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4f}" if isinstance(value, float) else value
+
+
+def _rows(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[Row]:
+    folders = _named(scenes, out)
+    if jobs == 1:
+        for scene, folder in folders:
+            yield _row(scene, folder) if isinstance(scene, Scene) else _refusal(scene)
+        return
+    # Spawned, not forked: the parent may run threads.
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+        waiting: deque[tuple[str, Future[Row] | Row]] = deque()
+        for scene, folder in folders:
+            if isinstance(scene, Scene):
+                waiting.append((scene.name, pool.submit(_row, scene, folder)))
+            else:
+                waiting.append((scene.name, _refusal(scene)))
+            while len(waiting) > jobs * _AHEAD:
+                yield _result(*waiting.popleft())
+        while waiting:
+            yield _result(*waiting.popleft())
+
+
+def _named(scenes: Iterable[Scene | Refused], out: Path) -> Iterator[tuple[Scene | Refused, Path]]:
+    """Each scene with its folder; scenes of one name get numbers."""
+    count: Counter[str] = Counter()
+    for scene in scenes:
+        name = re.sub(r"[^\w.-]", "_", scene.name).lstrip(".") or "scene"
+        count[name] += isinstance(scene, Scene)
+        yield scene, out / (name if count[name] <= 1 else f"{name}-{count[name]}")
+
+
+def _result(name: str, result: Future[Row] | Row) -> Row:
+    if isinstance(result, Row):
+        return result
+    try:
+        return result.result()
+    except BrokenProcessPool:
+        return Row(scene=name, status="failed", reason="the worker process died")
+
+
+def _refusal(refused: Refused) -> Row:
+    return Row(scene=refused.name, status="failed", reason=refused.reason)
+
+
+def _row(scene: Scene, folder: Path) -> Row:
+    """Convert one scene."""
+    try:
+        net = convert(scene, folder)
+    except DeepmfError as error:
+        return Row(scene=scene.name, status="failed", reason=str(error))
+    except Exception as error:  # noqa: BLE001 (our own mistake must not end the batch)
+        reason = f"unexpected {type(error).__name__}: {error}"
+        return Row(scene=scene.name, status="failed", reason=reason)
+    report = net.report
+    assert report is not None
+    return Row(
+        scene=scene.name,
+        status="ok",
+        lanes=report.lanes,
+        lanes_lost=len(report.lost_lanes),
+        connections=report.connections,
+        connections_lost=len(report.lost_connections),
+        error_mean_m=report.error_mean_m,
+        error_p99_m=report.error_p99_m,
+        error_max_m=report.error_max_m,
+        seconds=report.seconds,
+        connections_bridged=len(report.bridged_connections),
+        signals_lost=len(report.lost_signals),
+        ghost=net.ghost_edge is not None,
+        folder=folder.name,
+    )

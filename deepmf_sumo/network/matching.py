@@ -1,0 +1,192 @@
+"""Map matching: which lanes a recorded vehicle drove on, by Viterbi over the lane graph."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+import shapely
+
+from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap
+from deepmf_sumo.geometry import angles
+from deepmf_sumo.network.graph import simplified
+
+NEAR_M: Final = 4.0
+TURNED_RAD: Final = 1.0
+HEADING_WEIGHT_M2: Final = 4.0
+"""Cost of a radian squared beside metres squared."""
+SPACING_M: Final = 0.5
+"""Steps nearer than this to the one before are matched with it."""
+STAY, ONWARD, TWICE_ONWARD, BESIDE, ELSEWHERE = 0.0, 0.3, 0.6, 4.0, 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Match:
+    """Lane of each step (None: no lane near) and the distance to its centre line (inf there)."""
+
+    lane_ids: tuple[str | None, ...]
+    distance_m: Floats
+
+
+def lane_sequence(
+    road: RoadMap, position_m: Floats, heading_rad: Floats, valid: Bools
+) -> list[str]:
+    """Lanes in the order in which a track uses them, each once in a row.
+
+    Lanes that the track crosses between two steps are filled in. Where the track leaves the lanes
+    the sequence goes on with the next lane that it reaches: consecutive lanes need not join.
+
+    Args:
+        road: lanes with their joins and neighbours.
+        position_m: (T, 2) box centres.
+        heading_rad: (T).
+        valid: (T) False where there is no pose.
+    """
+    found = [lane for lane in match(road, position_m, heading_rad, valid).lane_ids if lane]
+    sequence = found[:1]
+    for before, lane in pairwise(found):
+        if lane != before:
+            sequence += _between(road, before, lane)
+            sequence.append(lane)
+    return sequence
+
+
+def match(road: RoadMap, position_m: Floats, heading_rad: Floats, valid: Bools) -> Match:
+    """Lane of each step of a track (T, 2), (T), (T); steps that are not valid have none."""
+    index = lane_index(road)
+    steps = np.flatnonzero(valid)
+    kept = steps[_moved(np.asarray(position_m, float)[steps])]
+    place, lanes, costs, distances = index.candidates(position_m[kept], heading_rad[kept])
+    chosen = index.cheapest(place, lanes, costs)
+    lane_ids: list[str | None] = [None] * len(valid)
+    distance_m = np.full(len(valid), np.inf)
+    if len(kept):
+        # A step that was left out has the lane of the last one kept.
+        holder = np.searchsorted(kept, steps, side="right") - 1
+        rows = np.array([chosen.get(int(item), -1) for item in range(len(kept))], dtype=int)
+        for step, row in zip(steps, rows[holder], strict=True):
+            if row >= 0:
+                lane_ids[step] = index.lane_ids[lanes[row]]
+                distance_m[step] = distances[row]
+    return Match(lane_ids=tuple(lane_ids), distance_m=distance_m)
+
+
+def _moved(position_m: Floats) -> Ints:
+    """Indices of points (N, 2), each at least SPACING_M from the one before."""
+    kept: list[int] = []
+    last = (np.inf, np.inf)
+    for index, point in enumerate(position_m.tolist()):
+        if math.dist(point, last) >= SPACING_M:
+            kept.append(index)
+            last = point
+    return np.array(kept, dtype=np.int64)
+
+
+def _between(road: RoadMap, before: str, after: str) -> list[str]:
+    """The lane that joins two lanes which do not join themselves, if there is one."""
+    onward = road.lanes[before].next
+    if after in onward:
+        return []
+    middle = (lane for lane in onward if lane in road.lanes and after in road.lanes[lane].next)
+    first = next(middle, None)
+    return [first] if first else []
+
+
+@lru_cache(maxsize=4)
+def lane_index(road: RoadMap) -> "LaneIndex":
+    """The road's lanes as a search tree, built once a road."""
+    return LaneIndex(road)
+
+
+class LaneIndex:
+    """Segments of all lanes in a search tree, and the cost of going from lane to lane."""
+
+    def __init__(self, road: RoadMap) -> None:
+        shapes = {key: xyz for key, xyz in simplified(road).items() if len(xyz) > 1}
+        self.lane_ids = list(shapes)
+        self._road = road
+        self._number = {key: number for number, key in enumerate(self.lane_ids)}
+        self._costs: dict[int, dict[int, float]] = {}
+        empty = np.zeros((0, 2))
+        starts = [xyz[:-1, :2] for xyz in shapes.values()]
+        deltas = [np.diff(xyz[:, :2], axis=0) for xyz in shapes.values()]
+        self._start = np.concatenate([empty, *starts])
+        self._delta = np.concatenate([empty, *deltas])
+        self._owner = np.repeat(np.arange(len(shapes)), [len(delta) for delta in deltas])
+        self._heading = np.arctan2(self._delta[:, 1], self._delta[:, 0])
+        lines = np.stack([self._start, self._start + self._delta], axis=1)
+        self._tree = shapely.STRtree(np.asarray(shapely.linestrings(lines)))
+
+    def candidates(
+        self, position_m: Floats, heading_rad: Floats
+    ) -> tuple[Ints, Ints, Floats, Floats]:
+        """Lanes near points (N, 2) and headings (N): point, lane, cost, distance, by point."""
+        points = shapely.points(np.asarray(position_m, float))
+        place, segment = self._tree.query(points, predicate="dwithin", distance=NEAR_M)
+        offset = position_m[place] - self._start[segment]
+        delta = self._delta[segment]
+        square = np.maximum((delta**2).sum(axis=1), 1e-12)
+        share = np.clip((offset * delta).sum(axis=1) / square, 0.0, 1.0)
+        distance = np.hypot(*(offset - share[:, None] * delta).T)
+        turn = np.abs(angles.difference(heading_rad[place], self._heading[segment]))
+        cost = distance**2 + HEADING_WEIGHT_M2 * turn**2
+        lane = self._owner[segment]
+        order = np.lexsort((cost, lane, place))
+        order = order[turn[order] <= TURNED_RAD]
+        place, lane, cost, distance = place[order], lane[order], cost[order], distance[order]
+        best = np.ones(len(order), dtype=bool)
+        best[1:] = (np.diff(place) != 0) | (np.diff(lane) != 0)
+        return place[best], lane[best], cost[best], distance[best]
+
+    def cheapest(self, place: Ints, lane: Ints, cost: Floats) -> dict[int, int]:
+        """The candidate of each place on the cheapest way through all (Viterbi)."""
+        places, begins = np.unique(place, return_index=True)
+        if not len(places):
+            return {}
+        bounds = [*begins.tolist(), len(place)]
+        total = cost[bounds[0] : bounds[1]]
+        came_from: list[Ints] = []
+        for (begin, middle), end in zip(pairwise(bounds[:-1]), bounds[2:], strict=True):
+            change = self._changes(lane[begin:middle], lane[middle:end])
+            ways = total[:, None] + change
+            came_from.append(ways.argmin(axis=0))
+            total = ways.min(axis=0) + cost[middle:end]
+        row = int(total.argmin())
+        chosen = {int(places[-1]): bounds[-2] + row}
+        for number in range(len(came_from) - 1, -1, -1):
+            row = int(came_from[number][row])
+            chosen[int(places[number])] = bounds[number] + row
+        return chosen
+
+    def cost(self, before: str, after: str) -> float:
+        """Cost of going from a lane to another."""
+        return self._costs_from(self._number[before]).get(self._number[after], ELSEWHERE)
+
+    def _changes(self, before: Ints, after: Ints) -> Floats:
+        """(B, A) cost of going from lane to lane."""
+        rows = [self._costs_from(number) for number in before.tolist()]
+        columns = after.tolist()
+        return np.array([[row.get(number, ELSEWHERE) for number in columns] for row in rows])
+
+    def _costs_from(self, number: int) -> dict[int, float]:
+        """Cost of going from a lane to each lane that is near in the graph."""
+        if number not in self._costs:
+            lanes = self._road.lanes
+            lane = lanes[self.lane_ids[number]]
+            onward = [key for key in lane.next if key in lanes]
+            beside = [item.lane_id for item in (*lane.left, *lane.right)]
+            twice = [key for first in onward for key in lanes[first].next]
+            costs: dict[int, float] = {}
+            ways: Sequence[tuple[Sequence[str], float]] = (
+                (beside, BESIDE),
+                (twice, TWICE_ONWARD),
+                (onward, ONWARD),
+                ((lane.id,), STAY),
+            )
+            for keys, cost in ways:
+                costs.update({self._number[key]: cost for key in keys if key in self._number})
+            self._costs[number] = costs
+        return self._costs[number]

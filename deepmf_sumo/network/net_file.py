@@ -1,0 +1,209 @@
+"""A .net.xml read as it stands, fast: the elements that road maps and routes need."""
+
+import gzip
+import xml.etree.ElementTree as ET
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NetLane:
+    """A ``<lane>``: ``shape_m`` (P, 3), z = 0 where the net is flat."""
+
+    id: str
+    edge: str
+    index: int
+    speed_mps: float
+    length_m: float
+    width_m: float
+    allow: frozenset[str] | None
+    disallow: frozenset[str]
+    shape_m: Floats
+
+    def allows(self, vehicle_class: str) -> bool:
+        """Whether vehicles of a SUMO class may use the lane."""
+        if self.allow is not None:
+            return vehicle_class in self.allow or "all" in self.allow
+        return not self.disallow & {vehicle_class, "all"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetEdge:
+    """An ``<edge>``; ``function`` is empty for normal ones."""
+
+    id: str
+    start: str
+    end: str
+    function: str
+    type: str
+    lanes: tuple[NetLane, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetLink:
+    """A ``<connection>`` between two lanes.
+
+    Attributes:
+        via: the lane inside the junction, or empty.
+        light: the traffic light's id, or empty. index: of the link in it.
+        state, direction: SUMO's letters, e.g. ``M`` has right of way, ``s`` straight on.
+    """
+
+    origin: str
+    target: str
+    via: str
+    light: str
+    index: int
+    state: str
+    direction: str
+
+    @property
+    def onto(self) -> str:
+        """The lane that comes next."""
+        return self.via or self.target
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NetJunction:
+    """A ``<junction>`` with its outline (P, 2)."""
+
+    id: str
+    type: str
+    shape_m: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NetFile:
+    """Everything read, in the file's order."""
+
+    edges: dict[str, NetEdge]
+    links: tuple[NetLink, ...]
+    junctions: tuple[NetJunction, ...]
+
+
+def read_net(file: Path) -> NetFile:
+    """Read a .net.xml or .net.xml.gz.
+
+    Raises UsageError where the file cannot be read or is no SUMO network.
+    """
+    edges: dict[str, NetEdge] = {}
+    links: list[NetLink] = []
+    junctions: list[NetJunction] = []
+    for element in elements(file, "net"):
+        if element.tag == "edge":
+            edge = _edge(element)
+            edges[edge.id] = edge
+        elif element.tag == "connection":
+            links.append(_link(element))
+        elif element.tag == "junction" and element.get("type") != "internal":
+            junctions.append(
+                NetJunction(
+                    id=element.get("id", ""),
+                    type=element.get("type", ""),
+                    shape_m=points(element.get("shape", ""))[:, :2],
+                )
+            )
+    return NetFile(edges=edges, links=tuple(links), junctions=tuple(junctions))
+
+
+def read_once(file: Path) -> NetFile:
+    """As ``read_net``; the last nets read are kept as long as their files stay as they are."""
+    return _read_stamped(file, file.stat().st_mtime_ns if file.exists() else 0)
+
+
+@lru_cache(maxsize=4)
+def _read_stamped(file: Path, _stamp: int) -> NetFile:
+    return read_net(file)
+
+
+def elements(file: Path, root: str) -> Iterator[ET.Element]:
+    """Children of an XML file's root, one at a time.
+
+    Raises UsageError where the file cannot be read or its root has another name.
+    """
+    try:
+        with _opened(file) as stream:
+            parser = ET.iterparse(stream, events=("start", "end"))  # noqa: S314 (the user's own)
+            _, top = next(parser)
+            if top.tag != root:
+                raise UsageError(
+                    f"{file} holds <{top.tag}>, not <{root}>: it is no SUMO {root} file."
+                )
+            depth = 0
+            for event, element in parser:
+                depth += 1 if event == "start" else -1
+                if event == "end" and depth == 0:
+                    yield element
+                    top.clear()
+    except (OSError, ET.ParseError, StopIteration, EOFError, zlib.error) as error:
+        raise UsageError(f"{file} cannot be read as a SUMO {root} file: {error}.") from None
+
+
+def points(text: str) -> Floats:
+    """(P, 3) of SUMO's ``x,y x,y,z``; z = 0 where it is left out."""
+    rows = [pair.split(",") for pair in text.split()]
+    if not rows:
+        return np.zeros((0, 3))
+    return np.array([[float(row[0]), float(row[1]), float((*row, "0")[2])] for row in rows])
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[IO[bytes]]:
+    """The file's content, unpacked where its first bytes are gzip's."""
+    with file.open("rb") as raw:
+        packed = raw.read(2) == b"\x1f\x8b"
+        raw.seek(0)
+        if packed:
+            with gzip.open(raw) as stream:
+                yield stream  # type: ignore[misc]
+        else:
+            yield raw
+
+
+def _edge(element: ET.Element) -> NetEdge:
+    key = element.get("id", "")
+    return NetEdge(
+        id=key,
+        start=element.get("from", ""),
+        end=element.get("to", ""),
+        function=element.get("function", ""),
+        type=element.get("type", ""),
+        lanes=tuple(_lane(lane, key) for lane in element.iter("lane")),
+    )
+
+
+def _lane(element: ET.Element, edge: str) -> NetLane:
+    allow = element.get("allow")
+    return NetLane(
+        id=element.get("id", ""),
+        edge=edge,
+        index=int(element.get("index", "0")),
+        speed_mps=float(element.get("speed", "13.89")),
+        length_m=float(element.get("length", "0")),
+        width_m=float(element.get("width", "3.2")),
+        allow=None if allow is None else frozenset(allow.split()),
+        disallow=frozenset(element.get("disallow", "").split()),
+        shape_m=points(element.get("shape", "")),
+    )
+
+
+def _link(element: ET.Element) -> NetLink:
+    return NetLink(
+        origin=f"{element.get('from')}_{element.get('fromLane')}",
+        target=f"{element.get('to')}_{element.get('toLane')}",
+        via=element.get("via", ""),
+        light=element.get("tl", ""),
+        index=int(element.get("linkIndex", "-1")),
+        state=element.get("state", ""),
+        direction=element.get("dir", ""),
+    )

@@ -1,0 +1,181 @@
+"""Put the scene's shapes back into the net, and note which SUMO lane is which part of which lane.
+
+netconvert shortens lanes at junctions and gives all lanes of an edge one length. Both are undone
+here, lane by lane; the links and their right of way stay as netconvert made them.
+"""
+
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Floats, LanePiece, SignalLink
+from deepmf_sumo.geometry import polylines
+from deepmf_sumo.network import cutting
+from deepmf_sumo.network.assembly import JOINT_M
+from deepmf_sumo.network.blueprint import Blueprint, LaneRef, LinkPlan
+from deepmf_sumo.network.graph import LaneGraph
+from deepmf_sumo.network.net_file import points
+from deepmf_sumo.network.plain import coordinates
+
+_LinkKey = tuple[LaneRef, LaneRef]
+
+
+@dataclass(kw_only=True)
+class Placement:
+    """Where the scene's lanes are in the net.
+
+    Attributes:
+        pieces: scene lane -> its pieces in driving order.
+        lane_of: SUMO lane -> scene lanes on it, in driving order.
+        signals: scene lane -> links that carry its light.
+        covered: joins of scene lanes that some link of the net leads over.
+        missing: links that netconvert left out.
+    """
+
+    pieces: dict[str, list[LanePiece]] = field(default_factory=lambda: defaultdict(list))
+    lane_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    signals: dict[str, tuple[SignalLink, ...]] = field(default_factory=dict)
+    covered: set[tuple[str, str]] = field(default_factory=set)
+    missing: list[LinkPlan] = field(default_factory=list)
+
+
+class NetShapes:
+    """A net as netconvert wrote it, whose lanes get new shapes."""
+
+    def __init__(self, file: Path) -> None:
+        self.root = ET.parse(file).getroot()  # noqa: S314 (netconvert wrote it a moment ago)
+        self._lanes = {str(lane.get("id")): lane for lane in self.root.iter("lane")}
+        self._inner = {
+            str(node.get("id")): node
+            for node in self.root.iter("junction")
+            if node.get("type") == "internal"
+        }
+        self._links: dict[_LinkKey, ET.Element] = {}
+        self._onward: dict[str, str] = {}
+        for link in self.root.iter("connection"):
+            origin = str(link.get("from")), int(str(link.get("fromLane")))
+            if origin[0].startswith(":"):
+                self._onward[f"{origin[0]}_{origin[1]}"] = link.get("via", "")
+            else:
+                target = str(link.get("to")), int(str(link.get("toLane")))
+                self._links[origin, target] = link
+
+    def reshape(self, lane_id: str, shape_m: Floats) -> None:
+        """Give a lane a shape (P, 2) and the length of it."""
+        lane = self._lanes[lane_id]
+        length = float(polylines.arc_lengths(shape_m)[-1])
+        lane.set("length", f"{max(length, JOINT_M):.3f}")
+        lane.set("shape", coordinates(shape_m))
+        if lane_id in self._inner:
+            # An internal junction has the id of the lane that begins there.
+            for axis, value in zip("xy", shape_m[0], strict=True):
+                self._inner[lane_id].set(axis, f"{value:.3f}")
+
+    def link(self, plan: LinkPlan) -> ET.Element | None:
+        """The net's link for a planned one."""
+        return self._links.get((plan.origin, plan.target))
+
+    def chain(self, link: ET.Element) -> list[str]:
+        """The internal lanes of a link: two where cars wait amid the junction."""
+        lanes = []
+        via = link.get("via", "")
+        while via:
+            lanes.append(via)
+            via = self._onward.get(via, "")
+        return lanes
+
+    def chain_bounds(self, chain: list[str], length_m: float) -> Floats:
+        """Arc lengths (n + 1) at which the lanes of a chain begin and end, netconvert's shares."""
+        lengths = [float(str(self._lanes[lane_id].get("length"))) for lane_id in chain]
+        bounds = np.concatenate([[0.0], np.cumsum(lengths)])
+        scaled: Floats = bounds * (length_m / bounds[-1])
+        return scaled
+
+    def write(self, file: Path) -> None:
+        """Write the net without netconvert's comment, which holds the date."""
+        text = ET.tostring(self.root, encoding="unicode")
+        file.write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
+
+    def shapes(self) -> dict[str, Floats]:
+        """(P, 2) of every lane, as the file says."""
+        return {
+            lane_id: np.array(
+                [pair.split(",")[:2] for pair in str(lane.get("shape")).split()], float
+            )
+            for lane_id, lane in self._lanes.items()
+        }
+
+
+def place(net: NetShapes, blueprint: Blueprint, graph: LaneGraph) -> Placement:
+    """Give all lanes their shapes back."""
+    placement = Placement()
+    for edge in blueprint.edges.values():
+        for index, lane in enumerate(edge.lanes):
+            key = f"{edge.id}_{index}"
+            net.reshape(key, lane.shape_m)
+            placement.lane_of[key] = (lane.scene_lane,) if lane.scene_lane else ()
+            if lane.scene_lane:
+                length = float(polylines.arc_lengths(lane.shape_m)[-1])
+                piece = LanePiece(sumo_lane=key, start_m=lane.start_m, length_m=length)
+                placement.pieces[lane.scene_lane].append(piece)
+    for plan in blueprint.links:
+        _place_link(net, plan, blueprint, graph, placement)
+    _attach_points(graph, placement)
+    for lane_id, keys in blueprint.signalled.items():
+        links = [net.link(plan) for plan in blueprint.links if (plan.origin, plan.target) in keys]
+        placement.signals[lane_id] = tuple(
+            SignalLink(light=str(link.get("tl")), index=int(str(link.get("linkIndex"))))
+            for link in links
+            if link is not None and link.get("tl")
+        )
+    for pieces in placement.pieces.values():
+        pieces.sort(key=lambda piece: piece.start_m)
+    return placement
+
+
+def _place_link(
+    net: NetShapes, plan: LinkPlan, blueprint: Blueprint, graph: LaneGraph, placement: Placement
+) -> None:
+    link = net.link(plan)
+    if link is None:
+        placement.missing.append(plan)
+        return
+    origin, target = (blueprint.scene_lane(ref) for ref in (plan.origin, plan.target))
+    row = [lane_id for lane_id in (origin, *plan.path, target) if lane_id]
+    placement.covered |= {pair for pair in pairwise(row) if pair[0] != pair[1]}
+    chain = net.chain(link)
+    bounds = net.chain_bounds(chain, float(polylines.arc_lengths(plan.shape_m)[-1]))
+    for key, (start, end) in zip(chain, pairwise(bounds), strict=True):
+        net.reshape(key, cutting.part(plan.shape_m, start, end))
+        on_it = []
+        for lane_id, first, last in _intervals(graph, plan.path):
+            begin, stop = max(first, start), min(last, end)
+            if stop - begin > 1e-6 or (first == last and start <= first <= end + 1e-6):
+                on_it.append(lane_id)
+                placement.pieces[lane_id].append(
+                    LanePiece(sumo_lane=key, start_m=begin - first, length_m=max(stop - begin, 0.0))
+                )
+        # A link between two lanes that touch is drawn on the end of the first.
+        onto_origin = (origin,) if origin and not plan.bridges else ()
+        placement.lane_of[key] = tuple(on_it) or onto_origin
+
+
+def _intervals(graph: LaneGraph, path: tuple[str, ...]) -> Iterator[tuple[str, float, float]]:
+    """Where the lanes of a path begin and end on it."""
+    along = 0.0
+    for lane_id in path:
+        length = graph.lengths_m[lane_id]
+        yield lane_id, along, along + length
+        along += length
+
+
+def _attach_points(graph: LaneGraph, placement: Placement) -> None:
+    """A one-point lane at a loose end is a point of the lane that it touches."""
+    for lane_id, (touched, at_end) in graph.loose.items():
+        sumo_lane = placement.pieces[touched][-1 if at_end else 0].sumo_lane
+        placement.pieces[lane_id].append(LanePiece(sumo_lane=sumo_lane, start_m=0.0, length_m=0.0))

@@ -1,0 +1,106 @@
+"""SUMO's Intelligent Driver Model drives the AV, with one of two ways of perceiving.
+
+``lane``: the AV sees what SUMO's model sees: vehicles matched to its lane, lights, right of way. A
+car that cuts in is seen when its front crosses the lane's border.
+``corridor``: besides, the AV follows the nearest box (vehicles, pedestrians and cyclists, on lanes
+or off them) that reaches into the corridor that it is going to sweep.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
+from deepmf_sumo.planners.perception import nearest_in_corridor
+from deepmf_sumo.plugins import Settings as PluginSettings
+
+TREIBER = VehicleModel(
+    accel_mps2=1.5, decel_mps2=2.0, emergency_mps2=8.0, headway_s=1.5, gap_m=2.0, exponent=4.0
+)
+"""Treiber, Hennecke, Helbing (2000), in the range of their cars; braking capped at 8 m/s2."""
+
+METADRIVE = VehicleModel(
+    accel_mps2=1.0,
+    decel_mps2=5.0,
+    emergency_mps2=8.0,
+    headway_s=1.5,
+    gap_m=10.0,
+    exponent=10.0,
+    desired_mps=40 / 3.6,
+)
+"""The parameters of MetaDrive's TrajectoryIDMPolicy, in SUMO's IDM. Not taken over: its look-ahead
+of 20 m, its decisions every fifth step, its mixture of km/h and m/s."""
+
+
+class Settings(PluginSettings):
+    """What is given besides ``parameters`` overrides them.
+
+    Attributes:
+        perception: ``lane`` or ``corridor``.
+        parameters: ``treiber`` or ``metadrive``.
+        margin_m: the corridor is wider than the AV by this on both sides.
+        desired_mps: without it the larger of the speed limit and the recorded maximum.
+    """
+
+    perception: Literal["lane", "corridor"] = "lane"
+    parameters: Literal["treiber", "metadrive"] = "treiber"
+    margin_m: float = Field(default=0.2, ge=0.0, le=2.0)
+    accel_mps2: float | None = Field(default=None, gt=0.0)
+    decel_mps2: float | None = Field(default=None, gt=0.0)
+    emergency_mps2: float | None = Field(default=None, gt=0.0)
+    headway_s: float | None = Field(default=None, gt=0.0)
+    gap_m: float | None = Field(default=None, ge=0.0)
+    exponent: float | None = Field(default=None, gt=0.0)
+    desired_mps: float | None = Field(default=None, gt=0.0)
+
+
+class IdmPlanner:
+    """Leaves the AV to SUMO's model; with corridor perception it also names the leader."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._model = _model(settings)
+
+    @property
+    def model(self) -> VehicleModel | None:
+        """Parameters of the AV's IDM."""
+        return self._model
+
+    def reset(self, case: Case, rng: np.random.Generator) -> None:
+        """Nothing to prepare: the model keeps no memory."""
+
+    def act(self, view: View) -> Command:
+        """SUMO's own decision, or the leader in the corridor."""
+        if self._settings.perception == "lane" or view.av_path_m is None:
+            return Command(kind="sumo")
+        leader = nearest_in_corridor(view, view.av_path_m, self._settings.margin_m)
+        if leader is None:
+            return Command(kind="sumo")
+        return Command(kind="leader", gap_m=leader.gap_m, leader_mps=leader.speed_mps)
+
+
+def build(settings: Settings) -> IdmPlanner:
+    """The planner."""
+    return IdmPlanner(settings)
+
+
+def _model(settings: Settings) -> VehicleModel:
+    base = METADRIVE if settings.parameters == "metadrive" else TREIBER
+
+    def pick(given: float | None, default: float) -> float:
+        return default if given is None else given
+
+    return VehicleModel(
+        accel_mps2=pick(settings.accel_mps2, base.accel_mps2),
+        decel_mps2=pick(settings.decel_mps2, base.decel_mps2),
+        # SUMO takes no emergency deceleration below the comfortable one
+        emergency_mps2=max(
+            pick(settings.emergency_mps2, base.emergency_mps2),
+            pick(settings.decel_mps2, base.decel_mps2),
+        ),
+        headway_s=pick(settings.headway_s, base.headway_s),
+        gap_m=pick(settings.gap_m, base.gap_m),
+        exponent=pick(settings.exponent, base.exponent),
+        desired_mps=base.desired_mps if settings.desired_mps is None else settings.desired_mps,
+    )

@@ -1,0 +1,31 @@
+"""Whatever the AV's vehicle type in SUMO says drives the AV."""
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
+from deepmf_sumo.plugins import Settings as PluginSettings
+
+
+class Settings(PluginSettings):
+    """No settings."""
+
+
+class SumoPlanner:
+    """SUMO's own model, unchanged."""
+
+    @property
+    def model(self) -> VehicleModel | None:
+        """None: the vehicle type of the network stays."""
+        return None
+
+    def reset(self, case: Case, rng: np.random.Generator) -> None:
+        """Nothing to prepare."""
+
+    def act(self, view: View) -> Command:
+        """SUMO drives."""
+        return Command(kind="sumo")
+
+
+def build(settings: Settings) -> SumoPlanner:
+    """The planner."""
+    return SumoPlanner()

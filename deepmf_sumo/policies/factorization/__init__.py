@@ -1,0 +1,1 @@
+"""The parts of one DeepMF plan: limits and tracking, goals, candidates, collision, selection."""

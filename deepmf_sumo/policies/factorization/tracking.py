@@ -1,0 +1,177 @@
+"""Makes predicted positions drivable: a bicycle follows each of them from the current state.
+
+A predictor knows no limits, and its first sample need not join the current state. Every candidate
+is therefore followed by a single-track model *before* it is judged, so that what is checked is what
+is executed. The course (direction of motion of the box centre) turns at most as fast as the lateral
+limit and the steering angle allow; the rear axle follows like a trailer, which gives the heading.
+
+The controller looks ahead along the path (pure pursuit: Coulter, CMU-RI-TR-92-01, 1992), keeps time
+by a critically damped law with feed-forward, and slows down ahead of curves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepmf_sumo.datatypes import DT_S, AgentId, Floats, View
+from deepmf_sumo.geometry import angles
+from deepmf_sumo.policies.factorization.courses import Courses
+
+_JOIN_STEPS = 15  # an initial mismatch of the prediction fades out over 1.5 s
+_LOOKAHEAD_S, _LOOKAHEAD_M = 0.6, 2.0
+_DAMPING_PER_S = 2.0  # both poles of the timing law
+_REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
+_STEERING_SLIP = 0.33  # course against heading at full lock, radians
+_COURSE_MPS = 1.0  # slower than this, a measured velocity says nothing about the course
+_COURSE_SLIP = 0.2  # a measured course is believed up to this far from the heading, radians
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Largest accelerations in m/s2: speeding up, braking, across the direction of motion."""
+
+    accel: float
+    brake: float
+    lateral: float
+
+    def rows(self, count: int) -> Floats:
+        """(count, 3) the same limits for each candidate."""
+        return np.tile([self.accel, self.brake, self.lateral], (count, 1)).astype(float)
+
+    def mild(self) -> "Limits":
+        """What a calm driver uses: at most (3, 4, 2.5) and 70 % of these limits."""
+        return Limits(
+            accel=min(3.0, 0.7 * self.accel),
+            brake=min(4.0, 0.7 * self.brake),
+            lateral=min(2.5, 0.7 * self.lateral),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """The vehicle's state now: box centre (2), heading, course and speed, length."""
+
+    position_m: Floats
+    heading_rad: float
+    course_rad: float
+    speed_mps: float
+    length_m: float
+
+    @classmethod
+    def of(cls, view: View, agent_id: AgentId) -> "Start":
+        """Current state of an agent. A vehicle that rolls backwards starts at rest."""
+        tracks = view.history
+        row = tracks.row(agent_id)
+        heading = float(tracks.heading_rad[row, -1])
+        velocity = tracks.velocity_mps[row, -1]
+        speed = max(0.0, float(velocity @ angles.unit(heading)))
+        course = heading
+        if speed > _COURSE_MPS:
+            slip = float(angles.difference(np.arctan2(velocity[1], velocity[0]), heading))
+            course += float(np.clip(slip, -_COURSE_SLIP, _COURSE_SLIP))
+        return cls(
+            position_m=tracks.position_m[row, -1],
+            heading_rad=heading,
+            course_rad=course,
+            speed_mps=speed,
+            length_m=float(tracks.size_m[row, 0]),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracked:
+    """M drivable futures: (M, F, 2), (M, F), (M, F), and (M) farthest move off the reference."""
+
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+    bent_m: Floats
+
+
+def joined(reference_m: Floats, start: Start) -> Floats:
+    """(M, F, 2) references moved so that they begin where the vehicle will be in one step.
+
+    The move fades out over 1.5 s.
+    """
+    reference = np.asarray(reference_m, float)
+    expected = start.position_m + start.speed_mps * DT_S * angles.unit(start.course_rad)
+    share = np.clip(np.arange(reference.shape[1]) / _JOIN_STEPS, 0.0, 1.0)
+    fade = 1.0 - share * share * (3.0 - 2.0 * share)
+    moved: Floats = reference + (expected - reference[:, :1]) * fade[:, None]
+    return moved
+
+
+def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
+    """Follow M references (M, F, 2) from the current state, each within its limits (M, 3).
+
+    Guarantees for the box centre: the first pose is one step's drive away from the start; speed
+    changes by at most accel*dt and brake*dt a step and is never negative; speed times turn rate of
+    the course stays within the lateral limit.
+    """
+    reference = np.asarray(reference_m, float)
+    candidates, steps = reference.shape[:2]
+    courses = Courses.along(joined(reference, start), start.position_m, start.course_rad, limits)
+    state = _State(candidates, start, limits)
+    position = np.empty((candidates, steps, 2))
+    heading, speed = np.empty((candidates, steps)), np.empty((candidates, steps))
+    for step in range(steps):
+        state.advance(courses, step)
+        position[:, step], heading[:, step], speed[:, step] = state.pose()
+    bent = np.hypot(*np.moveaxis(position - reference, -1, 0)).max(axis=1)
+    return Tracked(
+        position_m=position, heading_rad=angles.wrap(heading), speed_mps=speed, bent_m=bent
+    )
+
+
+class _State:
+    """States of M single-track vehicles that follow M courses; all arrays (M)."""
+
+    def __init__(self, candidates: int, start: Start, limits: Floats) -> None:
+        self._place = np.full(candidates, complex(*start.position_m))
+        self._course = np.full(candidates, start.course_rad)
+        self._slip = self._course - start.heading_rad
+        self._speed = np.full(candidates, start.speed_mps)
+        self._along = np.zeros(candidates)
+        self._rear_m = _REAR_AXLE * start.length_m
+        self._curvature = np.sin(_STEERING_SLIP) / self._rear_m
+        self._accel, self._brake, self._lateral = np.asarray(limits, float).T
+
+    def pose(self) -> tuple[Floats, Floats, Floats]:
+        """Position (M, 2), heading (M), speed (M)."""
+        position = np.stack([self._place.real, self._place.imag], -1)
+        return position, self._course - self._slip, self._speed
+
+    def advance(self, courses: Courses, step: int) -> None:
+        """One step of DT_S towards where the references are at ``step`` (0: one step from now)."""
+        before, after = self._speed, self._next_speed(courses, step)
+        curvature = self._steer(courses, np.maximum(before, after))
+        mean = (before + after) / 2
+        turn = curvature * mean * DT_S
+        self._place = self._place + mean * DT_S * np.exp(1j * (self._course + turn / 2))
+        self._course = self._course + turn
+        # The slip of a trailed rear axle, solved exactly for a constant curvature and small slip.
+        steady = np.arcsin(curvature * self._rear_m)
+        fade = np.exp(-mean * DT_S / self._rear_m)
+        self._slip = steady + (self._slip - steady) * fade
+        self._speed = after
+        self._along = courses.progress(self._along + mean * DT_S, self._along, self._place)
+
+    def _next_speed(self, courses: Courses, step: int) -> Floats:
+        """Speed after the step: keep to the reference's timing, slow down for curves."""
+        due, speed, accel = courses.timing(step)
+        wanted = accel + 2 * _DAMPING_PER_S * (speed - self._speed)
+        wanted = wanted + _DAMPING_PER_S**2 * (due - self._along)
+        allowed = (courses.speed_limit(self._along) - self._speed) / DT_S
+        chosen = np.maximum(np.minimum(np.minimum(wanted, allowed), self._accel), -self._brake)
+        after: Floats = np.maximum(self._speed + chosen * DT_S, 0.0)
+        return after
+
+    def _steer(self, courses: Courses, fastest: Floats) -> Floats:
+        """Curvature of the arc to the point ahead on the course, within the limits."""
+        ahead = np.maximum(_LOOKAHEAD_M, _LOOKAHEAD_S * self._speed)
+        target = courses.point(self._along + ahead) - self._place
+        left = (target * np.exp(-1j * self._course)).imag
+        wanted = 2 * left / np.maximum(np.abs(target) ** 2, 1e-6)
+        bound = np.minimum(self._curvature, self._lateral / np.maximum(fastest**2, 1e-6))
+        curvature: Floats = np.minimum(np.maximum(wanted, -bound), bound)
+        return curvature

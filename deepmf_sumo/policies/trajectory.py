@@ -1,0 +1,138 @@
+"""A fixed trajectory: the opponent drives given poses, whatever the AV does."""
+
+import csv
+import gzip
+import io
+import zipfile
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import AgentId, Floats, Plan, View
+from deepmf_sumo.errors import PluginError, RunError
+from deepmf_sumo.geometry import angles
+from deepmf_sumo.policies.factorization.opponent import named
+
+_COLUMNS = ("step", "x_m", "y_m", "heading_rad")
+
+
+class Settings(plugins.Settings):
+    """Who drives what; exactly one of ``poses`` and ``file``.
+
+    Attributes:
+        agent: id of the opponent.
+        poses: rows of x_m, y_m, heading_rad (box centre, radians), one a step of 0.1 s.
+        file: a table (.csv, .csv.gz) with columns step, x_m, y_m, heading_rad, and perhaps id (rows
+            of other agents are left out), so that a result's tracks.csv.gz will do; or
+            an .npz with arrays step (K), position_m (K, 2), heading_rad (K).
+        first_step: step of the first of ``poses``; null: the one after the current step.
+    """
+
+    agent: str = Field(min_length=1)
+    poses: list[list[float]] | None = None
+    file: str | None = None
+    first_step: int | None = Field(default=None, ge=0)
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.poses is None) == (self.file is None):
+            raise ValueError("give exactly one of poses and file")
+        if self.poses is not None and (
+            not self.poses or any(len(pose) != 3 for pose in self.poses)
+        ):
+            raise ValueError("poses needs at least one row of three: x_m, y_m, heading_rad")
+        if self.file is not None and self.first_step is not None:
+            raise ValueError("first_step goes with poses; a file has its own steps")
+        return self
+
+
+class Trajectory:
+    """The policy: one plan, made at the first view."""
+
+    period_steps: int | None = None
+
+    def __init__(self, settings: Settings) -> None:
+        self._agent = settings.agent
+        self._first_step = settings.first_step
+        if settings.file is None:
+            self._poses = np.asarray(settings.poses, dtype=float)
+        else:
+            self._first_step, self._poses = _read(Path(settings.file), settings.agent)
+
+    def reset(self, view: View, rng: np.random.Generator) -> AgentId:  # noqa: ARG002
+        """The named opponent. Raises RunError if it is not in the view."""
+        return named(view, self._agent)
+
+    def plan(self, view: View) -> Plan:
+        """All poses. Raises RunError where the first comes after the step that follows the view."""
+        first = view.step + 1 if self._first_step is None else self._first_step
+        skipped = view.step + 1 - first
+        if not 0 <= skipped < len(self._poses):
+            raise RunError(
+                f"the trajectory of '{self._agent}' has steps {first} to "
+                f"{first + len(self._poses) - 1}, but the opponent is driven from step "
+                f"{view.step + 1}; give poses from there."
+            )
+        poses = self._poses[skipped:]
+        row = view.history.row(self._agent)
+        before = view.history.position_m[row, -1]
+        moved = np.diff(np.concatenate([before[None], poses[:, :2]]), axis=0)
+        return Plan(
+            agent_id=self._agent,
+            first_step=view.step + 1,
+            position_m=poses[:, :2],
+            heading_rad=angles.wrap(poses[:, 2]),
+            speed_mps=np.hypot(*moved.T) / view.dt_s,
+        )
+
+
+def build(
+    settings: Settings,
+    predictors: object = None,  # noqa: ARG001 - a fixed trajectory predicts nothing
+    partner_id: AgentId | None = None,  # noqa: ARG001
+) -> Trajectory:
+    """The policy. Raises PluginError where the file is missing or holds something else."""
+    return Trajectory(settings)
+
+
+def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:
+    """First step and (K, 3) poses of a file."""
+    try:
+        content = path.read_bytes()
+        rows = _from_npz(content) if path.suffix == ".npz" else _from_csv(path, content, agent)
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise PluginError(
+            f"trajectory file '{path}' cannot be used: {error}; it needs {', '.join(_COLUMNS)}."
+        ) from None
+    steps = rows[:, 0]
+    if len(rows) == 0 or not np.array_equal(steps, steps[:1] + np.arange(len(steps))):
+        raise PluginError(
+            f"trajectory file '{path}' needs one row a step without gaps for agent '{agent}', "
+            f"but has steps {steps[:5].tolist()} ..."
+        )
+    if not np.isfinite(rows).all():
+        raise PluginError(f"trajectory file '{path}' holds numbers that are not finite.")
+    return int(steps[0]), rows[:, 1:]
+
+
+def _from_csv(path: Path, content: bytes, agent: AgentId) -> Floats:
+    if path.suffix == ".gz":
+        content = gzip.decompress(content)
+    table = csv.DictReader(io.StringIO(content.decode("utf-8")))
+    missing = [name for name in _COLUMNS if name not in (table.fieldnames or ())]
+    if missing:
+        raise ValueError(f"column {missing[0]} is missing")
+    rows = [
+        [float(row[name]) for name in _COLUMNS] for row in table if row.get("id", agent) == agent
+    ]
+    return np.asarray(rows, dtype=float).reshape(-1, len(_COLUMNS))
+
+
+def _from_npz(content: bytes) -> Floats:
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        columns = [arrays["step"][:, None], arrays["position_m"], arrays["heading_rad"][:, None]]
+        rows: Floats = np.concatenate(columns, axis=1).astype(float)
+    return rows

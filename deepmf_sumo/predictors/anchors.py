@@ -1,0 +1,99 @@
+"""Geometry of dense goals: (path x speed profile) anchors, timed, in the vehicle's frame.
+
+All tensors; the same code serves training and prediction. P paths, R = 24 profiles, S times.
+"""
+
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS
+from deepmf_sumo.predictors.paths import NODE_SPACING_M
+
+PROFILES: Final = 24
+START_SPEEDS_MPS: Final = (0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0, 11.0, 13.5, 16.0, 20.0, 25.0, 30.0)
+KNOTS_S: Final = (1.0, 2.0, 4.0, 6.0, 8.0)
+KNOT_STEPS: Final = tuple(round(second / DT_S) - 1 for second in KNOTS_S)
+"""Index in the 80 steps of each knot; index 0 is 0.1 s."""
+
+
+def profiles_at(table: Tensor, speed_mps: Tensor) -> Tensor:
+    """Distances driven (B, R, 80) at start speeds (B); table (13, R, 80) of s(t) - v0 t."""
+    knots = table.new_tensor(START_SPEEDS_MPS)
+    clamped = speed_mps.clamp(0.0, START_SPEEDS_MPS[-1] - 1e-3)
+    low = torch.searchsorted(knots, clamped, right=True) - 1
+    share = ((clamped - knots[low]) / (knots[low + 1] - knots[low])).view(-1, 1, 1)
+    relative = (1 - share) * table[low] + share * table[low + 1]
+    time = torch.arange(1, FUTURE_STEPS + 1, device=table.device) * DT_S
+    distance = relative + speed_mps.view(-1, 1, 1) * time
+    return distance.clamp_min(0.0).cummax(-1).values
+
+
+def look_up(paths: Tensor, along_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Points and unit tangents (B, P, N, 2) of paths (B, P, 121, 2) at distances (B, P, N).
+
+    Straight on past the last node. Tangents change linearly between nodes.
+    """
+    last = paths.shape[2] - 2
+    place = along_m / NODE_SPACING_M
+    base = place.floor().clamp(0, last)
+    share = (place - base).unsqueeze(-1)
+    index = base.long().unsqueeze(-1).expand(*along_m.shape, 2)
+    start = paths.gather(2, index)
+    step = paths[:, :, 1:] - paths[:, :, :-1]
+    here = step.gather(2, index)
+    after = step.gather(2, (index + 1).clamp_max(last))
+    tangent = torch.lerp(here, after, (share - 0.5).clamp(0.0, 0.5))
+    tangent = tangent / tangent.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    return start + share * here, tangent
+
+
+def curvature(paths: Tensor) -> Tensor:
+    """(B, P, 119) 1/m at the inner nodes."""
+    step = (paths[:, :, 1:] - paths[:, :, :-1]) / NODE_SPACING_M
+    cross = step[..., :-1, 0] * step[..., 1:, 1] - step[..., :-1, 1] * step[..., 1:, 0]
+    return cross / NODE_SPACING_M
+
+
+def placed(paths: Tensor, along_m: Tensor, left_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Positions (B, P, ..., 2) at path coordinates (B, P, ...), and the path's tangents there."""
+    flat = along_m.flatten(2)
+    point, tangent = look_up(paths, flat)
+    normal = torch.stack([-tangent[..., 1], tangent[..., 0]], -1)
+    point = point + left_m.flatten(2).unsqueeze(-1) * normal
+    return point.view(*along_m.shape, 2), tangent.view(*along_m.shape, 2)
+
+
+def knot_matrix() -> Tensor:
+    """(5, 80) maps values at the knots to all steps: Hermite, from 0 with slope 0 at time 0."""
+    times = torch.tensor((0.0, *KNOTS_S), dtype=torch.float64)
+    steps = torch.arange(1, FUTURE_STEPS + 1, dtype=torch.float64) * DT_S
+    count = len(times)
+    slope = torch.zeros(count, count, dtype=torch.float64)
+    for row in range(1, count):
+        before, after = row - 1, min(row + 1, count - 1)
+        span = times[after] - times[before]
+        slope[row, after] += 1 / span
+        slope[row, before] -= 1 / span
+    value = torch.eye(count, dtype=torch.float64)
+    segment = (torch.searchsorted(times, steps) - 1).clamp(0, count - 2)
+    width = times[segment + 1] - times[segment]
+    u = ((steps - times[segment]) / width).unsqueeze(-1)
+    width = width.unsqueeze(-1)
+    rows = (
+        (2 * u**3 - 3 * u**2 + 1) * value[segment]
+        + (u**3 - 2 * u**2 + u) * width * slope[segment]
+        + (3 * u**2 - 2 * u**3) * value[segment + 1]
+        + (u**3 - u**2) * width * slope[segment + 1]
+    )
+    return rows[:, 1:].T.float()
+
+
+def headings(position: Tensor, tangent: Tensor) -> Tensor:
+    """(..., 80) headings: of the motion where it is faster than 1 m/s, else of the path."""
+    origin = torch.zeros_like(position[..., :1, :])
+    step = torch.diff(torch.cat([origin, position], -2), dim=-2)
+    moving = (step.norm(dim=-1, keepdim=True) > DT_S).float()
+    direction = moving * step + (1 - moving) * tangent
+    return torch.atan2(direction[..., 1], direction[..., 0])

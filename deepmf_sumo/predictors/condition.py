@@ -1,0 +1,163 @@
+"""Another vehicle's future as input: a vector polyline, raster channels, and relations to goals."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from deepmf_sumo.datatypes import DT_S
+from deepmf_sumo.predictors import raster
+from deepmf_sumo.predictors.anchors import look_up
+from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.vectornet import POSITION_SCALE_M, SPEED_SCALE_MPS
+
+TOKEN: Final = 8
+PATH_RELATION: Final = 7
+GOAL_RELATION: Final = 11
+EVERY: Final = 5
+"""Relations look at every fifth step: 2 Hz."""
+_CLOSE_M: Final = 3.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condition:
+    """K futures of another vehicle, in the target's frame.
+
+    Attributes:
+        tokens: (B*K, 16, 8) the vector polyline: one vector each half second.
+        image: (B*K, C, S', S') the raster channels.
+        position_m: (B, K, 80, 2) for the relations to goals.
+        given: (B, K) 0 where there is no condition: the prediction is then marginal.
+    """
+
+    tokens: Tensor
+    image: Tensor
+    position_m: Tensor
+    given: Tensor
+
+    @property
+    def futures(self) -> int:
+        """K."""
+        return int(self.given.shape[1])
+
+
+def encode(position_m: Tensor, heading_rad: Tensor, given: Tensor, preset: Preset) -> Condition:
+    """A condition from positions (B, K, 80, 2) and headings (B, K, 80) in the target's frame."""
+    return Condition(
+        tokens=_tokens(position_m, heading_rad).flatten(0, 1),
+        image=raster.draw_future(position_m, preset) * given.reshape(-1, 1, 1, 1),
+        position_m=position_m,
+        given=given,
+    )
+
+
+def _tokens(position_m: Tensor, heading_rad: Tensor) -> Tensor:
+    """(B, K, 16, 8): position, heading, velocity, time, distance from the target's pose."""
+    rows = torch.arange(EVERY - 1, position_m.shape[2], EVERY, device=position_m.device)
+    here, before = position_m[:, :, rows], position_m[:, :, rows - EVERY + 1]
+    velocity = (here - before) / ((EVERY - 1) * DT_S)
+    heading = heading_rad[:, :, rows]
+    when = ((rows + 1) * DT_S / 8.0).expand(heading.shape)
+    return torch.stack(
+        [
+            here[..., 0] / POSITION_SCALE_M,
+            here[..., 1] / POSITION_SCALE_M,
+            heading.cos(),
+            heading.sin(),
+            velocity[..., 0] / SPEED_SCALE_MPS,
+            velocity[..., 1] / SPEED_SCALE_MPS,
+            when,
+            here.norm(dim=-1) / POSITION_SCALE_M,
+        ],
+        -1,
+    )
+
+
+def relations(paths: Tensor, along_m: Tensor, position_m: Tensor) -> tuple[Tensor, Tensor]:
+    """How each future meets each path, and each goal on it.
+
+    Args:
+        paths: (B, P, 121, 2).
+        along_m: (B, P, R, 16) distance of the goals' profiles at 2 Hz.
+        position_m: (B, K, 80, 2).
+
+    Returns:
+        (B, K, P, 7): least distance to the path, whether closer than 3.5 m, when first and last,
+        where, relative direction, speed.
+        (B, K, P, R, 11): closeness at 2, 4, 6, 8 s, least distance, its closeness and time; order
+        at the conflict: arrival after first and after last presence, whether the goal passes the
+        place, and by how far.
+    """
+    other = position_m[:, :, EVERY - 1 :: EVERY]  # (B, K, 16, 2)
+    met, enter, leave, where, path = _on_paths(paths, other)
+    goal = _same_time(paths, along_m, other)
+    spread = where[..., None, None]  # (B, K, P, 1, 1)
+    reached = along_m.unsqueeze(1) >= spread - 3.0  # (B, K, P, R, 16)
+    arrival = (~reached).sum(-1) * 0.5  # (B, K, P, R) s
+    beyond = along_m[:, None, :, :, -1] - where.unsqueeze(-1)
+    order = torch.stack(
+        [
+            ((arrival - enter.unsqueeze(-1)) / 4.0).clamp(-2.0, 2.0),
+            torch.tanh(arrival - leave.unsqueeze(-1)),
+            reached[..., -1].float(),
+            (beyond / 20.0).clamp(-2.0, 2.0),
+        ],
+        -1,
+    )
+    return path, torch.cat([goal, order * met[..., None, None]], -1)
+
+
+def _on_paths(paths: Tensor, other: Tensor) -> tuple[Tensor, ...]:
+    """Presence of futures (B, K, 16, 2) on paths: flag, times in and out, place, features."""
+    batch, futures, steps, _ = other.shape
+    count, nodes = paths.shape[1], paths.shape[2]
+    square = torch.cdist(other.flatten(1, 2), paths.flatten(1, 2),
+                         compute_mode="donot_use_mm_for_euclid_dist")  # fmt: skip
+    distance, node = square.view(batch, futures, steps, count, nodes).min(-1)  # (B, K, 16, P)
+    close = distance < _CLOSE_M
+    met = close.any(2).float()  # (B, K, P)
+    first = close.float().argmax(2)
+    last = steps - 1 - close.flip(2).float().argmax(2)
+    nearest = distance.min(2)
+    step = torch.where(met > 0, first, nearest.indices)  # (B, K, P)
+    place = node.gather(2, step.unsqueeze(2)).squeeze(2)
+    where = place * 2.0
+    _, tangent = look_up(paths, where.transpose(1, 2).float())  # (B, P, K, 2)
+    motion = torch.diff(other, dim=2, append=2 * other[:, :, -1:] - other[:, :, -2:-1]) / 0.5
+    moved = motion.gather(2, step.unsqueeze(-1).expand(-1, -1, -1, 2))  # (B, K, P, 2)
+    speed = moved.norm(dim=-1)
+    cosine = (moved * tangent.transpose(1, 2)).sum(-1) / speed.clamp_min(0.5)
+    enter, leave = (first + 1) * 0.5, (last + 1) * 0.5
+    path = torch.stack(
+        [
+            (nearest.values / 10.0).clamp_max(3.0),
+            met,
+            met * enter / 8.0,
+            met * leave / 8.0,
+            met * where / 50.0,
+            met * cosine,
+            met * speed / SPEED_SCALE_MPS,
+        ],
+        -1,
+    )
+    return met, enter, leave, where, path
+
+
+def _same_time(paths: Tensor, along_m: Tensor, other: Tensor) -> Tensor:
+    """(B, K, P, R, 7) distances between goals and futures at the same times."""
+    point, _ = look_up(paths, along_m.flatten(2))
+    point = point.view(*along_m.shape, 2).unsqueeze(1)  # (B, 1, P, R, 16, 2)
+    apart = point - other[:, :, None, None]
+    distance = (apart * apart).sum(-1).sqrt()
+    least = distance.min(-1)
+    at = distance[..., 3::4]  # 2, 4, 6, 8 s
+    return torch.cat(
+        [
+            torch.exp(-at / 6.0),
+            (least.values / 10.0).clamp_max(3.0).unsqueeze(-1),
+            torch.exp(-least.values / 3.0).unsqueeze(-1),
+            (least.indices / 16.0).unsqueeze(-1),
+        ],
+        -1,
+    )

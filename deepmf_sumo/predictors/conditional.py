@@ -1,0 +1,70 @@
+"""phi_C(X, Y_OV): where the AV may go if the opponent drives as given (paper, section IV-C2)."""
+
+import torch
+
+from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
+from deepmf_sumo.predictors import completion, condition
+from deepmf_sumo.predictors.completion import Pose
+from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.selection import Selection
+
+_SHORTLIST = 64
+"""Goals of each reaction that may become modes: half of the time of choosing among all."""
+
+
+class Conditional:
+    """DenseTNT under given futures; the scene is encoded once for all of them.
+
+    Args:
+        net: made with ``conditional=True``, in evaluation mode.
+        temperature: of the reported probabilities; modes are chosen at 1.
+        selection: how modes are chosen among the goals.
+    """
+
+    def __init__(self, net: DenseTNT, temperature: float, selection: Selection = "medoids") -> None:
+        self.net = net.eval()
+        self.temperature = temperature
+        self.selection = selection
+
+    @torch.inference_mode()
+    def react(
+        self, view: View, agent_id: AgentId, given: Futures | None, modes: int
+    ) -> list[Forecast]:
+        """One forecast of ``agent_id`` per given future (K, 80, 2) of the other agent.
+
+        With ``given=None`` the one forecast without condition. Raises KeyError for an agent that is
+        not in view.
+        """
+        pose = completion.pose_of(view, agent_id)
+        return completion.forecasts(
+            self._goals(view, pose, given),
+            pose,
+            modes,
+            self.temperature,
+            choose=self.selection,
+            shortlist=_SHORTLIST,
+        )
+
+    @torch.inference_mode()
+    def end_density(
+        self,
+        view: View,
+        agent_id: AgentId,
+        given: Futures | None,
+        ends_m: Floats,
+        kernel_m: float,
+    ) -> Floats:
+        """(Q) under the first given future, see `completion.end_density`."""
+        pose = completion.pose_of(view, agent_id)
+        return completion.end_density(self._goals(view, pose, given), pose, ends_m, kernel_m)
+
+    def _goals(self, view: View, pose: Pose, given: Futures | None) -> Goals:
+        arrays, _ = features(view, pose.agent_id, self.net.preset)
+        future = None
+        if given is not None:
+            position, heading = completion.to_pose(pose, given)
+            there = torch.ones(1, position.shape[1])
+            future = condition.encode(position, heading, there, self.net.preset)
+        goals: Goals = self.net(completion.as_batch(arrays), future)
+        return goals

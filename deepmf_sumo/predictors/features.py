@@ -1,0 +1,173 @@
+"""Vector features around one vehicle, in its own frame: positions, headings and velocities alike.
+
+Arrays are in metres and seconds; the networks scale them. `Features` names them, with shapes.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepmf_sumo.datatypes import HISTORY_STEPS, Bools, Floats, Ints, View
+from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.predictors import raster
+from deepmf_sumo.predictors.paths import NODE_SPACING_M, PathSet, path_set, signal_colour
+from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.road_index import RoadIndex, road_index
+
+NEIGHBOURS: Final = 24
+AGENTS: Final = NEIGHBOURS + 1
+LANES: Final = 48
+PATH_AGENTS: Final = 8
+
+Features = dict[str, NDArray[np.float32] | NDArray[np.uint8]]
+"""What a trajectory network reads of one vehicle:
+
+===========  ============== ====================================================================
+agents       (25, 11, 7)    x, y, cos, sin, vx, vy, valid; row 0 is the vehicle itself
+agent_info   (25, 8)        length, width, one-hot vehicle, pedestrian, cyclist, other, AV, there
+lanes        (48, 10, 2)    pieces of lanes, nearest first
+lane_info    (48, 10)       freeway, street, bike, interpolating, limit, red..unknown, there
+paths        (16, 121, 2)   see `paths.PathSet`
+path_info    (16, 14)       see `paths.PathSet`
+path_agents  (16, 8, 8)     s, d, vs, vd, cos, sin, length, there, of the vehicles nearest to each
+motion       (6)            speed, acceleration, yaw rate, length, width, is AV
+raster       (bytes)        bits of `raster.draw`
+===========  ============== ====================================================================
+"""
+
+_KIND = {"vehicle": 0, "pedestrian": 1, "cyclist": 2, "other": 3}
+_PATH_STRIDE = 2
+"""Projection on paths looks at every other node: a chord of 4 m."""
+
+
+def features(view: View, agent_id: str, preset: Preset) -> tuple[Features, PathSet]:
+    """Features of one agent, and its paths. Raises KeyError for an agent that is not in view."""
+    index = road_index(view.road)
+    tracks = view.history
+    row = tracks.row(agent_id)
+    origin = tracks.position_m[row, -1]
+    heading = float(tracks.heading_rad[row, -1])
+    speed = float(tracks.speed_mps[row, -1])
+    near = nearest_agents(view, row, NEIGHBOURS)
+    agents, agent_info = agent_arrays(view, near, AGENTS, origin, heading)
+    lanes, lane_info = lane_arrays(view, index, origin, heading, speed, LANES)
+    paths = path_set(index, origin, heading, speed, view.signals)
+    motion = _motion(view, row)
+    image = raster.draw(view, index, row, preset, origin, heading)
+    return {
+        "agents": agents.astype(np.float32),
+        "agent_info": agent_info.astype(np.float32),
+        "lanes": lanes.astype(np.float32),
+        "lane_info": lane_info.astype(np.float32),
+        "paths": paths.points_m.astype(np.float32),
+        "path_info": paths.info.astype(np.float32),
+        "path_agents": _path_agents(paths, agents, agent_info).astype(np.float32),
+        "motion": motion.astype(np.float32),
+        "raster": raster.pack(image),
+    }, paths
+
+
+def nearest_agents(view: View, row: int, count: int) -> Ints:
+    """Rows: the agent itself, then up to ``count`` others by distance now."""
+    position = view.history.position_m[:, -1]
+    square = ((position - position[row]) ** 2).sum(-1)
+    square[row] = -1.0
+    return np.argsort(square, kind="stable")[: count + 1]
+
+
+def agent_arrays(
+    view: View, rows: Ints, size: int, origin_m: Floats, heading_rad: float
+) -> tuple[Floats, Floats]:
+    """(size, 11, 7) and (size, 8), see `Features`; rows beyond the agents are zero."""
+    tracks = view.history
+    states = np.zeros((size, HISTORY_STEPS, 7))
+    info = np.zeros((size, 8))
+    count = len(rows)
+    turn = angles.wrap(tracks.heading_rad[rows] - heading_rad)
+    valid = tracks.valid[rows][..., None]
+    states[:count, :, 0:2] = frames.to_local(tracks.position_m[rows], origin_m, heading_rad)
+    states[:count, :, 2:4] = angles.unit(turn)
+    states[:count, :, 4:6] = frames.rotate(tracks.velocity_mps[rows], -heading_rad)
+    states[:count] *= valid
+    states[:count, :, 6] = valid[..., 0]
+    info[:count, 0:2] = tracks.size_m[rows, :2]
+    info[np.arange(count), [2 + _KIND[tracks.kinds[row]] for row in rows]] = 1.0
+    info[:count, 6] = [tracks.ids[row] == view.av_id for row in rows]
+    info[:count, 7] = 1.0
+    return states, info
+
+
+def lane_arrays(
+    view: View, index: RoadIndex, origin_m: Floats, heading_rad: float, speed_mps: float, size: int
+) -> tuple[Floats, Floats]:
+    """(size, 10, 2) and (size, 10): the pieces nearest to a point two seconds ahead."""
+    pieces, info = np.zeros((size, 10, 2)), np.zeros((size, 10))
+    focus = origin_m + 2 * speed_mps * angles.unit(heading_rad)
+    square = ((index.piece_m[:, 5] - focus) ** 2).sum(-1)
+    rows = np.argsort(square, kind="stable")[:size]
+    count = len(rows)
+    pieces[:count] = frames.to_local(index.piece_m[rows], origin_m, heading_rad)
+    info[:count, 0:4] = index.piece_kind[rows]
+    info[:count, 4] = index.limit_mps[index.piece_lane[rows]]
+    info[:count, 9] = 1.0
+    if view.signals:
+        for number, lane in enumerate(index.piece_lane[rows]):
+            state = view.signals.get(index.lane_ids[lane])
+            if state is not None:
+                info[number, 5 + signal_colour(state)] = 1.0
+    return pieces, info
+
+
+def path_feet(points_m: Floats, query_m: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Queries (Q, 2) on paths (R, 121, 2): along, left (R, Q) m and the paths' tangents there."""
+    nodes = points_m[:, ::_PATH_STRIDE]
+    offset = query_m[None, :, None] - nodes[:, None]
+    best = (offset * offset).sum(-1).argmin(-1)
+    step = np.diff(nodes, axis=1)
+    tangent = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
+    row = np.arange(len(nodes))[:, None]
+    direction = tangent[row, np.minimum(best, nodes.shape[1] - 2)]
+    away = query_m[None] - nodes[row, best]
+    along = best * (NODE_SPACING_M * _PATH_STRIDE) + (away * direction).sum(-1)
+    left = direction[..., 0] * away[..., 1] - direction[..., 1] * away[..., 0]
+    return along, left, direction[..., 0], direction[..., 1]
+
+
+def _path_agents(paths: PathSet, agents: Floats, info: Floats) -> Floats:
+    """(16, 8, 8) the eight agents nearest to each path, in path coordinates."""
+    out = np.zeros((len(paths.points_m), PATH_AGENTS, 8))
+    there = np.flatnonzero(info[1:, 7]) + 1
+    rows = np.flatnonzero(paths.valid)
+    if len(there) == 0:
+        return out
+    now = agents[there, -1]
+    along, left, cos, sin = path_feet(paths.points_m[rows], now[:, 0:2])
+    cost = np.abs(left) + 0.05 * np.abs(along) + 10.0 * (along < -5.0)
+    order = np.argsort(cost, axis=1, kind="stable")[:, :PATH_AGENTS]
+
+    def pick(values: Floats) -> Floats:
+        return np.take_along_axis(values, order, 1)
+
+    vx, vy, hx, hy = now[:, 4], now[:, 5], now[:, 2], now[:, 3]
+    columns = [
+        along, left, vx * cos + vy * sin, vy * cos - vx * sin,
+        hx * cos + hy * sin, hy * cos - hx * sin,
+        np.broadcast_to(info[there, 0], along.shape), np.ones_like(along),
+    ]  # fmt: skip
+    picked = np.stack([pick(column) for column in columns], axis=-1)
+    out[rows, : picked.shape[1]] = picked
+    return out
+
+
+def _motion(view: View, row: int) -> Floats:
+    """(6) speed, acceleration and yaw rate over the last half second, size, is AV."""
+    tracks = view.history
+    valid: Bools = tracks.valid[row]
+    speed = tracks.speed_mps[row]
+    back = int(np.flatnonzero(valid)[max(-6, -int(valid.sum()))])
+    seconds = max((HISTORY_STEPS - 1 - back) * view.dt_s, view.dt_s)
+    turn = angles.difference(tracks.heading_rad[row, -1], tracks.heading_rad[row, back])
+    is_av = float(tracks.ids[row] == view.av_id)
+    gain = (speed[-1] - speed[back]) / seconds
+    return np.array([speed[-1], gain, float(turn) / seconds, *tracks.size_m[row, :2], is_av])

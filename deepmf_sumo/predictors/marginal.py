@@ -1,0 +1,78 @@
+"""phi_M(X): where a vehicle may go, from the scene alone (paper, section IV-C1)."""
+
+from collections.abc import Sequence
+
+import torch
+
+from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
+from deepmf_sumo.predictors import completion
+from deepmf_sumo.predictors.anchors import KNOT_STEPS
+from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.selection import Selection
+
+
+class Marginal:
+    """DenseTNT without condition.
+
+    Args:
+        net: in evaluation mode.
+        temperature: of the reported probabilities; modes are chosen at 1.
+        selection: how modes are chosen among the goals.
+    """
+
+    def __init__(self, net: DenseTNT, temperature: float, selection: Selection = "medoids") -> None:
+        self.net = net.eval()
+        self.temperature = temperature
+        self.selection = selection
+
+    @torch.inference_mode()
+    def predict(self, view: View, agent_ids: Sequence[AgentId], modes: int) -> list[Forecast]:
+        """One forecast per agent, ``modes`` futures of 80 steps each, likeliest first.
+
+        Raises KeyError for an agent that is not in view.
+        """
+        return [self.predict_each(view, agent_id, (modes,))[0] for agent_id in agent_ids]
+
+    @torch.inference_mode()
+    def predict_each(self, view: View, agent_id: AgentId, modes: Sequence[int]) -> list[Forecast]:
+        """Forecasts of one agent with different numbers of modes, from one pass."""
+        pose, goals = completion.pose_of(view, agent_id), self._goals(view, agent_id)
+        return [
+            completion.forecasts(goals, pose, count, self.temperature, choose=self.selection)[0]
+            for count in modes
+        ]
+
+    @torch.inference_mode()
+    def end_density(self, view: View, agent_id: AgentId, ends_m: Floats, kernel_m: float) -> Floats:
+        """(Q) see `completion.end_density`."""
+        pose = completion.pose_of(view, agent_id)
+        return completion.end_density(self._goals(view, agent_id), pose, ends_m, kernel_m)
+
+    @torch.inference_mode()
+    def log_density(self, view: View, agent_id: AgentId, position_m: Floats) -> Floats:
+        """(K) log density of given trajectories (K, 80, 2) of the scene's frame.
+
+        The mixture of all goals at the temperature, with the trained kernels (Laplace, wider the
+        later) at 1, 2, 4, 6, 8 s. It is comparable between trajectories of one agent and view.
+        """
+        pose = completion.pose_of(view, agent_id)
+        given = Futures(
+            agent_id=agent_id, position_m=position_m, heading_rad=position_m[..., 0] * 0.0
+        )
+        local = completion.to_pose(pose, given)[0][:, :, list(KNOT_STEPS)]  # (1, K, 5, 2)
+        goals = self._goals(view, agent_id)
+        warm = Goals(
+            logits=goals.logits / self.temperature,
+            along_m=goals.along_m,
+            knots=goals.knots,
+            paths=goals.paths,
+        )
+        parts = self.net.log_density(warm, local, torch.ones(1, local.shape[1], len(KNOT_STEPS)))
+        density: Floats = parts.flatten(2).logsumexp(-1)[0].double().numpy()
+        return density
+
+    def _goals(self, view: View, agent_id: AgentId) -> Goals:
+        arrays, _ = features(view, agent_id, self.net.preset)
+        goals: Goals = self.net(completion.as_batch(arrays))
+        return goals

@@ -1,0 +1,132 @@
+"""The scene as an image around a pose: one channel per kind of thing, drawn by index assignment.
+
+The image looks ahead along +x of the pose: a quarter of it lies behind. Pixel (row, column) covers
+x = (row - pixels/4) * metres and y = (column - pixels/2) * metres.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepmf_sumo.datatypes import Bytes, Floats, Ints, SignalState, Tracks, View
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.predictors.paths import signal_colour
+from deepmf_sumo.predictors.presets import AGENT_CLASSES, Preset
+from deepmf_sumo.predictors.road_index import RoadIndex
+
+_BOX = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 6), np.linspace(-0.5, 0.5, 3)), -1).reshape(
+    -1, 2
+)
+"""Points of the unit box that are drawn: 1 m apart on a car."""
+
+_SEVEN = {
+    SignalState.ARROW_STOP: 0, SignalState.ARROW_CAUTION: 1, SignalState.ARROW_GO: 2,
+    SignalState.STOP: 3, SignalState.CAUTION: 4, SignalState.GO: 5,
+}  # fmt: skip
+
+
+def draw(
+    view: View, index: RoadIndex, row: int, preset: Preset, origin_m: Floats, heading_rad: float
+) -> Bytes:
+    """(C, pixels, pixels) of 0 and 1 around the pose of agent ``row``."""
+    side = preset.raster_pixels
+    image = np.zeros((preset.raster_channels, side, side), np.uint8)
+    tracks = view.history
+    groups = _classes(tracks, row, view.av_id)
+    for number, step in enumerate(preset.raster_frames):
+        seen = np.flatnonzero(tracks.valid[:, step])
+        points = _box_points(tracks, seen, step)
+        local = frames.to_local(points, origin_m, heading_rad)
+        channel = groups[seen] * len(preset.raster_frames) + number
+        _set(image, local.reshape(-1, 2), np.repeat(channel, len(_BOX)), preset)
+    base = len(AGENT_CLASSES) * len(preset.raster_frames)
+    local = frames.to_local(index.pixel_m, origin_m, heading_rad)
+    _set(image, local, base + index.pixel_channel, preset)
+    _signals(image, view, index, preset, origin_m, heading_rad)
+    return image
+
+
+def pack(image: Bytes) -> Bytes:
+    """The image as bits, for the cache."""
+    return np.packbits(image.reshape(-1))
+
+
+def unpack(bits: Tensor, preset: Preset) -> Tensor:
+    """(B, bytes) uint8 -> (B, C, pixels, pixels) float."""
+    places = torch.arange(7, -1, -1, device=bits.device, dtype=torch.uint8)
+    flat = (bits.unsqueeze(-1) >> places) & 1
+    side = preset.raster_pixels
+    count = preset.raster_channels * side * side
+    return flat.reshape(len(bits), -1)[:, :count].reshape(len(bits), -1, side, side).float()
+
+
+def draw_future(position_m: Tensor, preset: Preset) -> Tensor:
+    """A future (B, K, F, 2) in the pose's frame as channels (B*K, C, side, side).
+
+    C intervals of equal length share the 8 s. The image has the resolution of VGG's feature map
+    after ``condition_stage`` blocks; each position is spread over the four nearest pixels, so that
+    motion below a pixel shows.
+    """
+    batch, futures, steps, _ = position_m.shape
+    side = preset.raster_pixels >> preset.condition_stage
+    metres = preset.raster_m * preset.raster_pixels / side
+    channels = preset.condition_channels
+    place = position_m.reshape(batch * futures, steps, 2) / metres
+    place = place + place.new_tensor([side / 4 - 0.5, side / 2 - 0.5])
+    base = place.floor()
+    part = place - base
+    interval = torch.arange(steps, device=place.device) * channels // steps
+    image = place.new_zeros(batch * futures, channels * side * side)
+    for down in (0, 1):
+        for right in (0, 1):
+            cell = base.long() + torch.tensor([down, right], device=place.device)
+            weight = (part[..., 0] if down else 1 - part[..., 0]) * (
+                part[..., 1] if right else 1 - part[..., 1]
+            )
+            inside = ((cell >= 0) & (cell < side)).all(-1)
+            cell = cell.clamp(0, side - 1)
+            slot = (interval * side + cell[..., 0]) * side + cell[..., 1]
+            image.scatter_add_(1, slot, weight * inside * channels / steps)
+    return image.reshape(batch * futures, channels, side, side)
+
+
+def _classes(tracks: Tracks, row: int, av_id: str) -> Ints:
+    """(A) 0 the target, 1 vehicles, 2 everybody else, 3 the AV."""
+    groups = np.array([1 if kind == "vehicle" else 2 for kind in tracks.kinds], np.int64)
+    groups[tracks.row(av_id)] = 3
+    groups[row] = 0
+    return groups
+
+
+def _box_points(tracks: Tracks, rows: Ints, step: int) -> Floats:
+    """(R, 18, 2) points inside the boxes, in the scene's frame."""
+    heading = tracks.heading_rad[rows, step][:, None]
+    local = _BOX * tracks.size_m[rows, None, :2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    x = local[..., 0] * cos - local[..., 1] * sin
+    y = local[..., 0] * sin + local[..., 1] * cos
+    points: Floats = np.stack([x, y], -1) + tracks.position_m[rows, step][:, None]
+    return points
+
+
+def _set(image: Bytes, local_m: Floats, channel: Ints, preset: Preset) -> None:
+    """Set the pixels under points; those outside are left out."""
+    side = preset.raster_pixels
+    pixel = np.floor(local_m / preset.raster_m).astype(np.int64) + np.array((side // 4, side // 2))
+    inside = ((pixel >= 0) & (pixel < side)).all(-1)
+    image[channel[inside], pixel[inside, 0], pixel[inside, 1]] = 1
+
+
+def _signals(
+    image: Bytes, view: View, index: RoadIndex, preset: Preset, origin_m: Floats, heading_rad: float
+) -> None:
+    """The first metres of each lane with a signal, in the channel of its state."""
+    base = preset.raster_channels - preset.raster_signals
+    row_of = {lane_id: row for row, lane_id in enumerate(index.lane_ids)}
+    for lane_id, state in view.signals.items():
+        if lane_id not in row_of:
+            continue
+        number = _SEVEN.get(state, 6) if preset.raster_signals == 7 else signal_colour(state)
+        if number < preset.raster_signals:
+            local = frames.to_local(index.points_m[row_of[lane_id]][:6], origin_m, heading_rad)
+            _set(image, local, np.full(len(local), base + number), preset)

@@ -1,0 +1,57 @@
+"""VGG16 (Simonyan, Zisserman 2015) with batch norm, a width a block, an average at the end.
+
+The other vehicle's future enters as additional channels of the feature map after
+``condition_stage`` blocks: 0 adds them to the input image, as published; a later stage lets many
+futures share the first blocks.
+"""
+
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+from deepmf_sumo.predictors.presets import Preset
+
+CONVOLUTIONS: Final = (2, 2, 3, 3, 3)
+"""3 x 3 convolutions of the five blocks; 2 x 2 maximum pooling follows each."""
+
+
+def _block(inputs: int, width: int, convolutions: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for number in range(convolutions):
+        layers += [
+            nn.Conv2d(inputs if number == 0 else width, width, 3, padding=1, bias=False),
+            nn.BatchNorm2d(width),
+            nn.ReLU(inplace=True),
+        ]
+    return nn.Sequential(*layers, nn.MaxPool2d(2))
+
+
+class VGG16(nn.Module):
+    """Image -> one feature of the scene; with ``conditional`` also of each given future."""
+
+    def __init__(self, preset: Preset, *, conditional: bool = False) -> None:
+        super().__init__()
+        self.stage = preset.condition_stage if conditional else 0
+        extra = preset.condition_channels if conditional else 0
+        widths = (preset.raster_channels, *preset.vgg_widths)
+        self.blocks = nn.ModuleList(
+            _block(widths[row] + (extra if row == self.stage else 0), widths[row + 1], count)
+            for row, count in enumerate(CONVOLUTIONS)
+        )
+        self.out = nn.Linear(widths[-1], preset.hidden)
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv2d):
+                nn.init.kaiming_normal_(layer.weight, mode="fan_out", nonlinearity="relu")
+
+    def forward(self, image: Tensor, future: Tensor | None = None) -> Tensor:
+        """(B, C, S, S), and channels of K futures (B*K, D, S', S') -> (B, H) or (B*K, H)."""
+        for block in self.blocks[: self.stage]:
+            image = block(image)
+        if future is not None:
+            shared = image.repeat_interleave(len(future) // len(image), 0)
+            image = torch.cat([shared, future], 1)
+        for block in self.blocks[self.stage :]:
+            image = block(image)
+        feature: Tensor = self.out(image.mean((2, 3)))
+        return feature

@@ -1,0 +1,171 @@
+"""Sets of weights: a folder with a tensor file and a card for each network.
+
+``open`` is part of the package. Other names are looked up in ``$DEEPMF_SUMO_HOME/weights`` and in
+``.weights`` of the working directory; a path to a folder works as well.
+"""
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from deepmf_sumo.errors import WeightsError
+from deepmf_sumo.predictors.conditional import Conditional
+from deepmf_sumo.predictors.densetnt import DenseTNT
+from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.opponent import Opponent, OpponentNet
+from deepmf_sumo.predictors.presets import Preset, preset_named
+from deepmf_sumo.predictors.selection import Selection
+
+Network = Literal["opponent", "marginal", "conditional"]
+NETWORKS: Final[tuple[Network, ...]] = ("opponent", "marginal", "conditional")
+FORMAT_VERSION: Final = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Predictors:
+    """The three predictors of one set of weights.
+
+    Attributes:
+        name: as given to `load`. folder: None for random weights.
+    """
+
+    name: str
+    folder: Path | None
+    opponent: Opponent
+    marginal: Marginal
+    conditional: Conditional
+
+
+def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
+    """The predictors of a name or folder. Raises WeightsError where they cannot be used."""
+    folder = find(name)
+    opponent, opponent_card = _network(folder, "opponent")
+    marginal, marginal_card = _network(folder, "marginal")
+    conditional, conditional_card = _network(folder, "conditional")
+    assert isinstance(opponent, OpponentNet)
+    assert isinstance(marginal, DenseTNT)
+    assert isinstance(conditional, DenseTNT)
+    return Predictors(
+        name=str(name),
+        folder=folder,
+        opponent=Opponent(
+            opponent, opponent_card["temperature"], opponent_card["partner_temperature"]
+        ),
+        marginal=Marginal(marginal, marginal_card["temperature"], selection),
+        conditional=Conditional(conditional, conditional_card["temperature"], selection),
+    )
+
+
+def random(preset: Preset, seed: int) -> Predictors:
+    """Untrained predictors, for tests."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        nets = {network: build(network, preset) for network in NETWORKS}
+    for net in (nets["marginal"], nets["conditional"]):
+        assert isinstance(net, DenseTNT)
+        share = torch.linspace(-1.0, 1.0, 24)[:, None] * torch.linspace(0.1, 8.0, 80)
+        net.profiles.copy_(4.0 * share.expand_as(net.profiles))
+    opponent, marginal, conditional = nets.values()
+    assert isinstance(opponent, OpponentNet)
+    assert isinstance(marginal, DenseTNT)
+    assert isinstance(conditional, DenseTNT)
+    return Predictors(
+        name="random",
+        folder=None,
+        opponent=Opponent(opponent, 1.0, 1.0),
+        marginal=Marginal(marginal, 1.0),
+        conditional=Conditional(conditional, 1.0),
+    )
+
+
+def build(network: Network, preset: Preset) -> nn.Module:
+    """An untrained network."""
+    if network == "opponent":
+        return OpponentNet(preset)
+    return DenseTNT(preset, conditional=network == "conditional")
+
+
+def find(name: str | Path) -> Path:
+    """The folder of a set of weights. Raises WeightsError, with all places that were tried."""
+    places = list(_places(name))
+    for place in places:
+        if place.is_dir():
+            return place
+    tried = ", ".join(str(place) for place in places)
+    raise WeightsError(
+        f"There are no weights '{name}': none of these folders exists: {tried}. Use 'open', or "
+        f"make them with `deepmf-sumo train all --data RECORDINGS --name {Path(name).name}`."
+    )
+
+
+def home() -> Path:
+    """Where new sets of weights are kept: ``$DEEPMF_SUMO_HOME/weights``, else ``.weights``."""
+    root = os.environ.get("DEEPMF_SUMO_HOME")
+    return Path(root) / "weights" if root else Path(".weights")
+
+
+def read_card(folder: Path, network: Network) -> dict[str, Any]:
+    """The card of one network. Raises WeightsError where it is missing or no card."""
+    file = folder / f"{network}.json"
+    try:
+        card: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except OSError:
+        raise WeightsError(_missing(folder, file)) from None
+    except ValueError as error:
+        raise WeightsError(f"{file} is not a card ({error}); {_again(folder, network)}.") from None
+    version = card.get("format_version")
+    if version != FORMAT_VERSION:
+        raise WeightsError(
+            f"{file} has format_version {version}, not {FORMAT_VERSION}; {_again(folder, network)}."
+        )
+    return card
+
+
+def tensors(folder: Path, network: Network) -> dict[str, Tensor]:
+    """The tensors of one network. Raises WeightsError where the file cannot be read."""
+    file = folder / f"{network}.safetensors"
+    if not file.is_file():
+        raise WeightsError(_missing(folder, file))
+    try:
+        return load_file(file)
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(f"{file} is damaged ({error}); {_again(folder, network)}.") from None
+
+
+def _places(name: str | Path) -> tuple[Path, ...]:
+    if str(name) == "open":
+        return (Path(__file__).resolve().parents[1] / "weights" / "open",)
+    if isinstance(name, Path) or len(Path(name).parts) > 1:
+        return (Path(name),)
+    return (home() / name, Path(".weights") / name, Path(name))
+
+
+def _network(folder: Path, network: Network) -> tuple[nn.Module, dict[str, Any]]:
+    card = read_card(folder, network)
+    net = build(network, preset_named(str(card.get("preset"))))
+    try:
+        net.load_state_dict(tensors(folder, network))
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())[:200]
+        raise WeightsError(
+            f"{folder / network}.safetensors does not fit the {network} network of preset "
+            f"'{card['preset']}' ({reason}); {_again(folder, network)}."
+        ) from None
+    return net, card
+
+
+def _missing(folder: Path, file: Path) -> str:
+    network = file.stem
+    what = f"The weights in {folder} are incomplete: {file.name} is missing"
+    return f"{what}; {_again(folder, network)}."
+
+
+def _again(folder: Path, network: str) -> str:
+    return f"make it with `deepmf-sumo train {network} --data RECORDINGS --name {folder.name}`"

@@ -1,0 +1,108 @@
+"""Checks and repairs of the recorded road. Every repair leaves a sentence."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Lane, Neighbour, Polygon, Polyline, RoadMap, StopSign
+from deepmf_sumo.errors import ReaderError
+
+
+def refuse(road: RoadMap) -> None:
+    """Raises ReaderError where there is no lane, or a lane is not made of finite numbers."""
+    if not road.lanes:
+        raise ReaderError("the record has no lanes")
+    for lane in road.lanes.values():
+        if not (np.isfinite(lane.centre_m).all() and np.isfinite(lane.z_m).all()):
+            # Other lanes point into this one by index: no point of it can be left out.
+            raise ReaderError(f"lane {lane.id} has points that are not finite numbers")
+
+
+def mended(road: RoadMap, repairs: list[str]) -> RoadMap:
+    """The road without features that have no usable points, and without links to nowhere."""
+    refuse(road)
+    empty = [lane.id for lane in road.lanes.values() if not len(lane.centre_m)]
+    if empty:
+        repairs.append(f"Lanes without points were left out: {', '.join(empty)}.")
+    lanes = {name: lane for name, lane in road.lanes.items() if len(lane.centre_m)}
+    if not lanes:
+        raise ReaderError("no lane of the record has points")
+    lost: list[str] = []
+    linked = {name: _linked(lane, lanes, lost) for name, lane in lanes.items()}
+    signs = [_sign_of(sign, lanes, lost) for sign in road.stop_signs]
+    if lost:
+        repairs.append(
+            f"{len(lost)} links to lanes, or to points of lanes, that are not in the record were "
+            f"left out, e.g. {lost[0]}."
+        )
+    return RoadMap(
+        lanes=linked,
+        lines=_usable(road.lines, "lines", repairs),
+        edges=_usable(road.edges, "edges", repairs),
+        polygons=_usable_polygons(road.polygons, repairs),
+        stop_signs=_usable_signs(signs, repairs),
+    )
+
+
+def _linked(lane: Lane, lanes: dict[str, Lane], lost: list[str]) -> Lane:
+    beside = (*lane.left, *lane.right)
+    missing = [other for other in (*lane.next, *lane.previous) if other not in lanes]
+    missing += [other.lane_id for other in beside if not _lies_beside(other, lane, lanes)]
+    if not missing:
+        return lane
+    lost.extend(f"lane {lane.id} to {other}" for other in missing)
+    return replace(
+        lane,
+        next=tuple(other for other in lane.next if other in lanes),
+        previous=tuple(other for other in lane.previous if other in lanes),
+        left=tuple(other for other in lane.left if _lies_beside(other, lane, lanes)),
+        right=tuple(other for other in lane.right if _lies_beside(other, lane, lanes)),
+    )
+
+
+def _lies_beside(neighbour: Neighbour, lane: Lane, lanes: dict[str, Lane]) -> bool:
+    """Whether the neighbour is there; ends may be one past the last point, as in WOMD."""
+    if neighbour.lane_id not in lanes:
+        return False
+    own, other = len(lane.centre_m), len(lanes[neighbour.lane_id].centre_m)
+    return (
+        0 <= neighbour.self_start < own
+        and neighbour.self_start <= neighbour.self_end <= own
+        and 0 <= neighbour.other_start < other
+        and neighbour.other_start <= neighbour.other_end <= other
+    )
+
+
+def _sign_of(sign: StopSign, lanes: dict[str, Lane], lost: list[str]) -> StopSign:
+    lost.extend(f"stop sign {sign.id} to {other}" for other in sign.lane_ids if other not in lanes)
+    return replace(sign, lane_ids=tuple(other for other in sign.lane_ids if other in lanes))
+
+
+def _is_usable(feature: Polyline | Polygon) -> bool:
+    finite = np.isfinite(feature.points_m).all() and np.isfinite(feature.z_m).all()
+    return bool(finite) and len(feature.points_m) > 0
+
+
+def _usable(features: tuple[Polyline, ...], what: str, repairs: list[str]) -> tuple[Polyline, ...]:
+    _report((one.id for one in features if not _is_usable(one)), what, repairs)
+    return tuple(feature for feature in features if _is_usable(feature))
+
+
+def _usable_polygons(features: tuple[Polygon, ...], repairs: list[str]) -> tuple[Polygon, ...]:
+    _report((one.id for one in features if not _is_usable(one)), "polygons", repairs)
+    return tuple(feature for feature in features if _is_usable(feature))
+
+
+def _usable_signs(signs: list[StopSign], repairs: list[str]) -> tuple[StopSign, ...]:
+    _report((s.id for s in signs if not np.isfinite(s.position_m).all()), "stop signs", repairs)
+    return tuple(sign for sign in signs if np.isfinite(sign.position_m).all())
+
+
+def _report(lost: Iterable[str], what: str, repairs: list[str]) -> None:
+    names = list(lost)
+    if names:
+        repairs.append(
+            f"{len(names)} {what} without points, or with points that are not finite numbers, "
+            f"were left out: {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}."
+        )

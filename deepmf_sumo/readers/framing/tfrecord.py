@@ -1,0 +1,152 @@
+"""TFRecord: records laid end to end, each with its length and two checksums.
+
+::
+
+    8 bytes  payload length n, little-endian      4 bytes  masked CRC-32C of the length
+    n bytes  payload                              4 bytes  masked CRC-32C of the payload
+
+The file is plain, or gzip around the whole stream; its first two bytes tell which.
+"""
+
+import gzip
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Final, cast
+
+import google_crc32c
+
+from deepmf_sumo.errors import ReaderError
+
+HEADER: Final = 12
+FOOTER: Final = 4
+LARGEST_RECORD: Final = 256 * 2**20
+"""Bytes. The largest scene seen has 4 MB; a larger length is taken for damage, not for data."""
+
+_GZIP_MAGIC: Final = b"\x1f\x8b"
+_UNREADABLE: Final = (OSError, EOFError, zlib.error)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """One whole record; ``offset`` counts in the decompressed stream."""
+
+    index: int
+    offset: int
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Broken:
+    """A record that cannot be read; ``last`` where the rest of the file is lost with it."""
+
+    index: int
+    reason: str
+    last: bool
+
+
+def framed(payload: bytes) -> bytes:
+    """The payload as one record."""
+    length = struct.pack("<Q", len(payload))
+    return length + _masked_crc(length) + payload + _masked_crc(payload)
+
+
+def looks_framed(path: Path) -> bool:
+    """Whether the file begins with a length and its right checksum."""
+    try:
+        with _stream(path) as stream:
+            header = stream.read(HEADER)
+    except _UNREADABLE:
+        return False
+    return len(header) == HEADER and _masked_crc(header[:8]) == header[8:]
+
+
+def records(path: Path) -> Iterator[Record | Broken]:
+    """All records in order; what is damaged comes as `Broken`.
+
+    After a payload with a wrong checksum the next record is tried, for its place is known. After
+    a wrong length, or a file that ends too early, nothing more comes.
+    """
+    offset, index = 0, 0
+    try:
+        with _stream(path) as stream:
+            while True:
+                found = _next(stream, index, offset)
+                if found is None:
+                    return
+                yield found
+                if isinstance(found, Broken) and found.last:
+                    return
+                offset, index = stream.tell(), index + 1
+    except _UNREADABLE as error:
+        reason = f"cannot be read on ({error}); copy or download the file again"
+        yield Broken(index=index, reason=reason, last=True)
+
+
+def record_at(path: Path, offset: int, index: int) -> Record:
+    """The record that begins at an offset of the decompressed stream.
+
+    Raises ReaderError where there is no whole record. A gzip file is decompressed up to it.
+    """
+    try:
+        with _stream(path) as stream:
+            stream.seek(offset)
+            found = _next(stream, index, offset)
+    except _UNREADABLE as error:
+        raise ReaderError(f"{path} record {index}: cannot be read ({error}).") from None
+    if isinstance(found, Record):
+        return found
+    reason = found.reason if found else "the file ends before it"
+    raise ReaderError(f"{path} record {index}: {reason}.")
+
+
+def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:
+    """The record at the stream's place; None at the end of the file."""
+    header = stream.read(HEADER)
+    if not header:
+        return None
+    if len(header) < HEADER:
+        return _truncated(index, len(header), HEADER)
+    (length,) = struct.unpack("<Q", header[:8])
+    damage = _damage(header, length)
+    if damage:
+        return Broken(index=index, reason=damage, last=True)
+    body = stream.read(length + FOOTER)
+    if len(body) < length + FOOTER:
+        return _truncated(index, HEADER + len(body), HEADER + length + FOOTER)
+    payload = body[:length]
+    if _masked_crc(payload) != body[length:]:
+        reason = "the checksum of its content is wrong; copy or download the file again"
+        return Broken(index=index, reason=reason, last=False)
+    return Record(index=index, offset=offset, payload=payload)
+
+
+def _damage(header: bytes, length: int) -> str:
+    """What is wrong with a record's header, or nothing."""
+    if _masked_crc(header[:8]) != header[8:]:
+        return (
+            "the checksum of its length is wrong, so that neither it nor what follows can be "
+            "found; copy or download the file again"
+        )
+    if length > LARGEST_RECORD:
+        return f"claims {length} bytes, more than the {LARGEST_RECORD} that a scene may have"
+    return ""
+
+
+def _truncated(index: int, there: int, needed: int) -> Broken:
+    reason = f"is cut off: {there} of its {needed} bytes are there; copy or download the file again"
+    return Broken(index=index, reason=reason, last=True)
+
+
+def _masked_crc(content: bytes) -> bytes:
+    """CRC-32C rotated by 15 bits plus a constant, so that a record may hold checksums itself."""
+    crc = google_crc32c.value(content)
+    return struct.pack("<I", (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF)
+
+
+def _stream(path: Path) -> BinaryIO:
+    with path.open("rb") as file:
+        packed = file.read(2) == _GZIP_MAGIC
+    return cast(BinaryIO, gzip.open(path, "rb")) if packed else path.open("rb")

@@ -1,0 +1,1 @@
+"""Generated message classes of the WOMD scene; `make protos` rebuilds them."""

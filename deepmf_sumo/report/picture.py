@@ -1,0 +1,264 @@
+"""One picture a run: the map, who drove where, whom the attack chose, and why."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, RoadMap, Rollout
+from deepmf_sumo.geometry import boxes
+from deepmf_sumo.report.table import OUTCOMES, SECTORS
+
+AV, OPPONENT, OTHER, CONTACT = "#1f5fbf", "#c1121f", "#8d99a6", "#000000"
+SCORES: Final = LinearSegmentedColormap.from_list("scores", ["#fff3b0", "#f4a32b", "#c1121f"])
+MARGIN_M: Final = 18.0
+SMALLEST_M: Final = 60.0
+LARGEST_M: Final = 160.0
+EVERY_STEPS: Final = 10
+"""Boxes along a driven path: one a second."""
+
+
+def draw(rollout: Rollout, case: Case, path: Path) -> None:
+    """Write a PNG; the same rollout gives the same bytes."""
+    figure = Figure(figsize=(9.6, 8.0), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    plan = _explained(rollout)
+    frame = _frame(rollout, plan)
+    _road(axes, case.road, frame)
+    scores = plan.reason.scores if plan and plan.reason else None
+    _others(axes, rollout, scores)
+    if plan:
+        _reasoning(axes, plan)
+    _driven(axes, rollout, rollout.av_id, AV)
+    if rollout.opponent_id:
+        _driven(axes, rollout, rollout.opponent_id, OPPONENT)
+    contact = rollout.first(rollout.outcome) if rollout.outcome != "none" else None  # type: ignore[arg-type]
+    if contact:
+        _contact(axes, contact)
+    _finish(axes, frame, _title(rollout, case, contact))
+    _legend(axes, rollout, scores, plan)
+    figure.savefig(path, metadata={"Software": None})
+
+
+def _explained(rollout: Rollout) -> Plan | None:
+    """The first plan that has reasons: the one that opens the attack."""
+    return next((plan for plan in rollout.plans if plan.reason), None)
+
+
+def _frame(rollout: Rollout, plan: Plan | None) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 of a square around what the AV and the opponent did."""
+    tracks = rollout.tracks
+    chosen = [agent for agent in (rollout.av_id, rollout.opponent_id) if agent in tracks.ids]
+    points = [_positions(rollout, agent) for agent in chosen if agent]
+    if plan:
+        points.append(plan.position_m[: rollout.tracks.steps])
+    every = np.concatenate(points)
+    low, high = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
+    side = float(np.clip((high - low).max(), SMALLEST_M, LARGEST_M))
+    centre = (low + high) / 2
+    if (high - low).max() > LARGEST_M:  # too far for one picture: look at the end
+        centre = _positions(rollout, rollout.av_id)[-1]
+    return (
+        float(centre[0] - side / 2),
+        float(centre[0] + side / 2),
+        float(centre[1] - side / 2),
+        float(centre[1] + side / 2),
+    )
+
+
+def _positions(rollout: Rollout, agent: str) -> Floats:
+    """(K, 2) where an agent was from the current step on (at any step, if it was gone by then)."""
+    row = rollout.tracks.row(agent)
+    valid = rollout.tracks.valid[row].copy()
+    if valid[rollout.now :].any():
+        valid[: rollout.now] = False
+    positions: Floats = rollout.tracks.position_m[row, valid]
+    return positions
+
+
+def _road(axes: Axes, road: RoadMap, frame: tuple[float, float, float, float]) -> None:
+    def near(points: Floats) -> bool:
+        low, high = points.min(axis=0), points.max(axis=0)
+        x0, x1, y0, y1 = frame
+        return bool(low[0] < x1 and high[0] > x0 and low[1] < y1 and high[1] > y0)
+
+    for lane in road.lanes.values():
+        if len(lane.centre_m) > 1 and near(lane.centre_m):
+            width = 72 * 7.4 * (lane.width_m or 3.5) / (frame[1] - frame[0])
+            line = axes.plot(*lane.centre_m.T, color="#eef0f2", lw=width, zorder=0)[0]
+            line.set_solid_capstyle("butt")
+    crosswalks = [one for one in road.polygons if one.kind == "crosswalk" and near(one.points_m)]
+    lines = {
+        "#d5dae0": [lane.centre_m for lane in road.lanes.values() if len(lane.centre_m) > 1],
+        "#c4cbd3": [line.points_m for line in road.lines],
+        "#6f7884": [edge.points_m for edge in road.edges],
+    }
+    for color, polylines in lines.items():
+        shown = [points for points in polylines if len(points) and near(points)]
+        axes.add_collection(LineCollection(shown, colors=color, linewidths=0.9, zorder=1))
+    stripes = [one.points_m for one in crosswalks]
+    axes.add_collection(
+        PolyCollection(stripes, facecolors="#e3e7ef", edgecolors="#c4cbd3", hatch="//", zorder=1)
+    )
+
+
+def _others(axes: Axes, rollout: Rollout, scores: OpponentScores | None) -> None:
+    """Everyone else as the simulation took over, coloured by score; thin lines where they went."""
+    tracks = rollout.tracks
+    main = {rollout.av_id, rollout.opponent_id}
+    rows = [
+        row
+        for row, agent in enumerate(tracks.ids)
+        if agent not in main and tracks.valid[row, rollout.now]
+    ]
+    paths = [_positions(rollout, tracks.ids[row]) for row in rows]
+    axes.add_collection(LineCollection(paths, colors=OTHER, linewidths=0.8, alpha=0.6, zorder=2))
+    chances = _probabilities(scores)
+    colors = [
+        SCORES(chances[tracks.ids[row]]) if tracks.ids[row] in chances else "#ccd2d9"
+        for row in rows
+    ]
+    _boxes(axes, rollout, [(row, rollout.now) for row in rows], colors, edge="#59626d", zorder=4)
+
+
+def _probabilities(scores: OpponentScores | None) -> dict[str, float]:
+    if scores is None:
+        return {}
+    chances = 1.0 / (1.0 + np.exp(-scores.logits))
+    return dict(zip(scores.ids, chances.tolist(), strict=True))
+
+
+def _boxes(
+    axes: Axes,
+    rollout: Rollout,
+    places: list[tuple[int, int]],
+    colors: list[Any],
+    *,
+    edge: str,
+    zorder: float,
+    alpha: float = 1.0,
+) -> None:
+    """Boxes of (row, step) pairs, with a notch where the front is."""
+    if not places:
+        return
+    tracks = rollout.tracks
+    rows, steps = np.array(places).T
+    centre, heading = tracks.position_m[rows, steps], tracks.heading_rad[rows, steps]
+    corners = boxes.corners(centre, heading, tracks.size_m[rows, :2])
+    axes.add_collection(
+        PolyCollection(
+            list(corners),
+            facecolors=colors,
+            edgecolors=edge,
+            linewidths=0.8,
+            alpha=alpha,
+            zorder=zorder,
+        )
+    )
+    noses = np.stack([corners[:, 0], centre, corners[:, 3]], axis=1)
+    axes.add_collection(LineCollection(list(noses), colors=edge, linewidths=0.6, zorder=zorder))
+
+
+def _reasoning(axes: Axes, plan: Plan) -> None:
+    """Candidates, the AV's likeliest reaction to each, and the chosen trajectory."""
+    reason = plan.reason
+    assert reason is not None
+    candidates = list(reason.candidates.futures.position_m)
+    axes.add_collection(
+        LineCollection(candidates, colors="#e0785a", linewidths=0.7, alpha=0.55, zorder=3)
+    )
+    if reason.reactions:
+        reactions = list(reason.reactions[reason.chosen].futures.position_m)
+        axes.add_collection(
+            LineCollection(reactions, colors="#5b8fd9", linewidths=1.0, alpha=0.8, zorder=3)
+        )
+    axes.plot(*plan.position_m.T, color=OPPONENT, lw=2.6, ls=(0, (4, 1.5)), zorder=5)
+
+
+def _driven(axes: Axes, rollout: Rollout, agent: str, color: str) -> None:
+    """The path, a box a second, and the first and last box in full colour."""
+    tracks = rollout.tracks
+    row = tracks.row(agent)
+    steps = [step for step in np.flatnonzero(tracks.valid[row]) if step >= rollout.now]
+    if not steps:
+        return
+    axes.plot(*tracks.position_m[row, steps].T, color=color, lw=1.8, zorder=6)
+    between = [(row, int(step)) for step in steps[EVERY_STEPS:-1:EVERY_STEPS]]
+    _boxes(axes, rollout, between, [color] * len(between), edge=color, zorder=6, alpha=0.22)
+    ends = [(row, int(steps[0])), (row, int(steps[-1]))]
+    _boxes(axes, rollout, ends, [color] * 2, edge="black", zorder=7, alpha=0.85)
+    x, y = tracks.position_m[row, steps[0]]
+    if agent == rollout.opponent_id:
+        star = {"marker": "*", "color": "#ffd43b", "markeredgecolor": "black"}
+        axes.plot(x, y, markersize=15, markeredgewidth=0.7, zorder=9, **star)  # type: ignore[arg-type]
+
+
+def _contact(axes: Axes, contact: Contact) -> None:
+    middle = (contact.pose_first[:2] + contact.pose_second[:2]) / 2
+    axes.plot(*middle, marker="x", color="white", markersize=15, markeredgewidth=5, zorder=10)
+    axes.plot(*middle, marker="x", color=CONTACT, markersize=13, markeredgewidth=2.5, zorder=11)
+
+
+def _title(rollout: Rollout, case: Case, contact: Contact | None) -> str:
+    seconds = (rollout.tracks.steps - 1 - rollout.now) * rollout.dt_s
+    if contact is None:
+        return f"{case.name}\n{OUTCOMES[rollout.outcome]} in {seconds:.1f} s"
+    time_s = (contact.step - rollout.now) * rollout.dt_s
+    where = f", {SECTORS[contact.sector]}" if rollout.outcome.startswith("av") else ""
+    return (
+        f"{case.name}\n{OUTCOMES[rollout.outcome]} after {time_s:.1f} s at"
+        f" {contact.relative_mps:.1f} m/s relative{where}"
+    )
+
+
+def _finish(axes: Axes, frame: tuple[float, float, float, float], title: str) -> None:
+    x0, x1, y0, y1 = frame
+    axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])
+    axes.set_title(title, fontsize=11, parse_math=False)
+    bar = 20.0 if x1 - x0 > 80 else 10.0
+    left, bottom = x0 + 0.04 * (x1 - x0), y0 + 0.03 * (y1 - y0)
+    axes.plot([left, left + bar], [bottom, bottom], color="black", lw=2, zorder=12)
+    axes.text(left + bar / 2, bottom + 0.01 * (y1 - y0), f"{bar:g} m", ha="center", zorder=12)
+
+
+def _legend(axes: Axes, rollout: Rollout, scores: OpponentScores | None, plan: Plan | None) -> None:
+    axes.legend(
+        handles=list(_handles(rollout, scores, plan)),
+        loc="upper left",
+        fontsize=8,
+        framealpha=0.92,
+        borderaxespad=0.4,
+    ).set_zorder(20)
+
+
+def _handles(
+    rollout: Rollout, scores: OpponentScores | None, plan: Plan | None
+) -> Iterator[Line2D | Patch]:
+    yield Line2D([], [], color=AV, lw=2, label=f"AV ({rollout.av_id}), a box a second")
+    if rollout.opponent_id:
+        chance = _probabilities(scores).get(rollout.opponent_id)
+        score = f", score {chance:.2f}" if chance is not None else ""
+        label = f"opponent ({rollout.opponent_id}{score})"
+        yield Line2D([], [], color=OPPONENT, lw=2, marker="*", mfc="#ffd43b", mec="k", label=label)
+    if plan and plan.reason:
+        at = (plan.first_step - 1 - rollout.now) * rollout.dt_s
+        yield Line2D([], [], color="#e0785a", lw=0.8, label=f"its candidates at {at:.1f} s")
+        yield Line2D([], [], color=OPPONENT, lw=2.6, ls="--", label="the chosen one")
+        if plan.reason.reactions:
+            yield Line2D([], [], color="#5b8fd9", lw=1, label="the AV's predicted reactions")
+    if scores:
+        for chance in (0.0, 0.5, 1.0):
+            yield Patch(fc=SCORES(chance), ec="#59626d", label=f"opponent score {chance:g}")
+    yield Patch(fc="#ccd2d9", ec="#59626d", label="others, not scored" if scores else "others")
+    if rollout.contacts:
+        mark = {"marker": "x", "markersize": 8, "markeredgewidth": 2}
+        yield Line2D([], [], color=CONTACT, ls="", label="contact", **mark)  # type: ignore[arg-type]

@@ -1,0 +1,67 @@
+"""Results -> rows of the table that a terminal shows."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+HEADINGS: Final = ("run", "outcome", "contact", "speed", "opponent", "AV hit at", "generated in")
+
+SECTORS: Final = (
+    "front",
+    "front left",
+    "left",
+    "rear left",
+    "rear",
+    "rear right",
+    "right",
+    "front right",
+)
+"""Names of the eight impact sectors, counter-clockwise."""
+
+OUTCOMES: Final = {
+    "av_opponent": "AV hit by opponent",
+    "av_other": "AV hit another",
+    "opponent_other": "opponent hit another",
+    "none": "no contact",
+}
+
+
+def rows(results: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """A row a run, in the order of `HEADINGS`; the content of ``result.json`` goes in."""
+    return [_row(result) for result in results]
+
+
+def _row(result: dict[str, Any]) -> tuple[str, ...]:
+    run_id = result["run_id"]
+    if result["status"] != "ok":
+        return (run_id, f"{result['status']}: {result['error']}", "", "", "", "", "")
+    outcome = result["outcome"]
+    contact = next((one for one in result["contacts"] if one["kind"] == outcome), None)
+    opponent = result["opponent"] or "nobody"
+    score = result["opponent_score"]
+    broken = "".join(f"; EXPECTATION BROKEN: {one}" for one in result["expectations_broken"])
+    return (
+        run_id,
+        OUTCOMES[outcome] + broken,
+        f"{contact['time_s']:.1f} s" if contact else "-",
+        f"{contact['relative_mps']:.1f} m/s" if contact else "-",
+        opponent if score is None else f"{opponent} ({score:.2f})",
+        SECTORS[contact["sector"]] if contact and outcome.startswith("av") else "-",
+        f"{result['timings']['generation_s']:.2f} s",
+    )
+
+
+def totals(summary: dict[str, Any]) -> str:
+    """One line under the table; the content of ``summary.json`` goes in."""
+    statuses = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
+    parts = [f"{summary['runs']} runs: {statuses or 'none'}"]
+    rate = summary["collision_rate"]
+    if rate:
+        parts.append(
+            f"AV hit by opponent in {100 * rate['rate']:.0f} %"
+            f" (95 % interval {100 * rate['low']:.0f}-{100 * rate['high']:.0f} %)"
+        )
+    if summary["contact_speed_mps_mean"] is not None:
+        parts.append(f"mean contact speed {summary['contact_speed_mps_mean']:.1f} m/s")
+    if summary["expectations_broken"]:
+        parts.append(f"{len(summary['expectations_broken'])} with broken expectations")
+    return "; ".join(parts)

@@ -1,0 +1,123 @@
+"""The AV in SUMO: carries out a planner's commands, one a step."""
+
+from deepmf_sumo.datatypes import AgentId, Command, Floats
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.geometry import sumo_frame
+from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.path import RouteAhead
+from deepmf_sumo.simulation.sumo_api import SumoApi
+
+# Bits of speedMode: 1 safe speed, 2 and 4 limits of acceleration and deceleration, 8 right of way,
+# 16 red lights.
+_OWN_DECISION = 31
+# With bit 1 a commanded speed is cut without any limit to braking, with bit 4 SUMO's emergency
+# braking is weakened to comfortable braking. So both are off, and the limits are kept here.
+_COMMANDED = 24
+_NO_CHECKS = 0
+_EXACT = 2  # keepRoute: exactly where it is put, on or off the lanes
+_MATCH_M = 5.0
+
+
+class Av:
+    """The AV, inserted. ``lost`` once it has left the simulation."""
+
+    def __init__(self, api: SumoApi, av_id: AgentId, length_m: float) -> None:
+        self._api = api
+        self.id = av_id
+        self.length_m = length_m
+        self.ahead = RouteAhead(api, av_id)
+        self.placed: Pose | None = None
+        self._previous_mps: float | None = None
+
+    @property
+    def present(self) -> bool:
+        """Whether SUMO still simulates the AV."""
+        return self.id in self._api.vehicle.getIDList()
+
+    @property
+    def on_lane(self) -> bool:
+        """Whether the AV is matched to a lane: off every lane SUMO cannot drive it."""
+        return bool(self._api.vehicle.getLaneID(self.id))
+
+    def path(self) -> Floats | None:
+        """(P, 2) centre line from the front bumper on, or None off every lane."""
+        return self.ahead.centre_line()
+
+    def drive(self, command: Command) -> None:
+        """Ask for the command in the coming step."""
+        self.placed = None
+        vehicle = self._api.vehicle
+        speed = float(vehicle.getSpeed(self.id))
+        if command.kind == "pose":
+            self._place(command)
+        elif command.kind == "sumo":
+            vehicle.setSpeedMode(self.id, _OWN_DECISION)
+            vehicle.setSpeed(self.id, -1.0)
+        elif command.kind == "leader":
+            vehicle.setSpeedMode(self.id, _COMMANDED)
+            vehicle.setSpeed(self.id, self._behind_leader(command, speed))
+        elif command.kind == "speed":
+            vehicle.setSpeedMode(self.id, _NO_CHECKS)
+            vehicle.setSpeed(self.id, max(0.0, command.speed_mps))
+        else:
+            raise SimulationError(f"The planner gave a command of unknown kind '{command.kind}'.")
+        self._previous_mps = speed
+
+    def after_step(self) -> None:
+        """What SUMO has to be told after the step."""
+        if self.placed is not None:
+            self._api.vehicle.setPreviousSpeed(self.id, self.placed.speed_mps)
+
+    def pose(self) -> Pose:
+        """Where the AV is after the step: where it was put, or what SUMO says."""
+        return self.placed or read_pose(self._api, self.id, self.length_m)
+
+    def _place(self, command: Command) -> None:
+        self.placed = Pose(
+            x_m=command.x_m,
+            y_m=command.y_m,
+            heading_rad=command.heading_rad,
+            speed_mps=command.speed_mps,
+        )
+        move(self._api, self.id, self.placed, self.length_m, _MATCH_M)
+
+    def _behind_leader(self, command: Command, speed: float) -> float:
+        """The lower of SUMO's speed behind the leader and SUMO's own decision.
+
+        A commanded speed overrules SUMO's lights, right of way and lane leaders. SUMO's own
+        decision of the last step, as an acceleration, keeps them: 0.1 s late.
+        """
+        vehicle = self._api.vehicle
+        gap = max(0.0, command.gap_m - float(vehicle.getMinGap(self.id)))
+        decel = float(vehicle.getDecel(self.id))
+        target = float(vehicle.getFollowSpeed(self.id, speed, gap, command.leader_mps, decel, ""))
+        if self._previous_mps is not None:
+            own = float(vehicle.getSpeedWithoutTraCI(self.id))
+            target = min(target, speed + own - self._previous_mps)
+        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * 0.1
+        return max(0.0, hardest, target)
+
+
+def move(api: SumoApi, vehicle_id: str, pose: Pose, length_m: float, match_m: float) -> None:
+    """Put a vehicle exactly there at the end of the coming step.
+
+    ``match_m``: SUMO takes the vehicle as one of a lane if its front is at most so far from it.
+    """
+    front, angle = sumo_frame.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
+    api.vehicle.moveToXY(
+        vehicle_id, "", -1, float(front[0]), float(front[1]), float(angle), _EXACT, match_m
+    )
+
+
+def read_pose(api: SumoApi, vehicle_id: str, length_m: float) -> Pose:
+    """Box centre of a vehicle."""
+    vehicle = api.vehicle
+    centre, heading = sumo_frame.from_sumo(
+        vehicle.getPosition(vehicle_id), vehicle.getAngle(vehicle_id), length_m
+    )
+    return Pose(
+        x_m=float(centre[0]),
+        y_m=float(centre[1]),
+        heading_rad=float(heading),
+        speed_mps=float(vehicle.getSpeed(vehicle_id)),
+    )

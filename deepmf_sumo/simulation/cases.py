@@ -1,0 +1,32 @@
+"""Cases made of a user's SUMO scenario."""
+
+from pathlib import Path
+
+from deepmf_sumo.datatypes import AgentId, Case, NetworkSource
+from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.simulation.configuration import read_configuration
+
+
+def network_case(
+    config: Path,
+    start_s: float,
+    av: AgentId,
+    duration_steps: int = 80,
+    seed: int = 0,
+    name: str = "",
+) -> Case:
+    """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
+
+    Raises SimulationError where the configuration or its network is missing. Whether the vehicle is
+    there at the start shows only in the simulation.
+    """
+    configuration = read_configuration(config)
+    return Case(
+        name=name or f"{config.stem}-{av}-{start_s:g}s",
+        road=road_of_net(configuration.net, configuration.additional),
+        av_id=av,
+        duration_steps=duration_steps,
+        traffic="sumo",
+        seed=seed,
+        network=NetworkSource(config=config, start_s=start_s),
+    )

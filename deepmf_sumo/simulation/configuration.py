@@ -1,0 +1,80 @@
+"""A user's .sumocfg: what has to be known of it before SUMO is started with it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax import SAXException
+
+from deepmf_sumo.errors import SimulationError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Configuration:
+    """Options of a configuration file; paths are absolute."""
+
+    file: Path
+    net: Path
+    additional: tuple[Path, ...]
+    step_s: float
+    begin_s: float
+    end_s: float | None
+
+
+_SYNONYMS = {"net": "net-file", "n": "net-file", "additional": "additional-files"} | {
+    "a": "additional-files",
+    "b": "begin",
+    "e": "end",
+}
+
+
+def read_configuration(file: Path) -> Configuration:
+    """Read a .sumocfg.
+
+    Raises SimulationError where the file is missing, is no XML, or names no network.
+    """
+    import sumolib
+
+    if not file.is_file():
+        raise SimulationError(f"There is no SUMO configuration '{file}'.")
+    try:
+        options = {
+            _SYNONYMS.get(option.name, option.name): str(option.value)
+            for option in sumolib.options.readOptions(str(file))
+        }
+    except (SAXException, OSError, UnicodeError) as error:
+        raise SimulationError(f"'{file}' cannot be read as a SUMO configuration: {error}") from None
+    if "net-file" not in options:
+        raise SimulationError(f"'{file}' names no network: it needs <net-file value=\"...\"/>.")
+    net = _beside(file, options["net-file"])
+    if not net.is_file():
+        raise SimulationError(f"'{file}' names the network '{net}', which does not exist.")
+    names = options.get("additional-files", "").replace(",", " ").split()
+    return Configuration(
+        file=file,
+        net=net,
+        additional=tuple(_beside(file, name) for name in names),
+        step_s=_seconds(file, "step-length", options.get("step-length", "1")),
+        begin_s=_seconds(file, "begin", options.get("begin", "0")),
+        end_s=_end(file, options.get("end")),
+    )
+
+
+def _beside(file: Path, name: str) -> Path:
+    path = Path(name)
+    return path if path.is_absolute() else (file.parent / path).resolve()
+
+
+def _end(file: Path, text: str | None) -> float | None:
+    seconds = _seconds(file, "end", text) if text is not None else -1.0
+    return seconds if seconds >= 0 else None
+
+
+def _seconds(file: Path, name: str, text: str) -> float:
+    """SUMO writes times as seconds or as [days:]hours:minutes:seconds."""
+    try:
+        parts = [float(part) for part in text.split(":")]
+    except ValueError:
+        raise SimulationError(f"'{file}' has {name} '{text}', which is not a time.") from None
+    total = 0.0
+    for part, scale in zip(reversed(parts), (1.0, 60.0, 3600.0, 86400.0), strict=False):
+        total += part * scale
+    return total

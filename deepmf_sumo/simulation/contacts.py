@@ -1,0 +1,119 @@
+"""Contacts: which boxes overlap for the first time, who struck whom, and how hard."""
+
+import numpy as np
+from shapely import Polygon
+
+from deepmf_sumo.datatypes import AgentId, Contact, Event, Floats
+from deepmf_sumo.datatypes.rollout import ContactKind
+from deepmf_sumo.geometry import boxes, frames
+from deepmf_sumo.simulation.frame import Frame
+
+
+class Judge:
+    """Finds the first overlap of the AV and of the opponent with every other agent.
+
+    A pair that overlaps at the first frame, or in the frame in which one of the two appears, has
+    not driven into each other: it is not counted, and an event says so.
+    """
+
+    def __init__(self, av_id: AgentId, opponent_id: AgentId | None) -> None:
+        self.contacts: list[Contact] = []
+        self.events: list[Event] = []
+        self._drivers: list[AgentId] = [av_id] if opponent_id is None else [av_id, opponent_id]
+        self._av, self._opponent = av_id, opponent_id
+        self._settled: set[frozenset[AgentId]] = set()
+        self._before: Frame | None = None
+
+    def look(self, step: int, frame: Frame, size_m: Floats) -> None:
+        """Judge one frame; ``size_m`` (N, 2) are the lengths and widths of its agents."""
+        for mine in self._drivers:
+            if mine not in frame.ids:
+                continue
+            me = frame.ids.index(mine)
+            hit = boxes.overlap(
+                frame.position_m[me],
+                frame.heading_rad[me],
+                size_m[me],
+                frame.position_m,
+                frame.heading_rad,
+                size_m,
+            )
+            for other in np.flatnonzero(hit):
+                pair = frozenset((mine, frame.ids[other]))
+                if len(pair) == 2 and pair not in self._settled:
+                    self._settled.add(pair)
+                    self._settle(step, frame, size_m, me, int(other))
+        self._before = frame
+
+    def _settle(self, step: int, frame: Frame, size_m: Floats, me: int, other: int) -> None:
+        mine, theirs = frame.ids[me], frame.ids[other]
+        before = self._before
+        if before is None or mine not in before.ids or theirs not in before.ids:
+            kind = "overlap_at_start" if before is None else "appeared_in_overlap"
+            detail = f"with {theirs}; not counted as a contact"
+            self.events.append(Event(step=step, agent_id=mine, kind=kind, detail=detail))
+            return
+        self.contacts.append(self._contact(step, frame, before, size_m, me, other))
+
+    def _kind(self, mine: AgentId, theirs: AgentId) -> ContactKind:
+        if mine != self._av:
+            return "opponent_other"
+        return "av_opponent" if theirs == self._opponent else "av_other"
+
+    def _contact(
+        self, step: int, frame: Frame, before: Frame, size_m: Floats, me: int, other: int
+    ) -> Contact:
+        mine, theirs = frame.ids[me], frame.ids[other]
+        pair = [before.ids.index(mine), before.ids.index(theirs)]
+        centre, heading = before.position_m[pair], before.heading_rad[pair]
+        velocity, size = before.velocity_mps[pair], size_m[[me, other]]
+        towards = np.stack(
+            [
+                _direction(centre[0], _nearest_point(centre[0], centre[1], heading[1], size[1])),
+                _direction(centre[1], _nearest_point(centre[1], centre[0], heading[0], size[0])),
+            ]
+        )
+        approach = (velocity * towards).sum(-1)
+        relative = velocity[1] - velocity[0]
+        area = size.prod(-1)
+        poses = np.column_stack([frame.position_m, frame.heading_rad])
+        return Contact(
+            kind=self._kind(mine, theirs),
+            step=step,
+            first_id=mine,
+            second_id=theirs,
+            striker_id=mine if approach[0] >= approach[1] else theirs,
+            pose_first=poses[me],
+            pose_second=poses[other],
+            relative_mps=float(np.hypot(*relative)),
+            closing_mps=float(-relative @ _direction(centre[0], centre[1])),
+            sector=impact_sector(poses[me], size[0], poses[other], size[1]),
+            delta_v_mps=float(np.hypot(*relative) * area[1] / area.sum()),
+        )
+
+
+def impact_sector(
+    pose_first: Floats, size_first: Floats, pose_second: Floats, size_second: Floats
+) -> int:
+    """Sector of the first box, 0..7, in which the middle of the overlap lies; front = 0, left = 2.
+
+    Poses (3) x, y, heading; sizes (2) length, width.
+    """
+    first = Polygon(boxes.corners(pose_first[:2], pose_first[2], size_first))
+    second = Polygon(boxes.corners(pose_second[:2], pose_second[2], size_second))
+    middle = first.intersection(second).centroid
+    where = np.array([middle.x, middle.y]) if not middle.is_empty else pose_second[:2]
+    x, y = frames.to_local(where, pose_first[:2], float(pose_first[2]))
+    return int(np.round(np.arctan2(y, x) / (np.pi / 4))) % 8
+
+
+def _nearest_point(of: Floats, centre: Floats, heading: float, size: Floats) -> Floats:
+    """The point of a box that is nearest to a point."""
+    local = np.clip(frames.to_local(of, centre, heading), -size / 2, size / 2)
+    return frames.to_scene(local, centre, heading)
+
+
+def _direction(start: Floats, end: Floats) -> Floats:
+    offset = np.asarray(end) - start
+    direction: Floats = offset / max(float(np.hypot(*offset)), 1e-9)
+    return direction

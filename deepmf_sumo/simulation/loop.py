@@ -1,0 +1,107 @@
+"""One episode: the loop over SUMO."""
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from deepmf_sumo.datatypes import DT_S, Case, Floats, Rollout, View
+from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.simulation import stage as stages
+from deepmf_sumo.simulation.contacts import Judge
+from deepmf_sumo.simulation.opponent import Opponent
+from deepmf_sumo.simulation.recorder import Recorder
+from deepmf_sumo.simulation.stage import Stage
+from deepmf_sumo.simulation.sumo_api import Backend
+
+
+def simulate(
+    case: Case,
+    planner: Planner,
+    policy: Policy | None,
+    *,
+    rng: np.random.Generator,
+    gui: bool = False,
+    backend: Backend | None = None,
+) -> Rollout:
+    """Simulate one episode of a case.
+
+    Args:
+        case: who is the AV, from when, for how long, who drives the others.
+        planner: drives the AV.
+        policy: drives one opponent of its choice; None attacks nobody.
+        rng: for planner and policy; SUMO's own seed is the case's.
+        gui: show the episode in sumo-gui.
+        backend: how SUMO is run; by default libsumo, or sumo-gui where ``gui``.
+
+    Raises SimulationError where SUMO refuses something or the AV is not there.
+    """
+    planner.reset(case, rng)
+    with stages.opened(case, planner.model, backend or ("gui" if gui else "libsumo")) as stage:
+        return _episode(case, stage, planner, policy, rng)
+
+
+def _episode(
+    case: Case, stage: Stage, planner: Planner, policy: Policy | None, rng: np.random.Generator
+) -> Rollout:
+    seconds: dict[str, float] = defaultdict(float)
+    history = stage.history()
+    end = len(history) - 1 + case.duration_steps
+    recorder = Recorder(end + 1, stage.body)
+    for frame in history:
+        recorder.add(frame)
+    now = recorder.step
+
+    def look(path: Floats | None = None) -> View:
+        left = end - recorder.step
+        return recorder.view(case.av_id, case.road, stage.signals(), left, path)
+
+    with _timed(seconds, "policy"):
+        opponent = Opponent(policy, look(), rng)
+    judge = Judge(case.av_id, opponent.id)
+    judge.look(now, frame, recorder.sizes_m(frame.ids))
+    ended = "time"
+    while recorder.step < end:
+        if opponent.due(recorder.step):
+            with _timed(seconds, "policy"):
+                opponent.replan(look())
+        with _timed(seconds, "planner"):
+            command = planner.act(look(stage.av_path()))
+        with _timed(seconds, "simulation"):
+            pose = opponent.pose(recorder.step + 1)
+            frame = stage.advance(command, opponent.id, pose)
+            recorder.add(frame)
+            judge.look(recorder.step, frame, recorder.sizes_m(frame.ids))
+        if any(contact.kind == "av_opponent" for contact in judge.contacts):
+            ended = "contact"
+            break
+        if not stage.av_present():
+            ended = "av_gone"
+            break
+    tracks, driver = recorder.tracks()
+    events = [*stage.events, *opponent.events, *judge.events]
+    return Rollout(
+        tracks=tracks,
+        driver=driver,
+        now=now,
+        dt_s=DT_S,
+        av_id=case.av_id,
+        opponent_id=opponent.id,
+        contacts=tuple(judge.contacts),
+        events=tuple(sorted(events, key=lambda event: event.step)),
+        plans=tuple(opponent.plans),
+        ended=ended,
+        seconds=dict(seconds),
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], part: str) -> Iterator[None]:
+    begin = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[part] += time.perf_counter() - begin

@@ -1,0 +1,165 @@
+"""A user's SUMO scenario as a stage: SUMO's own traffic, up to the start and on from there."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from deepmf_sumo.datatypes import (
+    DT_S,
+    HISTORY_STEPS,
+    AgentId,
+    Case,
+    Command,
+    Driver,
+    Event,
+    Floats,
+    NetworkSource,
+    SignalState,
+    VehicleModel,
+)
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.network.sumo_road import signal_links
+from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.configuration import Configuration, read_configuration
+from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.simulation.reading import TrafficReader
+from deepmf_sumo.simulation.signals import LiveSignals
+from deepmf_sumo.simulation.stage import Stage
+from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi
+from deepmf_sumo.simulation.takeover import Takeover
+from deepmf_sumo.simulation.vehicle_types import AV_TYPE, write_types
+
+_LOOK_FURTHER_S = 300.0
+"""How far beyond the start a missing AV is looked for, for the message."""
+
+
+@contextmanager
+def opening(
+    case: Case, model: VehicleModel | None
+) -> Iterator[tuple[list[str], Callable[[SumoApi], Stage]]]:
+    """Arguments for SUMO, and what makes the stage of it once it runs."""
+    assert case.network is not None
+    configuration = read_configuration(case.network.config)
+    with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
+        types = write_types(Path(folder) / "types.add.xml", model)
+        additional = ",".join(str(path) for path in (*configuration.additional, types))
+        arguments = [
+            *("-c", str(configuration.file)),
+            *("--additional-files", additional),
+            *("--seed", str(case.seed)),
+            *STEP_OPTIONS,
+        ]
+        yield arguments, lambda api: NetworkStage(api, case, configuration, model)
+
+
+class NetworkStage:
+    """SUMO drives everybody but the AV (as the planner says) and the opponent (where planned)."""
+
+    def __init__(
+        self, api: SumoApi, case: Case, configuration: Configuration, model: VehicleModel | None
+    ) -> None:
+        assert case.network is not None
+        self.events: list[Event] = []
+        self._api = api
+        self._reader = TrafficReader(api)
+        self._step = HISTORY_STEPS - 1
+        self._note_step_length(configuration)
+        self._frames = self._run_to(case.network.start_s)
+        if case.av_id not in api.vehicle.getIDList():
+            raise SimulationError(_absent(api, case.av_id, case.network))
+        if model is not None:
+            _set_model(api, case.av_id)
+        self._av = Av(api, case.av_id, self.body(case.av_id).size_m[0])
+        self._opponent = Takeover(api, self.events)
+        self._signals = LiveSignals(api, signal_links(configuration.net))
+
+    def history(self) -> list[Frame]:
+        """The last second before the start; frames before the configuration's begin are empty."""
+        missing = HISTORY_STEPS - len(self._frames)
+        return [Frame.of_poses({})] * missing + self._frames
+
+    def body(self, agent: AgentId) -> Body:
+        """Kind and size as SUMO has them."""
+        return self._reader.body(agent)
+
+    def signals(self) -> dict[str, SignalState]:
+        """States of SUMO's lights now."""
+        return self._signals.states()
+
+    def av_path(self) -> Floats | None:
+        """Centre line ahead of the AV."""
+        return self._av.path()
+
+    def av_present(self) -> bool:
+        """Whether SUMO still simulates the AV."""
+        return self._av.present
+
+    def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
+        """One step of SUMO; an opponent without a pose is SUMO's to drive."""
+        self._step += 1
+        self._av.drive(command)
+        if opponent is not None and pose is not None:
+            length = self.body(opponent).size_m[0]
+            self._opponent.place(self._step, opponent, pose, length)
+        elif opponent is not None:
+            self._opponent.hand_back(self._step, opponent)
+        self._api.simulationStep()
+        if self._av.present:
+            self._av.after_step()
+        self._opponent.after_step()
+        poses = self._reader.read()
+        if self._av.id in poses:
+            poses[self._av.id] = (self._av.pose(), Driver.PLANNER)
+        placed = self._opponent.placed()
+        if placed is not None and placed[0] in poses:
+            poses[placed[0]] = (placed[1], Driver.POLICY)
+        return Frame.of_poses(poses)
+
+    def _run_to(self, start_s: float) -> list[Frame]:
+        """Run SUMO up to the start; the frames of the last second."""
+        recorded_from = start_s - (HISTORY_STEPS - 1) * DT_S
+        if self._api.simulation.getTime() < recorded_from - DT_S / 2:
+            self._api.simulationStep(recorded_from)
+        frames = [Frame.of_poses(self._reader.read())]
+        while self._api.simulation.getTime() < start_s - DT_S / 2:
+            self._api.simulationStep()
+            frames.append(Frame.of_poses(self._reader.read()))
+        return frames[-HISTORY_STEPS:]
+
+    def _note_step_length(self, configuration: Configuration) -> None:
+        if abs(configuration.step_s - DT_S) > 1e-9:
+            detail = f"{configuration.file.name} asks for {configuration.step_s:g} s, run at 0.1 s"
+            event = Event(step=self._step, agent_id="", kind="step_length_changed", detail=detail)
+            self.events.append(event)
+
+
+def _set_model(api: SumoApi, av: AgentId) -> None:
+    """Give the AV our car-following model, and leave its size as it was."""
+    vehicle = api.vehicle
+    size = (vehicle.getLength(av), vehicle.getWidth(av), vehicle.getHeight(av))
+    vehicle.setType(av, AV_TYPE)
+    vehicle.setLength(av, size[0])
+    vehicle.setWidth(av, size[1])
+    vehicle.setHeight(av, size[2])
+
+
+def _absent(api: SumoApi, av: AgentId, source: NetworkSource) -> str:
+    """Why the AV is not there: the message of the error."""
+    there = sorted(api.vehicle.getIDList())
+    known = ", ".join(there[:8]) + (", ..." if len(there) > 8 else "")
+    begin = api.simulation.getTime()
+    while api.simulation.getTime() < begin + _LOOK_FURTHER_S:
+        api.simulationStep()
+        if av in api.simulation.getDepartedIDList():
+            when = f"departs at {api.simulation.getTime():.1f} s"
+            break
+        if api.simulation.getMinExpectedNumber() == 0:
+            when = "never departs after it"
+            break
+    else:
+        when = f"does not depart within {_LOOK_FURTHER_S:g} s after it"
+    return (
+        f"Vehicle '{av}' is not there at {source.start_s:g} s in '{source.config}' and {when}; "
+        f"choose another start or one of: {known or 'nobody is there then'}."
+    )

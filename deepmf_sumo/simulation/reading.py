@@ -1,0 +1,52 @@
+"""Reads SUMO's own traffic: who is there, what it is, where it is."""
+
+from deepmf_sumo.datatypes import AgentId, AgentKind, Driver
+from deepmf_sumo.geometry import sumo_frame
+from deepmf_sumo.simulation.frame import Body, Pose
+from deepmf_sumo.simulation.sumo_api import SumoApi
+
+
+class TrafficReader:
+    """Vehicles and persons of a running SUMO; what they are is asked once each."""
+
+    def __init__(self, api: SumoApi) -> None:
+        self._api = api
+        self._bodies: dict[AgentId, Body] = {}
+
+    def body(self, agent: AgentId) -> Body:
+        """Kind and size; raises KeyError for an agent that was never read."""
+        return self._bodies[agent]
+
+    def read(self) -> dict[AgentId, tuple[Pose, Driver]]:
+        """Everybody who is there, vehicles before persons, sorted by id."""
+        vehicle, person = self._api.vehicle, self._api.person
+        everybody = [(vehicle, name) for name in sorted(vehicle.getIDList())]
+        everybody += [(person, name) for name in sorted(person.getIDList())]
+        poses = {}
+        for domain, name in everybody:
+            if name not in self._bodies:
+                self._bodies[name] = self._ask_body(domain, name)
+            length = self._bodies[name].size_m[0]
+            centre, heading = sumo_frame.from_sumo(
+                domain.getPosition(name), domain.getAngle(name), length
+            )
+            pose = Pose(
+                x_m=float(centre[0]),
+                y_m=float(centre[1]),
+                heading_rad=float(heading),
+                # of the order of -1e9 while a vehicle is not on the road
+                speed_mps=max(0.0, float(domain.getSpeed(name))),
+            )
+            poses[str(name)] = (pose, Driver.SUMO)
+        return poses
+
+    def _ask_body(self, domain: object, name: AgentId) -> Body:
+        api = self._api
+        source = api.person if domain is api.person else api.vehicle
+        size = (source.getLength(name), source.getWidth(name), source.getHeight(name))
+        kind: AgentKind = "vehicle"
+        if domain is api.person:
+            kind = "pedestrian"
+        elif source.getVehicleClass(name) == "bicycle":
+            kind = "cyclist"
+        return Body(kind=kind, size_m=(float(size[0]), float(size[1]), float(size[2])))

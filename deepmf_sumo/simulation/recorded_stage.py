@@ -1,0 +1,232 @@
+"""A recording as a stage: everybody replays the log, or SUMO drives on from the recorded start."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from deepmf_sumo.datatypes import (
+    AgentId,
+    Bools,
+    Case,
+    Command,
+    Driver,
+    Event,
+    Floats,
+    SignalState,
+    VehicleModel,
+)
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.simulation.free_traffic import FreeTraffic
+from deepmf_sumo.simulation.log import log_of
+from deepmf_sumo.simulation.placed import (
+    PlacedVehicles,
+    add_vehicle,
+    move_logged,
+    speed_factor,
+)
+from deepmf_sumo.simulation.signals import ReplayedSignals
+from deepmf_sumo.simulation.stage import Stage
+from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi
+from deepmf_sumo.simulation.takeover import Takeover
+from deepmf_sumo.simulation.vehicle_types import ANY_ROUTE, AV_TYPE, TRAFFIC_TYPE, write_types
+
+_OPTIONS = (
+    *("--step-method.ballistic", "true"),  # positions move at the mean speed of a step
+    *("--time-to-teleport", "-1"),
+    *("--lanechange.duration", "3"),  # else a lane change is a jump
+    *("--default.speeddev", "0"),
+)
+_FOLLOW_ROUTE = 513
+"""laneChangeMode: change lanes where the route needs it and others leave room, else never."""
+
+
+@contextmanager
+def opening(
+    case: Case, model: VehicleModel | None
+) -> Iterator[tuple[list[str], Callable[[SumoApi], Stage]]]:
+    """Arguments for SUMO, and what makes the stage of it once it runs."""
+    assert case.net is not None
+    with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
+        types = write_types(Path(folder) / "types.add.xml", model)
+        arguments = [
+            *("-n", str(case.net.file)),
+            *("--additional-files", str(types)),
+            *("--seed", str(case.seed)),
+            *STEP_OPTIONS,
+            *_OPTIONS,
+        ]
+        yield arguments, lambda api: RecordedStage(api, case, model)
+
+
+class RecordedStage:
+    """The AV is the planner's, the opponent the policy's where it plans, the rest as the case says.
+
+    Pedestrians, cyclists, and vehicles that stand beside the lanes are boxes outside SUMO: SUMO's
+    own perception does not see them, views do.
+    """
+
+    def __init__(self, api: SumoApi, case: Case, model: VehicleModel | None) -> None:
+        assert case.scene is not None
+        assert case.net is not None
+        self.events: list[Event] = []
+        self._api = api
+        self._case = case
+        self._tracks = case.scene.tracks
+        self._log = log_of(case)
+        self._now = self._step = case.scene.now
+        self._row = {agent: row for row, agent in enumerate(self._tracks.ids)}
+        self._av_row = self._row[case.av_id]
+        self._placed = PlacedVehicles(api, self._log, self._tracks)
+        self._free = FreeTraffic(api, self._log, self._tracks, self.events)
+        self._takeover = Takeover(api, self.events)
+        self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals)
+        self._start(model)
+        self._av = Av(api, case.av_id, float(self._tracks.size_m[self._av_row, 0]))
+        self._check_av()
+
+    def history(self) -> list[Frame]:
+        """The recorded steps up to the current one."""
+        everybody = np.ones(self._tracks.agents, bool)
+        return [self._logged(step, everybody) for step in range(self._now + 1)]
+
+    def body(self, agent: AgentId) -> Body:
+        """Kind and size as recorded."""
+        row = self._row[agent]
+        length, width, height = (float(value) for value in self._tracks.size_m[row])
+        return Body(kind=self._tracks.kinds[row], size_m=(length, width, height))
+
+    def signals(self) -> dict[str, SignalState]:
+        """The recorded lights at this step."""
+        return self._signals.states(self._step)
+
+    def av_path(self) -> Floats | None:
+        """Centre line ahead of the AV."""
+        return self._av.path()
+
+    def av_present(self) -> bool:
+        """Whether SUMO still simulates the AV."""
+        return self._av.present
+
+    def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
+        """One step; an opponent without a pose is driven like all others."""
+        self._step += 1
+        step = self._step
+        av_driver = self._drive_av(command)
+        taken = self._drive_opponent(opponent, pose)
+        self._place_others(step, taken)
+        self._signals.show(step)
+        self._placed.before_step()
+        self._api.simulationStep()
+        self._placed.after_step()
+        self._free.after_step(step)
+        self._takeover.after_step()
+        extra: dict[AgentId, tuple[Pose, Driver]] = {}
+        if self._av.present:
+            self._av.after_step()
+            extra[self._av.id] = (self._av.pose(), av_driver)
+        extra |= self._free.read()
+        if opponent is not None and pose is not None:
+            extra[opponent] = (pose, Driver.POLICY)
+        logged = np.ones(self._tracks.agents, bool)
+        logged[[self._row[agent] for agent in extra] + [self._av_row]] = False
+        logged[list(self._free.entered - self._free.lost)] = False
+        return self._logged(step, logged).with_poses(extra)
+
+    def _start(self, model: VehicleModel | None) -> None:
+        """Insert everybody where the recording has them now; the first step leaves them there."""
+        tracks, row, name = self._tracks, self._av_row, self._case.av_id
+        if row not in self._log.routes:
+            raise SimulationError(
+                f"The AV '{name}' of scene '{self._case.name}' drives on no lane of the network, so "
+                "that SUMO cannot drive it; use another scene."
+            )
+        vehicle, route = self._api.vehicle, self._log.routes[row]
+        self._api.route.add(ANY_ROUTE, [route[0]])
+        add_vehicle(self._api, self._log, tracks, row, AV_TYPE if model else TRAFFIC_TYPE)
+        desired = float(tracks.speed_mps[row][tracks.valid[row]].max())
+        if model is not None and model.desired_mps is not None:
+            desired = model.desired_mps
+        vehicle.setSpeedFactor(name, speed_factor(self._api, route, desired))
+        vehicle.setLaneChangeMode(name, _FOLLOW_ROUTE)
+        ghost = self._case.net.ghost_edge if self._case.net else None
+        move_logged(self._api, self._log, name, row, self._now, ghost or "")
+        self._place_others(self._now, None)
+        self._signals.show(self._now)
+        self._placed.before_step()
+        self._api.simulationStep()
+        self._placed.after_step()
+        self._free.after_step(self._now)
+        vehicle.setPreviousSpeed(name, float(tracks.speed_mps[row, self._now]))
+
+    def _check_av(self) -> None:
+        assert self._case.net is not None
+        if self._case.net.ghost_edge is not None:
+            detail = "the AV drives on a lane of its own, from which SUMO sees no other vehicle"
+            self._note("ghost_edge", detail)
+        elif not self._av.on_lane:
+            self._note("off_network", "the log drives the AV until it reaches a lane")
+
+    def _note(self, kind: str, detail: str) -> None:
+        self.events.append(Event(step=self._step, agent_id=self._av.id, kind=kind, detail=detail))
+
+    def _drive_av(self, command: Command) -> Driver:
+        """Off every lane SUMO drops whoever is not placed: there the log drives the AV."""
+        if command.kind == "pose" or self._av.on_lane:
+            self._av.drive(command)
+            return Driver.PLANNER
+        tracks, row = self._tracks, self._av_row
+        at = min(self._step, tracks.steps - 1)
+        at = at if tracks.valid[row, at] else int(np.flatnonzero(tracks.valid[row])[-1])
+        speed = float(tracks.speed_mps[row, at]) if at == self._step else 0.0
+        x, y = (float(value) for value in tracks.position_m[row, at])
+        heading = float(tracks.heading_rad[row, at])
+        self._av.drive(Command(kind="pose", x_m=x, y_m=y, heading_rad=heading, speed_mps=speed))
+        return Driver.LOG
+
+    def _drive_opponent(self, opponent: AgentId | None, pose: Pose | None) -> int | None:
+        """Put the opponent at its pose, or let it go; its row while a policy drives it."""
+        if opponent is None:
+            return None
+        row = self._row[opponent]
+        if self._free.drives(row):
+            if pose is None:
+                self._takeover.hand_back(self._step, opponent)
+            else:
+                length = float(self._tracks.size_m[row, 0])
+                self._takeover.place(self._step, opponent, pose, length)
+        elif pose is not None and self._tracks.kinds[row] == "vehicle":
+            self._placed.put(row, pose)
+        return None if pose is None else row
+
+    def _place_others(self, step: int, taken: int | None) -> None:
+        if step >= self._tracks.steps:
+            return
+        valid = self._tracks.valid[:, step]
+        free = self._case.traffic == "sumo"
+        for row in self._log.rows:
+            if row == taken or self._free.drives(row) or not valid[row]:
+                continue
+            if free and self._free.may_enter(row):
+                self._free.enter(row, step)
+            elif not free or row in self._free.lost:
+                self._placed.put_logged(row, step)
+
+    def _logged(self, step: int, wanted: Bools) -> Frame:
+        """The agents wanted that the log has at a step."""
+        tracks = self._tracks
+        if step >= tracks.steps:
+            return Frame.of_poses({})
+        rows = np.flatnonzero(tracks.valid[:, step] & wanted)
+        return Frame(
+            ids=[tracks.ids[row] for row in rows],
+            position_m=tracks.position_m[rows, step],
+            z_m=tracks.z_m[rows, step],
+            heading_rad=tracks.heading_rad[rows, step],
+            velocity_mps=tracks.velocity_mps[rows, step],
+            driver=np.full(len(rows), int(Driver.LOG), np.uint8),
+        )

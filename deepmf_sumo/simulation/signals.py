@@ -1,0 +1,83 @@
+"""Traffic lights: recorded states onto SUMO's links, and SUMO's states into views."""
+
+from collections.abc import Mapping
+
+from deepmf_sumo.datatypes import SignalLink, Signals, SignalState
+from deepmf_sumo.simulation.sumo_api import SumoApi
+
+# UNKNOWN and what was never seen give `o` (off, blinking: yield), never `O`, which ends all right
+# of way.
+_LETTER = {
+    SignalState.UNKNOWN: "o",
+    SignalState.ARROW_STOP: "r",
+    SignalState.ARROW_CAUTION: "y",
+    SignalState.ARROW_GO: "G",
+    SignalState.STOP: "r",
+    SignalState.CAUTION: "y",
+    SignalState.GO: "G",
+    SignalState.FLASHING_STOP: "r",
+    SignalState.FLASHING_CAUTION: "o",
+}
+_STATE = {
+    "r": SignalState.STOP,
+    "s": SignalState.FLASHING_STOP,
+    "u": SignalState.STOP,
+    "y": SignalState.CAUTION,
+    "Y": SignalState.CAUTION,
+    "g": SignalState.GO,
+    "G": SignalState.GO,
+    "o": SignalState.FLASHING_CAUTION,
+    "O": SignalState.UNKNOWN,
+}
+
+
+class ReplayedSignals:
+    """Sets the recorded states on SUMO's lights; a light changes only when its states do."""
+
+    def __init__(
+        self, api: SumoApi, links: Mapping[str, tuple[SignalLink, ...]], signals: Signals
+    ) -> None:
+        self._api = api
+        self._links = links
+        self._signals = signals
+        self._shown: dict[str, str] = {}
+        self._count = {
+            light: len(api.trafficlight.getRedYellowGreenState(light))
+            for light in sorted(api.trafficlight.getIDList())
+        }
+
+    def states(self, step: int) -> dict[str, SignalState]:
+        """The recorded states at a step, by lane id."""
+        return self._signals.at(min(step, self._signals.state.shape[1] - 1))
+
+    def show(self, step: int) -> None:
+        """Set all lights to the recording's states at a step."""
+        letters = {light: ["o"] * count for light, count in self._count.items()}
+        for lane, state in self.states(step).items():
+            for link in self._links.get(lane, ()):
+                if link.light in letters and link.index < len(letters[link.light]):
+                    letters[link.light][link.index] = _LETTER[state]
+        for light, shown in letters.items():
+            text = "".join(shown)
+            if self._shown.get(light) != text:
+                self._api.trafficlight.setRedYellowGreenState(light, text)
+                self._shown[light] = text
+
+
+class LiveSignals:
+    """Reads the states of SUMO's lights."""
+
+    def __init__(self, api: SumoApi, links: Mapping[str, tuple[SignalLink, ...]]) -> None:
+        self._api = api
+        self._links = links
+
+    def states(self) -> dict[str, SignalState]:
+        """The states now, by lane id; of several links of a lane the first counts."""
+        lights: dict[str, str] = {}
+        states = {}
+        for lane, links in self._links.items():
+            link = links[0]
+            if link.light not in lights:
+                lights[link.light] = self._api.trafficlight.getRedYellowGreenState(link.light)
+            states[lane] = _STATE[lights[link.light][link.index]]
+        return states

@@ -1,0 +1,112 @@
+"""What is used of TraCI, and how SUMO is started and always closed again.
+
+libsumo runs SUMO inside this process (one simulation a process); traci talks to a SUMO of its own,
+which is slower, and needed to look at sumo-gui. Both satisfy `SumoApi`.
+"""
+
+import os
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Literal, Protocol, cast
+
+from deepmf_sumo.errors import SimulationError
+
+Backend = Literal["libsumo", "traci", "gui"]
+
+STEP_OPTIONS = (
+    *("--step-length", "0.1"),
+    *("--collision.action", "none"),  # contacts are judged by boxes; SUMO must not move anybody
+    *("--no-step-log", "true"),
+    *("--duration-log.disable", "true"),
+    *("--no-warnings", "true"),
+    *("--xml-validation", "never"),
+)
+"""Options of every simulation."""
+
+
+class SumoApi(Protocol):
+    """The domains of TraCI that are used, under TraCI's own names.
+
+    Positions are front bumpers, angles degrees clockwise from north (`geometry.sumo_frame`). Most
+    calls on a vehicle that is not inserted yet end the process: ask ``vehicle.getIDList`` first.
+    """
+
+    vehicle: Any
+    person: Any
+    lane: Any
+    route: Any
+    simulation: Any
+    trafficlight: Any
+    vehicletype: Any
+    TraCIException: type[Exception]
+    FatalTraCIError: type[Exception]
+
+    def start(self, cmd: list[str]) -> Any:
+        """Start SUMO with a command line."""
+        ...
+
+    def simulationStep(self, time: float = 0.0) -> Any:  # noqa: N802
+        """One step, or all steps up to a time."""
+        ...
+
+    def close(self) -> None:
+        """End the simulation."""
+        ...
+
+
+@contextmanager
+def running(arguments: Sequence[str], backend: Backend = "libsumo") -> Iterator[SumoApi]:
+    """SUMO from start to end; what SUMO raises inside comes out as SimulationError."""
+    api = _api(backend)
+    refusals = (api.TraCIException, api.FatalTraCIError)
+    command = [_binary(backend), *arguments, *_window(backend)]
+    started = False
+    try:
+        api.start(command)
+        started = True
+        yield api
+    except refusals as error:
+        # repr() of libsumo's errors is the name of a wrapper object; str() is the message
+        reason = str(error).strip() if started else _why_not(arguments, str(error).strip())
+        raise SimulationError(f"SUMO refused: {reason}") from error
+    finally:
+        with suppress(*refusals):
+            api.close()
+
+
+def _why_not(arguments: Sequence[str], error: str) -> str:
+    """Why SUMO did not start: libsumo says `Process Error`, the program says more."""
+    program = [_binary("libsumo"), *arguments, "--end", "0", "--begin", "0"]
+    try:
+        run = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return error
+    lines = [line.removeprefix("Error: ") for line in run.stderr.splitlines()]
+    return " ".join(line for line in lines if not line.startswith("Quitting")) or error
+
+
+def _api(backend: Backend) -> SumoApi:
+    if backend == "libsumo":
+        import libsumo
+
+        return cast("SumoApi", libsumo)
+    import traci
+
+    return cast("SumoApi", traci)
+
+
+def _binary(backend: Backend) -> str:
+    import sumo
+
+    home = Path(sumo.SUMO_HOME)
+    os.environ.setdefault("SUMO_HOME", str(home))
+    name = "sumo-gui" if backend == "gui" else "sumo"
+    return str(home / "bin" / name)
+
+
+def _window(backend: Backend) -> tuple[str, ...]:
+    if backend != "gui":
+        return ()
+    return ("--start", "true", "--quit-on-end", "true", "--delay", "100")

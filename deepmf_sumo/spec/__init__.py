@@ -1,0 +1,32 @@
+"""Specs: what to run, in strict YAML.
+
+A wrong spec stops the run before it starts, in one line with file, line, key, value, rule and the
+nearest name. Paths are relative to the spec. `schema` describes specs to editors.
+"""
+
+from deepmf_sumo.spec.loading import VERSIONS, load
+from deepmf_sumo.spec.model import (
+    Av,
+    Bound,
+    Expect,
+    First,
+    FromNetwork,
+    FromRecording,
+    Plugin,
+    Spec,
+)
+from deepmf_sumo.spec.schema import schema
+
+__all__ = [
+    "VERSIONS",
+    "Av",
+    "Bound",
+    "Expect",
+    "First",
+    "FromNetwork",
+    "FromRecording",
+    "Plugin",
+    "Spec",
+    "load",
+    "schema",
+]

@@ -1,0 +1,125 @@
+"""Spec file -> `Spec`, or one line that says what is wrong and where."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ValidationError
+
+from deepmf_sumo import plugins
+from deepmf_sumo.errors import PluginError, SpecError
+from deepmf_sumo.spec.document import Document, KeyPath, read
+from deepmf_sumo.spec.model import Plugin, Spec, unknown_key
+
+VERSIONS: Final[dict[str, float | None]] = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
+"""The paper's versions of DeepMF: seconds between plans; G plans once."""
+
+
+def load(path: Path, sets: Sequence[str] = ()) -> Spec:
+    """The spec in a file, with ``key=value`` assignments over it (dotted keys, YAML values).
+
+    Raises SpecError for anything wrong: file, YAML, keys, types, values, plug-ins, their settings.
+    """
+    document = read(path)
+    _expand(document)
+    for assignment in sets:
+        document.assign(assignment)
+        _expand(document, override=True)
+    context = {"folder": str(path.parent)}
+    spec: Spec = _checked(Spec, document.values, (), document, context)
+    _check_plugin("planners", "planner", spec.planner, document)
+    _check_plugin("adversaries", "adversary", spec.adversary, document)
+    return spec
+
+
+def _expand(document: Document, *, override: bool = False) -> None:
+    """Write short forms out: ``planner: idm``, ``adversary: S1``, ``adversary: {version: S1}``."""
+    values = document.values
+    for key in ("planner", "adversary"):
+        if isinstance(values.get(key), str):
+            values[key] = {"name": values[key]}
+    adversary = values.get("adversary")
+    if not isinstance(adversary, dict):
+        return
+    key = "version" if "version" in adversary else "name"
+    version = adversary.get(key, "deepmf")
+    if isinstance(version, str) and version in VERSIONS:
+        if "period_s" in adversary and not override:
+            raise SpecError(
+                f"{document.place(('adversary', 'period_s'))}: key 'adversary.period_s': version"
+                f" {version} sets it already; leave one of them out."
+            )
+        adversary["period_s"] = VERSIONS[adversary.pop(key)]
+    elif key == "version":
+        raise SpecError(
+            f"{document.place(('adversary', key))}: key 'adversary.version': {version!r} must be"
+            f" one of {', '.join(VERSIONS)}."
+        )
+    adversary.setdefault("name", "deepmf")
+
+
+def _check_plugin(kind: plugins.Kind, key: str, choice: Plugin, document: Document) -> None:
+    place = f"{document.place((key, 'name'))}: key '{key}.name'"
+    try:
+        model = getattr(plugins.load(kind, choice.name), "Settings", None)
+    except PluginError as error:
+        raise SpecError(f"{place}: {error}") from None
+    if not (isinstance(model, type) and issubclass(model, BaseModel)):
+        raise SpecError(
+            f"{place}: {choice.name} has no class 'Settings'; derive one from"
+            " deepmf_sumo.plugins.Settings."
+        )
+    _checked(model, choice.settings, (key,), document)
+
+
+def _checked(
+    model: type[BaseModel],
+    values: dict[str, Any],
+    at: KeyPath,
+    document: Document,
+    context: dict[str, str] | None = None,
+) -> Any:
+    """``values`` as ``model``; they hang under the key path ``at`` of the document."""
+    try:
+        return model.model_validate(values, context=context)
+    except ValidationError as error:
+        first = error.errors()[0]
+    path = [*at, *_walk(values, first["loc"])]
+    named = first.get("ctx", {}).get("key")
+    rule = first["msg"]
+    if first["type"] == "extra_forbidden":
+        rule = unknown_key(str(path[-1]), model)
+    elif first["type"] == "missing":
+        path.append(first["loc"][-1])
+    elif named:
+        path.append(named)
+    elif first["input"] is not values:
+        rule = f"{_short(first['input'])}: {rule}{_yaml_trap(first)}"
+    key = ".".join(str(part) for part in path)
+    place = document.place(tuple(path))
+    raise SpecError(f"{place}: key '{key}': {rule.rstrip('.')}." if key else f"{place}: {rule}.")
+
+
+def _walk(values: Any, loc: Sequence[str | int]) -> Iterator[str | int]:
+    """The parts of pydantic's location that are keys of the document; its union tags are not."""
+    for part in loc:
+        known = part in values if isinstance(values, dict) else isinstance(values, list | tuple)
+        if known and (isinstance(values, dict) or isinstance(part, int)):
+            values = values[part]
+            yield part
+
+
+def _yaml_trap(problem: Any) -> str:
+    value = problem["input"]
+    if isinstance(value, bool) and "string" in problem["type"]:
+        return " (YAML reads yes, no, on and off as booleans: put it in quotes)"
+    if isinstance(value, str) and ("float" in problem["type"] or "int" in problem["type"]):
+        return " (text; YAML wants 1.0e-3 for 1e-3, and numbers without quotes)"
+    if isinstance(value, int | float) and "string" in problem["type"]:
+        return " (a number; put it in quotes)"
+    return ""
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

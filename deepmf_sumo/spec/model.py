@@ -1,0 +1,194 @@
+"""What a spec may hold, key by key."""
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+
+def unknown_key(key: str, model: type[BaseModel]) -> str:
+    """The rule that an unknown key breaks, with the nearest name."""
+    nearest = difflib.get_close_matches(key, list(model.model_fields), n=1)
+    hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+    return f"unknown key.{hint} Known: {', '.join(model.model_fields) or 'none'}"
+
+
+def _wrong(rule: str) -> PydanticCustomError:
+    return PydanticCustomError("rule", "{rule}", {"rule": rule})
+
+
+class _Strict(BaseModel):
+    """No unknown keys, no silent conversion of types, immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, values: Any) -> Any:
+        unknown = (
+            [key for key in values if key not in cls.model_fields]
+            if isinstance(values, dict)
+            else []
+        )
+        if unknown:
+            rule = unknown_key(str(unknown[0]), cls)
+            raise PydanticCustomError("unknown", "{rule}", {"rule": rule, "key": unknown[0]})
+        return values
+
+
+def _existing(value: Any, info: ValidationInfo) -> Path:
+    """An absolute path; relative ones start at the spec's folder."""
+    if not isinstance(value, str):
+        raise _wrong("must be a path in text")
+    path = Path((info.context or {}).get("folder", ".")) / Path(value).expanduser()
+    try:
+        found = path.exists()
+    except (OSError, ValueError):  # too long, or holding a null character
+        found = False
+    if not found:
+        raise _wrong(f"no such file or folder: {path}")
+    return path.resolve()
+
+
+ExistingPath = Annotated[Path, BeforeValidator(_existing), WithJsonSchema({"type": "string"})]
+
+
+class Av(_Strict):
+    """The automated vehicle: an id in SUMO's demand."""
+
+    vehicle: str = Field(min_length=1)
+
+
+class FromNetwork(_Strict):
+    """A SUMO configuration with demand, run by SUMO until ``start_s``."""
+
+    network: ExistingPath = Field(description="a .sumocfg")
+    start_s: float = Field(default=0.0, ge=0, description="seconds that SUMO drives alone")
+    av: Av
+
+
+class First(_Strict):
+    """The first scenes of a recording, in the recording's order."""
+
+    first: int = Field(ge=1)
+
+
+def _scenes_kind(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return "(ids)"
+    return "(first)" if isinstance(value, dict | First) else "(all)"
+
+
+Scenes = Annotated[
+    Annotated[Literal["all"], Tag("(all)")]
+    | Annotated[tuple[str, ...], Field(strict=False, min_length=1), Tag("(ids)")]
+    | Annotated[First, Tag("(first)")],
+    Discriminator(_scenes_kind),
+]
+
+
+class FromRecording(_Strict):
+    """A recorded file, or a folder of them; the format is found by the content."""
+
+    recording: ExistingPath
+    scenes: Scenes = "all"
+
+
+def _source_kind(value: Any) -> str | None:
+    """The union's tag. In brackets: pydantic puts tags between keys when it says where."""
+    if isinstance(value, FromNetwork | FromRecording):
+        return "(network)" if isinstance(value, FromNetwork) else "(recording)"
+    known = (name for name in ("network", "recording") if isinstance(value, dict) and name in value)
+    return next((f"({name})" for name in known), None)
+
+
+Source = Annotated[
+    Annotated[FromNetwork, Tag("(network)")] | Annotated[FromRecording, Tag("(recording)")],
+    Discriminator(
+        _source_kind,
+        custom_error_type="rule",
+        custom_error_message="must hold 'network' or 'recording'",
+    ),
+]
+
+
+class Plugin(BaseModel):
+    """A plug-in by name; all other keys are its settings."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+
+    name: str = Field(min_length=1)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings as written, without the plug-in's defaults."""
+        return dict(self.model_extra or {})
+
+
+class Bound(_Strict):
+    """A metric's value must lie in [min, max]; a metric without a value does not hold."""
+
+    min: float | None = None
+    max: float | None = None
+
+
+class Expect(_Strict):
+    """What must come true in every run of the spec; makes the spec a test."""
+
+    av_collision: bool | None = Field(default=None, description="the AV touches anybody")
+    outcome: Literal["av_opponent", "av_other", "opponent_other", "none"] | None = None
+    max_contact_speed_mps: float | None = Field(default=None, ge=0)
+    metrics: dict[str, Bound] = Field(default_factory=dict)
+
+
+def _weights(value: str, info: ValidationInfo) -> str:
+    """A name stays a name; whatever holds a slash is a folder, relative to the spec."""
+    return str(_existing(value, info)) if "/" in value else value
+
+
+class Spec(_Strict):
+    """One spec: a source of situations, the planner under test, and its adversary."""
+
+    version: Literal[1]
+    name: str = Field(min_length=1, max_length=200)
+    source: Source
+    duration_s: float = Field(default=8.0, ge=0.1, le=3600)
+    traffic: Literal["log", "sumo"] = Field(description="who drives the others")
+    planner: Plugin = Plugin(name="idm")
+    adversary: Plugin = Plugin(name="deepmf")
+    weights: Annotated[str, AfterValidator(_weights)] = "open"
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    expect: Expect = Expect()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_traffic(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "traffic" not in values:
+            kind = _source_kind(values.get("source"))
+            return {**values, "traffic": "log" if kind == "(recording)" else "sumo"}
+        return values
+
+    @model_validator(mode="after")
+    def _only_recordings_have_a_log(self) -> "Spec":
+        if self.traffic == "log" and isinstance(self.source, FromNetwork):
+            raise PydanticCustomError(
+                "rule", "log is for recordings; a network has traffic: sumo", {"key": "traffic"}
+            )
+        return self
+
+    def resolved(self) -> dict[str, Any]:
+        """Plain values with absolute paths, as they are written to a result folder."""
+        return self.model_dump(mode="json")

@@ -1,0 +1,56 @@
+"""Writing a set of weights: tensors and a card for each network, and a page to read."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import save
+from torch import nn
+
+import deepmf_sumo
+from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, Network, read_card
+
+
+def write(folder: Path, network: Network, net: nn.Module, card: dict[str, Any]) -> None:
+    """Put a network into the folder; what was there of that name is replaced."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tensors = {name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()}
+    _replace(folder / f"{network}.safetensors", save(tensors))
+    write_card(folder, network, card)
+
+
+def write_card(folder: Path, network: Network, card: dict[str, Any]) -> None:
+    """Replace a network's card, and the page made of all cards."""
+    full = {"format_version": FORMAT_VERSION, "deepmf_sumo": deepmf_sumo.__version__, **card}
+    _replace(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
+    _replace(folder / "card.md", _page(folder).encode())
+
+
+def add_results(folder: Path, results: dict[str, Any]) -> None:
+    """Put the results of an evaluation into the cards of the networks that they are about."""
+    for network in NETWORKS:
+        if network in results:
+            card = read_card(folder, network)
+            card["results"] = {"data": results["data"], **results[network]}
+            write_card(folder, network, card)
+
+
+def _replace(file: Path, content: bytes) -> None:
+    beside = file.with_name(f"{file.name}.{os.getpid()}")
+    beside.write_bytes(content)
+    beside.replace(file)
+
+
+def _page(folder: Path) -> str:
+    lines = [f"# Weights '{folder.name}'", ""]
+    for network in NETWORKS:
+        if not (folder / f"{network}.json").is_file():
+            continue
+        card = read_card(folder, network)
+        lines += [f"## {network}", ""]
+        for key, value in card.items():
+            text = json.dumps(value) if isinstance(value, dict | list) else str(value)
+            lines.append(f"- {key}: {text}")
+        lines.append("")
+    return "\n".join(lines)

@@ -1,0 +1,158 @@
+"""Scene -> what a predictor would have seen at a step, and what happened then."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import (
+    FUTURE_STEPS,
+    HISTORY_STEPS,
+    AgentId,
+    Bools,
+    Floats,
+    Scene,
+    Tracks,
+    View,
+)
+from deepmf_sumo.geometry import angles, frames
+
+MIN_FUTURE_STEPS: Final = 30
+"""A target is known for at least 3 s."""
+MIN_DISTANCE_M: Final = 2.0
+"""Who moves less is no target, the AV and labelled agents excepted."""
+_MAX_STEP_M: Final = 12.0
+"""Tracks that jump farther in 0.1 s are the tracker's mistakes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Future:
+    """What an agent did after the view, in the scene's frame.
+
+    Attributes:
+        position_m: (80, 2). heading_rad: (80). valid: (80).
+    """
+
+    agent_id: AgentId
+    position_m: Floats
+    heading_rad: Floats
+    valid: Bools
+
+
+def view_at(scene: Scene, step: int) -> View:
+    """The view at a step of a recording, with the agents that are there."""
+    window = scene.tracks.window(step - HISTORY_STEPS + 1, step + 1)
+    rows = np.flatnonzero(window.valid[:, -1]).tolist()
+    return View(
+        step=step,
+        dt_s=scene.dt_s,
+        av_id=scene.av_id,
+        history=window.select(rows),
+        road=scene.road,
+        signals=scene.signals.at(step),
+        steps_left=scene.tracks.steps - 1 - step,
+    )
+
+
+def future_of(scene: Scene, agent_id: AgentId, step: int) -> Future:
+    """The 80 steps after ``step``; invalid where the recording has ended."""
+    tracks, row = scene.tracks, scene.tracks.row(agent_id)
+    position, heading = np.zeros((FUTURE_STEPS, 2)), np.zeros(FUTURE_STEPS)
+    valid = np.zeros(FUTURE_STEPS, bool)
+    stop = min(step + 1 + FUTURE_STEPS, tracks.steps)
+    count = stop - step - 1
+    position[:count] = tracks.position_m[row, step + 1 : stop]
+    heading[:count] = tracks.heading_rad[row, step + 1 : stop]
+    valid[:count] = tracks.valid[row, step + 1 : stop]
+    return Future(agent_id=agent_id, position_m=position, heading_rad=heading, valid=valid)
+
+
+def targets(scene: Scene, step: int) -> Iterator[Future]:
+    """Vehicles to learn from at a step: known for 3 s, moving, the AV and labelled ones always."""
+    tracks = scene.tracks
+    labelled = {scene.av_id, *scene.interest}
+    for row, agent_id in enumerate(tracks.ids):
+        if tracks.kinds[row] != "vehicle" or not tracks.valid[row, step]:
+            continue
+        future = future_of(scene, agent_id, step)
+        known = np.flatnonzero(future.valid)
+        if len(known) < MIN_FUTURE_STEPS or known[-1] < MIN_FUTURE_STEPS - 1:
+            continue
+        if _jumps(tracks, row):
+            continue
+        away = future.position_m[known[-1]] - tracks.position_m[row, step]
+        if agent_id in labelled or np.hypot(*away) > MIN_DISTANCE_M:
+            yield future
+
+
+def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
+    """Whose future matters most for the agent's: the labelled partner, else the closest approach.
+
+    The approach of two futures is the least of distance plus 2 m per second of time between them.
+    """
+    if agent_id in scene.interest and step == scene.now:
+        other = [each for each in scene.interest if each != agent_id]
+        if other and _known(scene, other[0], step):
+            return _filled(scene, future_of(scene, other[0], step), step)
+    own = _filled(scene, future_of(scene, agent_id, step), step).position_m[4::5]
+    best, best_cost = None, 30.0
+    times = np.arange(len(own)) * 0.5
+    late = 2.0 * np.abs(times[:, None] - times)
+    for row, other_id in enumerate(scene.tracks.ids):
+        if other_id == agent_id or scene.tracks.kinds[row] != "vehicle":
+            continue
+        if not _known(scene, other_id, step) or _jumps(scene.tracks, row):
+            continue
+        future = _filled(scene, future_of(scene, other_id, step), step)
+        if np.hypot(*(future.position_m[-1] - future.position_m[0])) < MIN_DISTANCE_M:
+            continue
+        apart = np.linalg.norm(own[:, None] - future.position_m[4::5], axis=-1) + late
+        if apart.min() < best_cost:
+            best, best_cost = future, float(apart.min())
+    return best
+
+
+def local_future(view: View, agent_id: AgentId, future: Future) -> Floats:
+    """(80, 3) x, y, heading of a future in the frame of ``agent_id`` at the view."""
+    row = view.history.row(agent_id)
+    origin, heading = view.history.position_m[row, -1], float(view.history.heading_rad[row, -1])
+    local = frames.to_local(future.position_m, origin, heading)
+    turn = angles.wrap(future.heading_rad - heading)
+    return np.concatenate([local, turn[:, None]], axis=1)
+
+
+def _known(scene: Scene, agent_id: AgentId, step: int) -> bool:
+    row = scene.tracks.row(agent_id)
+    valid = scene.tracks.valid[row]
+    return bool(valid[step] and valid[step + 1 :].sum() >= MIN_FUTURE_STEPS)
+
+
+def _filled(scene: Scene, future: Future, step: int) -> Future:
+    """Gaps filled by interpolation, the end by constant velocity: a given future is complete."""
+    row = scene.tracks.row(future.agent_id)
+    known = np.flatnonzero(future.valid)
+    if len(known) == FUTURE_STEPS or len(known) == 0:
+        return future
+    steps = np.arange(FUTURE_STEPS)
+    position = np.stack(
+        [np.interp(steps, known, future.position_m[known, axis]) for axis in (0, 1)], axis=1
+    )
+    heading = np.interp(steps, known, np.unwrap(future.heading_rad[known]))
+    last = int(known[-1])
+    velocity = scene.tracks.velocity_mps[row, step + 1 + last]
+    position[last:] += (steps[last:] - last)[:, None] * scene.dt_s * velocity
+    valid = np.ones(FUTURE_STEPS, bool)
+    return Future(
+        agent_id=future.agent_id,
+        position_m=position,
+        heading_rad=angles.wrap(heading),
+        valid=valid,
+    )
+
+
+def _jumps(tracks: Tracks, row: int) -> bool:
+    valid = tracks.valid[row]
+    both = valid[1:] & valid[:-1]
+    step = np.diff(tracks.position_m[row], axis=0)[both]
+    return bool(len(step) and np.hypot(step[:, 0], step[:, 1]).max() > _MAX_STEP_M)

@@ -1,0 +1,153 @@
+import numpy as np
+import pytest
+import scipy.spatial.distance
+import scipy.stats
+from predictor_doubles import Doubles, view_of
+from rollout_doubles import case_of, contact_of, rollout_of, straight
+
+from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import Plan
+from deepmf_sumo.metrics.episode import distributions, motion, paths
+from deepmf_sumo.policies import deepmf
+
+AV = straight(0, 0, 10)
+
+
+def measured(name, rollout, case=None):
+    return plugins.load("metrics", name).measure(rollout, case or case_of())
+
+
+def with_opponent(path):
+    return rollout_of({"av": AV, "b": path})
+
+
+def test_accelerations_along_and_across():
+    seconds = np.arange(40) * 0.1
+    radius, speed = 20.0, 8.0
+    angle = speed * seconds / radius
+    circle = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+    along, across = motion.accelerations(circle, angle + np.pi / 2, 0.1)
+    assert len(along) == 36
+    np.testing.assert_allclose(across, speed**2 / radius, rtol=0.01)
+    np.testing.assert_allclose(along, 0, atol=1e-6)
+    line = straight(0, 0, 5, steps=30, accel=2.0, now=0)
+    along, across = motion.accelerations(line[:, :2], line[:, 2], 0.1)
+    np.testing.assert_allclose(along, 2.0, atol=1e-9)
+    np.testing.assert_allclose(across, 0.0, atol=1e-9)
+    assert len(motion.accelerations(line[:4, :2], line[:4, 2], 0.1).along) == 0
+
+
+def test_runs():
+    mask = np.array([1, 0, 1, 1, 0, 0, 1], bool)
+    assert motion.runs(mask) == [slice(0, 1), slice(2, 4), slice(6, 7)]
+    assert motion.runs(np.zeros(3, bool)) == []
+
+
+@pytest.mark.parametrize(("accel", "expected"), [(0.0, 1.0), (7.5, 1.0), (8.5, 0.0), (-8.5, 0.0)])
+def test_feasible_along(accel, expected):
+    path = straight(-8, 3.5, 80, accel=accel)
+    assert measured("feasible", with_opponent(path)).value == expected
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(9.5, 1.0), (10.5, 0.0)])
+def test_feasible_across(speed, expected):
+    angle = speed * (np.arange(91) - 10) * 0.1 / 20.0  # 5 m/s2 at 10 m/s
+    circle = 20 * np.stack([np.cos(angle), np.sin(angle)], -1)
+    path = np.concatenate([circle, (angle + np.pi / 2)[:, None]], axis=1)
+    assert measured("feasible", with_opponent(path)).value == expected
+
+
+def test_a_jump_to_the_first_pose_is_not_feasible():
+    path = straight(-8, 3.5, 12)
+    path[11:, 1] += 0.4
+    assert measured("feasible", with_opponent(path)).value == 0.0
+
+
+def test_rms_acceleration():
+    slowing = straight(-8, 3.5, 40, accel=-1.5)
+    value = measured("opponent_rms_acceleration", with_opponent(slowing)).value
+    assert value == pytest.approx(1.5, abs=0.01)
+
+
+def test_hardest_braking_of_the_av():
+    path = straight(0, 0, 10)
+    seconds = np.clip((np.arange(91) - 30) * 0.1, 0, 1.0)
+    path[:, 0] -= 3.0 * seconds**2  # 6 m/s2 for a second, then constant speed again
+    path[41:, 0] -= 6.0 * (np.arange(41, 91) - 40) * 0.1
+    rollout = rollout_of({"av": path, "b": straight(-8, 3.5, 12)})
+    assert measured("planner_hardest_braking", rollout).value == pytest.approx(6.0, abs=0.01)
+    assert measured("planner_hardest_braking", with_opponent(AV)).value == pytest.approx(0.0)
+
+
+def test_distance_to_the_recording():
+    away = straight(0, 0, 10)
+    away[11:, 1] = 2.0
+    rollout = rollout_of({"av": away, "b": straight(-8, 3.5, 12)})
+    assert measured("av_ade", rollout).value == pytest.approx(2.0)
+    shorter = rollout_of({"av": away[:31], "b": straight(-8, 3.5, 12)[:31]})
+    assert measured("av_ade", shorter).value == pytest.approx(2.0)
+
+
+def test_paths_of_plan_and_recording():
+    beside = straight(-8, 3.5, 12)
+    beside[:, 1] += 1.0
+    rollout = with_opponent(beside)
+    assert measured("path_sspd", rollout).value == pytest.approx(1.0, abs=0.02)
+    assert measured("path_hausdorff", rollout).value == pytest.approx(1.0, abs=0.02)
+    assert measured("acceleration_wasserstein", rollout).value == pytest.approx(0.0, abs=1e-6)
+    assert measured("acceleration_kl", rollout).value == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_last_plan_completes_a_path_cut_off_by_the_contact():
+    whole = straight(-8, 3.5, 12)
+    plan = Plan(
+        agent_id="b",
+        first_step=11,
+        position_m=whole[11:, :2],
+        heading_rad=whole[11:, 2],
+        speed_mps=np.full(80, 12.0),
+    )
+    cut = {"av": AV[:31], "b": whole[:31]}
+    rollout = rollout_of(cut, contacts=[contact_of(step=30)], plans=[plan])
+    assert measured("path_hausdorff", rollout).value == pytest.approx(0.0, abs=1e-9)
+    alone = rollout_of(cut, contacts=[contact_of(step=30)])
+    assert measured("path_hausdorff", alone).value == pytest.approx(72.0, abs=0.1)
+
+
+def test_hausdorff_against_scipy_on_dense_points():
+    rng = np.random.default_rng(3)
+    a, b = (rng.normal(size=(400, 2)).cumsum(0) * 0.02 for _ in range(2))
+    both = [scipy.spatial.distance.directed_hausdorff(*pair)[0] for pair in ((a, b), (b, a))]
+    assert paths.hausdorff(a, b) == pytest.approx(max(both), abs=0.05)
+    assert paths.symmetric_mean(a, b) <= paths.hausdorff(a, b)
+
+
+def test_distributions():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=300), rng.normal(1.0, 2.0, size=500)
+    expected = scipy.stats.wasserstein_distance(a, b)
+    assert distributions.wasserstein(a, b) == pytest.approx(expected, rel=0.02)
+    # All mass in one bin against half in it and half in another: log 2.
+    kl = distributions.divergence(np.full(10, 0.5), np.repeat([0.5, 3.5], 5))
+    assert kl == pytest.approx(np.log(2), abs=1e-6)
+    np.testing.assert_allclose(
+        distributions.speed_changes(straight(0, 0, 5, accel=2.0, now=0)[:, :2], 0.1), 2.0, atol=1e-6
+    )
+
+
+def test_metrics_of_plans():
+    view = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
+    policy = deepmf.build(deepmf.Settings(), Doubles())
+    policy.reset(view, np.random.default_rng(0))
+    plans = [
+        policy.plan(view),
+        policy.plan(view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}, steps_left=5)),
+    ]
+    rollout = rollout_of({"av": AV, "b": straight(-8, 3.5, 12)}, plans=plans)
+    assert measured("colliding_plans", rollout).value == 0.5
+    shares = [plan.reason.candidates.probability for plan in plans]
+    expected = np.mean([np.exp(scipy.stats.entropy(share)) for share in shares])
+    assert measured("candidate_perplexity", rollout).value == pytest.approx(expected)
+    assert (
+        "does not say" in measured("colliding_plans", with_opponent(straight(-8, 3.5, 12))).reason
+    )

@@ -1,0 +1,101 @@
+import gzip
+
+import numpy as np
+import pytest
+from predictor_doubles import view_of
+
+from deepmf_sumo import plugins
+from deepmf_sumo.errors import PluginError, RunError
+from deepmf_sumo.policies import trajectory
+
+VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
+RNG = np.random.default_rng(0)
+
+
+def build(**values):
+    return trajectory.build(plugins.settings("policies", "trajectory", values))
+
+
+def poses(count=30):
+    along = -8 + 1.2 * np.arange(1, count + 1)
+    return np.stack([along, np.full(count, 3.5), np.zeros(count)], -1)
+
+
+def test_poses_are_driven_from_the_next_step():
+    policy = build(agent="b", poses=poses().tolist())
+    assert policy.reset(VIEW, RNG) == "b"
+    assert policy.period_steps is None
+    plan = policy.plan(VIEW)
+    assert (plan.first_step, len(plan.position_m)) == (11, 30)
+    np.testing.assert_allclose(plan.position_m, poses()[:, :2])
+    np.testing.assert_allclose(plan.speed_mps, 12.0)
+
+
+def test_a_result_table_is_a_trajectory(tmp_path):
+    file = tmp_path / "tracks.csv.gz"
+    lines = ["step,time_s,id,x_m,y_m,heading_rad,speed_mps"]
+    for step in range(5, 40):
+        lines += [f"{step},0,av,0,0,0,0", f"{step},0,b,{step},1.5,0.25,10"]
+    file.write_bytes(gzip.compress("\n".join(lines).encode()))
+    plan = build(agent="b", file=str(file)).plan(VIEW)
+    assert (plan.first_step, len(plan.position_m)) == (11, 29)
+    np.testing.assert_allclose(plan.position_m[0], [11, 1.5])
+    np.testing.assert_allclose(plan.heading_rad, 0.25)
+
+
+def test_npz(tmp_path):
+    file = tmp_path / "plan.npz"
+    np.savez(file, step=np.arange(11, 41), position_m=poses()[:, :2], heading_rad=poses()[:, 2])
+    np.testing.assert_allclose(
+        build(agent="b", file=str(file)).plan(VIEW).position_m, poses()[:, :2]
+    )
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"agent": "b"},
+        {"agent": "b", "poses": [[1.0, 2.0]]},
+        {"agent": "b", "poses": []},
+        {"agent": "b", "poses": [[1.0, 2.0, 3.0]], "file": "x.csv"},
+        {"agent": "b", "file": "x.csv", "first_step": 3},
+    ],
+)
+def test_wrong_settings_are_refused(values):
+    with pytest.raises(PluginError):
+        build(**values)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("a.csv", b"step,x_m,y_m\n1,2,3\n", "heading_rad"),
+        ("b.csv", b"step,x_m,y_m,heading_rad\n11,2,3,0\n13,2,3,0\n", "gaps"),
+        ("c.csv", b"step,x_m,y_m,heading_rad\n11,2,three,0\n", "three"),
+        ("d.csv", b"step,x_m,y_m,heading_rad\n11,nan,3,0\n", "finite"),
+        ("e.csv", b"step,x_m,y_m,heading_rad,id\n11,2,3,0,c\n", "agent 'b'"),
+        ("f.csv.gz", b"no gzip", "f.csv.gz"),
+        ("g.npz", b"no zip", "g.npz"),
+    ],
+)
+def test_files_that_cannot_be_used(tmp_path, name, content, problem):
+    file = tmp_path / name
+    file.write_bytes(content)
+    with pytest.raises(PluginError, match=problem):
+        build(agent="b", file=str(file))
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(PluginError, match="missing"):
+        build(agent="b", file=str(tmp_path / "missing.csv"))
+
+
+def test_who_or_when_that_does_not_fit():
+    with pytest.raises(RunError, match="'c'"):
+        build(agent="c", poses=poses().tolist()).reset(VIEW, RNG)
+    for first in (12, 500):
+        with pytest.raises(RunError, match="step 11"):
+            build(agent="b", poses=poses().tolist(), first_step=first).plan(VIEW)
+    with pytest.raises(RunError, match="step 11"):
+        build(agent="b", poses=poses(3).tolist(), first_step=2).plan(VIEW)

@@ -1,0 +1,154 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import scene, view
+
+from deepmf_sumo.datatypes import Futures
+from deepmf_sumo.predictors import completion, condition, raster, weights
+from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.presets import LIGHT, PAPER
+from deepmf_sumo.predictors.road_index import ROAD_CHANNELS, road_index
+
+
+@pytest.fixture(scope="module")
+def predictors():
+    return weights.random(LIGHT, 0)
+
+
+def southern(shift=0.0):
+    """The partner's future, in one or more variants."""
+    tracks = scene().tracks
+    row = tracks.row("south")
+    position = tracks.position_m[row, 11:91] + [0.0, shift]
+    return Futures(
+        agent_id="south",
+        position_m=position[None],
+        heading_rad=tracks.heading_rad[row, 11:91][None],
+    )
+
+
+def test_forecasts_have_the_promised_form(predictors):
+    found = predictors.marginal.predict(view(), ["av", "south"], 32)
+    assert [each.futures.agent_id for each in found] == ["av", "south"]
+    for each in found:
+        assert each.futures.position_m.shape == (32, 80, 2)
+        assert each.futures.heading_rad.shape == (32, 80)
+        assert each.probability.sum() == pytest.approx(1.0)
+        assert (np.diff(each.probability) <= 1e-12).all()
+
+
+def test_futures_begin_at_the_pose_and_are_smooth(predictors):
+    futures = predictors.marginal.predict(view(), ["av"], 16)[0].futures
+    first = futures.position_m[:, 0] - [-50.0, 0.0]
+    assert np.abs(first - [1.0, 0.0]).max() < 0.5
+    step = np.linalg.norm(np.diff(futures.position_m, axis=1), axis=-1)
+    assert np.abs(np.diff(step, axis=1)).max() < 0.3
+    assert np.abs(futures.heading_rad[:, 0]).max() < 0.3
+
+
+def test_forecasts_turn_with_the_scene(predictors):
+    plain = predictors.marginal.predict(view(), ["av"], 6)[0].futures.position_m
+    turned = predictors.marginal.predict(view(scene(turn=0.7)), ["av"], 6)[0].futures.position_m
+    rotation = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
+    assert turned == pytest.approx(plain @ rotation, abs=0.05)
+
+
+def test_prediction_is_repeatable(predictors):
+    first, second = (predictors.marginal.predict(view(), ["av"], 6)[0] for _ in range(2))
+    assert np.array_equal(first.futures.position_m, second.futures.position_m)
+    assert np.array_equal(first.probability, second.probability)
+
+
+def test_density_is_higher_near_the_modes(predictors):
+    modes = predictors.marginal.predict(view(), ["av"], 6)[0].futures.position_m
+    density = predictors.marginal.log_density(view(), "av", np.concatenate([modes, modes + 40.0]))
+    assert density.shape == (12,)
+    assert density[:6].min() > density[6:].max()
+
+
+def test_one_forecast_per_given_future(predictors):
+    given = southern()
+    many = Futures(
+        agent_id="south",
+        position_m=np.repeat(given.position_m, 3, 0) + np.arange(3)[:, None, None],
+        heading_rad=np.repeat(given.heading_rad, 3, 0),
+    )
+    found = predictors.conditional.react(view(), "av", many, 6)
+    assert len(found) == 3
+    alone = predictors.conditional.react(view(), "av", given, 6)[0]
+    assert alone.futures.position_m == pytest.approx(found[0].futures.position_m, abs=1e-3)
+    assert alone.probability == pytest.approx(found[0].probability, abs=1e-4)
+
+
+@pytest.mark.parametrize("path", ["tokens", "image", "position_m"])
+def test_the_given_future_acts_through_each_path_alone(predictors, path):
+    net = predictors.conditional.net
+    arrays, _ = features(view(), "av", LIGHT)
+    pose = completion.pose_of(view(), "av")
+
+    def encoded(futures):
+        position, heading = completion.to_pose(pose, futures)
+        return condition.encode(position, heading, torch.ones(1, 1), LIGHT)
+
+    with torch.inference_mode():
+        base = encoded(southern())
+        other = encoded(southern(-25.0))
+        mixed = replace(base, **{path: getattr(other, path)})
+        plain = net(completion.as_batch(arrays), base).logits
+        changed = net(completion.as_batch(arrays), mixed).logits
+    there = torch.isfinite(plain)
+    assert (plain[there] - changed[there]).abs().max() > 1e-5
+
+
+def test_without_a_condition_the_conditional_is_marginal(predictors):
+    arrays, _ = features(view(), "av", LIGHT)
+    pose = completion.pose_of(view(), "av")
+    net = predictors.conditional.net
+    with torch.inference_mode():
+        position, heading = completion.to_pose(pose, southern())
+        off = condition.encode(position, heading, torch.zeros(1, 1), LIGHT)
+        dropped = net(completion.as_batch(arrays), off).logits
+        none = net(completion.as_batch(arrays)).logits
+    assert torch.equal(dropped, none)
+
+
+def test_candidates_are_vehicles_near_by_that_are_not_parked(predictors):
+    found = predictors.opponent.score(view())
+    assert found.ids == ("south",)  # waiting and far are beyond 80 m
+    near = predictors.opponent.score(view(scene(av_speed=10.0), step=60))
+    assert set(near.ids) == {"south", "waiting"}
+    assert len(near.logits) == len(near.partner_logits) == 2
+
+
+def test_there_may_be_nobody_to_attack(predictors):
+    alone = view()
+    alone = replace(alone, history=alone.history.select([0]))
+    assert predictors.opponent.score(alone).ids == ()
+    assert predictors.marginal.predict(alone, ["av"], 6)[0].probability.sum() == pytest.approx(1.0)
+
+
+def test_an_agent_that_is_not_there_is_an_error(predictors):
+    with pytest.raises(KeyError, match="nobody"):
+        predictors.marginal.predict(view(), ["nobody"], 6)
+
+
+def test_the_image_shows_what_is_where():
+    seen = view()
+    image = raster.draw(seen, road_index(seen.road), 0, LIGHT, np.array([-50.0, 0.0]), 0.0)
+    assert image.shape == (20, 56, 56)
+    assert image[1, 14, 28] == 1  # the target, now, at a quarter of the height
+    street = 8 + ROAD_CHANNELS.index("street")
+    assert image[street, 14:40, 28].all()
+    bits = torch.from_numpy(raster.pack(image))[None]
+    assert np.array_equal(raster.unpack(bits, LIGHT)[0].numpy(), image)
+
+
+def test_paper_preset_has_the_published_sizes():
+    net = weights.build("conditional", PAPER)
+    assert PAPER.raster_channels == 60
+    assert net.image.blocks[0][0].weight.shape == (64, 140, 3, 3)
+    kernels = [m for m in net.image.modules() if isinstance(m, torch.nn.Conv2d)]
+    assert len(kernels) == 13
+    assert sum(k.weight.numel() for k in kernels) == pytest.approx(14.8e6, rel=0.01)

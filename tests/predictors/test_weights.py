@@ -1,0 +1,75 @@
+import pytest
+from synthetic import view
+
+from deepmf_sumo.errors import WeightsError
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.training import cards
+
+
+@pytest.fixture
+def folder(tmp_path):
+    made = weights.random(LIGHT, 1)
+    for network in weights.NETWORKS:
+        net = getattr(made, network).net
+        card = {"preset": "light", "temperature": 1.3, "partner_temperature": 1.1}
+        cards.write(tmp_path / "mine", network, net, card)
+    return tmp_path / "mine"
+
+
+def test_what_is_written_is_loaded(folder):
+    found = weights.load(folder)
+    made = weights.random(LIGHT, 1)
+    ends = view().history.position_m[:, -1]
+    one, other = (each.marginal.end_density(view(), "av", ends, 2.0) for each in (found, made))
+    assert one == pytest.approx(other)
+    assert found.marginal.temperature == 1.3
+    assert "## conditional" in (folder / "card.md").read_text(encoding="utf-8")
+
+
+def test_a_name_is_found_in_the_home(folder, monkeypatch):
+    monkeypatch.setenv("DEEPMF_SUMO_HOME", str(folder.parent.parent))
+    folder.parent.rename(folder.parent.parent / "weights")
+    try:
+        assert weights.find("mine").name == "mine"
+    finally:
+        (folder.parent.parent / "weights").rename(folder.parent)
+
+
+def test_unknown_name_lists_the_places(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(WeightsError, match=r"no weights 'nothing'.*train all"):
+        weights.load("nothing")
+
+
+@pytest.mark.parametrize("network", weights.NETWORKS)
+@pytest.mark.parametrize("suffix", ["safetensors", "json"])
+def test_a_missing_file_is_named(folder, network, suffix):
+    (folder / f"{network}.{suffix}").unlink()
+    with pytest.raises(WeightsError, match=rf"{network}\.{suffix} is missing; make it with"):
+        weights.load(folder)
+
+
+def test_a_damaged_file_is_named(folder):
+    file = folder / "marginal.safetensors"
+    file.write_bytes(file.read_bytes()[:5000])
+    with pytest.raises(WeightsError, match=r"marginal\.safetensors is damaged"):
+        weights.load(folder)
+
+
+def test_tensors_of_another_network_are_refused(folder):
+    (folder / "marginal.safetensors").write_bytes((folder / "opponent.safetensors").read_bytes())
+    with pytest.raises(WeightsError, match="does not fit the marginal network"):
+        weights.load(folder)
+
+
+def test_a_card_that_is_no_json_is_named(folder):
+    (folder / "opponent.json").write_text("{", encoding="utf-8")
+    with pytest.raises(WeightsError, match=r"opponent\.json is not a card"):
+        weights.load(folder)
+
+
+def test_a_card_of_another_version_is_refused(folder):
+    (folder / "opponent.json").write_text('{"format_version": 99}', encoding="utf-8")
+    with pytest.raises(WeightsError, match="format_version 99, not 1"):
+        weights.load(folder)

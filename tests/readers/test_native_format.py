@@ -1,0 +1,129 @@
+import dataclasses
+import zipfile
+
+import numpy as np
+import pytest
+import recordings_by_hand as by_hand
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from deepmf_sumo.datatypes import RoadMap, Scene
+from deepmf_sumo.readers import Refusal, npz, womd
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    file = tmp_path_factory.mktemp("native") / "one.tfrecord"
+    (scene,) = womd.scenes(by_hand.shard(file, by_hand.scenario()))
+    return dataclasses.replace(scene, repairs=("Something was mended.",))
+
+
+def assert_same(one, other, where="scene"):
+    assert type(one) is type(other), where
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            name = field.name
+            assert_same(getattr(one, name), getattr(other, name), f"{where}.{name}")
+    elif isinstance(one, dict):
+        assert list(one) == list(other), where
+        for key in one:
+            assert_same(one[key], other[key], f"{where}[{key}]")
+    elif isinstance(one, tuple):
+        assert len(one) == len(other), where
+        for index, pair in enumerate(zip(one, other, strict=True)):
+            assert_same(*pair, f"{where}[{index}]")
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype, where
+        assert np.array_equal(one, other), where
+        assert not other.flags.writeable, where
+    else:
+        assert one == other, where
+
+
+def test_nothing_is_lost(scene, tmp_path):
+    file = tmp_path / "scene.npz"
+    npz.write(scene, file)
+    assert npz.accepts(file)
+    (back,) = npz.scenes(file)
+    assert_same(scene, back)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.npz"]
+
+
+def test_the_same_scene_is_the_same_file(scene, tmp_path):
+    npz.write(scene, tmp_path / "a.npz")
+    npz.write(scene, tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+@given(
+    width=st.none() | st.floats(0.1, 10),
+    limit=st.none() | st.floats(0.1, 50),
+    name=st.text(min_size=1).filter(lambda text: text.isprintable()),
+    interest=st.lists(st.sampled_from(["7", "9"]), unique=True),
+)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_value_comes_back(scene, tmp_path, width, limit, name, interest):
+    lane = dataclasses.replace(scene.road.lanes["100"], width_m=width, speed_limit_mps=limit)
+    road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})
+    changed = dataclasses.replace(scene, name=name, interest=tuple(interest), road=road)
+    npz.write(changed, tmp_path / "scene.npz")
+    (back,) = npz.scenes(tmp_path / "scene.npz")
+    assert_same(changed, back)
+
+
+def test_another_version_is_refused(scene, tmp_path):
+    file = tmp_path / "scene.npz"
+    npz.write(scene, file)
+    with np.load(file) as content:
+        arrays = dict(content)
+    np.savez(file, **(arrays | {"format_version": np.array(99)}))
+    (refusal,) = npz.scenes(file)
+    assert "format version 99" in refusal.reason
+
+
+def test_a_scene_without_lanes_is_refused(scene, tmp_path):
+    file = tmp_path / "scene.npz"
+    npz.write(dataclasses.replace(scene, road=RoadMap(lanes={})), file)
+    (refusal,) = npz.scenes(file)
+    assert "no lanes" in refusal.reason
+
+
+def test_pickled_objects_are_refused(scene, tmp_path):
+    file = tmp_path / "scene.npz"
+    npz.write(scene, file)
+    with np.load(file) as content:
+        arrays = dict(content)
+    np.savez(file, **(arrays | {"description": np.array([{}], dtype=object)}))
+    (refusal,) = npz.scenes(file)
+    assert isinstance(refusal, Refusal)
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_damage_gives_the_scene_or_a_refusal(scene, data, tmp_path_factory):
+    file = tmp_path_factory.getbasetemp() / "damaged.npz"
+    npz.write(scene, file)
+    content = bytearray(file.read_bytes())
+    if data.draw(st.booleans()):
+        del content[data.draw(st.integers(0, len(content) - 1)) :]
+    else:
+        for _ in range(data.draw(st.integers(1, 3))):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    file.write_bytes(content)
+    if npz.accepts(file):
+        (found,) = npz.scenes(file)
+        assert isinstance(found, Scene | Refusal)
+
+
+def test_a_zip_bomb_is_refused_unread(scene, tmp_path, monkeypatch):
+    file = tmp_path / "scene.npz"
+    npz.write(scene, file)
+    monkeypatch.setattr(npz, "LARGEST_FILE", 1000)
+    (refusal,) = npz.scenes(file)
+    assert "more than a scene can have" in refusal.reason
+
+
+def test_another_zip_is_not_accepted(tmp_path):
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
+        archive.writestr("a.txt", "text")
+    assert not npz.accepts(tmp_path / "other.zip")

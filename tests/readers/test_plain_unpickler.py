@@ -1,0 +1,123 @@
+import collections
+import io
+import os
+import pickle
+import sys
+import types
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepmf_sumo.readers.pickles import ForbiddenClassError, load_plain
+
+ARRAYS = [
+    np.arange(5.0),
+    np.arange(6, dtype="float32").reshape(2, 3).T,
+    np.zeros((0, 3)),
+    np.array([True, False]),
+    np.array(["a", None], dtype=object),
+    np.array(["text", "longer text"]),
+    np.float32(3.5),
+    np.bool_(True),
+    np.int64(-7),
+]
+
+
+@pytest.mark.parametrize("protocol", range(6))
+@pytest.mark.parametrize("value", ARRAYS, ids=repr)
+def test_arrays_and_scalars_come_back(value, protocol):
+    back = load_plain(pickle.dumps(value, protocol))
+    assert np.array_equal(back, value)
+    assert back.dtype == value.dtype
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+        lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner),
+        max_leaves=10,
+    ),
+    st.integers(2, 5),
+)
+def test_plain_containers_come_back(value, protocol):
+    assert load_plain(pickle.dumps(value, protocol)) == value
+
+
+def test_other_containers_come_back():
+    counts = collections.defaultdict(int, {"a": 1})
+    value = {"s": {1, 2}, "f": frozenset([3]), "o": collections.OrderedDict(a=1), "d": counts}
+    assert load_plain(pickle.dumps(value)) == value
+
+
+def test_metadrives_dict_subclass_comes_back_as_a_dict(monkeypatch):
+    name = "metadrive.scenario.scenario_description"
+    module = types.ModuleType(name)
+    module.ScenarioDescription = type("ScenarioDescription", (dict,), {"__module__": name})
+    for part in ("metadrive", "metadrive.scenario"):
+        monkeypatch.setitem(sys.modules, part, types.ModuleType(part))
+    monkeypatch.setitem(sys.modules, name, module)
+    content = pickle.dumps(module.ScenarioDescription(id="a", length=3))
+    assert dict(load_plain(content)) == {"id": "a", "length": 3}
+
+
+class Act:
+    def __init__(self, function, *arguments):
+        self.call = (function, arguments)
+
+    def __reduce__(self):
+        return self.call
+
+
+@pytest.mark.parametrize(
+    ("harm", "name"),
+    [
+        (Act(os.system, "touch harmed"), "posix.system"),
+        (Act(eval, "1 + 1"), "builtins.eval"),
+        (Act(getattr, {}, "keys"), "builtins.getattr"),
+        (Act(np.load, "x.npy"), "numpy.load"),
+        (Act(bytearray, 10), "builtins.bytearray"),
+        (io.BytesIO(), "_io.BytesIO"),
+        (types.SimpleNamespace(a=1), "types.SimpleNamespace"),
+    ],
+)
+@pytest.mark.parametrize("protocol", range(2, 6))
+def test_what_can_act_is_refused_by_name(harm, name, protocol, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ForbiddenClassError) as caught:
+        load_plain(pickle.dumps({"tracks": harm}, protocol))
+    spelled = {name, name.replace("builtins.", "__builtin__.")}
+    assert any(f"'{one}'" in str(caught.value) for one in spelled)
+    assert not (tmp_path / "harmed").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\x80\x04r\xff\xff\xff\x7f.",  # memo entry 2**31
+        b"cnumpy\nndarray\n(I100000000000\ntR.",  # an array of 800 GB
+        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I99999999999\ntS'b'\ntR",
+        b"P123\n.",  # persistent id
+        b"\x80\x02c__main__\nx\n.",
+        b"",
+        b"(" * 10000,
+    ],
+)
+def test_damage_is_one_kind_of_error(content):
+    with pytest.raises(pickle.UnpicklingError):
+        load_plain(content)
+
+
+@settings(max_examples=300)
+@given(data=st.data())
+def test_flipped_bytes_give_data_or_that_error(data):
+    value = {"a": np.arange(20.0), "b": [1, "x", None, 2.5], "c": {"d": np.array([True])}}
+    content = bytearray(pickle.dumps(value, data.draw(st.integers(2, 5))))
+    for _ in range(data.draw(st.integers(1, 4))):
+        where = data.draw(st.integers(0, len(content) - 1))
+        content[where] = data.draw(st.integers(0, 255))
+    try:
+        load_plain(bytes(content))
+    except pickle.UnpicklingError:
+        pass

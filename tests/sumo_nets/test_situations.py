@@ -1,0 +1,81 @@
+"""Every spec's situation exists: at its start the AV and the opponent stand as its name says."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
+
+# What the opponent is to the AV at the start, and how far away at most.
+SITUATIONS = {
+    "bus_stop_pull_out": ("ahead on the right", 80),
+    "cut_in": ("ahead on the left", 30),
+    "late_exit": ("ahead on the left", 30),
+    "leader_brakes": ("ahead", 50),
+    "left_turn_across_path": ("oncoming", 70),
+    "merge_from_ramp": ("ahead on the right", 30),
+    "minor_road_crossing": ("from the right", 60),
+    "overtaking_head_on": ("oncoming", 100),
+    "rear_end": ("behind", 30),
+    "red_light_runner": ("from the right", 70),
+    "roundabout_entry": ("from the right", 60),
+    "side_road_pull_out": ("from the right", 60),
+    "u_turn": ("oncoming", 60),
+}
+
+# libsumo holds one simulation a process.
+PROBE = """
+import json, sys, libsumo
+config, start, seed, ids = sys.argv[1], float(sys.argv[2]), sys.argv[3], sys.argv[4:]
+libsumo.start(["sumo", "-c", config, "--seed", seed, "--no-step-log", "--no-warnings"])
+seen = {i: 0 for i in ids}
+while libsumo.simulation.getTime() < start - 1e-6:
+    libsumo.simulationStep()
+    for i in ids:
+        seen[i] += i in libsumo.vehicle.getIDList()
+v = libsumo.vehicle
+print(json.dumps({i: [*v.getPosition(i), v.getAngle(i), v.getSpeed(i), seen[i]] for i in ids}))
+"""
+
+
+def _relation(av, other):
+    """One of the words of SITUATIONS, from poses [x, y, SUMO's angle, ...]."""
+    east, north, heading = other[0] - av[0], other[1] - av[1], math.radians(av[2])
+    ahead = east * math.sin(heading) + north * math.cos(heading)
+    left = -east * math.cos(heading) + north * math.sin(heading)
+    turned = (av[2] - other[2] + 180) % 360 - 180  # counter-clockwise
+    if abs(turned) > 135:
+        return "oncoming" if ahead > 0 else "gone by"
+    if abs(turned) > 45:
+        return "from the right" if turned > 0 else "from the left"
+    side = " on the left" if left > 2 else " on the right" if left < -2 else ""
+    return ("ahead" if ahead > 0 else "behind") + side
+
+
+def test_every_spec_is_described_here():
+    assert sorted(path.stem for path in SCENARIOS.glob("*.yaml")) == sorted(SITUATIONS)
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_the_opponent_stands_where_the_spec_says(name):
+    path = SCENARIOS / f"{name}.yaml"
+    assert path.read_text().startswith("# "), "a spec begins with a sentence for the user"
+    spec = yaml.safe_load(path.read_text())
+    source = spec["source"]
+    config = (path.parent / source["network"]).resolve()
+    ids = [source["av"]["vehicle"], spec["adversary"]["opponent"]]
+    command = [sys.executable, "-W", "ignore", "-c", PROBE, config, str(source["start_s"])]
+    command += [str(spec["seed"]), *ids]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    av, opponent = json.loads(done.stdout.splitlines()[-1]).values()
+    relation, within = SITUATIONS[name]
+    assert _relation(av, opponent) == relation
+    assert math.dist(av[:2], opponent[:2]) < within
+    assert av[3] > 5
+    assert min(av[4], opponent[4]) >= 11, "both need a second of history"

@@ -1,0 +1,83 @@
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
+from synthetic import scene
+
+from deepmf_sumo.training import labels, windows
+
+
+def test_ways_that_cross_at_different_times_interact():
+    late = scene(shift=-20.0)
+    assert labels.interacts(late, "south")
+
+
+def test_ways_that_do_not_cross_do_not_interact():
+    assert not labels.interacts(scene(), "parked")
+    assert labels.interacts(scene(), "waiting") == (
+        -50 + 80 + 4.8 > 60
+    )  # the AV ends at x = 30: too far
+
+
+def test_closer_than_the_avs_length_is_an_interaction():
+    given = scene()
+    row = given.tracks.row("parked")
+    position = given.tracks.position_m.copy()
+    position[row] = [-30.0, 4.5]
+    beside = replace(given, tracks=replace(given.tracks, position_m=position))
+    assert labels.interacts(beside, "parked")
+    position[row] = [-30.0, 5.0]
+    assert not labels.interacts(
+        replace(given, tracks=replace(given.tracks, position_m=position)), "parked"
+    )
+
+
+def test_only_frames_that_are_valid_count():
+    given = scene()
+    valid = given.tracks.valid.copy()
+    valid[given.tracks.row("south"), 50:] = False  # before it reaches the crossing
+    cut = replace(given, tracks=replace(given.tracks, valid=valid))
+    assert not labels.interacts(cut, "south")
+
+
+def test_targets_move_or_are_labelled():
+    found = {each.agent_id for each in windows.targets(scene(av_speed=0.0), 10)}
+    assert found == {"av", "south", "far"}
+
+
+def test_a_view_holds_no_future():
+    given = scene()
+    view = windows.view_at(given, 10)
+    assert view.history.steps == 11
+    assert view.history.position_m[0, -1] == pytest.approx([-50, 0])
+
+
+def test_futures_past_the_end_are_masked():
+    future = windows.future_of(scene(), "av", 40)
+    assert future.valid.sum() == 50
+    assert future.position_m[0] == pytest.approx([-50 + 31.0, 0])
+
+
+def test_the_partner_is_the_labelled_one_else_the_nearest_in_space_and_time():
+    assert windows.partner_of(scene(), "av", 10).agent_id == "south"
+    unlabelled = windows.partner_of(scene(labelled=False), "av", 10)
+    assert unlabelled.agent_id == "south"
+
+
+def test_a_given_future_is_complete():
+    given = windows.partner_of(scene(labelled=False), "south", 40)
+    assert given.valid.all()
+    step = np.linalg.norm(np.diff(given.position_m, axis=0), axis=-1)
+    assert step == pytest.approx(np.full(79, step[0]), abs=1e-6)
+
+
+def test_tracks_that_jump_are_no_targets():
+    given = scene()
+    position = given.tracks.position_m.copy()
+    position[given.tracks.row("far"), 60:] += 30.0
+    jumping = replace(given, tracks=replace(given.tracks, position_m=position))
+    assert "far" not in {each.agent_id for each in windows.targets(jumping, 10)}
