@@ -13,10 +13,15 @@ Traffic = Literal["log", "sumo"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkSource:
-    """A SUMO configuration with traffic, run by SUMO up to ``start_s``, and its AV."""
+    """A SUMO configuration with traffic, run by SUMO up to ``start_s``.
+
+    Attributes:
+        net: the network that the configuration names.
+    """
 
     config: Path
     start_s: float
+    net: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -23,7 +23,7 @@ class PlanReason:
         rule: the rule that chose it, or ``fallback`` where no pair collides.
         bent_m: (N1) farthest that the kinematic limits moved a candidate from its prediction.
         milliseconds: wall time by part.
-        origin: (N1) where each candidate comes from: ``mode`` of the prediction, ``goal`` around the
+        origin: (N1) where each candidate comes from: ``mode`` of the prediction, ``goal`` near the
             AV's predicted way, ``tail`` of the last plan; empty where all are modes.
     """
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Floats, Lane
 from deepmf_sumo.network import cutting
-from deepmf_sumo.network.blueprint import EdgePlan, LanePlan, LaneRef, LinkPlan
+from deepmf_sumo.network.blueprint import EdgePlan, LanePlan, LaneRef, LinkKind, LinkPlan
 from deepmf_sumo.network.graph import LaneGraph
 from deepmf_sumo.network.layout import Group, Layout
 
@@ -123,15 +123,20 @@ class Assembly:
             return
         self._linked.add((origin, target))
         before, after = self.lane(origin), self.lane(target)
-        bridges = (before.scene_lane, after.scene_lane) in self.graph.gaps and not path
-        if bridges:
-            shape = cutting.bridge(before.shape_m, after.shape_m)
+        kind: LinkKind = "path"
+        if not path and (before.scene_lane, after.scene_lane) in self.graph.gaps:
+            kind, shape = "bridge", cutting.bridge(before.shape_m, after.shape_m)
         elif sum(self.graph.lengths_m[lane_id] for lane_id in path) < POINT_M:
-            shape = cutting.tail(before.shape_m, JOINT_M)
+            kind, shape = "joint", cutting.tail(before.shape_m, JOINT_M)
         else:
             shape = cutting.joined([self.graph.shapes[lane_id][:, :2] for lane_id in path])
+        speed = min(before.speed_mps, after.speed_mps)
+        if kind != "joint":
+            speed = min(speed, cutting.bend_speed_mps(shape))
         self.links.append(
-            LinkPlan(origin=origin, target=target, shape_m=shape, path=path, bridges=bridges)
+            LinkPlan(
+                origin=origin, target=target, shape_m=shape, path=path, kind=kind, speed_mps=speed
+            )
         )
 
     def _extend(self) -> None:

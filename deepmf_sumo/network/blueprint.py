@@ -9,6 +9,7 @@ from typing import Literal
 from deepmf_sumo.datatypes import Floats
 
 NodeKind = Literal["priority", "priority_stop", "allway_stop", "traffic_light"]
+LinkKind = Literal["path", "joint", "bridge"]
 LaneRef = tuple[str, int]
 """A SUMO edge and the index of the lane in it, counted from the right."""
 
@@ -57,14 +58,17 @@ class LinkPlan:
     Attributes:
         shape_m: (P, 2).
         path: the scene's lanes that the shape consists of.
-        bridges: it leads over a gap in the scene's map.
+        kind: made of the ``path``'s lanes; a ``joint`` of two lanes that touch, drawn on the end of
+            the first; or a ``bridge`` over a gap in the scene's map.
+        speed_mps: what can be driven there at least.
     """
 
     origin: LaneRef
     target: LaneRef
     shape_m: Floats
     path: tuple[str, ...] = ()
-    bridges: bool = False
+    kind: LinkKind = "path"
+    speed_mps: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,6 +86,6 @@ class Blueprint:
     signalled: dict[str, tuple[tuple[LaneRef, LaneRef], ...]] = field(default_factory=dict)
     ghost_edge: str | None = None
 
-    def scene_lane(self, ref: LaneRef) -> str | None:
-        """The scene's lane that a SUMO lane is made of; None for lanes that were added."""
-        return self.edges[ref[0]].lanes[ref[1]].scene_lane
+    def lane(self, ref: LaneRef) -> LanePlan:
+        """The plan of a lane."""
+        return self.edges[ref[0]].lanes[ref[1]]

@@ -68,7 +68,7 @@ def _parts(scene: Scene) -> Iterator[bytes]:
             lane.speed_limit_mps,
             lane.next,
             lane.previous,
-            [neighbour.lane_id for neighbour in lane.right],
+            [neighbour.lane_id for neighbour in (*lane.right, *lane.left)],
         )
         yield repr(facts).encode()
         yield lane.centre_m.tobytes()

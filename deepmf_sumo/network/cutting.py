@@ -1,9 +1,16 @@
 """Parts of polylines, and polylines made longer."""
 
+from typing import Final
+
 import numpy as np
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.geometry import polylines
+
+LATERAL_MPS2: Final = 5.5
+"""Sideways acceleration in turns, netconvert's default."""
+BEND_M: Final = 5
+"""Over so many metres a turn is measured; the corners of a simplified line say nothing."""
 
 
 def part(points_m: Floats, start_m: float, end_m: float) -> Floats:
@@ -51,3 +58,14 @@ def bridge(before_m: Floats, after_m: Floats) -> Floats:
         + share**3 * end
     )
     return curve
+
+
+def bend_speed_mps(points_m: Floats) -> float:
+    """Speed at which the sharpest bend of a polyline (P, 2) can be driven."""
+    steps = np.diff(polylines.resample(points_m, 1.0), axis=0)
+    heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    over = min(BEND_M, len(heading) - 1)
+    if over < 1:
+        return float("inf")
+    turn = float(np.abs(heading[over:] - heading[:-over]).max()) / over
+    return float(np.sqrt(LATERAL_MPS2 / max(turn, 1e-6)))

@@ -39,9 +39,8 @@ def leaves_lanes(scene: Scene) -> bool:
     valid[: scene.now] = False
     found = match(scene.road, scene.tracks.position_m[row], scene.tracks.heading_rad[row], valid)
     off = found.distance_m[valid] > OFF_LANE_M
-    longest = max(
-        (len(run) for run in "".join("x" if bad else " " for bad in off).split()), default=0
-    )
+    runs = "".join("x" if far else " " for far in off).split()
+    longest = max(map(len, runs), default=0)
     lanes = [lane for lane in found.lane_ids if lane]
     return longest >= OFF_STEPS or _jumps(scene.road, lanes)
 

@@ -140,12 +140,9 @@ def _no_join(shapes: dict[str, Floats], first: str, second: str) -> str:
         return f"their ends are {width:.1f} m apart"
     leaving = cutting.end_direction(shapes[first][:, :2])
     entering = -cutting.end_direction(shapes[second][::-1, :2])
-    across = np.arctan2(gap[1], gap[0])
-    turns = [
-        across - np.arctan2(leaving[1], leaving[0]),
-        np.arctan2(entering[1], entering[0]) - across,
-    ]
-    if np.abs(angles.wrap(np.array(turns))).sum() > SHARPEST_TURN_RAD:
+    courses = np.array([leaving, gap, entering])
+    turns = angles.wrap(np.diff(np.arctan2(courses[:, 1], courses[:, 0])))
+    if np.abs(turns).sum() > SHARPEST_TURN_RAD:
         return f"their ends are {width:.1f} m apart and face away from each other"
     return ""
 
@@ -174,12 +171,9 @@ def _without_loose_points(
             break
         points = [key for key in points if key not in ends]
         for key in ends:
-            touched = [
-                (first, True) for first, second in pairs if second == key and first not in ends
-            ]
-            touched += [
-                (second, False) for first, second in pairs if first == key and second not in ends
-            ]
+            touched = [(first, True) for first, second in pairs if second == key]
+            touched += [(second, False) for first, second in pairs if first == key]
+            touched = [other for other in touched if other[0] not in ends]
             if touched:
                 loose[key] = touched[0]
             else:

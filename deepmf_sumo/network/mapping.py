@@ -11,7 +11,7 @@ from deepmf_sumo.errors import ConversionError
 NET_FILE: Final = "net.net.xml"
 ADDITIONAL_FILE: Final = "additional.xml"
 MAPPING_FILE: Final = "mapping.json"
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Raised when nets are built in another way, so that cached ones are built anew."""
 
 

@@ -76,6 +76,16 @@ class NetShapes:
             for axis, value in zip("xy", shape_m[0], strict=True):
                 self._inner[lane_id].set(axis, f"{value:.3f}")
 
+    def allow_speed(self, lane_id: str, speed_mps: float) -> None:
+        """Raise a lane's limit where it is lower.
+
+        netconvert takes the direction from the edges at large, and so finds sharp turns where two
+        lanes just touch.
+        """
+        lane = self._lanes[lane_id]
+        if float(str(lane.get("speed"))) < speed_mps:
+            lane.set("speed", f"{speed_mps:.2f}")
+
     def link(self, plan: LinkPlan) -> ET.Element | None:
         """The net's link for a planned one."""
         return self._links.get((plan.origin, plan.target))
@@ -104,10 +114,7 @@ class NetShapes:
     def shapes(self) -> dict[str, Floats]:
         """(P, 2) of every lane, as the file says."""
         return {
-            lane_id: np.array(
-                [pair.split(",")[:2] for pair in str(lane.get("shape")).split()], float
-            )
-            for lane_id, lane in self._lanes.items()
+            lane_id: points(str(lane.get("shape")))[:, :2] for lane_id, lane in self._lanes.items()
         }
 
 
@@ -145,13 +152,15 @@ def _place_link(
     if link is None:
         placement.missing.append(plan)
         return
-    origin, target = (blueprint.scene_lane(ref) for ref in (plan.origin, plan.target))
-    row = [lane_id for lane_id in (origin, *plan.path, target) if lane_id]
-    placement.covered |= {pair for pair in pairwise(row) if pair[0] != pair[1]}
+    origin, target = (blueprint.lane(ref).scene_lane for ref in (plan.origin, plan.target))
+    if blueprint.lane(plan.target).start_m == 0.0:  # else it joins the two halves of a lane
+        row = [lane_id for lane_id in (origin, *plan.path, target) if lane_id]
+        placement.covered |= set(pairwise(row))
     chain = net.chain(link)
     bounds = net.chain_bounds(chain, float(polylines.arc_lengths(plan.shape_m)[-1]))
     for key, (start, end) in zip(chain, pairwise(bounds), strict=True):
         net.reshape(key, cutting.part(plan.shape_m, start, end))
+        net.allow_speed(key, plan.speed_mps)
         on_it = []
         for lane_id, first, last in _intervals(graph, plan.path):
             begin, stop = max(first, start), min(last, end)
@@ -160,9 +169,9 @@ def _place_link(
                 placement.pieces[lane_id].append(
                     LanePiece(sumo_lane=key, start_m=begin - first, length_m=max(stop - begin, 0.0))
                 )
-        # A link between two lanes that touch is drawn on the end of the first.
-        onto_origin = (origin,) if origin and not plan.bridges else ()
-        placement.lane_of[key] = tuple(on_it) or onto_origin
+        if origin and plan.kind == "joint":
+            on_it.insert(0, origin)
+        placement.lane_of[key] = tuple(on_it)
 
 
 def _intervals(graph: LaneGraph, path: tuple[str, ...]) -> Iterator[tuple[str, float, float]]:

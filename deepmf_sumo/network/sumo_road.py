@@ -133,11 +133,10 @@ def _crossings(net: NetFile) -> list[Polygon]:
         for lane in edge.lanes if edge.function == "crossing" else ():
             if len(lane.shape_m) > 1:
                 line = shapely.LineString(lane.shape_m[:, :2])
-                outline = shapely.buffer(
-                    line, lane.width_m / 2, cap_style="flat", join_style="mitre"
-                )
-                corners = shapely.get_coordinates(shapely.get_exterior_ring(outline))[:-1]
-                height = [float(lane.shape_m[0, 2])] * len(corners)
+                half_m = lane.width_m / 2
+                area = shapely.buffer(line, half_m, cap_style="flat", join_style="mitre")
+                corners = shapely.get_coordinates(shapely.get_exterior_ring(area))[:-1]
+                height = np.full(len(corners), lane.shape_m[0, 2])
                 found.append(Polygon(id=edge.id, kind="crosswalk", points_m=corners, z_m=height))
     return found
 

@@ -54,7 +54,7 @@ def forecasts(
     Modes are chosen on the plain probabilities; their mass is then taken at the temperature.
     """
     logits = goals.logits[0].flatten(1)  # (K, N)
-    ends = goals.at_knots()[0][0, ..., -1, :].flatten(1, 2)  # (K, N, 2)
+    ends = goals.ends()[0]  # (K, N, 2)
     chosen, _ = selection.select(
         logits.softmax(-1), ends, modes, selection=choose, speed_mps=pose.speed_mps,
         shortlist=shortlist,
@@ -79,7 +79,7 @@ def end_density(goals: Goals, pose: Pose, ends_m: Floats, kernel_m: float) -> Fl
     A Gaussian of width ``kernel_m`` stands on each goal: for comparing networks.
     """
     local = _tensor(frames.to_local(ends_m, pose.position_m, pose.heading_rad))
-    ends = goals.at_knots()[0][0, 0, ..., -1, :].flatten(0, 1)  # (N, 2)
+    ends = goals.ends()[0, 0]  # (N, 2)
     score = goals.logits[0, 0].flatten().log_softmax(-1)
     square = torch.cdist(local, ends, compute_mode="donot_use_mm_for_euclid_dist") ** 2
     log_kernel = -square / (2 * kernel_m**2) - float(np.log(2 * np.pi * kernel_m**2))

@@ -112,9 +112,8 @@ def _on_paths(paths: Tensor, other: Tensor) -> tuple[Tensor, ...]:
     """Presence of futures (B, K, 16, 2) on paths: flag, times in and out, place, features."""
     batch, futures, steps, _ = other.shape
     count, nodes = paths.shape[1], paths.shape[2]
-    square = torch.cdist(other.flatten(1, 2), paths.flatten(1, 2),
-                         compute_mode="donot_use_mm_for_euclid_dist")  # fmt: skip
-    distance, node = square.view(batch, futures, steps, count, nodes).min(-1)  # (B, K, 16, P)
+    apart = torch.cdist(other.flatten(1, 2), paths.flatten(1, 2))
+    distance, node = apart.view(batch, futures, steps, count, nodes).min(-1)  # (B, K, 16, P)
     close = distance < _CLOSE_M
     met = close.any(2).float()  # (B, K, P)
     first = close.float().argmax(2)

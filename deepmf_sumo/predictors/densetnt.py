@@ -41,9 +41,17 @@ class Goals:
 
     def at_knots(self) -> tuple[Tensor, Tensor]:
         """Positions and path tangents (B, K, P, R, 5, 2) at 1, 2, 4, 6, 8 s."""
-        along = self.along_m[:, None, :, :, list(KNOT_STEPS)] + self.knots[..., 0]
-        along = along.clamp_min(0.0).transpose(1, 2)  # (B, P, K, R, 5)
-        left = self.knots[..., 1].transpose(1, 2)
+        return self._at(list(range(len(KNOT_STEPS))))
+
+    def ends(self) -> Tensor:
+        """End points (B, K, N, 2) at 8 s; N = P * R goals."""
+        return self._at([len(KNOT_STEPS) - 1])[0].flatten(4).flatten(2, 3)
+
+    def _at(self, knots: list[int]) -> tuple[Tensor, Tensor]:
+        steps = [KNOT_STEPS[knot] for knot in knots]
+        along = self.along_m[:, None, :, :, steps] + self.knots[..., knots, 0]
+        along = along.clamp_min(0.0).transpose(1, 2)  # (B, P, K, R, knots)
+        left = self.knots[..., knots, 1].transpose(1, 2)
         position, tangent = anchors.placed(self.paths, along, left)
         return position.transpose(1, 2), tangent.transpose(1, 2)
 

@@ -58,7 +58,8 @@ def _recording(path: Path) -> checks.Recording:
         dataset=_NAME, file=str(path), record=0, sha256=hashlib.sha256(content).hexdigest()
     )
     try:
-        return _described(described, source)
+        with np.errstate(all="ignore"):  # what is no number is found by the checks
+            return _described(described, source)
     except KeyError as error:
         raise ReaderError(f"{path} is no whole scene: it lacks the key {error}.") from None
     except _MALFORMED as error:

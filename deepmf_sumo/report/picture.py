@@ -28,7 +28,7 @@ EVERY_STEPS: Final = 10
 
 def draw(rollout: Rollout, case: Case, path: Path) -> None:
     """Write a PNG; the same rollout gives the same bytes."""
-    figure = Figure(figsize=(9.6, 8.0), dpi=110, layout="constrained")
+    figure = Figure(figsize=(10.4, 8.0), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     plan = _explained(rollout)
@@ -45,7 +45,8 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
     if contact:
         _contact(axes, contact)
     _finish(axes, frame, _title(rollout, case, contact))
-    _legend(axes, rollout, scores, plan)
+    handles = list(_handles(rollout, scores, plan))
+    figure.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
     figure.savefig(path, metadata={"Software": None})
 
 
@@ -147,7 +148,7 @@ def _boxes(
     zorder: float,
     alpha: float = 1.0,
 ) -> None:
-    """Boxes of (row, step) pairs, with a notch where the front is."""
+    """Boxes of (row, step) pairs, with an arrowhead at the front."""
     if not places:
         return
     tracks = rollout.tracks
@@ -164,7 +165,8 @@ def _boxes(
             zorder=zorder,
         )
     )
-    noses = np.stack([corners[:, 0], centre, corners[:, 3]], axis=1)
+    left, front, right = (corners[:, pair].mean(axis=1) for pair in ([0, 1], [0, 3], [2, 3]))
+    noses = np.stack([left, front, right], axis=1)
     axes.add_collection(LineCollection(list(noses), colors=edge, linewidths=0.6, zorder=zorder))
 
 
@@ -228,16 +230,6 @@ def _finish(axes: Axes, frame: tuple[float, float, float, float], title: str) ->
     left, bottom = x0 + 0.04 * (x1 - x0), y0 + 0.03 * (y1 - y0)
     axes.plot([left, left + bar], [bottom, bottom], color="black", lw=2, zorder=12)
     axes.text(left + bar / 2, bottom + 0.01 * (y1 - y0), f"{bar:g} m", ha="center", zorder=12)
-
-
-def _legend(axes: Axes, rollout: Rollout, scores: OpponentScores | None, plan: Plan | None) -> None:
-    axes.legend(
-        handles=list(_handles(rollout, scores, plan)),
-        loc="upper left",
-        fontsize=8,
-        framealpha=0.92,
-        borderaxespad=0.4,
-    ).set_zorder(20)
 
 
 def _handles(

@@ -28,5 +28,5 @@ def network_case(
         duration_steps=duration_steps,
         traffic="sumo",
         seed=seed,
-        network=NetworkSource(config=config, start_s=start_s),
+        network=NetworkSource(config=config, start_s=start_s, net=configuration.net),
     )

@@ -36,7 +36,13 @@ class FreeTraffic:
     def enter(self, row: int, step: int) -> None:
         """Insert the agent with its recorded state at a step."""
         name, vehicle = self._tracks.ids[row], self._api.vehicle
-        add_vehicle(self._api, self._log, self._tracks, row, TRAFFIC_TYPE)
+        try:
+            add_vehicle(self._api, self._log, self._tracks, row, TRAFFIC_TYPE)
+        except self._api.TraCIException as error:
+            self.lost.add(row)
+            detail = f"{str(error).strip()} Replayed from the log."
+            self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+            return
         fastest = float(self._tracks.speed_mps[row][self._tracks.valid[row]].max())
         vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], fastest))
         move_logged(self._api, self._log, name, row, step)

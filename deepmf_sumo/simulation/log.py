@@ -1,17 +1,18 @@
-"""A recording made ready for SUMO: who is a vehicle there, on which route, and where at each step."""
+"""A recording made ready for SUMO: who is a vehicle, on which route, and where at each step."""
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Bools, Case, Floats, SumoNet, Tracks
+from deepmf_sumo.datatypes import Bools, Case, Floats, Tracks
 from deepmf_sumo.geometry import polylines, sumo_frame
 from deepmf_sumo.network.matching import lane_sequence
 from deepmf_sumo.network.routes import edge_route
 
 _STANDS_M = 1.0
 """A vehicle that never gets farther from its first position than this stands."""
+_MATCH_MOVING_M = 5.0
 _EXTEND_M = 300.0
 """How far routes go on beyond the recording, so that nobody arrives and vanishes."""
 
@@ -24,7 +25,9 @@ class Log:
         rows: agents that are vehicles in SUMO, sorted by id. All others are boxes outside it.
         stands: (A) never moves.
         routes: row -> edges; rows without a route are never asked to drive.
-        match_m: (A) `matchThreshold`: with it a box blocks the AV's lane where it really does.
+        match_m: (A) `matchThreshold`. Narrow for who stands: it decides whether a parked car blocks
+            the lane. Wide for who moves: with a narrow one SUMO takes the nearest lane, whatever
+            its direction and the vehicle's route.
         front_m: (A, T, 2) and angle_deg: (A, T) as SUMO has them.
     """
 
@@ -44,8 +47,8 @@ def log_of(case: Case) -> Log:
     tracks = case.scene.tracks
     av = tracks.row(case.av_id)
     stands = _stands(tracks)
-    match = np.maximum((tracks.size_m[av, 1] + tracks.size_m[:, 1]) / 2 + 0.1, 1.9)
-    blocking = _blocking(case, tracks, stands, match)
+    side = np.maximum((tracks.size_m[av, 1] + tracks.size_m[:, 1]) / 2 + 0.1, 1.9)
+    blocking = _blocking(case, tracks, stands, side)
     vehicles = [
         row
         for row in sorted(range(tracks.agents), key=lambda row: tracks.ids[row])
@@ -62,7 +65,7 @@ def log_of(case: Case) -> Log:
         rows=rows,
         stands=stands,
         routes={row: route for row, route in routes.items() if route},
-        match_m=match,
+        match_m=np.where(stands, side, _MATCH_MOVING_M),
         front_m=front,
         angle_deg=angle,
     )
@@ -102,7 +105,8 @@ def _route(case: Case, row: int) -> tuple[str, ...]:
     tracks = case.scene.tracks
     if tracks.ids[row] == case.av_id and case.net.ghost_edge is not None:
         return (case.net.ghost_edge,)
-    lanes = lane_sequence(
-        case.road, tracks.position_m[row], tracks.heading_rad[row], tracks.valid[row]
-    )
+    # from where the vehicle is inserted on: SUMO looks for it at the beginning of its route
+    valid = tracks.valid[row].copy()
+    valid[: case.scene.now] = False
+    lanes = lane_sequence(case.road, tracks.position_m[row], tracks.heading_rad[row], valid)
     return edge_route(case.net, lanes, _EXTEND_M)

@@ -14,7 +14,8 @@ class RouteAhead:
         self._api = api
         self._id = vehicle_id
         self._shapes: dict[str, Floats] = {}
-        self._limits: dict[str, float] = {}
+        self._lanes: tuple[str, ...] = ()
+        self._line = self._along = np.zeros(0)
 
     def centre_line(self, length_m: float = 120.0) -> Floats | None:
         """(P, 2) from the front bumper on, P >= 2, or None off every lane.
@@ -25,36 +26,24 @@ class RouteAhead:
         lane = vehicle.getLaneID(self._id)
         if not lane:
             return None
-        shape = self._shape(lane)
-        scale = polylines.arc_lengths(shape)[-1] / max(self._api.lane.getLength(lane), 1e-6)
-        begin = float(vehicle.getLanePosition(self._id)) * scale
-        pieces = [shape, *(self._shape(following) for following in self._lanes_ahead(lane))]
-        line = np.concatenate(pieces)
-        line = line[np.concatenate([[True], np.abs(np.diff(line, axis=0)).sum(-1) > 1e-3])]
-        along = polylines.arc_lengths(line)
-        stations = along[(along > begin + 1e-3) & (along < begin + length_m)]
-        # at least to a metre ahead, so that the line has a direction
-        stations = np.concatenate([[begin], stations, [max(along[-1], begin + 1.0)]])
-        stations = np.unique(np.minimum(stations, begin + length_m))
-        points, heading = polylines.points_at(line, stations)
+        lanes = (lane, *self._lanes_ahead(lane))
+        if lanes != self._lanes:
+            self._lanes = lanes
+            line = np.concatenate([self._shape(one) for one in lanes])
+            moved = np.hypot(*np.diff(line, axis=0).T) > 1e-3
+            self._line = line[np.concatenate([[True], moved])]
+            self._along = polylines.arc_lengths(self._line)
+        shape_m = polylines.arc_lengths(self._shape(lane))[-1]
+        lane_m = max(float(self._api.lane.getLength(lane)), 1e-6)
+        begin = float(vehicle.getLanePosition(self._id)) * shape_m / lane_m
+        # at least a metre, so that the line has a direction
+        end = max(min(self._along[-1], begin + length_m), begin + 1.0)
+        inner = self._along[(self._along > begin + 1e-3) & (self._along < end - 1e-3)]
+        points, heading = polylines.points_at(self._line, np.array([begin, *inner, end]))
         left = float(vehicle.getLateralLanePosition(self._id))
         if abs(left) > 0.01:
             points = points + left * np.stack([-np.sin(heading), np.cos(heading)], -1)
         return points
-
-    def speed_limits(self) -> list[tuple[float, float]]:
-        """(metres to its beginning, limit for this vehicle) of the lanes ahead."""
-        vehicle = self._api.vehicle
-        lane = vehicle.getLaneID(self._id)
-        if not lane:
-            return []
-        factor = float(vehicle.getSpeedFactor(self._id))
-        away = float(self._api.lane.getLength(lane)) - float(vehicle.getLanePosition(self._id))
-        limits = []
-        for following in self._lanes_ahead(lane):
-            limits.append((away, factor * self._limit(following)))
-            away += float(self._api.lane.getLength(following))
-        return limits
 
     def _lanes_ahead(self, lane: str) -> list[str]:
         # on a junction's lane SUMO lists only the links after the junction
@@ -78,8 +67,3 @@ class RouteAhead:
         if lane not in self._shapes:
             self._shapes[lane] = np.array(self._api.lane.getShape(lane), float)[:, :2]
         return self._shapes[lane]
-
-    def _limit(self, lane: str) -> float:
-        if lane not in self._limits:
-            self._limits[lane] = float(self._api.lane.getMaxSpeed(lane))
-        return self._limits[lane]

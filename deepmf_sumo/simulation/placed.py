@@ -8,6 +8,7 @@ from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.vehicle_types import ANY_ROUTE, PLACED_TYPE
 
 _EXACT = 2  # keepRoute: exactly there, on or off the lanes
+_ON_ROUTE = 1  # keepRoute: the nearest point of its route
 
 
 class PlacedVehicles:
@@ -76,12 +77,16 @@ def add_vehicle(api: SumoApi, log: Log, tracks: Tracks, row: int, type_id: str) 
 
 
 def move_logged(
-    api: SumoApi, log: Log, name: AgentId, row: int, step: int, edge: str = ""
+    api: SumoApi, log: Log, name: AgentId, row: int, step: int, *, on_route: bool = False
 ) -> None:
-    """Put a vehicle where the log has it at a step, on that edge where several are there."""
+    """Put a vehicle where the log has it at a step; ``on_route`` onto the lane of its route there.
+
+    Otherwise SUMO takes it as one of the nearest lane, whichever that is.
+    """
     x, y = log.front_m[row, step]
     angle, match = float(log.angle_deg[row, step]), float(log.match_m[row])
-    api.vehicle.moveToXY(name, edge, -1, float(x), float(y), angle, _EXACT, match)
+    keep = _ON_ROUTE if on_route else _EXACT
+    api.vehicle.moveToXY(name, "", -1, float(x), float(y), angle, keep, match)
 
 
 def speed_factor(api: SumoApi, route: tuple[str, ...], fastest_mps: float) -> float:

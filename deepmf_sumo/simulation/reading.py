@@ -1,5 +1,7 @@
 """Reads SUMO's own traffic: who is there, what it is, where it is."""
 
+from typing import Any
+
 from deepmf_sumo.datatypes import AgentId, AgentKind, Driver
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.frame import Body, Pose
@@ -40,13 +42,12 @@ class TrafficReader:
             poses[str(name)] = (pose, Driver.SUMO)
         return poses
 
-    def _ask_body(self, domain: object, name: AgentId) -> Body:
+    def _ask_body(self, domain: Any, name: AgentId) -> Body:
         api = self._api
-        source = api.person if domain is api.person else api.vehicle
-        size = (source.getLength(name), source.getWidth(name), source.getHeight(name))
+        size = (domain.getLength(name), domain.getWidth(name), domain.getHeight(name))
         kind: AgentKind = "vehicle"
         if domain is api.person:
             kind = "pedestrian"
-        elif source.getVehicleClass(name) == "bicycle":
+        elif domain.getVehicleClass(name) == "bicycle":
             kind = "cyclist"
         return Body(kind=kind, size_m=(float(size[0]), float(size[1]), float(size[2])))

@@ -85,9 +85,8 @@ class RecordedStage:
         self._free = FreeTraffic(api, self._log, self._tracks, self.events)
         self._takeover = Takeover(api, self.events)
         self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals)
-        self._start(model)
         self._av = Av(api, case.av_id, float(self._tracks.size_m[self._av_row, 0]))
-        self._check_av()
+        self._start(model)
 
     def history(self) -> list[Frame]:
         """The recorded steps up to the current one."""
@@ -139,37 +138,52 @@ class RecordedStage:
 
     def _start(self, model: VehicleModel | None) -> None:
         """Insert everybody where the recording has them now; the first step leaves them there."""
+        assert self._case.net is not None
         tracks, row, name = self._tracks, self._av_row, self._case.av_id
         if row not in self._log.routes:
             raise SimulationError(
-                f"The AV '{name}' of scene '{self._case.name}' drives on no lane of the network, so "
-                "that SUMO cannot drive it; use another scene."
+                f"The AV '{name}' of scene '{self._case.name}' drives on no lane of the network, "
+                "so that SUMO cannot drive it; use another scene."
             )
-        vehicle, route = self._api.vehicle, self._log.routes[row]
+        route = self._log.routes[row]
         self._api.route.add(ANY_ROUTE, [route[0]])
+        self._insert_av(model, on_route=False)
+        if not self._av.on_lane:
+            self._note("off_network", "the log drives the AV until it reaches a lane")
+        elif tuple(self._api.vehicle.getRoute(name)) != route:
+            # SUMO took it as one of a lane off its route, and dropped the route for it
+            self._api.vehicle.remove(name)
+            self._settle()
+            self._insert_av(model, on_route=True)
+            pose = self._av.pose()
+            x, y = tracks.position_m[row, self._now]
+            moved = float(np.hypot(pose.x_m - x, pose.y_m - y))
+            self._note("moved_onto_route", f"by {moved:.2f} m: it starts between lanes")
+        if self._case.net.ghost_edge is not None:
+            detail = "the AV drives on a lane of its own, from which SUMO sees no other vehicle"
+            self._note("ghost_edge", detail)
+
+    def _insert_av(self, model: VehicleModel | None, *, on_route: bool) -> None:
+        tracks, row, name = self._tracks, self._av_row, self._case.av_id
+        vehicle = self._api.vehicle
         add_vehicle(self._api, self._log, tracks, row, AV_TYPE if model else TRAFFIC_TYPE)
         desired = float(tracks.speed_mps[row][tracks.valid[row]].max())
         if model is not None and model.desired_mps is not None:
             desired = model.desired_mps
-        vehicle.setSpeedFactor(name, speed_factor(self._api, route, desired))
+        vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], desired))
         vehicle.setLaneChangeMode(name, _FOLLOW_ROUTE)
-        ghost = self._case.net.ghost_edge if self._case.net else None
-        move_logged(self._api, self._log, name, row, self._now, ghost or "")
+        move_logged(self._api, self._log, name, row, self._now, on_route=on_route)
+        self._settle()
+        vehicle.setPreviousSpeed(name, float(tracks.speed_mps[row, self._now]))
+
+    def _settle(self) -> None:
+        """A step of SUMO that leaves the recording where it is now."""
         self._place_others(self._now, None)
         self._signals.show(self._now)
         self._placed.before_step()
         self._api.simulationStep()
         self._placed.after_step()
         self._free.after_step(self._now)
-        vehicle.setPreviousSpeed(name, float(tracks.speed_mps[row, self._now]))
-
-    def _check_av(self) -> None:
-        assert self._case.net is not None
-        if self._case.net.ghost_edge is not None:
-            detail = "the AV drives on a lane of its own, from which SUMO sees no other vehicle"
-            self._note("ghost_edge", detail)
-        elif not self._av.on_lane:
-            self._note("off_network", "the log drives the AV until it reaches a lane")
 
     def _note(self, kind: str, detail: str) -> None:
         self.events.append(Event(step=self._step, agent_id=self._av.id, kind=kind, detail=detail))

@@ -22,6 +22,7 @@ from deepmf_sumo.datatypes import (
     SignalState,
     Source,
     Tracks,
+    frozen,
 )
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
@@ -186,7 +187,7 @@ def _scene(
         source=source,
         dt_s=DT_S,
         now=HISTORY_STEPS - 1,
-        timestamps_s=np.arange(tracks.steps) * DT_S,
+        timestamps_s=frozen(np.arange(tracks.steps) * DT_S),
         tracks=tracks.select(cast.rows),
         road=road,
         signals=signals,

@@ -1,4 +1,4 @@
-"""SUMO's positions as a tracker would have recorded them: smooth headings, consistent velocities."""
+"""SUMO's motion as a tracker would have recorded it: smooth, with velocities that fit."""
 
 import numpy as np
 

@@ -7,8 +7,7 @@ from deepmf_sumo.simulation.av import move
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
-_MATCH_M = 2.1
-"""Half of two cars' widths: beyond it the vehicle is beside the lane, not on it."""
+_MATCH_M = 5.0
 _SNAP_TO_LANE = 0  # keepRoute: the nearest lane
 _SNAP_M = 100.0
 

@@ -11,10 +11,10 @@ ANY_ROUTE = "deepmf_any"
 """Route of vehicles that have none of their own."""
 
 # A placed vehicle must be able to have any speed that the log says, else SUMO clamps what followers
-# see; apparentDecel is what they believe it can brake with.
+# see; apparentDecel is what they believe it can brake with. It may be on lanes for others, too.
 _PLACED = (
-    f'<vType id="{PLACED_TYPE}" speedFactor="10" speedDev="0" maxSpeed="100" accel="1000" '
-    'decel="1000" emergencyDecel="1000" apparentDecel="4.5"/>'
+    f'<vType id="{PLACED_TYPE}" vClass="ignoring" speedFactor="10" speedDev="0" maxSpeed="100" '
+    'accel="1000" decel="1000" emergencyDecel="1000" apparentDecel="4.5"/>'
 )
 _TRAFFIC = (
     f'<vType id="{TRAFFIC_TYPE}" carFollowModel="IDM" accel="1.5" decel="2" emergencyDecel="8" '

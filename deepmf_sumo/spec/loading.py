@@ -14,6 +14,8 @@ from deepmf_sumo.spec.model import Plugin, Spec, unknown_key
 VERSIONS: Final[dict[str, float | None]] = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
 """The paper's versions of DeepMF: seconds between plans; G plans once."""
 
+_DEEPMF: Final = ("deepmf", *VERSIONS)
+
 
 def load(path: Path, sets: Sequence[str] = ()) -> Spec:
     """The spec in a file, with ``key=value`` assignments over it (dotted keys, YAML values).
@@ -38,8 +40,10 @@ def _expand(document: Document, *, override: bool = False) -> None:
     for key in ("planner", "adversary"):
         if isinstance(values.get(key), str):
             values[key] = {"name": values[key]}
+    if isinstance(values.get("planner"), dict):
+        values["planner"].setdefault("name", "idm")
     adversary = values.get("adversary")
-    if not isinstance(adversary, dict):
+    if not isinstance(adversary, dict) or adversary.get("name", "deepmf") not in _DEEPMF:
         return
     key = "version" if "version" in adversary else "name"
     version = adversary.get(key, "deepmf")

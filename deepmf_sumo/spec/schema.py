@@ -27,10 +27,7 @@ def schema() -> dict[str, Any]:
     planner = _choices("planners", "planner", definitions)
     adversary = _choices("adversaries", "adversary", definitions)
     versions = {"enum": list(VERSIONS)}
-    deepmf = definitions.get("adversary deepmf")
-    if deepmf:
-        deepmf["properties"]["version"] = versions
-        deepmf["required"] = []
+    definitions["adversary.deepmf"]["required"] = []
     document["properties"]["planner"] = planner
     document["properties"]["adversary"] = {
         "anyOf": [versions, *adversary["anyOf"]],
@@ -44,12 +41,12 @@ def _choices(kind: plugins.Kind, prefix: str, definitions: dict[str, Any]) -> di
     choices = []
     for name in plugins.names(kind):
         model: type[BaseModel] = plugins.load(kind, name).Settings
-        settings = model.model_json_schema(ref_template=f"#/$defs/{prefix} {name} {{model}}")
+        settings = model.model_json_schema(ref_template=f"#/$defs/{prefix}.{name}.{{model}}")
         for inner, definition in settings.pop("$defs", {}).items():
-            definitions[f"{prefix} {name} {inner}"] = definition
+            definitions[f"{prefix}.{name}.{inner}"] = definition
         settings["properties"] = {"name": {"const": name}, **settings.get("properties", {})}
         settings["required"] = ["name", *settings.get("required", [])]
         settings["title"] = f"{prefix} {name}"
-        definitions[f"{prefix} {name}"] = settings
-        choices.append({"$ref": f"#/$defs/{prefix} {name}"})
+        definitions[f"{prefix}.{name}"] = settings
+        choices.append({"$ref": f"#/$defs/{prefix}.{name}"})
     return {"anyOf": [{"enum": plugins.names(kind)}, *choices, _CUSTOM]}

@@ -90,7 +90,7 @@ def fit_temperature(net: DenseTNT, cache: Cache, modes: int, samples: int = 600)
         given = partner_condition(batch, net.preset, None) if net.conditional else None
         goals = net(batch, given)
         logits = goals.logits[:, 0].flatten(1)
-        ends = goals.at_knots()[0][:, 0, ..., -1, :].flatten(1, 2)
+        ends = goals.ends()[:, 0]
         chosen, _ = selection.select(logits.softmax(-1), ends, modes)
         at = ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2))
         nearest = (at - batch["future"][:, -1:]).norm(dim=-1).argmin(1, keepdim=True)

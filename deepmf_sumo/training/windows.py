@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -22,6 +23,8 @@ MIN_FUTURE_STEPS: Final = 30
 """A target is known for at least 3 s."""
 MIN_DISTANCE_M: Final = 2.0
 """Who moves less is no target, the AV and labelled agents excepted."""
+_FARTHEST_M: Final = 30.0
+"""Others that stay farther away, in space and time, are no partners."""
 _MAX_STEP_M: Final = 12.0
 """Tracks that jump farther in 0.1 s are the tracker's mistakes."""
 
@@ -95,22 +98,16 @@ def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
         other = [each for each in scene.interest if each != agent_id]
         if other and _known(scene, other[0], step):
             return _filled(scene, future_of(scene, other[0], step), step)
+    others = [each for each in _movers(scene, step) if each.agent_id != agent_id]
+    if not others:
+        return None
     own = _filled(scene, future_of(scene, agent_id, step), step).position_m[4::5]
-    best, best_cost = None, 30.0
     times = np.arange(len(own)) * 0.5
     late = 2.0 * np.abs(times[:, None] - times)
-    for row, other_id in enumerate(scene.tracks.ids):
-        if other_id == agent_id or scene.tracks.kinds[row] != "vehicle":
-            continue
-        if not _known(scene, other_id, step) or _jumps(scene.tracks, row):
-            continue
-        future = _filled(scene, future_of(scene, other_id, step), step)
-        if np.hypot(*(future.position_m[-1] - future.position_m[0])) < MIN_DISTANCE_M:
-            continue
-        apart = np.linalg.norm(own[:, None] - future.position_m[4::5], axis=-1) + late
-        if apart.min() < best_cost:
-            best, best_cost = future, float(apart.min())
-    return best
+    ways = np.stack([each.position_m[4::5] for each in others])
+    apart = np.linalg.norm(own[:, None] - ways[:, None], axis=-1) + late  # (A, 16, 16)
+    least = apart.min(axis=(1, 2))
+    return others[int(least.argmin())] if least.min() < _FARTHEST_M else None
 
 
 def local_future(view: View, agent_id: AgentId, future: Future) -> Floats:
@@ -120,6 +117,20 @@ def local_future(view: View, agent_id: AgentId, future: Future) -> Floats:
     local = frames.to_local(future.position_m, origin, heading)
     turn = angles.wrap(future.heading_rad - heading)
     return np.concatenate([local, turn[:, None]], axis=1)
+
+
+@lru_cache(maxsize=2)
+def _movers(scene: Scene, step: int) -> tuple[Future, ...]:
+    """Completed futures of all vehicles that move after the step."""
+    found = []
+    for row, agent_id in enumerate(scene.tracks.ids):
+        if scene.tracks.kinds[row] != "vehicle" or not _known(scene, agent_id, step):
+            continue
+        future = _filled(scene, future_of(scene, agent_id, step), step)
+        away = np.hypot(*(future.position_m[-1] - future.position_m[0]))
+        if away > MIN_DISTANCE_M and not _jumps(scene.tracks, row):
+            found.append(future)
+    return tuple(found)
 
 
 def _known(scene: Scene, agent_id: AgentId, step: int) -> bool:

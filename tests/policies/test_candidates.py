@@ -93,3 +93,19 @@ def test_an_av_out_of_reach_gives_no_goals():
     view = view_of({"av": (0, 0, 0, 10.0), "b": (600, 300, 0, 12.0)})
     own, av = FanPredictor().predict(view, ["b", "av"], 32)
     assert len(goal_paths(own, av, Start.of(view, "b"), SIZE, LIMITS, 80, 32).limits) == 0
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.3, 0.5, 1.0, 3.0])
+def test_modes_that_hardly_move_are_paths_too(moved):
+    view = view_of({"av": (0, 0, 0, 10.0), "b": (30, 3.5, 0, 0.0)})
+    share = np.minimum(np.arange(1, 81) / 20, 1.0)
+    position = np.array([30, 3.5]) + moved * share[:, None] * np.array([[1.0, 0.0]])
+    own = Forecast(
+        futures=Futures(
+            agent_id="b", position_m=np.stack([position, position]), heading_rad=np.zeros((2, 80))
+        ),
+        probability=np.array([0.5, 0.5]),
+    )
+    (av,) = FanPredictor().predict(view, ["av"], 6)
+    paths = goal_paths(own, av, Start.of(view, "b"), SIZE, LIMITS, 80, 32)
+    assert np.isfinite(paths.reference_m).all()

@@ -1,7 +1,7 @@
 """One made-up recording, as each of the formats would hold it.
 
-Two lanes lead east, side by side, and one goes on from the right one. The AV drives at 10 m/s in the
-right lane, a car at 12 m/s in the left one, and a pedestrian walks north, seen for 30 steps only.
+Two lanes lead east, side by side, and one goes on from the right one. The AV drives at 10 m/s in
+the right lane, a car at 12 m/s in the left one, and a pedestrian walks north, seen for 30 steps.
 """
 
 import math

@@ -55,7 +55,9 @@ def assert_same_motion(scene, original, *, flat=False):
     assert scene.tracks.kinds == original.tracks.kinds
     assert np.array_equal(scene.tracks.valid, original.tracks.valid)
     for name in ("position_m", "heading_rad", "velocity_mps"):
-        assert getattr(scene.tracks, name) == pytest.approx(getattr(original.tracks, name), abs=1e-4)
+        assert getattr(scene.tracks, name) == pytest.approx(
+            getattr(original.tracks, name), abs=1e-4
+        )
     axes = 2 if flat else 3
     assert scene.tracks.size_m[:, :axes] == pytest.approx(original.tracks.size_m[:, :axes])
 
@@ -110,7 +112,10 @@ def test_scenarionet_sizes_in_one_array_or_as_columns(original, described, unpic
 def test_scenarionet_early_signals_are_numbers_over_time(original, described, unpickled):
     light = described["dynamic_map_states"]["102"]
     numbers = np.array(
-        [{"LANE_STATE_STOP": 4, "LANE_STATE_GO": 6, None: 0}[one] for one in light["state"]["object_state"]]
+        [
+            {"LANE_STATE_STOP": 4, "LANE_STATE_GO": 6, None: 0}[one]
+            for one in light["state"]["object_state"]
+        ]
     )
     there = numbers[:, None] > 0
     light["state"] = {
@@ -166,7 +171,10 @@ class Harm:
         (lambda d: d.update(extra=Harm()), "names 'builtins.print'"),
         (lambda d: d.pop("tracks"), "no 'tracks'"),
         (lambda d: d.update(tracks={}), "no tracks"),
-        (lambda d: d["metadata"].pop("sdc_id") and d["metadata"].pop("sdc_track_index"), "sdc_track"),
+        (
+            lambda d: d["metadata"].pop("sdc_id") and d["metadata"].pop("sdc_track_index"),
+            "sdc_track",
+        ),
         (lambda d: d["metadata"].update(metadrive_processed=True), "recorded in MetaDrive"),
         (lambda d: d["tracks"]["7"]["state"].pop("heading"), "lacks the key 'heading'"),
         (lambda d: d["tracks"]["7"]["state"].update(heading=np.zeros(5)), "5 values, not 91"),
@@ -273,7 +281,9 @@ def test_unusable_json_is_refused(drive, parsed, damage, said):
     assert "scene.json" in refusal.reason
 
 
-@pytest.mark.parametrize("content", ['{"objects": [', '{"roads": ' + "[" * 100000, '{"objects": 3}'])
+@pytest.mark.parametrize(
+    "content", ['{"objects": [', '{"roads": ' + "[" * 100000, '{"objects": 3}']
+)
 def test_json_that_is_cut_or_nested_too_deep_is_refused(tmp_path, content):
     file = tmp_path / "cut.json"
     file.write_text(content)

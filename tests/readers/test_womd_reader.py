@@ -38,7 +38,11 @@ def test_every_field_arrives(read):
     assert lane.speed_limit_mps == pytest.approx(13.4112)
     assert lane.centre_m.shape == (201, 2)
     assert lane.centre_m[3] == pytest.approx([1.5, 0])
-    assert (lane.left[0].lane_id, lane.left[0].self_end, lane.left[0].other_end) == ("101", 200, 201)
+    assert (lane.left[0].lane_id, lane.left[0].self_end, lane.left[0].other_end) == (
+        "101",
+        200,
+        201,
+    )
     assert (lane.left_boundaries[0].feature_id, lane.left_boundaries[0].kind) == ("200", 1)
     assert road.lanes["102"].interpolating
     assert road.lanes["102"].previous == ("100",)
@@ -122,7 +126,11 @@ def clock_backwards(message):
 @pytest.mark.parametrize(
     ("damage", "said", "left"),
     [
-        (zero_size_now, "no size at step 10; that of step 9", lambda s: s.tracks.size_m[0, 0] == 4.5),
+        (
+            zero_size_now,
+            "no size at step 10; that of step 9",
+            lambda s: s.tracks.size_m[0, 0] == 4.5,
+        ),
         (zero_size_always, "typical of its kind", lambda s: s.tracks.size_m[0, 0] == 4.7),
         (not_a_number, "Agent 7: 1 states", lambda s: s.tracks.valid[0].sum() == 90),
         (jump, "first after step 59; 31 states", lambda s: s.tracks.valid[0].sum() == 60),

@@ -20,7 +20,7 @@ SITUATIONS = {
     "left_turn_across_path": ("oncoming", 70),
     "merge_from_ramp": ("ahead on the right", 30),
     "minor_road_crossing": ("from the right", 60),
-    "overtaking_head_on": ("oncoming", 100),
+    "overtaking_head_on": ("oncoming", 80),
     "rear_end": ("behind", 30),
     "red_light_runner": ("from the right", 70),
     "roundabout_entry": ("from the right", 60),

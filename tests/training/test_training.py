@@ -19,12 +19,12 @@ from deepmf_sumo.training import cache, evaluation, loop, losses, run, samples, 
 
 @pytest.fixture
 def recordings(monkeypatch, tmp_path):
-    """Forty crossings, and one record that cannot be used."""
+    """Twenty crossings, and one record that cannot be used."""
     made = [
         scene(shift=2.0 * number - 30, av_speed=4.0 + number % 9, turn=0.3 * number)
-        for number in range(40)
+        for number in range(20)
     ]
-    refusal = Refusal(file="-", record=40, name="bad", reason="damaged")
+    refusal = Refusal(file="-", record=20, name="bad", reason="damaged")
     monkeypatch.setattr(readers, "scenes", lambda _: iter([*made, refusal]))
     file = tmp_path / "recordings.bin"
     file.write_bytes(b"x")
@@ -38,7 +38,7 @@ def training(recordings, tmp_path):
         folder=tmp_path / "set",
         cache=tmp_path / "cache",
         preset=LIGHT,
-        steps=4,
+        steps=2,
         licence="ours",
         command="test",
     )
@@ -50,19 +50,19 @@ def test_all_networks_are_trained_and_usable(training, recordings):
         run.train(network, training, lines.append)
     found = weights.load(training.folder)
     card = json.loads((training.folder / "conditional.json").read_text(encoding="utf-8"))
-    assert card["scenes"] == 40
+    assert card["scenes"] == 20
     assert card["refused"] == 1
     assert card["began_from"] == "marginal"
     assert card["licence"] == "ours"
     assert not list(training.folder.glob("*.checkpoint"))
-    assert found.marginal.net.profiles.abs().max() > 1.0
+    assert found.marginal.net.prior.std() > 0
     figures = evaluation.evaluate([recordings], training.folder, lines.append)
-    assert figures["scenes"] == 40
-    assert figures["marginal"]["targets"] == 80
+    assert figures["scenes"] == 20
+    assert figures["marginal"]["targets"] == 40
     assert set(figures["marginal"]["8.0"]["min_fde"]) == {"6", "16", "32"}
     assert figures["marginal"]["8.0"]["constant_velocity_fde"] == pytest.approx(0.0, abs=1e-6)
     assert figures["opponent"]["partner_top1"] is not None
-    assert figures["conditional"]["targets"] > 60
+    assert figures["conditional"]["targets"] > 30
 
 
 def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(training):
@@ -75,7 +75,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(training):
         return net
 
     file = training.folder / "a.checkpoint"
-    schedule = loop.Schedule(steps=4, batch=8, evaluate_every=2)
+    schedule = loop.Schedule(steps=4, batch=4, evaluate_every=2)
     whole = start()
     loop.train(whole, made, trajectory.loss_of(whole), schedule, file, lambda _: None)
 
@@ -104,14 +104,14 @@ def test_training_lowers_the_loss(training):
     schedule = loop.Schedule(steps=16, batch=8, evaluate_every=16)
     before = loop.evaluate(net, made, loss, schedule)
     loop.train(net, made, loss, schedule, training.folder / "c", lambda _: None)
-    assert loop.evaluate(net, made, loss, schedule) < before - 1.0
+    assert loop.evaluate(net, made, loss, schedule) < before - 0.5
 
 
 def test_held_out_scenes_are_never_trained_on(training):
     made = run._cache("opponent", training, print)
     train, held = made.rows(held_out=False), made.rows(held_out=True)
     assert not set(made.scene[train]) & set(made.scene[held])
-    assert len(set(made.scene[held])) == 4
+    assert len(set(made.scene[held])) == 2
 
 
 def test_a_cache_is_made_once(training, monkeypatch):

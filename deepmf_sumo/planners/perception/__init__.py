@@ -58,7 +58,7 @@ def _within(centre: Floats, path: Floats, reach: Floats) -> Bools:
     """(N) whether a box's circumcircle can touch the corridor."""
     low, high = path.min(0), path.max(0)
     outside = np.maximum(np.maximum(low - centre, centre - high), 0.0)
-    candidate = np.hypot(outside[:, 0], outside[:, 1]) < reach
+    candidate: Bools = np.hypot(outside[:, 0], outside[:, 1]) < reach
     if candidate.any():
         foot = polylines.project(path, centre[candidate])
         candidate[candidate] = foot.distance_m < reach[candidate]

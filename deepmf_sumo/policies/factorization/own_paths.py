@@ -77,14 +77,18 @@ def own_paths(own: Forecast, start: Start) -> list[OwnPath]:
             continue
         kept.append(int(mode))
         if len(points[mode]) > 1:
-            covered |= (
-                polylines.project(points[mode][:: _COARSE // 2], ends).distance_m < _SAME_PATH_M
-            )
+            covered |= polylines.project(_thinned(points[mode]), ends).distance_m < _SAME_PATH_M
     paths = []
     for mode in sorted(kept)[:_PATHS]:
         heading = own.futures.heading_rad[mode, -1] if lengths[mode] > 1.0 else start.heading_rad
         paths.append(OwnPath.of(points[mode], float(heading)))
     return paths
+
+
+def _thinned(points: Floats) -> Floats:
+    """Every fourth point and the last."""
+    some: Floats = points[np.unique([*range(0, len(points), _COARSE // 2), len(points) - 1])]
+    return some
 
 
 def _moving(points: Floats) -> Floats:

@@ -7,6 +7,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Lane, Neighbour, Polygon, Polyline, RoadMap, StopSign
 from deepmf_sumo.errors import ReaderError
+from deepmf_sumo.readers.checks.motion import FARTHEST_M
 
 
 def refuse(road: RoadMap) -> None:
@@ -14,9 +15,17 @@ def refuse(road: RoadMap) -> None:
     if not road.lanes:
         raise ReaderError("the record has no lanes")
     for lane in road.lanes.values():
-        if not (np.isfinite(lane.centre_m).all() and np.isfinite(lane.z_m).all()):
+        if not is_placed(lane):
             # Other lanes point into this one by index: no point of it can be left out.
-            raise ReaderError(f"lane {lane.id} has points that are not finite numbers")
+            raise ReaderError(
+                f"lane {lane.id} has points that are not finite numbers, or too far away"
+            )
+
+
+def is_placed(lane: Lane) -> bool:
+    """Whether all points are finite numbers, not farther away than any recording."""
+    points = np.column_stack([lane.centre_m, lane.z_m])
+    return bool((np.abs(points) < FARTHEST_M).all())  # false for NaN, too
 
 
 def mended(road: RoadMap, repairs: list[str]) -> RoadMap:
@@ -80,8 +89,8 @@ def _sign_of(sign: StopSign, lanes: dict[str, Lane], lost: list[str]) -> StopSig
 
 
 def _is_usable(feature: Polyline | Polygon) -> bool:
-    finite = np.isfinite(feature.points_m).all() and np.isfinite(feature.z_m).all()
-    return bool(finite) and len(feature.points_m) > 0
+    points = np.column_stack([feature.points_m, feature.z_m])
+    return len(points) > 0 and bool((np.abs(points) < FARTHEST_M).all())
 
 
 def _usable(features: tuple[Polyline, ...], what: str, repairs: list[str]) -> tuple[Polyline, ...]:
@@ -95,14 +104,18 @@ def _usable_polygons(features: tuple[Polygon, ...], repairs: list[str]) -> tuple
 
 
 def _usable_signs(signs: list[StopSign], repairs: list[str]) -> tuple[StopSign, ...]:
-    _report((s.id for s in signs if not np.isfinite(s.position_m).all()), "stop signs", repairs)
-    return tuple(sign for sign in signs if np.isfinite(sign.position_m).all())
+    _report((s.id for s in signs if not _is_placed_sign(s)), "stop signs", repairs)
+    return tuple(sign for sign in signs if _is_placed_sign(sign))
+
+
+def _is_placed_sign(sign: StopSign) -> bool:
+    return bool((np.abs([*sign.position_m, sign.z_m]) < FARTHEST_M).all())
 
 
 def _report(lost: Iterable[str], what: str, repairs: list[str]) -> None:
     names = list(lost)
     if names:
         repairs.append(
-            f"{len(names)} {what} without points, or with points that are not finite numbers, "
+            f"{len(names)} {what} without points, or with points that are no places, "
             f"were left out: {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}."
         )

@@ -137,6 +137,8 @@ def _boundaries(listed: Any) -> tuple[Boundary, ...]:
 
 def _stop_sign(name: str, feature: Feature) -> StopSign:
     position = np.asarray(feature["position"], float).reshape(-1)
+    if len(position) < 2:
+        raise ValueError(f"stop sign {name} has {len(position)} coordinates")
     return StopSign(
         id=name,
         position_m=position[:2],

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from deepmf_sumo.datatypes import Lane, Polygon, Polyline, RoadMap, StopSign
 from deepmf_sumo.datatypes.road import LaneKind
-from deepmf_sumo.readers import topology
+from deepmf_sumo.readers import checks, topology
 from deepmf_sumo.readers.nocturne.points import points
 
 LANE_KINDS: Final[tuple[LaneKind, ...]] = ("unknown", "freeway", "street", "bike")
@@ -64,6 +64,9 @@ def _linked(lanes: list[Lane]) -> dict[str, Lane]:
     if len(set(ids)) < len(ids):
         twice = next(name for name in ids if ids.count(name) > 1)
         raise ValueError(f"two lanes have the id {twice}")
+    lost = next((lane.id for lane in lanes if not checks.is_placed(lane)), None)
+    if lost is not None:
+        raise ValueError(f"lane {lost} has points that are not finite numbers, or too far away")
     return topology.linked(lanes)
 
 

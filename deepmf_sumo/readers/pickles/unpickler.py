@@ -9,11 +9,15 @@ the original could be made to reserve memory at will.
 import collections
 import pickle
 import pickletools
+import re
 from collections.abc import Callable
 from io import BytesIO
 from typing import Any, Final
 
 import numpy as np
+
+
+_DTYPE: Final = re.compile(r"[biufcSUO][0-9]{1,4}")
 
 
 class ForbiddenClassError(pickle.UnpicklingError):
@@ -55,22 +59,48 @@ def _check_memo(content: bytes) -> None:
             raise pickle.UnpicklingError(f"it stores to memo entry {argument}")
 
 
+class _DType:
+    """Stands for ``numpy.dtype``: numbers, booleans, text, objects, and their byte order.
+
+    The state that a pickle gives a real dtype can hold flags that make numpy take numbers for
+    pointers; here only the byte order is taken from it.
+    """
+
+    def __init__(self, code: Any, *_: Any) -> None:
+        if not isinstance(code, str) or not _DTYPE.fullmatch(code):
+            raise pickle.UnpicklingError(f"it holds an array of type {code!r}")
+        self.real = np.dtype(code)
+
+    def __setstate__(self, state: Any) -> None:
+        order = state[1]
+        if order not in {"<", ">", "|", "="}:
+            raise pickle.UnpicklingError(f"it holds an array of byte order {order!r}")
+        if order in {"<", ">"}:
+            self.real = self.real.newbyteorder(order)
+
+
+class _Array(np.ndarray):  # type: ignore[type-arg]
+    """An array that is filled by a pickle's state, with a dtype that cannot be forged."""
+
+    def __setstate__(self, state: Any) -> None:
+        version, shape, dtype, is_fortran, content = state
+        super().__setstate__((version, shape, dtype.real, is_fortran, content))
+
+
 def _empty_array(subtype: Any, shape: Any, dtype: Any) -> np.ndarray:  # noqa: ARG001
     """``numpy.core.multiarray._reconstruct``: always empty, its shape comes as state."""
-    return np.ndarray((0,), "b")
+    return _Array((0,), "b")
 
 
-def _scalar(dtype: np.dtype[Any], content: bytes | str) -> Any:
+def _scalar(dtype: _DType, content: bytes | str) -> Any:
     """``numpy.core.multiarray.scalar`` for numbers and booleans."""
-    if dtype.hasobject or dtype.fields is not None:
-        raise pickle.UnpicklingError(f"it holds a numpy scalar of type {dtype}")
     raw = content.encode("latin1") if isinstance(content, str) else content
-    return np.frombuffer(raw, dtype=dtype, count=1)[0]
+    return np.frombuffer(raw, dtype=dtype.real, count=1)[0]
 
 
-def _from_buffer(content: Any, dtype: np.dtype[Any], shape: Any, order: Any) -> np.ndarray:
+def _from_buffer(content: Any, dtype: _DType, shape: Any, order: Any) -> np.ndarray:
     """``numpy._core.numeric._frombuffer``: arrays in pickles of protocol 5."""
-    return np.frombuffer(content, dtype=dtype).reshape(shape, order=order)
+    return np.frombuffer(content, dtype=dtype.real).reshape(shape, order=order)
 
 
 def _encode(text: str, encoding: str) -> bytes:
@@ -93,7 +123,7 @@ def _default_dict(factory: Any = None) -> dict[Any, Any]:  # noqa: ARG001
 _DESCRIPTION = "metadrive.scenario.scenario_description"
 _ALLOWED: Final[dict[tuple[str, str], Callable[..., Any]]] = {
     ("numpy", "ndarray"): _TypeName,
-    ("numpy", "dtype"): np.dtype,
+    ("numpy", "dtype"): _DType,
     ("numpy.core.multiarray", "_reconstruct"): _empty_array,
     ("numpy.core.multiarray", "scalar"): _scalar,
     ("numpy.core.numeric", "_frombuffer"): _from_buffer,

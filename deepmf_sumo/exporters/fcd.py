@@ -1,0 +1,204 @@
+"""A folder that SUMO opens: the net, everybody's type, FCD, and a .sumocfg that replays it.
+
+SUMO's `fcd-replay` device puts every vehicle where the FCD has it, sideways too (sublane model).
+What it cannot do: agents that stand off every lane are drawn as polygons instead; agents that move
+off every lane (most pedestrians) are in the FCD but not in the replay; in the step in which it
+appears a vehicle is on the middle of its lane; one whose track ends drives on to its edge's end.
+"""
+
+import shutil
+import tempfile
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import shapely
+
+from deepmf_sumo.datatypes import Bools, Case, Floats, RoadMap, Rollout, Tracks
+from deepmf_sumo.errors import OutputError
+from deepmf_sumo.geometry import boxes, sumo_frame
+from deepmf_sumo.plugins import Settings as PluginSettings
+
+NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
+FCD, REPLAY, CONFIG = "fcd.xml", "replay.fcd.xml", "replay.sumocfg"
+_COLOURS = {"av": "200,30,30", "opponent": "240,140,0", "other": "120,130,150"}
+_SHAPE_OF = {"vehicle": "passenger", "cyclist": "bicycle", "pedestrian": "pedestrian"}
+_ON_LANE_M = 1.65
+"""Half a lane: farther than this and half its width from a lane's centre, a box is beside it."""
+
+
+class Settings(PluginSettings):
+    """No settings."""
+
+
+class FcdExporter:
+    """Writes the ``sumo/`` folder of a run."""
+
+    suffix = "/"
+
+    def write(self, rollout: Rollout, case: Case, path: Path) -> None:
+        """Write the folder; see `write`."""
+        write(rollout, case, path)
+
+
+def build(settings: Settings) -> FcdExporter:
+    """The exporter."""
+    return FcdExporter()
+
+
+def write(rollout: Rollout, case: Case, path: Path) -> None:
+    """Write the folder ``path``, replacing one that was there.
+
+    ``sumo-gui -c path/replay.sumocfg`` shows the rollout; its time 0 is the first step of history.
+
+    Raises OutputError where the case's network or the folder cannot be used.
+    """
+    net = case.net.file if case.net else case.network.net if case.network else None
+    if net is None:
+        raise OutputError(f"Case '{case.name}' does not say which network it is on; set its `net`.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        try:
+            _fill(beside, rollout, case, net)
+            beside.chmod(0o755)
+            if path.exists():
+                shutil.rmtree(path)
+            beside.replace(path)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(f"'{path}' cannot be written: {error}.") from None
+
+
+def _fill(folder: Path, rollout: Rollout, case: Case, net: Path) -> None:
+    # a packed net stays packed, and SUMO tells by the name
+    net_name = NET + ".gz" if net.suffix == ".gz" else NET
+    shutil.copyfile(net, folder / net_name)
+    tracks = rollout.tracks
+    on_lane = _on_lane(tracks, case.road)
+    replayed = _from_first(on_lane) & tracks.valid
+    replayed[[kind == "pedestrian" for kind in tracks.kinds]] = False
+    additional = [TYPES, SHAPES]
+    if case.net is not None and case.net.additional is not None:
+        shutil.copyfile(case.net.additional, folder / "map.add.xml")
+        additional.append("map.add.xml")
+    (folder / TYPES).write_text(_types(rollout), "utf-8")
+    (folder / SHAPES).write_text(_shapes(rollout, replayed), "utf-8")
+    (folder / FCD).write_text(_fcd(rollout, tracks.valid), "utf-8")
+    (folder / REPLAY).write_text(_fcd(rollout, replayed), "utf-8")
+    end = tracks.steps * rollout.dt_s
+    (folder / CONFIG).write_text(_config(net_name, additional, end, rollout.dt_s), "utf-8")
+
+
+def _on_lane(tracks: Tracks, road: RoadMap) -> Bools:
+    """(A, T) whether an agent's front bumper is on a lane."""
+    lines = [lane.centre_m for lane in road.lanes.values() if len(lane.centre_m) > 1]
+    on_lane = np.zeros(tracks.valid.shape, bool)
+    if not lines:
+        return on_lane
+    tree = shapely.STRtree([shapely.LineString(line) for line in lines])
+    row, step = np.nonzero(tracks.valid)
+    front, _ = sumo_frame.to_sumo(
+        tracks.position_m[row, step], tracks.heading_rad[row, step], tracks.size_m[row, 0]
+    )
+    reach = _ON_LANE_M + tracks.size_m[row, 1] / 2
+    found = tree.query(shapely.points(front), predicate="dwithin", distance=reach)[0]
+    on_lane[row[found], step[found]] = True
+    return on_lane
+
+
+def _from_first(on_lane: Bools) -> Bools:
+    """From the first step on a lane on: SUMO inserts nobody elsewhere."""
+    begun: Bools = np.logical_or.accumulate(on_lane, axis=1)
+    return begun
+
+
+def _role(rollout: Rollout, agent: str) -> str:
+    if agent == rollout.av_id:
+        return "av"
+    return "opponent" if agent == rollout.opponent_id else "other"
+
+
+def _types(rollout: Rollout) -> str:
+    tracks, lines = rollout.tracks, []
+    for row, agent in enumerate(tracks.ids):
+        length, width, height = tracks.size_m[row]
+        shape = _SHAPE_OF.get(tracks.kinds[row], "passenger")
+        # vClass "ignoring": a recording has vehicles on lanes for others, too
+        lines.append(
+            f'    <vType id={quoteattr("type_" + agent)} vClass="ignoring" guiShape="{shape}" '
+            f'length="{length:.3f}" width="{width:.3f}" height="{max(height, 0.1):.3f}" '
+            f'color="{_COLOURS[_role(rollout, agent)]}" speedFactor="10" speedDev="0" '
+            'maxSpeed="100" accel="1000" decel="1000" emergencyDecel="1000"/>'
+        )
+    return "<additional>\n" + "\n".join(lines) + "\n</additional>\n"
+
+
+def _shapes(rollout: Rollout, replayed: Bools) -> str:
+    """Polygons of those that stand off every lane."""
+    tracks, lines = rollout.tracks, []
+    for row in np.flatnonzero(~replayed.any(axis=1) & tracks.valid.any(axis=1)):
+        steps = np.flatnonzero(tracks.valid[row])
+        if float(np.ptp(tracks.position_m[row, steps], axis=0).max()) > 1.0:
+            continue
+        corner = boxes.corners(
+            tracks.position_m[row, steps[0]],
+            tracks.heading_rad[row, steps[0]],
+            tracks.size_m[row, :2],
+        )
+        points = " ".join(f"{x:.3f},{y:.3f}" for x, y in corner)
+        name = quoteattr("box_" + tracks.ids[row])
+        lines.append(
+            f'    <poly id={name} type="{tracks.kinds[row]}" color="{_COLOURS["other"]}" '
+            f'fill="1" layer="5" shape="{points}"/>'
+        )
+    return "<additional>\n" + "\n".join(lines) + "\n</additional>\n"
+
+
+def _fcd(rollout: Rollout, present: Bools) -> str:
+    tracks = rollout.tracks
+    front, angle = sumo_frame.to_sumo(
+        tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0]
+    )
+    speed: Floats = tracks.speed_mps
+    lines = ["<fcd-export>"]
+    for step in range(tracks.steps):
+        lines.append(f'    <timestep time="{step * rollout.dt_s:.2f}">')
+        for row in np.flatnonzero(present[:, step]):
+            agent = tracks.ids[row]
+            lines.append(
+                f'        <vehicle id={quoteattr(agent)} x="{front[row, step, 0]:.4f}" '
+                f'y="{front[row, step, 1]:.4f}" angle="{angle[row, step]:.4f}" '
+                f'type={quoteattr("type_" + agent)} speed="{speed[row, step]:.4f}"/>'
+            )
+        lines.append("    </timestep>")
+    lines.append("</fcd-export>\n")
+    return "\n".join(lines)
+
+
+def _config(net: str, additional: list[str], end_s: float, dt_s: float) -> str:
+    return f"""<configuration>
+    <input>
+        <net-file value="{net}"/>
+        <additional-files value="{",".join(additional)}"/>
+    </input>
+    <time>
+        <begin value="0"/>
+        <end value="{end_s:.1f}"/>
+        <step-length value="{dt_s:g}"/>
+    </time>
+    <processing>
+        <lateral-resolution value="0.4"/>
+        <collision.action value="none"/>
+        <time-to-teleport value="-1"/>
+    </processing>
+    <fcd_replay_device>
+        <device.fcd-replay.files value="{REPLAY}"/>
+    </fcd_replay_device>
+    <gui_only>
+        <start value="false"/>
+        <delay value="100"/>
+    </gui_only>
+</configuration>
+"""

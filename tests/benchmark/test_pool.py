@@ -1,0 +1,136 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from deepmf_sumo.benchmark import pool
+from deepmf_sumo.errors import RunError
+
+
+def do(task):
+    """What a test's task says."""
+    kind, value = task
+    if kind == "write":
+        Path(value).write_text(os.environ["OMP_NUM_THREADS"])
+    elif kind == "kill":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    elif kind == "exit":
+        os._exit(7)
+    elif kind == "raise":
+        raise ValueError(value)
+    elif kind == "child":
+        child = subprocess.Popen(["sleep", "60"])
+        Path(value).write_text(str(child.pid))
+        time.sleep(60)
+
+
+class NeverStarts:
+    def __call__(self, task):
+        pass
+
+    def __reduce__(self):
+        return (os._exit, (3,))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_crash_costs_one_task(tmp_path, jobs):
+    tasks = [
+        ("write", tmp_path / "a"),
+        ("kill", None),
+        ("write", tmp_path / "b"),
+        ("exit", None),
+        ("raise", "no"),
+        ("write", tmp_path / "c"),
+    ]
+    endings = {one.index: one for one in pool.run(do, tasks, jobs=jobs, timeout_s=60)}
+    assert [endings[i].status for i in range(6)] == [
+        "done", "crashed", "done", "crashed", "raised", "done",
+    ]  # fmt: skip
+    assert "SIGSEGV" in endings[1].reason
+    assert "exit code 7" in endings[3].reason
+    assert endings[4].reason == "ValueError: no"
+    assert {(tmp_path / name).read_text() for name in "abc"} == {"1"}
+
+
+def test_time_limit_kills_the_worker_and_its_children(tmp_path):
+    pid_file = tmp_path / "pid"
+    tasks = [("child", pid_file), ("write", tmp_path / "after")]
+    endings = list(pool.run(do, tasks, jobs=1, timeout_s=1.0))
+    assert [one.status for one in endings] == ["timeout", "done"]
+    assert endings[0].reason == "longer than 1 s"
+    assert _gone(int(pid_file.read_text()))
+
+
+def test_closing_kills_what_runs(tmp_path):
+    pid_file = tmp_path / "pid"
+    endings = pool.run(do, [("write", tmp_path / "a"), ("child", pid_file)], jobs=1, timeout_s=60)
+    next(endings)
+    begin = time.monotonic()
+    endings.close()
+    assert time.monotonic() - begin < 5
+    assert not pid_file.exists() or _gone(int(pid_file.read_text()))
+
+
+def test_a_worker_that_cannot_start_is_an_error():
+    with pytest.raises(RunError, match="died while it started"):
+        list(pool.run(NeverStarts(), [1], jobs=1, timeout_s=60))
+
+
+def test_no_tasks():
+    assert list(pool.run(do, [], jobs=2, timeout_s=1)) == []
+
+
+def test_a_killed_parent_leaves_no_worker(tmp_path):
+    pid_file = tmp_path / "pid"
+    script = (
+        "import sys; sys.path[:0] = sys.argv[1:3]\n"
+        "from pathlib import Path\n"
+        "import test_pool\n"
+        "from deepmf_sumo.benchmark import pool\n"
+        "if __name__ == '__main__':\n"
+        "    tasks = [('child', Path(sys.argv[3]))]\n"
+        "    list(pool.run(test_pool.do, tasks, jobs=1, timeout_s=None))\n"
+    )
+    program = tmp_path / "program.py"
+    program.write_text(script)
+    here = Path(__file__).resolve()
+    parent = subprocess.Popen([sys.executable, program, here.parents[2], here.parent, pid_file])
+    worker = _until(lambda: _children(parent.pid) if pid_file.exists() else None)
+    parent.kill()
+    parent.wait()
+    try:
+        assert all(_gone(pid, 10.0) for pid in worker)
+    finally:
+        os.kill(int(pid_file.read_text()), signal.SIGKILL)  # `sleep` itself is not ours to end
+
+
+def _children(pid):
+    tasks = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(one) for one in tasks]
+
+
+def _until(found, seconds=60.0):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        value = found()
+        if value:
+            return value
+        time.sleep(0.05)
+    raise AssertionError("did not happen")
+
+
+def _gone(pid, seconds=3.0):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except FileNotFoundError:
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.05)
+    return False

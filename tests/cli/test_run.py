@@ -1,0 +1,77 @@
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import tiny_network
+
+from deepmf_sumo.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_runs_and_prints_a_table(tiny, tmp_path, capsys):
+    out = tmp_path / "out"
+    path = tiny_network.spec(tiny, "shown")
+    arguments = ["run", path, "--out", out, "--seed", 3, "--no-pictures", "--junit"]
+    assert main._run([str(one) for one in arguments]) == 0
+    captured = capsys.readouterr()
+    assert "shown--tiny--3" in captured.out
+    assert "no contact" in captured.out
+    assert "1 of 1 runs" in captured.err
+    assert json.loads((out / "summary.json").read_text())["status"] == {"ok": 1}
+    assert (out / "junit.xml").exists()
+    run = out / "runs" / "shown--tiny--3"
+    assert not (run / "picture.png").exists()
+    assert json.loads((run / "result.json").read_text())["seed"] == 3
+
+
+def test_a_broken_expectation_is_exit_code_1(tiny, tmp_path, capsys):
+    path = tiny_network.spec(tiny, "wrong", expect="{outcome: av_opponent}")
+    assert main._run(["run", str(path), "--out", str(tmp_path / "o"), "--no-pictures"]) == 1
+    assert "EXPECTATION BROKEN" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing.yaml"], "missing.yaml: cannot be read"),
+        (["good.yaml", "--set", "planner.name=imd"], "Did you mean 'idm'?"),
+        (["good.yaml", "--set", "sed=1"], "Did you mean 'seed'?"),
+        (["good.yaml", "--out", "good.yaml/out"], "cannot be written"),
+        (["good.yaml", "-k", "zzz"], "-k zzz leaves none of 1 runs"),
+        (["good.yaml", "good.yaml"], "Two runs are called"),
+    ],
+)
+def test_refusals_are_one_line(tiny, monkeypatch, capsys, arguments, message):
+    tiny_network.spec(tiny, "good")
+    monkeypatch.chdir(tiny)
+    assert main._run(["run", *arguments]) == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len([line for line in errors if line.startswith("deepmf-sumo: ")]) == 1
+    assert message in errors[-1]
+    assert not (tiny / "results").exists()
+
+
+def test_interrupt_keeps_the_table(tiny, tmp_path):
+    names = [str(tiny_network.spec(tiny, f"one {number}")) for number in range(40)]
+    out = tmp_path / "out"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "deepmf_sumo.cli.main", "run", *names, "--out", out],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+    )
+    while not list(out.glob("runs/one-*/result.json")):
+        assert child.poll() is None
+        time.sleep(0.05)
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=20)
+    assert child.returncode == 130
+    assert b"Traceback" not in errors
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["interrupted"] is True
+    assert 1 <= summary["runs"] < 40

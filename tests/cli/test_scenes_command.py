@@ -1,0 +1,75 @@
+import csv
+import gzip
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from deepmf_sumo.cli.scenes import COLUMNS, command
+from deepmf_sumo.errors import ReaderError, UsageError
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "readers"))
+from recordings_by_hand import scenario, shard
+
+
+@pytest.fixture
+def data(tmp_path):
+    repaired = scenario(name="mended")
+    repaired.tracks[0].states[10].length = 0
+    refused = scenario(name="bad")
+    refused.tracks[2].states[10].valid = False
+    return shard(tmp_path / "data.tfrecord", scenario(), repaired, refused)
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, [str(one) for one in arguments])
+
+
+def test_a_row_a_scene(data, tmp_path):
+    result = run(data, "--csv", tmp_path / "rows.csv")
+    assert result.exit_code == 0
+    assert "3 scenes: 1 ok, 1 repaired, 1 refused" in result.output
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert rows[0] == {
+        "file": str(data),
+        "record": "0",
+        "scene": "abc123",
+        "dataset": "womd",
+        "status": "ok",
+        "reason": "",
+        "steps": "91",
+        "vehicles": "2",
+        "pedestrians": "1",
+        "cyclists": "0",
+        "lanes": "3",
+        "connections": "1",
+        "signals": "1",
+        "av": "12",
+        "interest": "12 7",
+    }
+    assert [row["status"] for row in rows] == ["ok", "repaired", "refused"]
+    assert "no size at step 10" in rows[1]["reason"]
+    assert "no valid state" in rows[2]["reason"]
+
+
+def test_reasons_stand_below_their_rows(data):
+    output = run(data).output
+    assert output.index("mended") < output.index("no size at step 10") < output.index("bad")
+
+
+def test_nothing_readable_ends_with_3(tmp_path):
+    file = tmp_path / "cut.tfrecord.gz"
+    file.write_bytes(gzip.compress(shard(tmp_path / "one", scenario()).read_bytes())[:100])
+    result = run(file)
+    assert isinstance(result.exception, ReaderError)
+    assert result.exception.exit_code == 3
+    assert "1 scenes: 0 ok, 0 repaired, 1 refused" in result.output
+
+
+def test_a_missing_path_is_a_usage_error_and_leaves_no_csv(tmp_path):
+    result = run(tmp_path / "none", "--csv", tmp_path / "rows.csv")
+    assert isinstance(result.exception, UsageError)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,116 @@
+import json
+import os
+
+import pytest
+import recordings_by_hand as by_hand
+
+from deepmf_sumo import plugins, readers
+from deepmf_sumo.errors import ReaderError, UsageError
+from deepmf_sumo.readers import Refusal, womd
+from deepmf_sumo.readers.base import IndexedReader, Reader
+
+
+@pytest.fixture
+def data(tmp_path):
+    folder = tmp_path / "data"
+    (folder / "deep" / ".hidden").mkdir(parents=True)
+    by_hand.shard(folder / "b.tfrecord", *(by_hand.scenario(name=name) for name in "xyz"))
+    (folder / "deep" / "a.json").write_text(
+        json.dumps(by_hand.gpudrive(by_hand.scenario(name="g")))
+    )
+    (folder / "deep" / ".hidden" / "c.tfrecord").write_text("hidden")
+    (folder / "README").write_text("no recording")
+    return folder
+
+
+def names(found):
+    return [one.name for one in found if not isinstance(one, Refusal)]
+
+
+def test_files_of_folders_are_found_sorted_and_once(data):
+    found = readers.find([data / "b.tfrecord", data])
+    assert [file.name for file in found] == ["b.tfrecord", "README", "a.json"]
+
+
+def test_a_path_that_does_not_exist_is_an_error_at_once(data):
+    with pytest.raises(UsageError, match="nowhere does not exist"):
+        readers.scenes([data, data / "nowhere"])
+
+
+def test_scenes_of_all_formats_and_a_refusal_for_what_is_none(data):
+    found = list(readers.scenes([data]))
+    assert names(found) == ["x", "y", "z", "g"]
+    (refusal,) = [one for one in found if isinstance(one, Refusal)]
+    assert refusal.file.endswith("README")
+    assert "no known format; known are gpudrive, npz, scenarionet, womd" in refusal.reason
+
+
+def test_the_only_file_must_be_a_recording(data):
+    with pytest.raises(ReaderError, match="no known format"):
+        readers.scenes([data / "README"])
+
+
+def test_scenes_come_one_at_a_time(data, monkeypatch):
+    read = []
+    original = womd.framing.records
+
+    def watched(path):
+        for record in original(path):
+            read.append(record.index)
+            yield record
+
+    monkeypatch.setattr(womd.framing, "records", watched)
+    stream = readers.scenes([data / "b.tfrecord"])
+    next(stream)
+    assert read == [0]
+
+
+def test_ids_and_scenes_by_id(data, tmp_path):
+    assert readers.ids(data) == ["x", "y", "z", "g"]
+    for cache in (None, tmp_path / "cache"):
+        assert readers.scene(data / "b.tfrecord", "z", cache).source.record == 2
+        assert readers.scene(data, "g", cache).name == "g"
+    with pytest.raises(ReaderError, match="has no scene 'w'"):
+        readers.scene(data, "w")
+
+
+def test_a_scene_by_id_is_found_again_without_a_search(data, tmp_path, monkeypatch):
+    file, cache = data / "b.tfrecord", tmp_path / "cache"
+    first = readers.scene(file, "y", cache)
+    monkeypatch.setattr(womd, "places", lambda path: pytest.fail("searched again"))
+    again = readers.scene(file, "y", cache)
+    assert again.source == first.source
+
+
+def test_a_changed_file_and_a_damaged_index_are_searched_again(data, tmp_path):
+    file, cache = data / "b.tfrecord", tmp_path / "cache"
+    assert readers.ids(file, cache) == ["x", "y", "z"]
+    by_hand.shard(file, by_hand.scenario(name="new"))
+    os.utime(file, (1, 1))
+    assert readers.ids(file, cache) == ["new"]
+    for entry in (cache / "index").iterdir():
+        entry.write_text("{")
+    assert readers.scene(file, "new", cache).name == "new"
+
+
+def test_a_refused_scene_asked_for_by_id_is_an_error_with_the_reason(tmp_path):
+    message = by_hand.scenario(name="bad")
+    del message.map_features[:]
+    file = by_hand.shard(tmp_path / "one.tfrecord", message)
+    assert readers.ids(file) == ["bad"]
+    with pytest.raises(ReaderError, match="no lanes"):
+        readers.scene(file, "bad")
+
+
+@pytest.mark.parametrize("name", plugins.names("readers"))
+def test_every_reader_keeps_the_contract(name, tmp_path):
+    reader: Reader = plugins.load("readers", name)
+    for content in (b"", b"x", b"\x00" * 64):
+        file = tmp_path / "noise.bin"
+        file.write_bytes(content)
+        assert reader.accepts(file) is False
+    assert reader.accepts(tmp_path / "missing") is False
+
+
+def test_womd_offers_places():
+    assert isinstance(womd, IndexedReader)
