@@ -37,8 +37,7 @@ types: $(READY)  ## mypy --strict on the package
 	$(VENV)/bin/mypy
 
 protos: $(READY)  ## regenerate the protobuf code
-	$(PY) -m grpc_tools.protoc -I deepmf_sumo/readers/protos --python_out deepmf_sumo/readers/protos \
-	    --pyi_out deepmf_sumo/readers/protos deepmf_sumo/readers/protos/scenario.proto
+	$(PY) -m grpc_tools.protoc -I. --python_out=. --pyi_out=. deepmf_sumo/readers/protos/scenario.proto
 
 nets: $(READY)  ## rebuild the networks of sumo_nets/ from their sources
 	$(PY) sumo_nets/build.py
@@ -49,8 +48,14 @@ bench: $(READY)  ## speed and memory, as ratios and milliseconds side by side
 WOMD ?= ../shared/womd
 train: $(READY) open-weights  ## train the weights of the package, from our own SUMO traffic alone
 
-open-weights: $(READY)  ## record SUMO traffic and train the set `open` on it
-	$(RUN) record sumo_nets/*/*.sumocfg --out .cache/open-scenes --scenes 60 --seed 1
+OPEN_NETS := arterial four_way highway roundabout rural
+OPEN_SEEDS := 1 2 3 4
+open-scenes: $(READY)  ## record the SUMO traffic that `open` is trained on
+	for seed in $(OPEN_SEEDS); do for net in $(OPEN_NETS); do \
+	    $(RUN) record sumo_nets/$$net/$$net.sumocfg --out .cache/open-scenes/$$net-$$seed --scenes 40 --seed $$seed \
+	    || exit 1; done; done
+
+open-weights: open-scenes  ## record SUMO traffic and train the set `open` on it
 	$(RUN) train all --data .cache/open-scenes --name open --seed 1
 
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
@@ -60,4 +65,4 @@ docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow lint types protos nets bench train open-weights womd-weights docs
+.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-weights womd-weights docs

@@ -9,6 +9,7 @@ from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import Store, open_folder
 from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.spec import Expect, Spec
 
 
@@ -52,7 +53,7 @@ def run(
     """Run all tasks of the specs and write the result folder; results in the order of the tasks.
 
     An interrupt leaves the finished runs and their tables behind and is passed on. Raises SpecError
-    or OutputError before anything runs.
+    or OutputError before anything runs, and UsageError at the first run that shows the spec wrong.
     """
     cache = cache_folder()
     planned = tasks.plan(specs, cache, options.name_filter)
@@ -69,6 +70,8 @@ def run(
             task = left[ending.index]
             found[task.run_id] = last = _result(store, task, ending)
             report(Progress(done=len(found), of=len(planned), kept=kept_runs, last=last))
+            if last.get("refused"):  # e.g. weights that are not there: no run would fare better
+                raise UsageError(f"{task.run_id}: {last['error']}")
         interrupted = False
     finally:
         endings.close()

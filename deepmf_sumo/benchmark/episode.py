@@ -20,7 +20,7 @@ from deepmf_sumo import network, plugins, readers, simulation
 from deepmf_sumo.benchmark import artifacts, expectations, files, result
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, MetricValue, Rollout
-from deepmf_sumo.errors import DeepmfError, ReaderError
+from deepmf_sumo.errors import DeepmfError, ReaderError, UsageError
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.spec import FromNetwork
 
@@ -54,6 +54,9 @@ class Episode:
                 found = self._attack(task, folder)
             except ReaderError as error:
                 found = result.unfinished(task, "skipped", str(error), time.perf_counter() - begin)
+            except UsageError as error:
+                found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
+                found["refused"] = True
             except DeepmfError as error:
                 found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
             except Exception as error:  # noqa: BLE001 - a planner under test may raise anything

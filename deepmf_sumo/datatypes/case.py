@@ -35,7 +35,7 @@ class Case:
         road: the map that views show: the recording's, or the SUMO network's.
         av_id: track id, or SUMO vehicle id.
         duration_steps: steps after the current one.
-        partner_id: the labelled opponent, if the recording names one (`opponent: partner`).
+        partner_id: the labelled opponent, if the recording names one (``opponent: labelled``).
     """
 
     name: str

@@ -10,7 +10,6 @@ import shutil
 import tempfile
 import time
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -165,9 +164,8 @@ def _report(
         for key in graph.shapes
         if not placed.pieces.get(key)
     ]
-    dropped = {pair for link in placed.missing for pair in pairwise(link.path)}
     lost_joins = [
-        (first, second, "netconvert left it out" if (first, second) in dropped else _NO_WAY)
+        (first, second, "netconvert left it out" if (first, second) in placed.dropped else _NO_WAY)
         for first, afters in graph.following.items()
         for second in afters
         if (first, second) not in placed.covered

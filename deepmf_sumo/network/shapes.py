@@ -34,14 +34,14 @@ class Placement:
         lane_of: SUMO lane -> scene lanes on it, in driving order.
         signals: scene lane -> links that carry its light.
         covered: joins of scene lanes that some link of the net leads over.
-        missing: links that netconvert left out.
+        dropped: joins of links that netconvert left out.
     """
 
     pieces: dict[str, list[LanePiece]] = field(default_factory=lambda: defaultdict(list))
     lane_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
     signals: dict[str, tuple[SignalLink, ...]] = field(default_factory=dict)
     covered: set[tuple[str, str]] = field(default_factory=set)
-    missing: list[LinkPlan] = field(default_factory=list)
+    dropped: set[tuple[str, str]] = field(default_factory=set)
 
 
 class NetShapes:
@@ -149,13 +149,13 @@ def _place_link(
     net: NetShapes, plan: LinkPlan, blueprint: Blueprint, graph: LaneGraph, placement: Placement
 ) -> None:
     link = net.link(plan)
-    if link is None:
-        placement.missing.append(plan)
-        return
     origin, target = (blueprint.lane(ref).scene_lane for ref in (plan.origin, plan.target))
     if blueprint.lane(plan.target).start_m == 0.0:  # else it joins the two halves of a lane
         row = [lane_id for lane_id in (origin, *plan.path, target) if lane_id]
-        placement.covered |= set(pairwise(row))
+        joins = placement.dropped if link is None else placement.covered
+        joins |= set(pairwise(row))
+    if link is None:
+        return
     chain = net.chain(link)
     bounds = net.chain_bounds(chain, float(polylines.arc_lengths(plan.shape_m)[-1]))
     for key, (start, end) in zip(chain, pairwise(bounds), strict=True):

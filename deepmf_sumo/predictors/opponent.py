@@ -13,6 +13,8 @@ from deepmf_sumo.predictors.vgg import VGG16
 
 _RARE = -2.3
 """log(.09 / .91): the share of positive candidates, where training starts."""
+_DROPOUT = 0.3
+"""More than elsewhere: there are few scenes, and one sample a scene and window."""
 
 
 class OpponentNet(nn.Module):
@@ -31,10 +33,10 @@ class OpponentNet(nn.Module):
         self.pair = nn.Sequential(nn.Linear(PAIR, hidden), nn.ReLU(), nn.Linear(hidden, hidden))
         self.mlp = nn.Sequential(
             nn.ReLU(),
-            nn.Dropout(preset.dropout),
+            nn.Dropout(_DROPOUT),
             nn.Linear(4 * hidden, hidden),
             nn.ReLU(),
-            nn.Dropout(preset.dropout),
+            nn.Dropout(_DROPOUT),
         )
         self.heads = nn.Linear(hidden, 2)
         nn.init.constant_(self.heads.bias, _RARE)

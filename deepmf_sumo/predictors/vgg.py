@@ -43,7 +43,8 @@ class VGG16(nn.Module):
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_normal_(layer.weight, mode="fan_out", nonlinearity="relu")
-        self.to(memory_format=torch.channels_last)  # a third faster on CPUs
+                # a third faster on CPUs
+                layer.weight.data = layer.weight.data.contiguous(memory_format=torch.channels_last)
 
     def forward(self, image: Tensor, future: Tensor | None = None) -> Tensor:
         """(B, C, S, S), and channels of K futures (B*K, D, S', S') -> (B, H) or (B*K, H)."""

@@ -32,7 +32,8 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     plan = _explained(rollout)
-    frame = _frame(rollout, plan)
+    contact = next((one for one in rollout.contacts if one.kind == rollout.outcome), None)
+    frame = _frame(rollout, plan, contact)
     _road(axes, case.road, frame)
     scores = plan.reason.scores if plan and plan.reason else None
     _others(axes, rollout, scores)
@@ -41,9 +42,8 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
     _driven(axes, rollout, rollout.av_id, AV)
     if rollout.opponent_id:
         _driven(axes, rollout, rollout.opponent_id, OPPONENT)
-    contact = rollout.first(rollout.outcome) if rollout.outcome != "none" else None  # type: ignore[arg-type]
     if contact:
-        _contact(axes, contact)
+        _contact(axes, rollout, contact)
     _finish(axes, frame, _title(rollout, case, contact))
     handles = list(_handles(rollout, scores, plan))
     figure.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
@@ -55,7 +55,9 @@ def _explained(rollout: Rollout) -> Plan | None:
     return next((plan for plan in rollout.plans if plan.reason), None)
 
 
-def _frame(rollout: Rollout, plan: Plan | None) -> tuple[float, float, float, float]:
+def _frame(
+    rollout: Rollout, plan: Plan | None, contact: Contact | None
+) -> tuple[float, float, float, float]:
     """x0, x1, y0, y1 of a square around what the AV and the opponent did."""
     tracks = rollout.tracks
     chosen = [agent for agent in (rollout.av_id, rollout.opponent_id) if agent in tracks.ids]
@@ -67,7 +69,7 @@ def _frame(rollout: Rollout, plan: Plan | None) -> tuple[float, float, float, fl
     side = float(np.clip((high - low).max(), SMALLEST_M, LARGEST_M))
     centre = (low + high) / 2
     if (high - low).max() > LARGEST_M:  # too far for one picture: look at the end
-        centre = _positions(rollout, rollout.av_id)[-1]
+        centre = contact.pose_first[:2] if contact else _positions(rollout, rollout.av_id)[-1]
     return (
         float(centre[0] - side / 2),
         float(centre[0] + side / 2),
@@ -204,7 +206,17 @@ def _driven(axes: Axes, rollout: Rollout, agent: str, color: str) -> None:
         axes.plot(x, y, markersize=15, markeredgewidth=0.7, zorder=9, **star)  # type: ignore[arg-type]
 
 
-def _contact(axes: Axes, contact: Contact) -> None:
+def _contact(axes: Axes, rollout: Rollout, contact: Contact) -> None:
+    """A cross between the two, and the outlines of both at that moment."""
+    rows = [rollout.tracks.row(agent) for agent in (contact.first_id, contact.second_id)]
+    _boxes(
+        axes,
+        rollout,
+        [(row, contact.step) for row in rows if rollout.tracks.valid[row, contact.step]],
+        ["none"],
+        edge=CONTACT,
+        zorder=8,
+    )
     middle = (contact.pose_first[:2] + contact.pose_second[:2]) / 2
     axes.plot(*middle, marker="x", color="white", markersize=15, markeredgewidth=5, zorder=10)
     axes.plot(*middle, marker="x", color=CONTACT, markersize=13, markeredgewidth=2.5, zorder=11)

@@ -1,6 +1,6 @@
 """The AV in SUMO: carries out a planner's commands, one a step."""
 
-from deepmf_sumo.datatypes import AgentId, Command, Floats
+from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.frame import Pose
@@ -14,6 +14,8 @@ _OWN_DECISION = 31
 # braking is weakened to comfortable braking. So both are off, and the limits are kept here.
 _COMMANDED = 24
 _NO_CHECKS = 0
+_RISE_HELD_MPS = 0.02
+_RISE_FREE_MPS = 0.15
 _EXACT = 2  # keepRoute: exactly where it is put, on or off the lanes
 _MATCH_M = 5.0
 
@@ -28,6 +30,7 @@ class Av:
         self.ahead = RouteAhead(api, av_id)
         self.placed: Pose | None = None
         self._previous_mps: float | None = None
+        self._commanded_mps: float | None = None
 
     @property
     def present(self) -> bool:
@@ -46,6 +49,7 @@ class Av:
     def drive(self, command: Command) -> None:
         """Ask for the command in the coming step."""
         self.placed = None
+        commanded = None
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
         if command.kind == "pose":
@@ -55,13 +59,14 @@ class Av:
             vehicle.setSpeed(self.id, -1.0)
         elif command.kind == "leader":
             vehicle.setSpeedMode(self.id, _COMMANDED)
-            vehicle.setSpeed(self.id, self._behind_leader(command, speed))
+            commanded = self._behind_leader(command, speed)
+            vehicle.setSpeed(self.id, commanded)
         elif command.kind == "speed":
             vehicle.setSpeedMode(self.id, _NO_CHECKS)
             vehicle.setSpeed(self.id, max(0.0, command.speed_mps))
         else:
             raise SimulationError(f"The planner gave a command of unknown kind '{command.kind}'.")
-        self._previous_mps = speed
+        self._previous_mps, self._commanded_mps = speed, commanded
 
     def after_step(self) -> None:
         """What SUMO has to be told after the step."""
@@ -82,10 +87,12 @@ class Av:
         move(self._api, self.id, self.placed, self.length_m, _MATCH_M)
 
     def _behind_leader(self, command: Command, speed: float) -> float:
-        """The lower of SUMO's speed behind the leader and SUMO's own decision.
+        """SUMO's speed behind the leader, but no more than SUMO's own decision lets.
 
-        A commanded speed overrules SUMO's lights, right of way and lane leaders. SUMO's own
-        decision of the last step, as an acceleration, keeps them: 0.1 s late.
+        A commanded speed overrules SUMO's lights, right of way, limits and lane leaders. What SUMO
+        itself would have done in the last step is known, but only where that was less than what it
+        was commanded: so the acceleration may rise, slowly where it is SUMO's own, and faster
+        where SUMO had nothing against the last command.
         """
         vehicle = self._api.vehicle
         gap = max(0.0, command.gap_m - float(vehicle.getMinGap(self.id)))
@@ -93,8 +100,10 @@ class Av:
         target = float(vehicle.getFollowSpeed(self.id, speed, gap, command.leader_mps, decel, ""))
         if self._previous_mps is not None:
             own = float(vehicle.getSpeedWithoutTraCI(self.id))
-            target = min(target, speed + own - self._previous_mps)
-        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * 0.1
+            held = self._commanded_mps is None or own < self._commanded_mps - 1e-6
+            rise = _RISE_HELD_MPS if held else _RISE_FREE_MPS
+            target = min(target, speed + own - self._previous_mps + rise)
+        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
         return max(0.0, hardest, target)
 
 

@@ -59,6 +59,7 @@ def train(network: Network, training: Training, report: Progress) -> None:
         steps=steps,
         batch=16 if network == "opponent" else 64,
         rate=1e-3 if network == "opponent" or began else 2e-3,
+        weight_decay=0.1 if network == "opponent" else 0.02,
         seed=training.seed,
         device=training.device,
         evaluate_every=min(250, max(steps // 4, 1)),
@@ -96,7 +97,8 @@ def _cache(network: Network, training: Training, report: Progress) -> Cache:
         kind, make = "opponent", partial(samples.opponent_samples, preset=training.preset)
     else:
         kind, make = "trajectory", partial(samples.trajectory_samples, preset=training.preset)
-    settings = f"{training.preset.record()} {samples.WINDOW_STEPS}"
+    steps = samples.OPPONENT_STEPS if network == "opponent" else samples.WINDOW_STEPS
+    settings = f"{training.preset.record()} {steps}"
     return open_or_make(kind, training.data, settings, make, training.cache, report)
 
 

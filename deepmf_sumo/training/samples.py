@@ -1,10 +1,11 @@
 """One scene -> training samples of each network."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, Scene, View
+from deepmf_sumo.datatypes import FUTURE_STEPS, HISTORY_STEPS, Scene, View
 from deepmf_sumo.geometry import angles
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.opponent_features import SCENE_AGENTS, opponent_features
@@ -14,6 +15,7 @@ from deepmf_sumo.training.cache import Arrays
 
 WINDOW_STEPS = (10, 20, 30, 40)
 """Current steps at which a recording is looked at; later ones know less of the future."""
+OPPONENT_STEPS = (10, 20, 30)
 
 
 def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
@@ -43,25 +45,29 @@ def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
 
 
 def opponent_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
-    """Features around the AV at the current step, with both labels of each candidate.
+    """Features around the AV at each window, with both labels of each candidate.
 
-    Added to `opponent_features`: interacts (64), partner (64) one-hot, partner_known ().
+    Labels look at the recording from the start of the window's history on. Added to
+    `opponent_features`: interacts (64), partner (64) one-hot, partner_known ().
     """
-    if not scene.tracks.valid[scene.tracks.row(scene.av_id), scene.now]:
-        return
-    arrays, ids = opponent_features(windows.view_at(scene, scene.now), preset)
-    if not ids:
-        return
-    slots = np.flatnonzero(arrays["candidate"])
-    interacts, partner = np.zeros(SCENE_AGENTS), np.zeros(SCENE_AGENTS)
-    interacts[slots] = [labels.interacts(scene, agent_id) for agent_id in ids]
-    partner[slots] = [agent_id == scene.partner_id for agent_id in ids]
-    yield {
-        **arrays,
-        "interacts": _float(interacts),
-        "partner": _float(partner),
-        "partner_known": _float(partner.any()),
-    }
+    tracks = scene.tracks
+    for step in OPPONENT_STEPS:
+        if step >= tracks.steps or not tracks.valid[tracks.row(scene.av_id), step]:
+            continue
+        arrays, ids = opponent_features(windows.view_at(scene, step), preset)
+        if not ids:
+            continue
+        rest = replace(scene, tracks=tracks.window(step - HISTORY_STEPS + 1, tracks.steps))
+        slots = np.flatnonzero(arrays["candidate"])
+        interacts, partner = np.zeros(SCENE_AGENTS), np.zeros(SCENE_AGENTS)
+        interacts[slots] = [labels.interacts(rest, agent_id) for agent_id in ids]
+        partner[slots] = [agent_id == scene.partner_id for agent_id in ids]
+        yield {
+            **arrays,
+            "interacts": _float(interacts),
+            "partner": _float(partner),
+            "partner_known": _float(partner.any()),
+        }
 
 
 def _float(values: object) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

@@ -56,6 +56,14 @@ def test_refusals_are_one_line(tiny, monkeypatch, capsys, arguments, message):
     assert not (tiny / "results").exists()
 
 
+def test_missing_weights_stop_the_batch(tiny, tmp_path, capsys):
+    names = [str(tiny_network.spec(tiny, f"no {n}", adversary="S1", weights="nix")) for n in "ab"]
+    out = tmp_path / "out"
+    assert main._run(["run", *names, "--out", str(out), "--no-pictures"]) == 2
+    assert "There are no weights 'nix'" in capsys.readouterr().err
+    assert len((out / "runs.csv").read_text().splitlines()) == 2
+
+
 def test_interrupt_keeps_the_table(tiny, tmp_path):
     names = [str(tiny_network.spec(tiny, f"one {number}")) for number in range(40)]
     out = tmp_path / "out"

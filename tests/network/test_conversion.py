@@ -12,7 +12,7 @@ import pytest
 from deepmf_sumo import network
 from deepmf_sumo.datatypes import RoadMap, Scene
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import plain, programs
 from deepmf_sumo.network.net_file import points, read_net
 
 
@@ -240,6 +240,19 @@ def test_joins_that_cannot_be_are_lost_with_a_reason(road_of, scene_of, tmp_path
         ("a", "b", "their ends are 450.0 m apart"),
         ("b", "nowhere", "lane nowhere is not in the map"),
     )
+
+
+def test_a_join_that_netconvert_leaves_out_is_lost_with_a_reason(
+    road_of, scene_of, tmp_path, monkeypatch
+):
+    road = road_of([("a", [(0, 0), (50, 0)], {}), ("b", [(50, 0), (90, 0)], {})], [("a", "b")])
+    write_link = plain._link
+    nothing = '<connection from="ea"/>'
+    monkeypatch.setattr(
+        plain, "_link", lambda link: nothing if link.target[0] == "eb" else write_link(link)
+    )
+    report = network.convert(scene_of(road, path=[(0, 0), (40, 0)]), tmp_path / "net").report
+    assert report.lost_connections == (("a", "b", "netconvert left it out"),)
 
 
 def test_a_single_point_at_an_end_belongs_to_the_lane_it_touches(road_of, scene_of, tmp_path):

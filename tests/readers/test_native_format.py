@@ -61,7 +61,9 @@ def test_the_same_scene_is_the_same_file(scene, tmp_path):
     name=st.text(min_size=1).filter(lambda text: text.isprintable()),
     interest=st.lists(st.sampled_from(["7", "9"]), unique=True),
 )
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_any_value_comes_back(scene, tmp_path, width, limit, name, interest):
     lane = dataclasses.replace(scene.road.lanes["100"], width_m=width, speed_limit_mps=limit)
     road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})
@@ -98,7 +100,7 @@ def test_pickled_objects_are_refused(scene, tmp_path):
     assert isinstance(refusal, Refusal)
 
 
-@settings(max_examples=150)
+@settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_damage_gives_the_scene_or_a_refusal(scene, data, tmp_path_factory):
     file = tmp_path_factory.getbasetemp() / "damaged.npz"

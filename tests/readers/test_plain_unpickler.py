@@ -34,6 +34,7 @@ def test_arrays_and_scalars_come_back(value, protocol):
     assert back.dtype == value.dtype
 
 
+@settings(deadline=None)
 @given(
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
@@ -132,7 +133,7 @@ def test_big_endian_arrays_come_back():
     assert load_plain(pickle.dumps(value)).tolist() == [0, 1, 2]
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(data=st.data())
 def test_flipped_bytes_give_data_or_that_error(data):
     value = {"a": np.arange(20.0), "b": [1, "x", None, 2.5], "c": {"d": np.array([True])}}

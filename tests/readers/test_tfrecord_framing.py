@@ -27,6 +27,7 @@ def test_an_empty_payload_is_framed_by_known_bytes():
     assert framing.framed(b"") == expected
 
 
+@settings(deadline=None)
 @given(payloads=PAYLOADS, packed=st.booleans())
 def test_round_trip(file, payloads, packed):
     content = b"".join(framing.framed(one) for one in payloads)
@@ -38,7 +39,7 @@ def test_round_trip(file, payloads, packed):
         assert framing.record_at(file, one.offset, one.index) == one
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(payloads=PAYLOADS, data=st.data())
 def test_a_flipped_bit_never_gives_a_wrong_payload(file, payloads, data):
     content = bytearray(b"".join(framing.framed(one) for one in payloads))
@@ -55,6 +56,7 @@ def test_a_flipped_bit_never_gives_a_wrong_payload(file, payloads, data):
     assert len(good) == len(payloads) - lost
 
 
+@settings(deadline=None)
 @given(payloads=PAYLOADS, packed=st.booleans(), data=st.data())
 def test_a_cut_file_gives_the_whole_records_and_one_report(file, payloads, packed, data):
     framed = [framing.framed(one) for one in payloads]
@@ -72,6 +74,7 @@ def test_a_cut_file_gives_the_whole_records_and_one_report(file, payloads, packe
         assert found[-1].last
 
 
+@settings(deadline=None)
 @given(noise=st.binary(min_size=1, max_size=200))
 def test_noise_ends_in_one_report(file, noise):
     file.write_bytes(noise)

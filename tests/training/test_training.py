@@ -1,5 +1,6 @@
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,12 @@ import pytest
 import torch
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
+from click.testing import CliRunner
 from synthetic import scene
 
 from deepmf_sumo import readers
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.cli.train import command
+from deepmf_sumo.errors import UsageError, WeightsError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.presets import LIGHT, PAPER
 from deepmf_sumo.readers.base import Refusal
@@ -56,7 +59,13 @@ def test_all_networks_are_trained_and_usable(training, recordings):
     assert card["licence"] == "ours"
     assert not list(training.folder.glob("*.checkpoint"))
     assert found.marginal.net.prior.std() > 0
-    figures = evaluation.evaluate([recordings], training.folder, lines.append)
+    file = training.folder.parent / "figures.json"
+    figures = evaluation.run(
+        [recordings], name=str(training.folder), file=file, card=True, threads=None, report=print
+    )
+    assert json.loads(file.read_text(encoding="utf-8")) == figures
+    card = json.loads((training.folder / "marginal.json").read_text(encoding="utf-8"))
+    assert card["results"]["8.0"] == figures["marginal"]["8.0"]
     assert figures["scenes"] == 20
     assert figures["marginal"]["targets"] == 40
     assert set(figures["marginal"]["8.0"]["min_fde"]) == {"6", "16", "32"}
@@ -167,3 +176,23 @@ def test_data_that_does_not_exist_is_named(training, tmp_path):
     missing = cache.open_or_make
     with pytest.raises(UsageError, match="does not exist"):
         missing("opponent", [tmp_path / "no"], "", lambda _: [], tmp_path, print)
+
+
+def test_the_command_makes_a_named_set(recordings, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEEPMF_SUMO_HOME", str(tmp_path / "home"))
+    arguments = ["opponent", "--data", str(recordings), "--name", "mine", "--steps", "1"]
+    found = CliRunner().invoke(command, [*arguments, "--licence", "ours"])
+    assert found.exit_code == 0, found.output
+    card = json.loads(
+        (tmp_path / "home" / "weights" / "mine" / "opponent.json").read_text(encoding="utf-8")
+    )
+    assert card["steps"] == 1
+    assert card["scenes"] == 20
+    assert "held-out loss" in found.output
+
+
+def test_cuda_that_is_not_there_is_refused(training):
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device")
+    with pytest.raises(WeightsError, match="--device cpu"):
+        run.train("opponent", replace(training, device="cuda"), print)

@@ -16,7 +16,6 @@ from typing import Any, Final
 
 import numpy as np
 
-
 _DTYPE: Final = re.compile(r"[biufcSUO][0-9]{1,4}")
 
 
@@ -79,7 +78,7 @@ class _DType:
             self.real = self.real.newbyteorder(order)
 
 
-class _Array(np.ndarray):  # type: ignore[type-arg]
+class _Array(np.ndarray):
     """An array that is filled by a pickle's state, with a dtype that cannot be forged."""
 
     def __setstate__(self, state: Any) -> None:
