@@ -29,6 +29,8 @@ def recordings(monkeypatch, tmp_path):
     ]
     refusal = Refusal(file="-", record=20, name="bad", reason="damaged")
     monkeypatch.setattr(readers, "scenes", lambda _: iter([*made, refusal]))
+    monkeypatch.setattr(samples, "WINDOW_STEPS", (10, 40))
+    monkeypatch.setattr(samples, "OPPONENT_STEPS", (10,))
     file = tmp_path / "recordings.bin"
     file.write_bytes(b"x")
     return file
