@@ -31,8 +31,8 @@ class ConversionReport:
         error_mean_m, error_p99_m, error_max_m: distances of points of the scene's lanes to SUMO's
             and the reverse, taken together.
         seconds: wall time; 0 where the net was read back.
-        bridged_connections: joins of lanes that do not touch, which got a way of their own, with the
-            distance.
+        bridged_connections: joins of lanes that do not touch, which got a way of their own, with
+            the distance.
         lost_signals: lanes whose light is at no link, with the reason.
     """
 
@@ -58,8 +58,8 @@ class SumoNet:
         pieces: scene lane id -> its pieces in driving order.
         lane_of: SUMO lane id -> scene lane ids on it, in driving order (extensions map to none).
         signals: scene lane id -> links whose light it sees.
-        ghost_edge: SUMO edge along the AV's recorded path, joined to no other, where that path leaves
-            the lanes; None where it does not.
+        ghost_edge: SUMO edge along the AV's recorded path, joined to no other, where that path
+            leaves the lanes; None where it does not.
     """
 
     file: Path

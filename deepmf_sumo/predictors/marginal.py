@@ -25,6 +25,7 @@ class Marginal:
         self.net = net.eval()
         self.temperature = temperature
         self.selection = selection
+        self._last: tuple[View, dict[AgentId, Goals]] | None = None
 
     @torch.inference_mode()
     def predict(self, view: View, agent_ids: Sequence[AgentId], modes: int) -> list[Forecast]:
@@ -73,6 +74,11 @@ class Marginal:
         return density
 
     def _goals(self, view: View, agent_id: AgentId) -> Goals:
-        arrays, _ = features(view, agent_id, self.net.preset)
-        goals: Goals = self.net(completion.as_batch(arrays))
-        return goals
+        """Goals of an agent; those of the last view are kept, since a plan asks more than once."""
+        if self._last is None or self._last[0] is not view:
+            self._last = (view, {})
+        known = self._last[1]
+        if agent_id not in known:
+            arrays, _ = features(view, agent_id, self.net.preset)
+            known[agent_id] = self.net(completion.as_batch(arrays))
+        return known[agent_id]

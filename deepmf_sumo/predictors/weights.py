@@ -105,6 +105,11 @@ def find(name: str | Path) -> Path:
     )
 
 
+def place(name: str) -> Path:
+    """Folder that a new set of a name is written to: the package's own for ``open``, else home."""
+    return _places("open")[0] if name == "open" else home() / name
+
+
 def home() -> Path:
     """Where new sets of weights are kept: ``$DEEPMF_SUMO_HOME/weights``, else ``.weights``."""
     root = os.environ.get("DEEPMF_SUMO_HOME")

@@ -160,7 +160,7 @@ def train_named(
         torch.set_num_threads(threads)
     training = Training(
         data=data,
-        folder=out or weights.home() / name,
+        folder=out or weights.place(name),
         cache=cache or weights.home() / ".features",
         preset=preset_named(preset),
         steps=steps,

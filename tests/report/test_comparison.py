@@ -1,0 +1,49 @@
+"""Result folders side by side, on numbers that can be counted by hand."""
+
+import json
+
+import pytest
+
+from deepmf_sumo.benchmark.result import COLUMNS
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.report.comparison import compare
+
+
+def folder(tmp_path, outcomes):
+    lines = [",".join(COLUMNS)]
+    for number, (status, outcome, on_road) in enumerate(outcomes):
+        run = tmp_path / "runs" / f"run{number}"
+        run.mkdir(parents=True)
+        row = dict.fromkeys(COLUMNS, "")
+        row |= {"run_id": run.name, "spec": "s", "planner": "idm", "status": status}
+        row |= {"outcome": outcome, "generation_s": "0.5", "cycle_ms_median": "80"}
+        row |= {"contact_time_s": str(2 + number), "contact_speed_mps": "5"} if outcome else {}
+        lines.append(",".join(str(row[name]) for name in COLUMNS))
+        metrics = {"on_road": {"value": on_road}, "feasible": {"value": 1.0}}
+        content = {"contacts": [{"kind": outcome}] if outcome != "none" else []}
+        (run / "result.json").write_text(json.dumps({**content, "metrics": metrics}))
+    (tmp_path / "runs.csv").write_text("\n".join(lines) + "\n")
+    return tmp_path
+
+
+def test_rates_count_only_runs_that_went_through(tmp_path):
+    outcomes = [
+        ("ok", "av_opponent", 1.0),
+        ("ok", "av_opponent", 0.5),
+        ("ok", "opponent_other", 1.0),
+        ("ok", "none", 1.0),
+        ("failed", "", 1.0),
+    ]
+    row = compare([folder(tmp_path, outcomes)]).iloc[0]
+    assert (row["runs"], row["not_ok"], row["hits"]) == (4, 1, 2)
+    assert row["rate"] == pytest.approx(0.5)
+    assert row["low"] < 0.5 < row["high"]
+    assert row["time_s"] == pytest.approx(2.5)
+    assert row["on_road_hits"] == 1
+    assert row["third_party"] == 1
+    assert row["on_road"] == pytest.approx(0.875)
+
+
+def test_a_folder_without_results_is_named(tmp_path):
+    with pytest.raises(UsageError, match=r"runs\.csv"):
+        compare([tmp_path])

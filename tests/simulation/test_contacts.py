@@ -1,0 +1,93 @@
+"""Contacts: who, when, where on the box, how hard."""
+
+import numpy as np
+import pytest
+
+from deepmf_sumo.datatypes import Driver
+from deepmf_sumo.simulation.contacts import Judge, impact_sector
+from deepmf_sumo.simulation.frame import Frame, Pose
+
+CAR = np.array([4.0, 2.0])
+
+
+def frame(**poses):
+    """Agents as (x, y, heading, speed)."""
+    return Frame.of_poses(
+        {
+            name: (Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed), Driver.LOG)
+            for name, (x, y, heading, speed) in poses.items()
+        }
+    )
+
+
+def judged(*frames, opponent="ov", sizes=None):
+    judge = Judge("av", opponent)
+    for step, one in enumerate(frames):
+        size = np.array([(sizes or {}).get(name, CAR) for name in one.ids])
+        judge.look(step, one, size)
+    return judge
+
+
+def test_rear_end_collision():
+    before = frame(av=(0, 0, 0, 10), ov=(4.5, 0, 0, 4))
+    after = frame(av=(1, 0, 0, 10), ov=(4.9, 0, 0, 4))
+    (contact,) = judged(before, after).contacts
+    assert (contact.kind, contact.step, contact.sector, contact.striker_id) == ("av_opponent", 1, 0, "av")
+    assert contact.relative_mps == pytest.approx(6.0)
+    assert contact.closing_mps == pytest.approx(6.0)
+    assert contact.delta_v_mps == pytest.approx(3.0)  # equal boxes share the difference
+
+
+def test_broadside_collision_is_the_strikers():
+    before = frame(av=(0, 0, 0, 10), ov=(1.0, -3.3, np.pi / 2, 8))
+    after = frame(av=(1, 0, 0, 10), ov=(1.0, -2.5, np.pi / 2, 8))
+    (contact,) = judged(before, after).contacts
+    assert contact.striker_id == "ov"
+    assert contact.sector == 6
+    assert contact.relative_mps == pytest.approx(np.hypot(10, 8))
+
+
+def test_heavier_box_is_slowed_less():
+    before = frame(av=(0, 0, 0, 10), ov=(6.6, 0, 0, 0))
+    after = frame(av=(1, 0, 0, 10), ov=(6.6, 0, 0, 0))
+    (contact,) = judged(before, after, sizes={"ov": np.array([8.0, 2.0])}).contacts
+    assert contact.delta_v_mps == pytest.approx(10 * 2 / 3)
+
+
+@pytest.mark.parametrize(
+    ("bearing", "sector"),
+    [(0, 0), (45, 1), (90, 2), (135, 3), (180, 4), (225, 5), (270, 6), (315, 7)],
+)
+def test_sectors_count_counterclockwise_from_the_front(bearing, sector):
+    angle = np.radians(bearing)
+    square = np.array([2.0, 2.0])
+    heading = 0.7
+    where = 1.8 * np.array([np.cos(angle + heading), np.sin(angle + heading)])
+    other = np.array([*where, heading])
+    assert impact_sector(np.array([0, 0, heading]), square, other, square) == sector
+
+
+def test_a_pair_counts_once_and_third_parties_are_kept_apart():
+    frames = [
+        frame(av=(0, 0, 0, 0), ov=(20, 0, 0, 0), x=(0, 5, 0, 9), y=(20, 5, 0, 9)),
+        frame(av=(0, 0, 0, 0), ov=(20, 0, 0, 0), x=(0, 1, 0, 9), y=(20, 1, 0, 9)),
+        frame(av=(0, 0, 0, 0), ov=(20, 0, 0, 0), x=(0, 5, 0, 9), y=(20, 5, 0, 9)),
+        frame(av=(0, 0, 0, 0), ov=(20, 0, 0, 0), x=(0, 1, 0, 9), y=(20, 1, 0, 9)),
+    ]
+    found = [(one.kind, one.first_id, one.second_id, one.step) for one in judged(*frames).contacts]
+    assert found == [("av_other", "av", "x", 1), ("opponent_other", "ov", "y", 1)]
+
+
+def test_av_and_opponent_are_one_contact_not_two():
+    frames = [frame(av=(0, 0, 0, 5), ov=(9, 0, 0, 0)), frame(av=(6, 0, 0, 5), ov=(9, 0, 0, 0))]
+    assert [one.kind for one in judged(*frames).contacts] == ["av_opponent"]
+
+
+def test_overlap_from_the_beginning_or_out_of_nowhere_is_no_contact():
+    frames = [
+        frame(av=(0, 0, 0, 0), ov=(1, 0, 0, 0)),
+        frame(av=(0, 0, 0, 0), ov=(1, 0, 0, 0), ghost=(0, 1, 0, 0)),
+    ]
+    judge = judged(*frames)
+    assert judge.contacts == []
+    assert [event.kind for event in judge.events] == ["overlap_at_start", "appeared_in_overlap"]
