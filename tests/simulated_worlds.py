@@ -44,7 +44,9 @@ def crossing_road():
     """The AV comes from the south, the major road runs from west to east."""
     lanes = [
         lane("south", (0, -150), (0, -10), next=("north_in",)),
-        lane("north_in", (0, -10), (0, 10), interpolating=True, previous=("south",), next=("north",)),
+        lane(
+            "north_in", (0, -10), (0, 10), interpolating=True, previous=("south",), next=("north",)
+        ),
         lane("north", (0, 10), (0, 200), previous=("north_in",)),
         lane("west", (-300, 0), (-10, 0), next=("east_in",)),
         lane("east_in", (-10, 0), (10, 0), interpolating=True, previous=("west",), next=("east",)),
@@ -58,7 +60,12 @@ def straight_motion(x, y, heading, speed, steps=STEPS):
     """(T, 4) x, y, heading, speed at constant velocity; (x, y) at the current step."""
     way = speed * 0.1 * (np.arange(steps) - NOW)
     return np.column_stack(
-        [x + way * np.cos(heading), y + way * np.sin(heading), np.full(steps, heading), np.full(steps, speed)]
+        [
+            x + way * np.cos(heading),
+            y + way * np.sin(heading),
+            np.full(steps, heading),
+            np.full(steps, speed),
+        ]
     )
 
 
@@ -70,7 +77,9 @@ def scene_of(road, motions, kinds=None, valid=None, signals=None):
     tracks = Tracks(
         ids=ids,
         kinds=tuple((kinds or {}).get(name, "vehicle") for name in ids),
-        size_m=np.array([CAR if (kinds or {}).get(n, "vehicle") == "vehicle" else (0.8, 0.8, 1.7) for n in ids]),
+        size_m=np.array(
+            [CAR if (kinds or {}).get(n, "vehicle") == "vehicle" else (0.8, 0.8, 1.7) for n in ids]
+        ),
         position_m=state[..., :2],
         z_m=np.zeros(state.shape[:2]),
         heading_rad=state[..., 2],

@@ -27,9 +27,9 @@ def compare(folders: Sequence[Path]) -> pd.DataFrame:
     Columns: folder, spec, planner, perception, version, runs (that went through), hits and their
     rate with the 95 % Wilson interval, contact time and relative speed (means over hits),
     ``third_party`` (runs in which the opponent hit somebody else before or instead), ``av_other``
-    (runs in which the AV hit somebody else), ``on_road_hits`` (hits with the opponent on the road at
-    >= 95 % of its steps and within the limits), means of the metrics in `MEANS`, generation time a
-    run and the median of a cycle. Raises UsageError for a folder without ``runs.csv``.
+    (runs in which the AV hit somebody else), ``on_road_hits`` (hits within the limits and with the
+    opponent on the road at >= 95 % of its steps), means of the metrics in `MEANS`, generation time
+    a run and the median of a cycle. Raises UsageError for a folder without ``runs.csv``.
     """
     return pd.DataFrame(
         [

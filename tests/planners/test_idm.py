@@ -28,7 +28,13 @@ def view_of(others, sizes=None):
         valid=np.ones((count, 1), bool),
     )
     return View(
-        step=10, dt_s=0.1, av_id="av", history=history, road=RoadMap(lanes={}), signals={}, steps_left=80
+        step=10,
+        dt_s=0.1,
+        av_id="av",
+        history=history,
+        road=RoadMap(lanes={}),
+        signals={},
+        steps_left=80,
     )
 
 

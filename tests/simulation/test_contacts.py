@@ -32,7 +32,12 @@ def test_rear_end_collision():
     before = frame(av=(0, 0, 0, 10), ov=(4.5, 0, 0, 4))
     after = frame(av=(1, 0, 0, 10), ov=(4.9, 0, 0, 4))
     (contact,) = judged(before, after).contacts
-    assert (contact.kind, contact.step, contact.sector, contact.striker_id) == ("av_opponent", 1, 0, "av")
+    assert (contact.kind, contact.step, contact.sector, contact.striker_id) == (
+        "av_opponent",
+        1,
+        0,
+        "av",
+    )
     assert contact.relative_mps == pytest.approx(6.0)
     assert contact.closing_mps == pytest.approx(6.0)
     assert contact.delta_v_mps == pytest.approx(3.0)  # equal boxes share the difference
@@ -86,7 +91,7 @@ def test_av_and_opponent_are_one_contact_not_two():
 def test_overlap_from_the_beginning_or_out_of_nowhere_is_no_contact():
     frames = [
         frame(av=(0, 0, 0, 0), ov=(1, 0, 0, 0)),
-        frame(av=(0, 0, 0, 0), ov=(1, 0, 0, 0), ghost=(0, 1, 0, 0)),
+        frame(av=(0, 0, 0, 0), ov=(1, 0, 0, 0), ghost=(-3, 1, 0, 0)),
     ]
     judge = judged(*frames)
     assert judge.contacts == []

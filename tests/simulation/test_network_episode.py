@@ -132,7 +132,10 @@ def test_replay_planner_needs_a_recording(config):
     ("text", "reason"),
     [
         ("<configuration/>", "names no network"),
-        ('<configuration><input><net-file value="x.net.xml"/></input></configuration>', "x.net.xml"),
+        (
+            '<configuration><input><net-file value="x.net.xml"/></input></configuration>',
+            "x.net.xml",
+        ),
         ("nonsense", "cannot be read"),
     ],
 )
@@ -145,7 +148,9 @@ def test_unusable_configurations_are_refused_in_one_sentence(tmp_path, text, rea
 
 def test_what_sumo_says_against_a_configuration_is_passed_on(config):
     routes = config.with_name("broken.rou.xml")
-    routes.write_text('<routes><vehicle id="a" depart="0"><route edges="nowhere"/></vehicle></routes>')
+    routes.write_text(
+        '<routes><vehicle id="a" depart="0"><route edges="nowhere"/></vehicle></routes>'
+    )
     broken = config.with_name("broken.sumocfg")
     broken.write_text(config.read_text().replace("tiny.rou", "broken.rou"))
     with pytest.raises(SimulationError, match="nowhere"):

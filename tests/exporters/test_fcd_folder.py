@@ -1,0 +1,108 @@
+"""The folder for sumo-gui: it replays what happened."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sumo
+from simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
+
+from deepmf_sumo.exporters import fcd
+from deepmf_sumo.planners import idm
+from deepmf_sumo.simulation import simulate
+
+
+def poses(file):
+    """(time, id) -> x, y, angle of an FCD file."""
+    found, time = {}, 0.0
+    for line in Path(file).read_text().splitlines():
+        if moment := re.search(r'<timestep time="([\d.]+)"', line):
+            time = round(float(moment[1]), 1)
+        pattern = r'<vehicle id="([^"]+)" x="([-\d.]+)" y="([-\d.]+)" angle="([-\d.]+)"'
+        if one := re.search(pattern, line):
+            found[time, one[1]] = tuple(float(value) for value in one.groups()[1:])
+    return found
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("export")
+    motions = {
+        "av": straight_motion(60.0, 0.4, 0.0, 12.0),
+        "other": straight_motion(95.0, LANE_M - 0.5, 0.0, 8.0),
+        "parked": straight_motion(120.0, -9.0, 0.3, 0.0),
+        "walker": straight_motion(100.0, -6.0, 1.5, 0.8),
+    }
+    scene = scene_of(straight_road(), motions, kinds={"walker": "pedestrian"})
+    case = case_of(scene, folder)
+    rollout = simulate(case, idm.build(idm.Settings()), None, rng=np.random.default_rng(0))
+    fcd.write(rollout, case, folder / "sumo")
+    return rollout, folder / "sumo"
+
+
+def test_sumo_replays_the_vehicles_where_they_were(exported, tmp_path):
+    rollout, folder = exported
+    out = tmp_path / "seen.xml"
+    program = Path(sumo.SUMO_HOME) / "bin" / "sumo"
+    run = subprocess.run(
+        [program, "-c", folder / fcd.CONFIG, "--fcd-output", out, "--precision", "4"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    seen = poses(out)
+    tracks = rollout.tracks
+    for agent in ("av", "other"):
+        row = tracks.row(agent)
+        # in its first step SUMO puts a vehicle on the middle of the lane
+        for step in range(1, tracks.steps):
+            x, y, angle = seen[round(step * 0.1, 1), agent]
+            half = tracks.size_m[row, 0] / 2
+            heading = tracks.heading_rad[row, step]
+            centre = np.array([x, y]) - half * np.array([np.cos(heading), np.sin(heading)])
+            assert np.abs(centre - tracks.position_m[row, step]).max() < 0.01
+            assert angle == pytest.approx(90.0 - np.degrees(heading), abs=0.01)
+
+
+def test_fcd_has_everybody_and_the_parked_car_is_a_polygon(exported):
+    _, folder = exported
+    fcd_ids = {agent for _, agent in poses(folder / fcd.FCD)}
+    assert fcd_ids >= {"av", "other", "walker"}
+    assert {agent for _, agent in poses(folder / fcd.REPLAY)} == {"av", "other"}
+    assert 'id="box_parked"' in (folder / fcd.SHAPES).read_text()
+
+
+def test_writing_again_replaces_the_folder(exported):
+    rollout, folder = exported
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    case = case_of_folder(folder, rollout)
+    fcd.write(rollout, case, folder)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+def case_of_folder(folder, rollout):
+    """The case again: its net lies beside the exported folder."""
+    from deepmf_sumo import network
+    from deepmf_sumo.datatypes import Case
+
+    tracks = rollout.tracks
+    motions = {
+        name: np.column_stack(
+            [tracks.position_m[row], tracks.heading_rad[row], tracks.speed_mps[row]]
+        )
+        for row, name in enumerate(tracks.ids)
+    }
+    scene = scene_of(straight_road(), motions, kinds={"walker": "pedestrian"})
+    return Case(
+        name="again",
+        road=scene.road,
+        av_id="av",
+        duration_steps=80,
+        traffic="log",
+        seed=0,
+        scene=scene,
+        net=network.read(folder.parent / "net"),
+    )
