@@ -127,7 +127,7 @@ def _types(rollout: Rollout) -> str:
         shape = _SHAPE_OF.get(tracks.kinds[row], "passenger")
         # vClass "ignoring": a recording has vehicles on lanes for others, too
         lines.append(
-            f'    <vType id={quoteattr("type_" + agent)} vClass="ignoring" guiShape="{shape}" '
+            f'    <vType id="type_{row}" vClass="ignoring" guiShape="{shape}" '
             f'length="{length:.3f}" width="{width:.3f}" height="{max(height, 0.1):.3f}" '
             f'color="{_COLOURS[_role(rollout, agent)]}" speedFactor="10" speedDev="0" '
             'maxSpeed="100" accel="1000" decel="1000" emergencyDecel="1000"/>'
@@ -170,7 +170,7 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
             lines.append(
                 f'        <vehicle id={quoteattr(agent)} x="{front[row, step, 0]:.4f}" '
                 f'y="{front[row, step, 1]:.4f}" angle="{angle[row, step]:.4f}" '
-                f'type={quoteattr("type_" + agent)} speed="{speed[row, step]:.4f}"/>'
+                f'type="type_{row}" speed="{speed[row, step]:.4f}"/>'
             )
         lines.append("    </timestep>")
     lines.append("</fcd-export>\n")

@@ -105,7 +105,8 @@ def _cache(network: Network, training: Training, report: Progress) -> Cache:
 def _begin(network: Network, net: nn.Module, training: Training, cache: Cache) -> str:
     """Fit profiles; the conditional network begins from the marginal one of the same folder.
 
-    They share all layers but those that read the condition, and the first layer that it enters.
+    They share all layers but those that read the condition. Where the condition enters the image,
+    its channels come after the shared ones.
     """
     if not isinstance(net, DenseTNT):
         return ""
@@ -118,8 +119,9 @@ def _begin(network: Network, net: nn.Module, training: Training, cache: Cache) -
         return ""
     marginal = weights.tensors(training.folder, "marginal")
     own = net.state_dict()
-    fitting = {name: value for name, value in marginal.items() if own[name].shape == value.shape}
-    net.load_state_dict(fitting, strict=False)
+    for name, value in marginal.items():
+        shared = own[name] if own[name].shape == value.shape else own[name][:, : value.shape[1]]
+        shared.copy_(value)
     return "marginal"
 
 
