@@ -21,8 +21,8 @@ class DeepMF:
         self,
         case: Case,
         simulate: Simulate,
-        budget: Budget,  # noqa: ARG002 - nothing is searched for
-        rng: np.random.Generator,  # noqa: ARG002 - the episode has its own
+        budget: Budget,
+        rng: np.random.Generator,
     ) -> Attack:
         """The episode; ``generation_s`` is what the policy did, without loading the predictors."""
         if self._predictors is None:

@@ -16,15 +16,15 @@ class Nobody:
 
     def attack(
         self,
-        case: Case,  # noqa: ARG002
+        case: Case,
         simulate: Simulate,
-        budget: Budget,  # noqa: ARG002
-        rng: np.random.Generator,  # noqa: ARG002
+        budget: Budget,
+        rng: np.random.Generator,
     ) -> Attack:
         """The episode."""
         return Attack(rollout=simulate(None), simulations=1, generation_s=0.0)
 
 
-def build(settings: Settings, weights: str) -> Nobody:  # noqa: ARG001
+def build(settings: Settings, weights: str) -> Nobody:
     """The adversary that is none."""
     return Nobody()

@@ -17,15 +17,15 @@ class Trajectory:
 
     def attack(
         self,
-        case: Case,  # noqa: ARG002
+        case: Case,
         simulate: Simulate,
-        budget: Budget,  # noqa: ARG002
-        rng: np.random.Generator,  # noqa: ARG002
+        budget: Budget,
+        rng: np.random.Generator,
     ) -> Attack:
         """The episode."""
         return Attack(rollout=simulate(self._policy), simulations=1, generation_s=0.0)
 
 
-def build(settings: Settings, weights: str) -> Trajectory:  # noqa: ARG001
+def build(settings: Settings, weights: str) -> Trajectory:
     """The adversary. Raises PluginError where the trajectory's file cannot be used."""
     return Trajectory(settings)

@@ -8,7 +8,7 @@ BETTER: Better = "neither"
 _QUANTITY = Quantity("av_third_party", UNIT, BETTER)
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     hits = [contact for contact in rollout.contacts if contact.kind == "av_other"]
     return _QUANTITY.value(len(hits))

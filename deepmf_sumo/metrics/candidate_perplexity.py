@@ -10,7 +10,7 @@ BETTER: Better = "neither"
 _QUANTITY = Quantity("candidate_perplexity", UNIT, BETTER)
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     reasons = [plan.reason for plan in rollout.plans if plan.reason is not None]
     if not reasons:

@@ -8,7 +8,7 @@ BETTER: Better = "higher"
 _QUANTITY = Quantity("colliding_plans", UNIT, BETTER)
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     reasons = [plan.reason for plan in rollout.plans if plan.reason is not None]
     if not reasons:

@@ -9,7 +9,7 @@ BETTER: Better = "higher"
 _QUANTITY = Quantity("collision", UNIT, BETTER)
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     row = parts.opponent_row(rollout)
     if row is None:

@@ -8,7 +8,7 @@ BETTER: Better = "lower"
 _QUANTITY = Quantity("collision_time_s", UNIT, BETTER)
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     contact = rollout.first("av_opponent")
     if contact is None:

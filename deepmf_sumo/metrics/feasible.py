@@ -17,7 +17,7 @@ _ALONG_MPS2, _ACROSS_MPS2 = 8.0, 5.0
 _NOISE_M = 0.1  # what measured states before the first driven pose may be wrong by
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     row = parts.opponent_row(rollout)
     if row is None:

@@ -11,7 +11,7 @@ BETTER: Better = "lower"
 _QUANTITY = Quantity("opponent_rms_acceleration", UNIT, BETTER)
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     row = parts.opponent_row(rollout)
     if row is None:

@@ -11,7 +11,7 @@ _QUANTITY = Quantity("planner_hardest_braking", UNIT, BETTER)
 _STEPS = 2
 
 
-def measure(rollout: Rollout, case: Case) -> MetricValue:  # noqa: ARG001
+def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
     row = rollout.tracks.row(rollout.av_id)
     steps = np.flatnonzero(rollout.tracks.valid[row])

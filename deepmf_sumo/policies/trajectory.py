@@ -62,7 +62,7 @@ class Trajectory:
         else:
             self._first_step, self._poses = _read(Path(settings.file), settings.agent)
 
-    def reset(self, view: View, rng: np.random.Generator) -> AgentId:  # noqa: ARG002
+    def reset(self, view: View, rng: np.random.Generator) -> AgentId:
         """The named opponent. Raises RunError if it is not in the view."""
         return named(view, self._agent)
 
@@ -91,8 +91,8 @@ class Trajectory:
 
 def build(
     settings: Settings,
-    predictors: object = None,  # noqa: ARG001 - a fixed trajectory predicts nothing
-    partner_id: AgentId | None = None,  # noqa: ARG001
+    predictors: object = None,
+    partner_id: AgentId | None = None,
 ) -> Trajectory:
     """The policy. Raises PluginError where the file is missing or holds something else."""
     return Trajectory(settings)

@@ -4,6 +4,7 @@ from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.glide import Glide
 from deepmf_sumo.simulation.path import RouteAhead
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -21,14 +22,22 @@ _MATCH_M = 5.0
 
 
 class Av:
-    """The AV, inserted. ``lost`` once it has left the simulation."""
+    """The AV.
 
-    def __init__(self, api: SumoApi, av_id: AgentId, length_m: float) -> None:
+    Args:
+        api: a running SUMO.
+        av_id: its id there.
+        length_m: of its box.
+        start: its pose at the current step.
+    """
+
+    def __init__(self, api: SumoApi, av_id: AgentId, length_m: float, start: Pose) -> None:
         self._api = api
         self.id = av_id
         self.length_m = length_m
         self.ahead = RouteAhead(api, av_id)
         self.placed: Pose | None = None
+        self._glide = Glide(start)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
 
@@ -74,8 +83,18 @@ class Av:
             self._api.vehicle.setPreviousSpeed(self.id, self.placed.speed_mps)
 
     def pose(self) -> Pose:
-        """Where the AV is after the step: where it was put, or what SUMO says."""
-        return self.placed or read_pose(self._api, self.id, self.length_m)
+        """Where the AV is after a step: where it was put, or where SUMO's jumps let it glide.
+
+        To be asked once a step.
+        """
+        if self.placed is not None:
+            self._glide = Glide(self.placed)
+            return self.placed
+        return self._glide.follow(self.sumo_pose())
+
+    def sumo_pose(self) -> Pose:
+        """Where SUMO has the AV."""
+        return read_pose(self._api, self.id, self.length_m)
 
     def _place(self, command: Command) -> None:
         self.placed = Pose(

@@ -3,8 +3,9 @@
 from deepmf_sumo.datatypes import AgentId, Driver, Event, Tracks
 from deepmf_sumo.simulation.av import read_pose
 from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.glide import Glide
 from deepmf_sumo.simulation.log import Log
-from deepmf_sumo.simulation.placed import add_vehicle, move_logged, speed_factor
+from deepmf_sumo.simulation.placed import add_vehicle, logged_pose, move_logged, speed_factor
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.vehicle_types import TRAFFIC_TYPE
 
@@ -21,6 +22,7 @@ class FreeTraffic:
         self._tracks = tracks
         self._events = events
         self._inside: set[int] = set()
+        self._glides: dict[int, Glide] = {}
         self._fresh: list[tuple[int, int]] = []
         self.lost: set[int] = {row for row in log.rows if row not in log.routes}
         self.entered: set[int] = set()
@@ -48,6 +50,7 @@ class FreeTraffic:
         move_logged(self._api, self._log, name, row, step)
         self._inside.add(row)
         self.entered.add(row)
+        self._glides[row] = Glide(logged_pose(self._tracks, row, step))
         self._fresh.append((row, step))
 
     def after_step(self, step: int) -> None:
@@ -69,10 +72,10 @@ class FreeTraffic:
         self._inside = {row for row in self._inside if self._tracks.ids[row] in there}
 
     def read(self) -> dict[AgentId, tuple[Pose, Driver]]:
-        """Where they are."""
+        """Where they are. To be asked once a step."""
         poses = {}
         for row in sorted(self._inside):
             name = self._tracks.ids[row]
             pose = read_pose(self._api, name, float(self._tracks.size_m[row, 0]))
-            poses[name] = (pose, Driver.SUMO)
+            poses[name] = (self._glides[row].follow(pose), Driver.SUMO)
         return poses

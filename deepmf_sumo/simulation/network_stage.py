@@ -20,7 +20,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network.sumo_road import signal_links
-from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.configuration import Configuration, read_configuration
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.reading import TrafficReader
@@ -70,7 +70,8 @@ class NetworkStage:
             raise SimulationError(_absent(api, case.av_id, case.network))
         if model is not None:
             _set_model(api, case.av_id)
-        self._av = Av(api, case.av_id, self.body(case.av_id).size_m[0])
+        length = self.body(case.av_id).size_m[0]
+        self._av = Av(api, case.av_id, length, read_pose(api, case.av_id, length))
         self._opponent = Takeover(api, self.events)
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
@@ -147,7 +148,9 @@ def _set_model(api: SumoApi, av: AgentId) -> None:
 def _absent(api: SumoApi, av: AgentId, source: NetworkSource) -> str:
     """Why the AV is not there: the message of the error."""
     there = sorted(api.vehicle.getIDList())
-    known = ", ".join(there[:8]) + (", ..." if len(there) > 8 else "")
+    others = (
+        f" or one of: {', '.join(there[:8])}{', ...' if len(there) > 8 else ''}" if there else ""
+    )
     begin = api.simulation.getTime()
     while api.simulation.getTime() < begin + _LOOK_FURTHER_S:
         api.simulationStep()
@@ -161,5 +164,5 @@ def _absent(api: SumoApi, av: AgentId, source: NetworkSource) -> str:
         when = f"does not depart within {_LOOK_FURTHER_S:g} s after it"
     return (
         f"Vehicle '{av}' is not there at {source.start_s:g} s in '{source.config}' and {when}; "
-        f"choose another start or one of: {known or 'nobody is there then'}."
+        f"choose another start{others}."
     )

@@ -93,3 +93,14 @@ def speed_factor(api: SumoApi, route: tuple[str, ...], fastest_mps: float) -> fl
     """With which a vehicle goes as fast as it did, where it did so above the route's limits."""
     limit = max(float(api.lane.getMaxSpeed(f"{edge}_0")) for edge in route)
     return max(1.0, fastest_mps / max(limit, 1.0))
+
+
+def logged_pose(tracks: Tracks, row: int, step: int) -> Pose:
+    """Pose of an agent in the log."""
+    x, y = tracks.position_m[row, step]
+    return Pose(
+        x_m=float(x),
+        y_m=float(y),
+        heading_rad=float(tracks.heading_rad[row, step]),
+        speed_mps=float(tracks.speed_mps[row, step]),
+    )

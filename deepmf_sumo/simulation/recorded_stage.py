@@ -26,6 +26,7 @@ from deepmf_sumo.simulation.log import log_of
 from deepmf_sumo.simulation.placed import (
     PlacedVehicles,
     add_vehicle,
+    logged_pose,
     move_logged,
     speed_factor,
 )
@@ -38,7 +39,6 @@ from deepmf_sumo.simulation.vehicle_types import ANY_ROUTE, AV_TYPE, TRAFFIC_TYP
 _OPTIONS = (
     *("--step-method.ballistic", "true"),  # positions move at the mean speed of a step
     *("--time-to-teleport", "-1"),
-    *("--lanechange.duration", "3"),  # else a lane change is a jump
     *("--default.speeddev", "0"),
 )
 _FOLLOW_ROUTE = 513
@@ -85,7 +85,9 @@ class RecordedStage:
         self._free = FreeTraffic(api, self._log, self._tracks, self.events)
         self._takeover = Takeover(api, self.events)
         self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals)
-        self._av = Av(api, case.av_id, float(self._tracks.size_m[self._av_row, 0]))
+        start = logged_pose(self._tracks, self._av_row, self._now)
+        length = float(self._tracks.size_m[self._av_row, 0])
+        self._av = Av(api, case.av_id, length, start)
         self._start(model)
 
     def history(self) -> list[Frame]:
@@ -155,7 +157,7 @@ class RecordedStage:
             self._api.vehicle.remove(name)
             self._settle()
             self._insert_av(model, on_route=True)
-            pose = self._av.pose()
+            pose = self._av.sumo_pose()
             x, y = tracks.position_m[row, self._now]
             moved = float(np.hypot(pose.x_m - x, pose.y_m - y))
             self._note("moved_onto_route", f"by {moved:.2f} m: it starts between lanes")
@@ -194,12 +196,18 @@ class RecordedStage:
             self._av.drive(command)
             return Driver.PLANNER
         tracks, row = self._tracks, self._av_row
-        at = min(self._step, tracks.steps - 1)
-        at = at if tracks.valid[row, at] else int(np.flatnonzero(tracks.valid[row])[-1])
-        speed = float(tracks.speed_mps[row, at]) if at == self._step else 0.0
-        x, y = (float(value) for value in tracks.position_m[row, at])
-        heading = float(tracks.heading_rad[row, at])
-        self._av.drive(Command(kind="pose", x_m=x, y_m=y, heading_rad=heading, speed_mps=speed))
+        there = tracks.valid[row, : self._step + 1]
+        pose = logged_pose(tracks, row, int(np.flatnonzero(there)[-1]))
+        moves = self._step < tracks.steps and bool(tracks.valid[row, self._step])
+        self._av.drive(
+            Command(
+                kind="pose",
+                x_m=pose.x_m,
+                y_m=pose.y_m,
+                heading_rad=pose.heading_rad,
+                speed_mps=pose.speed_mps if moves else 0.0,
+            )
+        )
         return Driver.LOG
 
     def _drive_opponent(self, opponent: AgentId | None, pose: Pose | None) -> int | None:

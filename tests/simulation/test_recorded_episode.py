@@ -83,7 +83,7 @@ def test_av_stands_exactly_at_its_recorded_pose_and_speed(tmp_path, y):
     scene = scene_of(straight_road(), {"av": straight_motion(60.0, y, EAST, 12.0)})
     case = case_of(scene, tmp_path)
     with stage.opened(case, idm.TREIBER, "libsumo") as opened:
-        pose = opened._av.pose()
+        pose = opened._av.sumo_pose()
         assert np.hypot(pose.x_m - 60.0, pose.y_m - y) < 1e-3
         assert abs(pose.heading_rad) < 1e-6
         assert abs(pose.speed_mps - 12.0) < 0.01
