@@ -34,6 +34,7 @@ class Cache:
         scene: (N) number of the scene. scenes: how many there are.
         refused: records that could not be used.
         digest: of the data and settings.
+        chosen: (N) samples to use; None takes all.
     """
 
     arrays: Arrays
@@ -41,11 +42,13 @@ class Cache:
     scenes: int
     refused: int
     digest: str
+    chosen: NDArray[np.bool_] | None = None
 
     def rows(self, *, held_out: bool) -> NDArray[np.int64]:
         """Samples of the scenes that are trained on, or of those that are held out."""
+        wanted = (self.scene % HELD_OUT == HELD_OUT - 1) == held_out
         rows: NDArray[np.int64] = np.flatnonzero(
-            (self.scene % HELD_OUT == HELD_OUT - 1) == held_out
+            wanted if self.chosen is None else wanted & self.chosen
         )
         return rows
 

@@ -24,12 +24,16 @@ class Schedule:
 
     Attributes:
         rate: highest learning rate of the cycle.
+        fresh: beginnings of the names of layers that begin anew in a network that does not.
+        fresh_rate: their highest learning rate.
         evaluate_every: steps between looks at the held-out samples, and checkpoints.
     """
 
     steps: int
     batch: int = 64
     rate: float = 2e-3
+    fresh: tuple[str, ...] = ()
+    fresh_rate: float = 4e-3
     weight_decay: float = 0.02
     clip: float = 5.0
     evaluate_every: int = 250
@@ -62,11 +66,12 @@ def train(
 ) -> Outcome:
     """Minimise the loss; goes on from the checkpoint if there is one, and removes it at the end."""
     net.to(schedule.device)
-    optimiser = torch.optim.AdamW(
-        _groups(net, schedule.weight_decay), lr=schedule.rate, betas=(0.9, 0.99)
-    )
+    optimiser = torch.optim.AdamW(_groups(net, schedule), betas=(0.9, 0.99))
     cycle = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, schedule.rate, total_steps=schedule.steps + 1, pct_start=0.15
+        optimiser,
+        [group["lr"] for group in optimiser.param_groups],
+        total_steps=schedule.steps + 1,
+        pct_start=0.15,
     )
     state: dict[str, Any] = {"step": 0, "best": float("inf"), "best_step": 0, "seconds": 0.0}
     best = {name: value.clone() for name, value in net.state_dict().items()}
@@ -163,11 +168,21 @@ def _generator(schedule: Schedule, step: int) -> torch.Generator:
     return torch.Generator().manual_seed(schedule.seed * 7_919 + step)
 
 
-def _groups(net: nn.Module, decay: float) -> list[dict[str, Any]]:
-    """No decay of biases, norms and single vectors."""
-    many = [value for value in net.parameters() if value.ndim > 1]
-    few = [value for value in net.parameters() if value.ndim <= 1]
-    return [{"params": many, "weight_decay": decay}, {"params": few, "weight_decay": 0.0}]
+def _groups(net: nn.Module, schedule: Schedule) -> list[dict[str, Any]]:
+    """Fresh layers and others; no decay of biases, norms and single vectors."""
+    groups = []
+    for fresh in (False, True):
+        own = [
+            value
+            for name, value in net.named_parameters()
+            if bool(schedule.fresh and name.startswith(schedule.fresh)) == fresh
+        ]
+        rate = schedule.fresh_rate if fresh else schedule.rate
+        for many, decay in ((True, schedule.weight_decay), (False, 0.0)):
+            part = [value for value in own if (value.ndim > 1) == many]
+            if part:
+                groups.append({"params": part, "weight_decay": decay, "lr": rate})
+    return groups
 
 
 def _save(

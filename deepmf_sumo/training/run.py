@@ -1,7 +1,7 @@
 """``deepmf-sumo train``: recordings -> features -> network -> weights with a card."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from deepmf_sumo.datatypes import Scene
-from deepmf_sumo.errors import WeightsError
+from deepmf_sumo.errors import RunError, WeightsError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.opponent import OpponentNet
@@ -54,11 +54,16 @@ def train(network: Network, training: Training, report: Progress) -> None:
     torch.manual_seed(training.seed)
     net = weights.build(network, training.preset)
     began = _begin(network, net, training, cache)
+    if network == "conditional":
+        cache = replace(cache, chosen=trajectory.interacting(cache))
+        if not len(cache.rows(held_out=False)):
+            raise RunError("No two vehicles come near each other in these recordings; give more.")
     steps = training.steps or STEPS[network]
     schedule = loop.Schedule(
         steps=steps,
         batch=16 if network == "opponent" else 64,
-        rate=1e-3 if network == "opponent" or began else 2e-3,
+        rate=5e-4 if began else 1e-3 if network == "opponent" else 2e-3,
+        fresh=trajectory.CONDITION_LAYERS if began else (),
         weight_decay=0.1 if network == "opponent" else 0.02,
         seed=training.seed,
         device=training.device,
@@ -75,7 +80,7 @@ def train(network: Network, training: Training, report: Progress) -> None:
         "data": [path.name for path in training.data],
         "scenes": cache.scenes,
         "refused": cache.refused,
-        "samples": len(cache.scene),
+        "samples": len(cache.rows(held_out=False)),
         "licence": training.licence,
         "command": training.command,
         "began_from": began,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from deepmf_sumo.predictors import condition, selection
@@ -12,8 +13,12 @@ from deepmf_sumo.training import losses, profiles
 from deepmf_sumo.training.cache import Cache
 from deepmf_sumo.training.loop import Loss, tensors
 
-_GIVEN = 0.5
-"""Share of samples whose partner's future is given."""
+_GIVEN = 0.75
+"""Share of samples whose partner's future is given; half of them disturbed."""
+_NEAR_M = 15.0
+"""The conditional network learns from pairs whose ways come as near as this, at any two times."""
+CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met")
+"""Begin anew where the conditional network begins from the marginal one."""
 _WARP, _DRIFT_M = 0.04, 0.4
 """A given future is disturbed as a prediction errs: in its pace, and sideways at 8 s."""
 _TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
@@ -32,8 +37,22 @@ def start(net: DenseTNT, cache: Cache, seed: int) -> None:
     net.prior.copy_(torch.from_numpy(table.log_prior))
 
 
+def interacting(cache: Cache) -> NDArray[np.bool_]:
+    """(N) samples with a partner whose way comes near."""
+    near = np.zeros(len(cache.scene), bool)
+    for begin in range(0, len(near), 1024):
+        rows = slice(begin, begin + 1024)
+        own = np.asarray(cache.arrays["future"][rows, 4::5])
+        other = np.asarray(cache.arrays["partner"][rows, 4::5, :2])
+        apart = np.linalg.norm(own[:, :, None] - other[:, None], axis=-1)  # (., 16, 16)
+        unknown = np.asarray(cache.arrays["future_valid"][rows, 4::5]) == 0
+        least = np.where(unknown[:, :, None], np.inf, apart).min(axis=(1, 2))
+        near[rows] = (least < _NEAR_M) & (np.asarray(cache.arrays["partner_known"][rows]) > 0)
+    return near
+
+
 def loss_of(net: DenseTNT) -> Loss:
-    """Mixture likelihood; a conditional network is given the partner in half of the samples."""
+    """Mixture likelihood; a conditional network is given most of the partners' futures."""
 
     def loss(batch: dict[str, Tensor], generator: torch.Generator) -> Tensor:
         given = partner_condition(batch, net.preset, generator) if net.conditional else None
