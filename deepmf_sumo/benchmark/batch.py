@@ -22,6 +22,7 @@ class Options:
         name_filter: only runs whose id holds it.
         timeout_s: for one run; None is no limit.
         draw: makes the pictures, by name importable in a worker; None makes none.
+        scenes: also write each rollout as a recording.
         resume: keep the runs that an earlier, equal batch finished.
     """
 
@@ -32,6 +33,7 @@ class Options:
     draw: episode.Draw | None = None
     gui: bool = False
     junit: bool = False
+    scenes: bool = False
     resume: bool = False
 
 
@@ -63,7 +65,13 @@ def run(
     left = [task for task in planned if task.run_id not in found]
     kept_runs, interrupted = len(found), True
     report(Progress(done=kept_runs, of=len(planned), kept=kept_runs))
-    work = episode.Episode(runs=store.runs, cache=cache, draw=options.draw, gui=options.gui)
+    work = episode.Episode(
+        runs=store.runs,
+        cache=cache,
+        draw=options.draw,
+        gui=options.gui,
+        scenes=options.scenes,
+    )
     endings = pool.run(work, left, jobs=options.jobs, timeout_s=options.timeout_s)
     try:
         for ending in endings:

@@ -18,10 +18,12 @@ import yaml
 
 from deepmf_sumo import network, plugins, readers, simulation
 from deepmf_sumo.benchmark import artifacts, expectations, files, result
+from deepmf_sumo.benchmark.rollout_scene import scene_of
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, MetricValue, Rollout
 from deepmf_sumo.errors import DeepmfError, ReaderError, UsageError
 from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.readers import npz
 from deepmf_sumo.spec import FromNetwork
 
 Draw = Callable[[Rollout, Case, Path], None]
@@ -34,12 +36,14 @@ class Episode:
     Attributes:
         runs: the folder of all runs. cache: of converted networks.
         draw: makes ``picture.png``; None makes none.
+        scenes: also write the rollout as a recording, ``scene.npz``.
     """
 
     runs: Path
     cache: Path
     draw: Draw | None = None
     gui: bool = False
+    scenes: bool = False
 
     def __call__(self, task: Task) -> None:
         """Run the task. A run that fails leaves its reason in ``result.json``."""
@@ -74,6 +78,8 @@ class Episode:
         artifacts.write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
         plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")
+        if self.scenes:
+            npz.write(scene_of(rollout, case), folder / "scene.npz")
         if self.draw:
             self.draw(rollout, case, folder / "picture.png")
         return result.finished(task, case, attack, metrics, time.perf_counter() - begin)

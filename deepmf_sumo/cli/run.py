@@ -21,6 +21,7 @@ import click
 @click.option("--gui", is_flag=True, help="Show each run in sumo-gui, one at a time.")
 @click.option("--junit", is_flag=True, help="Write junit.xml.")
 @click.option("--no-pictures", is_flag=True, help="Draw no picture.png.")
+@click.option("--scenes", is_flag=True, help="Also write each run as a scene, scene.npz.")
 @click.option("--resume", is_flag=True, help="Keep equal runs that are in the folder already.")
 @click.pass_context
 def command(
@@ -35,6 +36,7 @@ def command(
     gui: bool,
     junit: bool,
     no_pictures: bool,
+    scenes: bool,
     resume: bool,
 ) -> None:
     """Run every SPEC and write a result folder: tables, and a folder a run with its picture."""
@@ -57,6 +59,7 @@ def command(
         draw=None if no_pictures else draw,
         gui=gui,
         junit=junit,
+        scenes=scenes,
         resume=resume,
     )
     loaded = [load(path, over) for path in specs]

@@ -13,9 +13,16 @@ from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, Network, re
 
 
 def write(folder: Path, network: Network, net: nn.Module, card: dict[str, Any]) -> None:
-    """Put a network into the folder; what was there of that name is replaced."""
+    """Put a network into the folder; what was there of that name is replaced.
+
+    Layers' weights are stored in half precision; tables, norms and biases as they are.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = {name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()}
+    layers = {name for name, value in net.named_parameters() if value.ndim > 1}
+    tensors = {
+        name: (value.half() if name in layers else value).detach().cpu().contiguous()
+        for name, value in net.state_dict().items()
+    }
     _replace(folder / f"{network}.safetensors", save(tensors))
     write_card(folder, network, card)
 
