@@ -9,7 +9,6 @@ from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import Store, open_folder
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.errors import UsageError
 from deepmf_sumo.spec import Expect, Spec
 
 
@@ -55,7 +54,7 @@ def run(
     """Run all tasks of the specs and write the result folder; results in the order of the tasks.
 
     An interrupt leaves the finished runs and their tables behind and is passed on. Raises SpecError
-    or OutputError before anything runs, and UsageError at the first run that shows the spec wrong.
+    or OutputError before anything runs.
     """
     cache = cache_folder()
     planned = tasks.plan(specs, cache, options.name_filter)
@@ -78,8 +77,6 @@ def run(
             task = left[ending.index]
             found[task.run_id] = last = _result(store, task, ending)
             report(Progress(done=len(found), of=len(planned), kept=kept_runs, last=last))
-            if last.get("refused"):  # e.g. weights that are not there: no run would fare better
-                raise UsageError(f"{task.run_id}: {last['error']}")
         interrupted = False
     finally:
         endings.close()
@@ -99,7 +96,14 @@ def _result(store: Store, task: Task, ending: pool.Finished) -> Result:
 
 
 def exit_code(results: Sequence[Result]) -> int:
-    """0 all ran and expectations hold, 1 an expectation is broken, 3 a run failed or timed out."""
-    if any(one["status"] in {"failed", "timeout"} for one in results):
+    """What the command ends with.
+
+    2 where a run showed its spec wrong (e.g. damaged weights), else 3 where one failed or timed
+    out, or every one was skipped, else 1 where an expectation is broken, else 0.
+    """
+    statuses = {one["status"] for one in results}
+    if any(one.get("refused") for one in results):
+        return 2
+    if statuses & {"failed", "timeout"} or statuses == {"skipped"}:
         return 3
     return int(any(one["expectations_broken"] for one in results))

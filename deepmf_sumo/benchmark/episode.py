@@ -71,6 +71,7 @@ class Episode:
 
     def _attack(self, task: Task, folder: Path) -> result.Result:
         begin = time.perf_counter()
+        _adversary_of(task)  # first, for what is wrong with the weights shows soonest
         case = make_case(task, self.cache)
         attack = attack_case(task, case, gui=self.gui)
         rollout = attack.rollout
@@ -117,12 +118,15 @@ def attack_case(task: Task, case: Case, *, gui: bool = False) -> Attack:
         rng = np.random.default_rng([*task.entropy(), 1])
         return simulation.simulate(case, planner, policy, rng=rng, gui=gui)
 
-    adversary = _adversary(
-        spec.adversary.name, json.dumps(spec.adversary.settings, sort_keys=True), spec.weights
-    )
     rng = np.random.default_rng(task.entropy())
-    attack: Attack = adversary.attack(case, simulate, Budget(), rng)
+    attack: Attack = _adversary_of(task).attack(case, simulate, Budget(), rng)
     return attack
+
+
+def _adversary_of(task: Task) -> Any:
+    choice = task.spec.adversary
+    settings = json.dumps(choice.settings, sort_keys=True)
+    return _adversary(choice.name, settings, task.spec.weights)
 
 
 @functools.lru_cache(maxsize=16)

@@ -66,7 +66,7 @@ def finished(
         "ended": rollout.ended,
         "steps": rollout.tracks.steps - 1 - rollout.now,
         "opponent": rollout.opponent_id,
-        "opponent_score": _opponent_score(rollout),
+        "opponent_score": _opponent_score(rollout, task.spec.adversary.settings),
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
         "events": [asdict(event) for event in rollout.events],
         "metrics": {value.name: _metric(value) for value in metrics},
@@ -133,12 +133,14 @@ def _version(adversary: Any) -> str | None:
     return names.get(adversary.period_s, f"S{adversary.period_s}")
 
 
-def _opponent_score(rollout: Rollout) -> float | None:
-    """Probability that the chosen opponent was given, from the first plan that knows."""
+def _opponent_score(rollout: Rollout, settings: dict[str, Any]) -> float | None:
+    """Probability from the head that chose the opponent, from the first plan that knows."""
     for plan in rollout.plans:
         scores = plan.reason.scores if plan.reason else None
         if scores and rollout.opponent_id in scores.ids:
-            logit = scores.logits[scores.ids.index(rollout.opponent_id)]
+            by_partner = settings.get("opponent") == "partner"
+            logits = scores.partner_logits if by_partner else scores.logits
+            logit = logits[scores.ids.index(rollout.opponent_id)]
             return float(1.0 / (1.0 + np.exp(-logit)))
     return None
 

@@ -33,17 +33,20 @@ def command(data: tuple[Path, ...], out: Path, jobs: int) -> None:
     for row in convert_all(readers.scenes(data), out, jobs):
         rows.append(row)
         if row.status == "failed":
-            console.print(f"{row.scene or '(no name)'}: {row.reason}", markup=False)
+            line = f"{row.scene or '(no name)'}: {row.reason}"
+            console.print(line, markup=False, soft_wrap=True)
     good = [row for row in rows if row.status == "ok"]
     worst = max((row.error_max_m or 0.0 for row in good), default=0.0)
     console.print(
         f"{len(good)} of {len(rows)} scenes converted into {out}, "
-        f"lanes at most {worst:.3f} m off; see {out / TABLE}."
+        f"lanes at most {worst:.3f} m off; see {out / TABLE}.",
+        markup=False,
+        soft_wrap=True,
     )
     if len(good) < len(rows) or not rows:
         raise ConversionError(
             f"{len(rows) - len(good)} of {len(rows)} scenes could not be converted; "
             f"the reasons are in {out / TABLE}."
             if rows
-            else "There is no scene in the given files."
+            else f"There is no scene in {', '.join(map(str, data))}."
         )

@@ -15,7 +15,7 @@ import click
 
 import deepmf_sumo
 from deepmf_sumo import cli
-from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.errors import DeepmfError, OutputError
 
 INTERRUPTED = 130
 FAILED = DeepmfError.exit_code
@@ -72,9 +72,14 @@ def _run(arguments: list[str]) -> int:
         _show(error, str(error), arguments)
         return error.exit_code
     except Exception as error:  # noqa: BLE001 - people get a line; --debug shows the rest
-        text = f"unexpected {type(error).__name__}: {error} (deepmf-sumo --debug ... shows where)"
+        text, failed = f"unexpected {type(error).__name__}: {error} (--debug shows where)", FAILED
+        if isinstance(error, OSError) and error.filename:  # rights, or a full disk
+            text, failed = (
+                f"{error.filename} cannot be used: {error.strerror}.",
+                OutputError.exit_code,
+            )
         _show(error, text, arguments)
-        return FAILED
+        return failed
     return code if isinstance(code, int) else 0
 
 

@@ -30,6 +30,9 @@ def command(
     CONFIG: a .sumocfg with a network and traffic. Writes fewer scenes than asked for where the
     traffic ends before; ends with 3 if there are none.
     """
+    for flag, value, least in (("--start", start_s, 0.0), ("--every", every_s, 0.1)):
+        if not least <= value < float("inf"):
+            raise click.UsageError(f"{flag} is {value:g}; it must be seconds, at least {least:g}.")
     from deepmf_sumo.readers import npz
     from deepmf_sumo.simulation.recording import Recording, record
 
@@ -43,16 +46,16 @@ def command(
         every_s=every_s,
         diverse=diverse,
     )
+    written = 0
     try:
         out.mkdir(parents=True, exist_ok=True)
+        for scene in record(recording):
+            npz.write(scene, out / f"{scene.name}.npz")
+            written += 1
+            if written == scenes:
+                break
     except OSError as error:
-        raise OutputError(f"'{out}' cannot be created: {error.strerror}.") from None
-    written = 0
-    for scene in record(recording):
-        npz.write(scene, out / f"{scene.name}.npz")
-        written += 1
-        if written == scenes:
-            break
+        raise OutputError(f"'{out}' cannot be written: {error.strerror}.") from None
     if not written:
         raise SimulationError(
             f"'{config}' gave no scene: no vehicle drives on for 9 s with others."

@@ -78,6 +78,8 @@ def command(data: tuple[Path, ...], csv_file: Path | None) -> None:
     total = sum(counts.values())
     parts = ", ".join(f"{counts[status]} {status}" for status in _STYLES)
     console.print(f"\n{total} scenes: {parts}", highlight=False)
+    if not total:
+        raise ReaderError(f"There is no scene in {', '.join(map(str, data))}.")
     if total == counts["refused"]:
         raise ReaderError(f"None of the {total} records can be used; the table says why.")
 

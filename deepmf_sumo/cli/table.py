@@ -18,11 +18,15 @@ import click
 def command(folders: tuple[Path, ...], csv_file: Path | None) -> None:
     """Compare the result folders FOLDERS: a row a folder and spec, rates with 95 % intervals."""
     from deepmf_sumo.benchmark import files
+    from deepmf_sumo.errors import OutputError
     from deepmf_sumo.report import comparison
 
     table = comparison.compare(folders)
     if csv_file:
-        files.write(csv_file, table.to_csv(index=False, float_format="%.4g"))
+        try:
+            files.write(csv_file, table.to_csv(index=False, float_format="%.4g"))
+        except OSError as error:
+            raise OutputError(f"{csv_file} cannot be written: {error.strerror}.") from None
     for _, row in table.iterrows():
         title = " ".join(
             str(row[name]) for name in ("planner", "perception", "version") if row[name]

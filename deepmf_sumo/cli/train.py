@@ -50,6 +50,8 @@ def command(
     One scene in ten is held out for early stopping and temperatures. A run that was cut off goes
     on with the same command.
     """
+    if Path(name).name != name:
+        raise click.UsageError(f"--name {name} is no plain name; give a folder with --out.")
     from deepmf_sumo.training import run
 
     run.train_named(

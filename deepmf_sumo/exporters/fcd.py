@@ -20,9 +20,11 @@ from deepmf_sumo.geometry import boxes, sumo_frame
 from deepmf_sumo.plugins import Settings as PluginSettings
 
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
-FCD, REPLAY, CONFIG = "fcd.xml", "replay.fcd.xml", "replay.sumocfg"
+FCD, REPLAY, CONFIG, VIEW = "fcd.xml", "replay.fcd.xml", "replay.sumocfg", "view.xml"
 _COLOURS = {"av": "200,30,30", "opponent": "240,140,0", "other": "120,130,150"}
 _SHAPE_OF = {"vehicle": "passenger", "cyclist": "bicycle", "pedestrian": "pedestrian"}
+_SEEN_M = 50.0
+"""Width of what sumo-gui shows; its zoom of 100 shows the whole net."""
 _ON_LANE_M = 1.65
 """Half a lane: farther than this and half its width from a lane's centre, a box is beside it."""
 
@@ -87,6 +89,7 @@ def _fill(folder: Path, rollout: Rollout, case: Case, net: Path) -> None:
     (folder / SHAPES).write_text(_shapes(rollout, replayed), "utf-8")
     (folder / FCD).write_text(_fcd(rollout, tracks.valid), "utf-8")
     (folder / REPLAY).write_text(_fcd(rollout, replayed), "utf-8")
+    (folder / VIEW).write_text(_view(rollout, case.road), "utf-8")
     end = tracks.steps * rollout.dt_s
     (folder / CONFIG).write_text(_config(net_name, additional, end, rollout.dt_s), "utf-8")
 
@@ -177,6 +180,21 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
     return "\n".join(lines)
 
 
+def _view(rollout: Rollout, road: RoadMap) -> str:
+    """Settings of sumo-gui: the view stands over the AV where the rollout ends."""
+    tracks = rollout.tracks
+    row = tracks.row(rollout.av_id)
+    x, y = tracks.position_m[row, np.flatnonzero(tracks.valid[row])[-1]]
+    lines = [lane.centre_m for lane in road.lanes.values()] or [tracks.position_m[row]]
+    extent = float(np.ptp(np.vstack(lines), axis=0).max())
+    return f"""<viewsettings>
+    <scheme name="real world"/>
+    <delay value="100"/>
+    <viewport x="{x:.2f}" y="{y:.2f}" zoom="{max(100.0, 100.0 * extent / _SEEN_M):.0f}"/>
+</viewsettings>
+"""
+
+
 def _config(net: str, additional: list[str], end_s: float, dt_s: float) -> str:
     return f"""<configuration>
     <input>
@@ -197,8 +215,8 @@ def _config(net: str, additional: list[str], end_s: float, dt_s: float) -> str:
         <device.fcd-replay.files value="{REPLAY}"/>
     </fcd_replay_device>
     <gui_only>
+        <gui-settings-file value="{VIEW}"/>
         <start value="false"/>
-        <delay value="100"/>
     </gui_only>
 </configuration>
 """

@@ -17,15 +17,14 @@ def measure(rollout: Rollout, case: Case) -> MetricValue:
     row = parts.opponent_row(rollout)
     if row is None:
         return _QUANTITY.missing(parts.NO_OPPONENT)
-    logged = parts.logged_path(case, rollout.tracks.ids[row])
-    if logged is None:
+    logged = distributions.speed_changes_of(
+        parts.logged_stretches(case, rollout.tracks.ids[row]), rollout.dt_s
+    )
+    if len(logged) == 0:
         return _QUANTITY.missing(parts.NO_LOG)
     path = parts.planned_path(rollout, row, case.duration_steps)
     if len(path) < 3:
         return _QUANTITY.missing(parts.NEVER_DRIVEN)
     return _QUANTITY.value(
-        distributions.wasserstein(
-            distributions.speed_changes(path, rollout.dt_s),
-            distributions.speed_changes(logged, rollout.dt_s),
-        )
+        distributions.wasserstein(distributions.speed_changes(path, rollout.dt_s), logged)
     )

@@ -129,8 +129,8 @@ def _blueprint(scene: Scene, graph: LaneGraph) -> tuple[Blueprint, tuple[tuple[s
     plan = layout(graph, set(scene.signals.lane_ids))
     if not plan.groups:
         raise ConversionError(
-            f"Scene {scene.name} has no lane with a length among {len(scene.road.lanes)}: "
-            "there is no road to build."
+            f"{scene.source.file}: scene {scene.name} has no lane with a length among "
+            f"{len(scene.road.lanes)}: there is no road to build."
         )
     assembly = Assembly(graph, plan)
     lights = control(assembly, scene.signals.lane_ids, scene.road.stop_signs)

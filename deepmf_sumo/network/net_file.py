@@ -13,7 +13,7 @@ from typing import IO
 import numpy as np
 
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.errors import SimulationError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +94,7 @@ class NetFile:
 def read_net(file: Path) -> NetFile:
     """Read a .net.xml or .net.xml.gz.
 
-    Raises UsageError where the file cannot be read or is no SUMO network.
+    Raises SimulationError where the file cannot be read or is no SUMO network.
     """
     edges: dict[str, NetEdge] = {}
     links: list[NetLink] = []
@@ -129,14 +129,14 @@ def _read_stamped(file: Path, _stamp: int) -> NetFile:
 def elements(file: Path, root: str) -> Iterator[ET.Element]:
     """Children of an XML file's root, one at a time.
 
-    Raises UsageError where the file cannot be read or its root has another name.
+    Raises SimulationError where the file cannot be read or its root has another name.
     """
     try:
         with _opened(file) as stream:
             parser = ET.iterparse(stream, events=("start", "end"))  # noqa: S314 (the user's own)
             _, top = next(parser)
             if top.tag != root:
-                raise UsageError(
+                raise SimulationError(
                     f"{file} holds <{top.tag}>, not <{root}>: it is no SUMO {root} file."
                 )
             depth = 0
@@ -146,7 +146,7 @@ def elements(file: Path, root: str) -> Iterator[ET.Element]:
                     yield element
                     top.clear()
     except (OSError, ET.ParseError, StopIteration, EOFError, zlib.error) as error:
-        raise UsageError(f"{file} cannot be read as a SUMO {root} file: {error}.") from None
+        raise SimulationError(f"{file} cannot be read as a SUMO {root} file: {error}.") from None
 
 
 def points(text: str) -> Floats:

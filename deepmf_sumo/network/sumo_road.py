@@ -40,7 +40,7 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         additional: additional files; their polygons of type crosswalk, speed_bump or driveway are
             taken.
 
-    Raises UsageError where a file cannot be read or is of another kind.
+    Raises SimulationError where a file cannot be read or is of another kind.
     """
     net = read_once(net_file)
     lanes = {
@@ -73,7 +73,7 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
 def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:
     """Links of traffic lights, by the lane behind the light: a lane of the net's road map.
 
-    Raises UsageError where the file cannot be read or is no SUMO network.
+    Raises SimulationError where the file cannot be read or is no SUMO network.
     """
     links: dict[str, list[SignalLink]] = defaultdict(list)
     for link in read_once(net_file).links:

@@ -1,7 +1,9 @@
 """SUMO's Intelligent Driver Model drives the AV, with one of two ways of perceiving.
 
 ``lane``: the AV sees what SUMO's model sees: vehicles matched to its lane, lights, right of way. A
-car that cuts in is seen when its front crosses the lane's border.
+car that cuts in is seen when its front crosses the lane's border. Where the recording leaves the
+lanes the AV drives on a lane of its own, from which SUMO's model sees nobody: there ``lane`` is
+``corridor``.
 ``corridor``: besides, the AV follows the nearest box (vehicles, pedestrians and cyclists, on lanes
 or off them) that reaches into the corridor that it is going to sweep.
 """
@@ -61,6 +63,7 @@ class IdmPlanner:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._model = _model(settings)
+        self._corridor = settings.perception == "corridor"
 
     @property
     def model(self) -> VehicleModel | None:
@@ -68,11 +71,13 @@ class IdmPlanner:
         return self._model
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
-        """Nothing to prepare: the model keeps no memory."""
+        """Which perception: on a lane of its own (the ghost edge) SUMO sees nobody."""
+        ghost = case.net is not None and case.net.ghost_edge is not None
+        self._corridor = ghost or self._settings.perception == "corridor"
 
     def act(self, view: View) -> Command:
         """SUMO's own decision, or the leader in the corridor."""
-        if self._settings.perception == "lane" or view.av_path_m is None:
+        if not self._corridor or view.av_path_m is None:
             return Command(kind="sumo")
         leader = nearest_in_corridor(view, view.av_path_m, self._settings.margin_m)
         if leader is None:

@@ -4,6 +4,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Case, Command, Scene, VehicleModel, View
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.geometry import angles
 from deepmf_sumo.plugins import Settings as PluginSettings
 
 
@@ -39,6 +40,8 @@ class ReplayPlanner:
         if step < tracks.steps and tracks.valid[row, step]:
             x, y = tracks.position_m[row, step]
             heading, speed = tracks.heading_rad[row, step], tracks.speed_mps[row, step]
+            if tracks.velocity_mps[row, step] @ angles.unit(heading) < 0:
+                speed = -speed  # it rolls backwards
         else:
             row = view.history.row(view.av_id)
             x, y = view.history.position_m[row, -1]

@@ -9,12 +9,13 @@ from torch import Tensor
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.anchors import look_up
+from deepmf_sumo.predictors.paths import NODE_SPACING_M
 from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.vectornet import POSITION_SCALE_M, SPEED_SCALE_MPS
 
 TOKEN: Final = 8
 PATH_RELATION: Final = 7
-GOAL_RELATION: Final = 11
+GOAL_RELATION: Final = 15
 EVERY: Final = 5
 """Relations look at every fifth step: 2 Hz."""
 _CLOSE_M: Final = 3.5
@@ -85,12 +86,12 @@ def relations(paths: Tensor, along_m: Tensor, position_m: Tensor) -> tuple[Tenso
     Returns:
         (B, K, P, 7): least distance to the path, whether closer than 3.5 m, when first and last,
         where, relative direction, speed.
-        (B, K, P, R, 11): closeness at 2, 4, 6, 8 s, least distance, its closeness and time; order
+        (B, K, P, R, 15): closeness at 2, 4, 6, 8 s, least distance, its closeness and time; order
         at the conflict: arrival after first and after last presence, whether the goal passes the
-        place, and by how far.
+        place, and by how far; how far the other is ahead on the path at 2, 4, 6, 8 s.
     """
     other = position_m[:, :, EVERY - 1 :: EVERY]  # (B, K, 16, 2)
-    met, enter, leave, where, path = _on_paths(paths, other)
+    met, enter, leave, where, path, ahead = _on_paths(paths, other)
     goal = _same_time(paths, along_m, other)
     spread = where[..., None, None]  # (B, K, P, 1, 1)
     reached = along_m.unsqueeze(1) >= spread - 3.0  # (B, K, P, R, 16)
@@ -105,11 +106,25 @@ def relations(paths: Tensor, along_m: Tensor, position_m: Tensor) -> tuple[Tenso
         ],
         -1,
     )
-    return path, torch.cat([goal, order * met[..., None, None]], -1)
+    lead = _lead(along_m, *ahead)
+    return path, torch.cat([goal, order * met[..., None, None], lead], -1)
 
 
-def _on_paths(paths: Tensor, other: Tensor) -> tuple[Tensor, ...]:
-    """Presence of futures (B, K, 16, 2) on paths: flag, times in and out, place, features."""
+def _lead(along_m: Tensor, where_m: Tensor, close: Tensor) -> Tensor:
+    """(B, K, P, R, 4) signed distance to the other along the path, where it is on the path."""
+    rows = slice(3, None, 4)  # 2, 4, 6, 8 s
+    place = where_m[:, :, rows].permute(0, 1, 3, 2).unsqueeze(3)  # (B, K, P, 1, 4)
+    there = close[:, :, rows].permute(0, 1, 3, 2).unsqueeze(3)
+    return ((place - along_m[:, None, :, :, rows]) / 20.0).clamp(-2.0, 2.0) * there
+
+
+def _on_paths(
+    paths: Tensor, other: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, tuple[Tensor, Tensor]]:
+    """Presence of futures (B, K, 16, 2) on paths: flag, times in and out, place, features.
+
+    And at each time (B, K, 16, P) the place on the path and whether it is on it.
+    """
     batch, futures, steps, _ = other.shape
     count, nodes = paths.shape[1], paths.shape[2]
     apart = torch.cdist(other.flatten(1, 2), paths.flatten(1, 2))
@@ -121,7 +136,7 @@ def _on_paths(paths: Tensor, other: Tensor) -> tuple[Tensor, ...]:
     nearest = distance.min(2)
     step = torch.where(met > 0, first, nearest.indices)  # (B, K, P)
     place = node.gather(2, step.unsqueeze(2)).squeeze(2)
-    where = place * 2.0
+    where = place * NODE_SPACING_M
     _, tangent = look_up(paths, where.transpose(1, 2).float())  # (B, P, K, 2)
     motion = torch.diff(other, dim=2, append=2 * other[:, :, -1:] - other[:, :, -2:-1]) / 0.5
     moved = motion.gather(2, step.unsqueeze(-1).expand(-1, -1, -1, 2))  # (B, K, P, 2)
@@ -140,7 +155,7 @@ def _on_paths(paths: Tensor, other: Tensor) -> tuple[Tensor, ...]:
         ],
         -1,
     )
-    return met, enter, leave, where, path
+    return met, enter, leave, where, path, (node * NODE_SPACING_M, close)
 
 
 def _same_time(paths: Tensor, along_m: Tensor, other: Tensor) -> Tensor:
@@ -153,7 +168,7 @@ def _same_time(paths: Tensor, along_m: Tensor, other: Tensor) -> Tensor:
     at = distance[..., 3::4]  # 2, 4, 6, 8 s
     return torch.cat(
         [
-            torch.exp(-at / 6.0),
+            torch.exp(-at / 12.0),
             (least.values / 10.0).clamp_max(3.0).unsqueeze(-1),
             torch.exp(-least.values / 3.0).unsqueeze(-1),
             (least.indices / 16.0).unsqueeze(-1),

@@ -21,7 +21,10 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """Where a scene lies in a file: its id, its number, and where its record begins."""
+    """Where a scene lies in a file: its id, its number, and where its record begins.
+
+    A record without an id is named by its file and number, so that it is not lost silently.
+    """
 
     name: str
     record: int

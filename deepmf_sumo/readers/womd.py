@@ -3,6 +3,7 @@
 import hashlib
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -56,14 +57,14 @@ def scenes(path: Path) -> Iterator[Scene | Refusal]:
 
 
 def places(path: Path) -> Iterator[Place]:
-    """Where the scenes of a TFRecord file lie; damaged records are passed over."""
+    """Where the records of a TFRecord file lie; what has no id is called by file and number."""
     for found in framing.records(path):
+        name = ""
         if isinstance(found, framing.Record):
-            try:
+            with suppress(*_UNDECODABLE):
                 name = pb.Scenario.FromString(found.payload).scenario_id
-            except _UNDECODABLE:
-                continue
-            yield Place(name=name, record=found.index, offset=found.offset)
+        name = name or f"{path.name} record {found.index}"
+        yield Place(name=name, record=found.index, offset=found.offset)
 
 
 def scene_at(path: Path, place: Place) -> Scene | Refusal:

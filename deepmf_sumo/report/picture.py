@@ -22,6 +22,8 @@ SCORES: Final = LinearSegmentedColormap.from_list("scores", ["#fff3b0", "#f4a32b
 MARGIN_M: Final = 18.0
 SMALLEST_M: Final = 60.0
 LARGEST_M: Final = 160.0
+"""Side of the picture of a contact; without one there is no one place to look at."""
+WIDEST_M: Final = 260.0
 EVERY_STEPS: Final = 10
 """Boxes along a driven path: one a second."""
 
@@ -66,16 +68,32 @@ def _frame(
         points.append(plan.position_m[: rollout.tracks.steps])
     every = np.concatenate(points)
     low, high = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
-    side = float(np.clip((high - low).max(), SMALLEST_M, LARGEST_M))
+    largest = LARGEST_M if contact else WIDEST_M
+    side = float(np.clip((high - low).max(), SMALLEST_M, largest))
     centre = (low + high) / 2
-    if (high - low).max() > LARGEST_M:  # too far for one picture: look at the end
-        centre = contact.pose_first[:2] if contact else _positions(rollout, rollout.av_id)[-1]
+    if (high - low).max() > largest:  # too far for one picture
+        centre = contact.pose_first[:2] if contact else _nearest(rollout)
     return (
         float(centre[0] - side / 2),
         float(centre[0] + side / 2),
         float(centre[1] - side / 2),
         float(centre[1] + side / 2),
     )
+
+
+def _nearest(rollout: Rollout) -> Floats:
+    """(2,) where the AV was when the opponent was nearest; without one, where the AV ended."""
+    tracks = rollout.tracks
+    av = tracks.row(rollout.av_id)
+    if rollout.opponent_id in tracks.ids:
+        other = tracks.row(rollout.opponent_id)
+        both = np.flatnonzero((tracks.valid[av] & tracks.valid[other])[rollout.now :]) + rollout.now
+        if len(both):
+            apart = tracks.position_m[av, both] - tracks.position_m[other, both]
+            place: Floats = tracks.position_m[av, both[np.hypot(*apart.T).argmin()]]
+            return place
+    end: Floats = _positions(rollout, rollout.av_id)[-1]
+    return end
 
 
 def _positions(rollout: Rollout, agent: str) -> Floats:

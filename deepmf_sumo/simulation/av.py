@@ -40,6 +40,8 @@ class Av:
         self._glide = Glide(start)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
+        self._path: Floats | None = None
+        self._path_known = False
 
     @property
     def present(self) -> bool:
@@ -53,7 +55,9 @@ class Av:
 
     def path(self) -> Floats | None:
         """(P, 2) centre line from the front bumper on, or None off every lane."""
-        return self.ahead.centre_line()
+        if not self._path_known:
+            self._path, self._path_known = self.ahead.centre_line(), True
+        return self._path
 
     def drive(self, command: Command) -> None:
         """Ask for the command in the coming step."""
@@ -79,8 +83,9 @@ class Av:
 
     def after_step(self) -> None:
         """What SUMO has to be told after the step."""
+        self._path_known = False
         if self.placed is not None:
-            self._api.vehicle.setPreviousSpeed(self.id, self.placed.speed_mps)
+            self._api.vehicle.setPreviousSpeed(self.id, max(0.0, self.placed.speed_mps))
 
     def pose(self) -> Pose:
         """Where the AV is after a step: where it was put, or where SUMO's jumps let it glide.
@@ -114,7 +119,7 @@ class Av:
         where SUMO had nothing against the last command.
         """
         vehicle = self._api.vehicle
-        gap = max(0.0, command.gap_m - float(vehicle.getMinGap(self.id)))
+        gap = command.gap_m - float(vehicle.getMinGap(self.id))  # negative: nearer than wanted
         decel = float(vehicle.getDecel(self.id))
         target = float(vehicle.getFollowSpeed(self.id, speed, gap, command.leader_mps, decel, ""))
         if self._previous_mps is not None:

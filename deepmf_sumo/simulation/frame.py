@@ -18,12 +18,13 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """Where a box is and how fast it goes along its heading."""
+    """Where a box is and how fast it goes; None: along its heading (backwards if negative)."""
 
     x_m: float
     y_m: float
     heading_rad: float
     speed_mps: float
+    course_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,13 +45,17 @@ class Frame:
 
     @staticmethod
     def of_poses(poses: dict[AgentId, tuple[Pose, Driver]]) -> "Frame":
-        """Agents given one by one; their velocity is along their heading, their height 0."""
+        """Agents given one by one; their height is 0."""
         ids = list(poses)
         table = np.array(
             [[pose.x_m, pose.y_m, pose.heading_rad, pose.speed_mps] for pose, _ in poses.values()]
         ).reshape(-1, 4)
         drivers = np.array([int(driver) for _, driver in poses.values()], np.uint8)
-        velocity = table[:, 3:] * angles.unit(table[:, 2])
+        course = [
+            pose.heading_rad if pose.course_rad is None else pose.course_rad
+            for pose, _ in poses.values()
+        ]
+        velocity = table[:, 3:] * angles.unit(np.array(course))
         return Frame(
             ids=ids,
             position_m=table[:, :2],

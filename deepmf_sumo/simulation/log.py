@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Case, Floats, Tracks
+from deepmf_sumo.datatypes import Bools, Case, Floats, Scene, Tracks
 from deepmf_sumo.geometry import polylines, sumo_frame
-from deepmf_sumo.network.matching import lane_sequence
+from deepmf_sumo.network.matching import lane_sequence, match
 from deepmf_sumo.network.routes import edge_route
 
 _STANDS_M = 1.0
@@ -29,6 +30,7 @@ class Log:
             the lane. Wide for who moves: with a narrow one SUMO takes the nearest lane, whatever
             its direction and the vehicle's route.
         front_m: (A, T, 2) and angle_deg: (A, T) as SUMO has them.
+        passed: signalled lane -> step at which the AV comes onto it.
     """
 
     rows: tuple[int, ...]
@@ -37,6 +39,7 @@ class Log:
     match_m: Floats
     front_m: Floats
     angle_deg: Floats
+    passed: dict[str, int]
 
 
 @lru_cache(maxsize=2)
@@ -68,7 +71,23 @@ def log_of(case: Case) -> Log:
         match_m=np.where(stands, side, _MATCH_MOVING_M),
         front_m=front,
         angle_deg=angle,
+        passed=_passed_lights(case.scene),
     )
+
+
+def _passed_lights(scene: Scene) -> dict[str, int]:
+    """When the AV comes onto each signalled lane, at whose first point a light stands."""
+    tracks, row = scene.tracks, scene.tracks.row(scene.av_id)
+    if not scene.signals.lane_ids:
+        return {}
+    lanes = match(
+        scene.road, tracks.position_m[row], tracks.heading_rad[row], tracks.valid[row]
+    ).lane_ids
+    passed: dict[str, int] = {}
+    for step, (before, lane) in enumerate(pairwise(lanes), start=1):
+        if lane != before and lane in scene.signals.lane_ids and step > scene.now:
+            passed.setdefault(lane, step)
+    return passed
 
 
 def _stands(tracks: Tracks) -> Bools:

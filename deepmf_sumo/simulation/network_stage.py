@@ -65,6 +65,7 @@ class NetworkStage:
         self._reader = TrafficReader(api)
         self._step = HISTORY_STEPS - 1
         self._note_step_length(configuration)
+        _check_start(case.network, configuration)
         self._frames = self._run_to(case.network.start_s)
         if case.av_id not in api.vehicle.getIDList():
             raise SimulationError(_absent(api, case.av_id, case.network))
@@ -133,6 +134,14 @@ class NetworkStage:
             detail = f"{configuration.file.name} asks for {configuration.step_s:g} s, run at 0.1 s"
             event = Event(step=self._step, agent_id="", kind="step_length_changed", detail=detail)
             self.events.append(event)
+
+
+def _check_start(source: NetworkSource, configuration: Configuration) -> None:
+    if source.start_s < configuration.begin_s:
+        raise SimulationError(
+            f"source.start_s is {source.start_s:g}, but '{source.config}' begins at "
+            f"{configuration.begin_s:g} s; choose a later start, or let it begin earlier."
+        )
 
 
 def _set_model(api: SumoApi, av: AgentId) -> None:

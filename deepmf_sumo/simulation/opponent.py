@@ -2,10 +2,12 @@
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Event, Plan, View
+from deepmf_sumo.datatypes import AgentId, Event, Floats, Plan, View
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation.frame import Pose
+
+_MOVED_M = 0.05
 
 
 class Opponent:
@@ -64,4 +66,11 @@ class Opponent:
             y_m=float(plan.position_m[at, 1]),
             heading_rad=float(plan.heading_rad[at]),
             speed_mps=float(plan.speed_mps[at]),
+            course_rad=_course(plan.position_m[max(at - 1, 0) : at + 2]),
         )
+
+
+def _course(position_m: Floats) -> float | None:
+    """Direction of motion: a car's centre does not move along its heading in a bend."""
+    x, y = position_m[-1] - position_m[0]
+    return float(np.arctan2(y, x)) if np.hypot(x, y) > _MOVED_M else None

@@ -20,6 +20,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.bystanders import Bystanders
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.free_traffic import FreeTraffic
 from deepmf_sumo.simulation.log import log_of
@@ -84,11 +85,15 @@ class RecordedStage:
         self._placed = PlacedVehicles(api, self._log, self._tracks)
         self._free = FreeTraffic(api, self._log, self._tracks, self.events)
         self._takeover = Takeover(api, self.events)
-        self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals)
+        self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals, self._log.passed)
         start = logged_pose(self._tracks, self._av_row, self._now)
         length = float(self._tracks.size_m[self._av_row, 0])
         self._av = Av(api, case.av_id, length, start)
+        width = float(self._tracks.size_m[self._av_row, 1])
+        self._bystanders = Bystanders(api, case.av_id, width)
+        self._log_drives = False
         self._start(model)
+        self._frame = self.history()[-1]
 
     def history(self) -> list[Frame]:
         """The recorded steps up to the current one."""
@@ -117,6 +122,10 @@ class RecordedStage:
         """One step; an opponent without a pose is driven like all others."""
         self._step += 1
         step = self._step
+        if command.kind != "pose":
+            rows = [self._row[agent] for agent in self._frame.ids]
+            size = self._tracks.size_m[rows, :2]
+            self._bystanders.update(self._frame, size, self._av.path())
         av_driver = self._drive_av(command)
         taken = self._drive_opponent(opponent, pose)
         self._place_others(step, taken)
@@ -136,7 +145,8 @@ class RecordedStage:
         logged = np.ones(self._tracks.agents, bool)
         logged[[self._row[agent] for agent in extra] + [self._av_row]] = False
         logged[list(self._free.entered - self._free.lost)] = False
-        return self._logged(step, logged).with_poses(extra)
+        self._frame = self._logged(step, logged).with_poses(extra)
+        return self._frame
 
     def _start(self, model: VehicleModel | None) -> None:
         """Insert everybody where the recording has them now; the first step leaves them there."""
@@ -151,6 +161,7 @@ class RecordedStage:
         self._api.route.add(ANY_ROUTE, [route[0]])
         self._insert_av(model, on_route=False)
         if not self._av.on_lane:
+            self._log_drives = True
             self._note("off_network", "the log drives the AV until it reaches a lane")
         elif tuple(self._api.vehicle.getRoute(name)) != route:
             # SUMO took it as one of a lane off its route, and dropped the route for it
@@ -164,6 +175,9 @@ class RecordedStage:
         if self._case.net.ghost_edge is not None:
             detail = "the AV drives on a lane of its own, from which SUMO sees no other vehicle"
             self._note("ghost_edge", detail)
+        for lane, phase in self._signals.passed_red.items():
+            steps = f"steps {phase.start} to {phase.stop - 1}"
+            self._note("red_passed", f"lane {lane} is red in {steps}, the recorded AV drives on")
 
     def _insert_av(self, model: VehicleModel | None, *, on_route: bool) -> None:
         tracks, row, name = self._tracks, self._av_row, self._case.av_id
@@ -193,8 +207,12 @@ class RecordedStage:
     def _drive_av(self, command: Command) -> Driver:
         """Off every lane SUMO drops whoever is not placed: there the log drives the AV."""
         if command.kind == "pose" or self._av.on_lane:
+            self._log_drives = False
             self._av.drive(command)
             return Driver.PLANNER
+        if not self._log_drives:
+            self._log_drives = True
+            self._note("lane_lost", "the log drives the AV until it reaches a lane")
         tracks, row = self._tracks, self._av_row
         there = tracks.valid[row, : self._step + 1]
         pose = logged_pose(tracks, row, int(np.flatnonzero(there)[-1]))

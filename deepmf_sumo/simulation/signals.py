@@ -15,7 +15,7 @@ _LETTER = {
     SignalState.STOP: "r",
     SignalState.CAUTION: "y",
     SignalState.GO: "G",
-    SignalState.FLASHING_STOP: "r",
+    SignalState.FLASHING_STOP: "o",  # SUMO has a letter for stop and go on, and never goes on
     SignalState.FLASHING_CAUTION: "o",
 }
 _STATE = {
@@ -31,15 +31,35 @@ _STATE = {
 }
 
 
+_RED = {SignalState.STOP, SignalState.ARROW_STOP}
+
+
 class ReplayedSignals:
-    """Sets the recorded states on SUMO's lights; a light changes only when its states do."""
+    """Sets the recorded states on SUMO's lights; a light changes only when its states do.
+
+    A red that the recorded AV passed (turning right on red, or recorded late) cannot mean that it
+    has to stand: while it lasts, SUMO's light is off there, and the AV yields. Views show the red.
+
+    Args:
+        links: of the lanes with lights.
+        passed: lane -> step at which the recorded AV comes onto it.
+    """
 
     def __init__(
-        self, api: SumoApi, links: Mapping[str, tuple[SignalLink, ...]], signals: Signals
+        self,
+        api: SumoApi,
+        links: Mapping[str, tuple[SignalLink, ...]],
+        signals: Signals,
+        passed: Mapping[str, int],
     ) -> None:
         self._api = api
         self._links = links
         self._signals = signals
+        self.passed_red = {
+            lane: phase
+            for lane, step in passed.items()
+            if lane in signals.lane_ids and (phase := _red_phase(signals, lane, step))
+        }
         self._shown: dict[str, str] = {}
         self._count = {
             light: len(api.trafficlight.getRedYellowGreenState(light))
@@ -54,14 +74,25 @@ class ReplayedSignals:
         """Set all lights to the recording's states at a step."""
         letters = {light: ["o"] * count for light, count in self._count.items()}
         for lane, state in self.states(step).items():
+            letter = "o" if step in self.passed_red.get(lane, ()) else _LETTER[state]
             for link in self._links.get(lane, ()):
                 if link.light in letters and link.index < len(letters[link.light]):
-                    letters[link.light][link.index] = _LETTER[state]
+                    letters[link.light][link.index] = letter
         for light, shown in letters.items():
             text = "".join(shown)
             if self._shown.get(light) != text:
                 self._api.trafficlight.setRedYellowGreenState(light, text)
                 self._shown[light] = text
+
+
+def _red_phase(signals: Signals, lane: str, step: int) -> range:
+    """Steps of the red that a lane has at a step; empty where it has none."""
+    steps = signals.state.shape[1]
+    red = [signals.at(one).get(lane) in _RED for one in range(steps)]
+    if step >= steps or not red[step]:
+        return range(0)
+    begin = max((one + 1 for one in range(step) if not red[one]), default=0)
+    return range(begin, next((one for one in range(step, steps) if not red[one]), steps))
 
 
 class LiveSignals:

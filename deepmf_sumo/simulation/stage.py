@@ -48,4 +48,12 @@ def opened(case: Case, model: VehicleModel | None, backend: Backend) -> Iterator
     else:
         from deepmf_sumo.simulation.recorded_stage import opening
     with opening(case, model) as (arguments, build), running(arguments, backend) as api:
-        yield build(api)
+        stage = build(api)
+        if backend != "gui":
+            yield stage
+            return
+        from deepmf_sumo.simulation.window import WatchedStage
+
+        watched = WatchedStage(stage, api, case.av_id)
+        yield watched
+        watched.linger()

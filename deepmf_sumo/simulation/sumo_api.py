@@ -40,6 +40,7 @@ class SumoApi(Protocol):
     simulation: Any
     trafficlight: Any
     vehicletype: Any
+    gui: Any  # with sumo-gui alone
     TraCIException: type[Exception]
     FatalTraCIError: type[Exception]
 
@@ -70,10 +71,15 @@ def running(arguments: Sequence[str], backend: Backend = "libsumo") -> Iterator[
     except refusals as error:
         # repr() of libsumo's errors is the name of a wrapper object; str() is the message
         reason = str(error).strip() if started else _why_not(arguments, str(error).strip())
-        raise SimulationError(f"SUMO refused: {reason}") from error
+        raise SimulationError(f"SUMO refused{_what(arguments)}: {reason}") from error
     finally:
         with suppress(*refusals):
             api.close()
+
+
+def _what(arguments: Sequence[str]) -> str:
+    """The configuration that SUMO was started with, for the message."""
+    return f" '{arguments[1]}'" if arguments[:1] == ["-c"] else ""
 
 
 def _why_not(arguments: Sequence[str], error: str) -> str:
@@ -109,4 +115,6 @@ def _binary(backend: Backend) -> str:
 def _window(backend: Backend) -> tuple[str, ...]:
     if backend != "gui":
         return ()
-    return ("--start", "true", "--quit-on-end", "true", "--delay", "100")
+    # no delay on the way to the start; from there on `window` keeps time
+    shown = ("--window-size", "1200,800", "--start", "true", "--quit-on-end", "true")
+    return (*shown, "--delay", "0")

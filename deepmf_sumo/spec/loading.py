@@ -27,6 +27,7 @@ def load(path: Path, sets: Sequence[str] = ()) -> Spec:
     for assignment in sets:
         document.assign(assignment)
         _expand(document, override=True)
+    _place_files(document)
     context = {"folder": str(path.parent)}
     spec: Spec = _checked(Spec, document.values, (), document, context)
     _check_plugin("planners", "planner", spec.planner, document)
@@ -62,6 +63,15 @@ def _expand(document: Document, *, override: bool = False) -> None:
     adversary.setdefault("name", "deepmf")
 
 
+def _place_files(document: Document) -> None:
+    """Make ``adversary.file`` and ``planner.file`` absolute, as `source` makes its paths."""
+    for key in ("planner", "adversary"):
+        choice = document.values.get(key)
+        if isinstance(choice, dict) and isinstance(choice.get("file"), str):
+            beside = document.file.parent / Path(choice["file"]).expanduser()
+            choice["file"] = str(beside.resolve())
+
+
 def _check_plugin(kind: plugins.Kind, key: str, choice: Plugin, document: Document) -> None:
     place = f"{document.place((key, 'name'))}: key '{key}.name'"
     try:
@@ -90,7 +100,7 @@ def _checked(
         first = error.errors()[0]
     path = [*at, *_walk(values, first["loc"])]
     named = first.get("ctx", {}).get("key")
-    rule = first["msg"]
+    rule = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":
         rule = unknown_key(str(path[-1]), model)
     elif first["type"] == "missing":

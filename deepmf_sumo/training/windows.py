@@ -19,6 +19,8 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.geometry import angles, frames
 
+ROLLOUT: Final = "rollout"
+"""Data set of scenes that `deepmf-sumo run --scenes` wrote."""
 MIN_FUTURE_STEPS: Final = 30
 """A target is known for at least 3 s."""
 MIN_DISTANCE_M: Final = 2.0
@@ -72,11 +74,17 @@ def future_of(scene: Scene, agent_id: AgentId, step: int) -> Future:
 
 
 def targets(scene: Scene, step: int) -> Iterator[Future]:
-    """Vehicles to learn from at a step: known for 3 s, moving, the AV and labelled ones always."""
+    """Vehicles to learn from at a step: known for 3 s, moving, the AV and labelled ones always.
+
+    Of a simulated attack only the AV is: its opponent drives a plan, and the others the log.
+    """
     tracks = scene.tracks
     labelled = {scene.av_id, *scene.interest}
+    attacked = scene.source.dataset == ROLLOUT
     for row, agent_id in enumerate(tracks.ids):
         if tracks.kinds[row] != "vehicle" or not tracks.valid[row, step]:
+            continue
+        if attacked and agent_id != scene.av_id:
             continue
         future = future_of(scene, agent_id, step)
         known = np.flatnonzero(future.valid)
@@ -94,7 +102,8 @@ def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
 
     The approach of two futures is the least of distance plus 2 m per second of time between them.
     """
-    if agent_id in scene.interest and step == scene.now:
+    attacked = scene.source.dataset == ROLLOUT
+    if agent_id in scene.interest and (attacked or step == scene.now):
         other = [each for each in scene.interest if each != agent_id]
         if other and _known(scene, other[0], step):
             return _filled(scene, future_of(scene, other[0], step), step)

@@ -53,6 +53,7 @@ def test_help_imports_nothing_heavy():
     [
         (SpecError("a.yaml:1: key 'x':\nbad."), 2, "deepmf-sumo: a.yaml:1: key 'x': bad."),
         (ReaderError("broken"), 3, "deepmf-sumo: broken"),
+        (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv cannot be used: Permission"),
         (ZeroDivisionError("oops"), 3, "deepmf-sumo: unexpected ZeroDivisionError: oops"),
         (KeyboardInterrupt(), 130, "deepmf-sumo: interrupted"),
         (click.UsageError("no such option"), 2, "no such option"),

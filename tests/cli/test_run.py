@@ -1,3 +1,4 @@
+import csv
 import json
 import signal
 import subprocess
@@ -56,12 +57,14 @@ def test_refusals_are_one_line(tiny, monkeypatch, capsys, arguments, message):
     assert not (tiny / "results").exists()
 
 
-def test_missing_weights_stop_the_batch(tiny, tmp_path, capsys):
-    names = [str(tiny_network.spec(tiny, f"no {n}", adversary="S1", weights="nix")) for n in "ab"]
+def test_missing_weights_are_exit_code_2_and_cost_no_other_run(tiny, tmp_path, capsys):
+    lost = tiny_network.spec(tiny, "no weights", adversary="S1", weights="nix")
+    fine = tiny_network.spec(tiny, "needs none")
     out = tmp_path / "out"
-    assert main._run(["run", *names, "--out", str(out), "--no-pictures"]) == 2
-    assert "There are no weights 'nix'" in capsys.readouterr().err
-    assert len((out / "runs.csv").read_text().splitlines()) == 2
+    assert main._run(["run", str(lost), str(fine), "--out", str(out), "--no-pictures"]) == 2
+    assert "There are no weights 'nix'" in capsys.readouterr().out
+    rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
+    assert [row["status"] for row in rows] == ["failed", "ok"]
 
 
 def test_interrupt_keeps_the_table(tiny, tmp_path):

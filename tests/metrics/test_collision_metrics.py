@@ -52,6 +52,18 @@ def test_collision_metrics():
     assert (nobody.value, nobody.reason) == (None, "nobody was attacked")
 
 
+def test_a_collision_after_another_contact_is_not_clean():
+    hit = contact_of(step=40)
+    others = [contact_of("opponent_other", 30, "b", "c"), contact_of("av_other", 30, "av", "c")]
+    assert measured("collision_clean", rollout_of(PATHS, contacts=[hit])).value == 1.0
+    for other in others:
+        assert measured("collision_clean", rollout_of(PATHS, contacts=[other, hit])).value == 0.0
+        assert measured("collision_clean", rollout_of(PATHS, contacts=[other])).value == 0.0
+    # at the same step the AV is hit all the same
+    late = contact_of("opponent_other", 40, "b", "c")
+    assert measured("collision_clean", rollout_of(PATHS, contacts=[hit, late])).value == 1.0
+
+
 def test_least_gap():
     assert measured("min_gap", rollout_of(PATHS)).value == pytest.approx(1.5)
     behind = {"av": straight(0, 0, 10), "b": straight(-10, 0, 8)}

@@ -151,3 +151,11 @@ def test_metrics_of_plans():
     assert (
         "does not say" in measured("colliding_plans", with_opponent(straight(-8, 3.5, 12))).reason
     )
+
+
+def test_a_gap_in_the_recording_is_no_change_of_speed():
+    even = np.column_stack([np.arange(40.0), np.zeros(40)])
+    stretches = [even[:15], even[25:]]
+    np.testing.assert_allclose(distributions.speed_changes_of(stretches, 0.1), 0.0, atol=1e-9)
+    assert len(distributions.speed_changes_of(stretches, 0.1)) == 13 + 13
+    assert len(distributions.speed_changes_of([even[:1], even[:2]], 0.1)) == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import network
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network import programs
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 
@@ -121,10 +121,10 @@ def test_a_packed_net_is_the_same(grid, tmp_path):
 def test_what_is_no_net_is_an_error_that_names_the_file(tmp_path, content):
     file = tmp_path / "bad.net.xml"
     file.write_bytes(content)
-    with pytest.raises(UsageError, match=r"bad\.net\.xml"):
+    with pytest.raises(SimulationError, match=r"bad\.net\.xml"):
         road_of_net(file)
 
 
 def test_a_missing_net_is_an_error_that_names_the_file(tmp_path):
-    with pytest.raises(UsageError, match=r"none\.net\.xml"):
+    with pytest.raises(SimulationError, match=r"none\.net\.xml"):
         road_of_net(tmp_path / "none.net.xml")

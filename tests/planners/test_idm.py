@@ -1,10 +1,13 @@
 """The IDM planner's parameters, and its corridor."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import RoadMap, Tracks, View
+from deepmf_sumo.datatypes import RoadMap, SumoNet, Tracks, View
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners import idm
 from deepmf_sumo.planners.perception import nearest_in_corridor
@@ -65,8 +68,9 @@ def test_nearest_wins_and_those_behind_or_beyond_do_not_count():
     assert leader([(200.0, 0.0, 0.0, 4.0)]) is None
 
 
-def test_long_box_across_the_corridor_is_seen_though_no_corner_is_inside():
-    assert leader([(30.0, 0.0, np.pi / 2, 0.0)], sizes=[(16.0, 2.5, 3.0)]) is not None
+@pytest.mark.parametrize("y", [-5.0, -1.7, 0.0, 2.0, 3.3])
+def test_long_box_across_the_corridor_is_seen_though_no_corner_is_inside(y):
+    assert leader([(30.0, y, np.pi / 2, 0.0)], sizes=[(16.0, 2.5, 3.0)]) is not None
 
 
 def test_corridor_follows_the_bend():
@@ -75,6 +79,18 @@ def test_corridor_follows_the_bend():
     assert leader([(40.0, 0.0, 0.0, 0.0)], path=bend) is None
     found = leader([(22.5, 20.0, np.pi / 2, 3.0)], path=bend)
     assert found.speed_mps == pytest.approx(3.0, abs=0.3)
+
+
+def test_on_a_lane_of_its_own_where_sumo_sees_nobody_the_corridor_is_used(tmp_path):
+    def command(ghost_edge):
+        net = SumoNet(file=tmp_path / "a.net.xml", ghost_edge=ghost_edge)
+        case = SimpleNamespace(net=net)
+        planner = idm.build(idm.Settings(perception="lane"))
+        planner.reset(case, np.random.default_rng(0))
+        return planner.act(replace(view_of([(30.0, 0.0, 0.0, 7.0)]), av_path_m=STRAIGHT)).kind
+
+    assert command("ghost") == "leader"
+    assert command(None) == "sumo"
 
 
 def test_published_parameters_and_overrides():

@@ -105,9 +105,19 @@ def test_relations_know_who_comes_first():
     assert slow[7] > fast[7]
 
 
+def test_a_leader_is_ahead_and_who_is_beside_the_path_is_not_on_it():
+    along = (torch.arange(1, 17) * 5.0).expand(1, 1, 1, 16)  # 10 m/s
+    other = torch.zeros(1, 2, 80, 2)
+    other[0, 0, :, 0] = 30.0 + torch.arange(1, 81)  # the same speed, 30 m ahead
+    other[0, 1] = other[0, 0] + torch.tensor([0.0, 8.0])
+    _, goal = condition.relations(straight_path(), along, other)
+    assert goal[0, 0, 0, 0, 11:].tolist() == pytest.approx([1.5] * 4, abs=0.06)
+    assert goal[0, 1, 0, 0, 11:].tolist() == [0.0] * 4
+
+
 def test_numbers_are_finite_for_a_standing_other():
     along = torch.ones(1, 1, 2, 16)
     path, goal = condition.relations(straight_path(), along, torch.zeros(1, 3, 80, 2))
     assert bool(torch.isfinite(path).all())
     assert bool(torch.isfinite(goal).all())
-    assert np.prod(goal.shape) == 3 * 2 * 11
+    assert np.prod(goal.shape) == 3 * 2 * 15

@@ -1,5 +1,7 @@
 """Episodes of recordings: exact starts, exact replay, perception, determinism."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated_worlds import (
@@ -172,11 +174,19 @@ def test_corridor_av_stops_for_a_pedestrian_that_sumo_does_not_know(tmp_path):
     assert (hit.striker_id, hit.sector) == ("av", 0)
 
 
+def stopping_motion(y, speed, until_y):
+    """Northwards; stands from ``until_y`` on."""
+    motion = straight_motion(0.0, y, NORTH, speed)
+    motion[:, 3] = np.where(motion[:, 1] < until_y, speed, 0.0)
+    motion[:, 1] = np.minimum(motion[:, 1], until_y)
+    return motion
+
+
 @pytest.mark.parametrize("planner", [lane_idm, corridor_idm])
 def test_av_stops_at_a_recorded_red_light(tmp_path, planner):
     road = crossing_road()
     motions = {
-        "av": straight_motion(0.0, -60.0, NORTH, 10.0),
+        "av": stopping_motion(-60.0, 10.0, -16.0),
         # behind the light and slow: the corridor's leader must not overrule the light
         "ahead": straight_motion(0.0, -25.0, NORTH, 6.0),
     }
@@ -185,6 +195,29 @@ def test_av_stops_at_a_recorded_red_light(tmp_path, planner):
     front = rollout.tracks.position_m[rollout.tracks.row("av"), -1, 1] + 2.3
     assert front < -9.0
     assert np.diff(speeds(rollout, "av")).min() / 0.1 > -8.0 - 1e-6
+
+
+def test_a_red_that_the_recorded_av_passes_does_not_hold_the_av(tmp_path):
+    road = crossing_road()
+    motions = {"av": straight_motion(0.0, -40.0, NORTH, 8.0)}
+    case = case_of(scene_of(road, motions, signals=red_light(road, "north_in")), tmp_path)
+    rollout = run(case, lane_idm())
+    assert rollout.tracks.position_m[0, -1, 1] > 0.0
+    assert [event.kind for event in rollout.events] == ["red_passed"]
+
+
+@pytest.mark.parametrize("planner", [lane_idm, corridor_idm])
+@pytest.mark.parametrize(("front", "waits"), [(-1.9, False), (0.3, True)])
+def test_av_waits_only_for_who_stands_in_its_way(tmp_path, planner, front, waits):
+    road = replace(crossing_road(), stop_signs=())
+    motions = {
+        "av": straight_motion(0.0, -35.0, NORTH, 8.0),
+        # inside the junction, where SUMO waits for everybody
+        "waiting": straight_motion(front - 2.3, 0.0, EAST, 0.0),
+    }
+    rollout = run(case_of(scene_of(road, motions), tmp_path), planner())
+    assert rollout.contacts == ()
+    assert (rollout.tracks.position_m[0, -1, 1] < 0.0) == waits
 
 
 def test_av_yields_to_a_replayed_car_with_a_route_of_its_own(tmp_path):
@@ -302,3 +335,28 @@ def test_a_bug_of_a_planner_comes_out_as_it_is_and_sumo_is_closed(following):
     with pytest.raises(ZeroDivisionError):
         run(following, Broken(idm.Settings()))
     assert run(following, lane_idm()).ended == "time"
+
+
+class OffThenIdm:
+    """Puts the AV beside the road, and leaves it to SUMO there."""
+
+    model = idm.TREIBER
+
+    def reset(self, case, rng):
+        pass
+
+    def act(self, view):
+        if view.step < NOW + 3:
+            return Command(kind="pose", x_m=60.0, y_m=-20.0, heading_rad=0.0)
+        return Command(kind="sumo")
+
+
+def test_it_is_said_when_the_log_has_to_drive_the_av(tmp_path):
+    scene = scene_of(straight_road(), {"av": straight_motion(60.0, 0.0, EAST, 12.0)})
+    rollout = run(case_of(scene, tmp_path), OffThenIdm())
+    assert [(event.kind, event.step) for event in rollout.events] == [("lane_lost", NOW + 4)]
+    assert list(rollout.driver[0, NOW + 1 : NOW + 6]) == [
+        *[Driver.PLANNER] * 3,
+        Driver.LOG,
+        Driver.PLANNER,
+    ]

@@ -16,6 +16,12 @@ def speed_changes(path_m: Floats, dt_s: float) -> Floats:
     return changes
 
 
+def speed_changes_of(stretches: list[Floats], dt_s: float) -> Floats:
+    """Signed changes of speed along several stretches (K, 2) of motion, K >= 1 each."""
+    changes: Floats = np.concatenate([np.empty(0), *(speed_changes(s, dt_s) for s in stretches)])
+    return changes
+
+
 def wasserstein(a: Floats, b: Floats) -> float:
     """First Wasserstein distance of two samples: mean difference of their quantiles."""
     inverted = [np.quantile(sample, _QUANTILES, method="inverted_cdf") for sample in (a, b)]

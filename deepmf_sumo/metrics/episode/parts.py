@@ -3,6 +3,7 @@
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Case, Driver, Floats, Rollout
+from deepmf_sumo.metrics.episode import motion
 
 NO_OPPONENT = "nobody was attacked"
 NEVER_DRIVEN = "the policy never drove the opponent"
@@ -46,10 +47,17 @@ def planned_path(rollout: Rollout, row: int, steps_at_most: int) -> Floats:
 
 def logged_path(case: Case, agent_id: AgentId) -> Floats | None:
     """(K, 2) where the recording has the agent after now; None if it has fewer than three."""
+    stretches = logged_stretches(case, agent_id)
+    path: Floats = np.concatenate([np.empty((0, 2)), *stretches])
+    return path if len(path) > 2 else None
+
+
+def logged_stretches(case: Case, agent_id: AgentId) -> list[Floats]:
+    """Where the recording has the agent after now, (K, 2) each, without the gaps between them."""
     scene = case.scene
     if scene is None or agent_id not in scene.tracks.ids:
-        return None
+        return []
     row = scene.tracks.row(agent_id)
     steps = slice(scene.now + 1, scene.now + 1 + case.duration_steps)
-    path: Floats = scene.tracks.position_m[row, steps][scene.tracks.valid[row, steps]]
-    return path if len(path) > 2 else None
+    position = scene.tracks.position_m[row, steps]
+    return [position[run] for run in motion.runs(scene.tracks.valid[row, steps])]

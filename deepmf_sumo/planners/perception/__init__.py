@@ -7,7 +7,8 @@ import numpy as np
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, View
 from deepmf_sumo.geometry import angles, boxes, polylines
 
-_SIDE_STATIONS = np.linspace(0.0, 1.0, 5)[:-1, None]
+_SPACING_M = 1.0
+"""Distance of the points that stand for a box's outline: well below any corridor's width."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,28 +31,52 @@ def nearest_in_corridor(view: View, path_m: Floats, margin_m: float) -> Leader |
     tracks = view.history
     me = tracks.row(view.av_id)
     half = float(tracks.size_m[me, 1]) / 2 + margin_m
-    centre, size = tracks.position_m[:, -1], tracks.size_m[:, :2]
-    reach = half + np.hypot(size[:, 0], size[:, 1]) / 2
-    near = _within(centre, path_m, reach)
-    near[me] = False
-    rows = np.flatnonzero(near)
-    if not len(rows):
+    gap, heading = entries(
+        path_m, half, tracks.position_m[:, -1], tracks.heading_rad[:, -1], tracks.size_m[:, :2]
+    )
+    gap[me] = np.inf
+    row = int(gap.argmin())
+    if not np.isfinite(gap[row]):
         return None
-    outline = _outline(centre[rows], tracks.heading_rad[rows, -1], size[rows])
-    foot = polylines.project(path_m, outline)
-    # points beyond the ends of the path have their foot at the end, farther away than sideways
-    inside = (np.abs(foot.left_m) < half) & (foot.distance_m < np.abs(foot.left_m) + 1e-6)
-    gap = np.where(inside, foot.along_m, np.inf)
-    box, point = np.unravel_index(gap.argmin(), gap.shape)
-    if not np.isfinite(gap[box, point]):
-        return None
-    row = int(rows[box])
-    along = angles.unit(float(foot.heading_rad[box, point]))
+    along = angles.unit(float(heading[row]))
     return Leader(
         agent_id=tracks.ids[row],
-        gap_m=float(gap[box, point]),
+        gap_m=float(gap[row]),
         speed_mps=float(tracks.velocity_mps[row, -1] @ along),
     )
+
+
+def entries(
+    path_m: Floats, half_m: float, centre_m: Floats, heading_rad: Floats, size_m: Floats
+) -> tuple[Floats, Floats]:
+    """Where N boxes reach into a corridor.
+
+    Args:
+        path_m: (P, 2) middle of the corridor.
+        half_m: half its width.
+        centre_m: (N, 2) of the boxes.
+        heading_rad: (N).
+        size_m: (N, 2) length and width.
+
+    Returns:
+        (N) distance along the path to the first point of each box inside, inf where there is none,
+        and (N) direction of the path there.
+    """
+    gap, direction = np.full(len(centre_m), np.inf), np.zeros(len(centre_m))
+    near = np.flatnonzero(
+        _within(centre_m, path_m, half_m + np.hypot(size_m[:, 0], size_m[:, 1]) / 2)
+    )
+    if not len(near):
+        return gap, direction
+    outline = _outline(centre_m[near], heading_rad[near], size_m[near])
+    foot = polylines.project(path_m, outline)
+    # points beyond the ends of the path have their foot at the end, farther away than sideways
+    inside = (np.abs(foot.left_m) < half_m) & (foot.distance_m < np.abs(foot.left_m) + 1e-6)
+    along = np.where(inside, foot.along_m, np.inf)
+    first = along.argmin(axis=1)
+    pick = np.arange(len(near)), first
+    gap[near], direction[near] = along[pick], foot.heading_rad[pick]
+    return gap, direction
 
 
 def _within(centre: Floats, path: Floats, reach: Floats) -> Bools:
@@ -66,8 +91,9 @@ def _within(centre: Floats, path: Floats, reach: Floats) -> Bools:
 
 
 def _outline(centre: Floats, heading: Floats, size: Floats) -> Floats:
-    """(N, 16, 2) points around boxes: corners and three more a side."""
+    """(N, K, 2) points around boxes: corners, and points between them at most a metre apart."""
+    share = np.linspace(0.0, 1.0, 1 + int(np.ceil(size.max() / _SPACING_M)))[:-1, None]
     corner = boxes.corners(centre, heading, size)
     following = np.roll(corner, -1, axis=-2)
-    sides = corner[:, :, None] + _SIDE_STATIONS * (following - corner)[:, :, None]
+    sides = corner[:, :, None] + share * (following - corner)[:, :, None]
     return sides.reshape(len(centre), -1, 2)

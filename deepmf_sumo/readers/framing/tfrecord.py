@@ -43,6 +43,7 @@ class Broken:
     """A record that cannot be read; ``last`` where the rest of the file is lost with it."""
 
     index: int
+    offset: int
     reason: str
     last: bool
 
@@ -82,7 +83,7 @@ def records(path: Path) -> Iterator[Record | Broken]:
                 offset, index = stream.tell(), index + 1
     except _UNREADABLE as error:
         reason = f"cannot be read on ({error}); copy or download the file again"
-        yield Broken(index=index, reason=reason, last=True)
+        yield Broken(index=index, offset=offset, reason=reason, last=True)
 
 
 def record_at(path: Path, offset: int, index: int) -> Record:
@@ -108,18 +109,18 @@ def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:
     if not header:
         return None
     if len(header) < HEADER:
-        return _truncated(index, len(header), HEADER)
+        return _truncated(index, offset, len(header), HEADER)
     (length,) = struct.unpack("<Q", header[:8])
     damage = _damage(header, length)
     if damage:
-        return Broken(index=index, reason=damage, last=True)
+        return Broken(index=index, offset=offset, reason=damage, last=True)
     body = stream.read(length + FOOTER)
     if len(body) < length + FOOTER:
-        return _truncated(index, HEADER + len(body), HEADER + length + FOOTER)
+        return _truncated(index, offset, HEADER + len(body), HEADER + length + FOOTER)
     payload = body[:length]
     if _masked_crc(payload) != body[length:]:
         reason = "the checksum of its content is wrong; copy or download the file again"
-        return Broken(index=index, reason=reason, last=False)
+        return Broken(index=index, offset=offset, reason=reason, last=False)
     return Record(index=index, offset=offset, payload=payload)
 
 
@@ -135,9 +136,9 @@ def _damage(header: bytes, length: int) -> str:
     return ""
 
 
-def _truncated(index: int, there: int, needed: int) -> Broken:
+def _truncated(index: int, offset: int, there: int, needed: int) -> Broken:
     reason = f"is cut off: {there} of its {needed} bytes are there; copy or download the file again"
-    return Broken(index=index, reason=reason, last=True)
+    return Broken(index=index, offset=offset, reason=reason, last=True)
 
 
 def _masked_crc(content: bytes) -> bytes:

@@ -11,7 +11,7 @@ from typing import Final
 
 from deepmf_sumo.readers.base import Place
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 
 
 def cached(path: Path, cache: Path | None, look: Callable[[], Iterable[Place]]) -> list[Place]:
