@@ -61,8 +61,32 @@ open-weights: open-scenes  ## record SUMO traffic and train the set `open` on it
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
 	$(RUN) train all --data $(WOMD)/train --name womd --seed 1
 
+SCENES ?= $(WOMD)/val
+RESULTS ?= out/val
+STUDY = $(RUN) run docs/studies/recorded.yaml --set source.recording=$(abspath $(SCENES)) --jobs 2 --no-pictures
+no-attack-results: $(READY)  ## the IDM on recorded scenes without attack: contacts and distance to the log
+	for seen in lane corridor; do for parameters in treiber metadrive; do \
+	    $(STUDY) --set adversary=none --set "name=$$seen $$parameters" \
+	    --set "planner={name: idm, perception: $$seen, parameters: $$parameters}" \
+	    --out $(RESULTS)/none-$$seen-$$parameters > /dev/null || exit 1; done; done
+	$(RUN) table $(RESULTS)/none-*
+
+WEIGHTS ?= womd
+VERSIONS ?= S1 G
+OPPONENTS ?= argmax partner
+RULES ?= expected likeliest
+attack-results: $(READY)  ## DeepMF on recorded scenes, for docs/results.md
+	for planner in replay idm-lane idm-corridor; do for version in $(VERSIONS); do \
+	for opponent in $(OPPONENTS); do for rule in $(RULES); do \
+	    case $$planner in replay) drives="{name: replay}";; *) drives="{name: idm, perception: $${planner#idm-}}";; esac; \
+	    $(STUDY) --set weights=$(WEIGHTS) --set "planner=$$drives" --set "name=$$opponent $$rule" \
+	    --set "adversary={name: deepmf, version: $$version, opponent: $$opponent, rule: $$rule}" \
+	    --out $(RESULTS)/$(WEIGHTS)-$$planner-$$version-$$opponent-$$rule > /dev/null || exit 1; \
+	done; done; done; done
+	$(RUN) table $(RESULTS)/$(WEIGHTS)-*
+
 docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-weights womd-weights docs
+.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-weights womd-weights docs no-attack-results attack-results

@@ -72,7 +72,8 @@ def _run(arguments: list[str]) -> int:
         _show(error, str(error), arguments)
         return error.exit_code
     except Exception as error:  # noqa: BLE001 - people get a line; --debug shows the rest
-        text, failed = f"unexpected {type(error).__name__}: {error} (--debug shows where)", FAILED
+        where, failed = "deepmf-sumo --debug ... shows where", FAILED
+        text = f"unexpected {type(error).__name__}: {error} ({where})"
         if isinstance(error, OSError) and error.filename:  # rights, or a full disk
             text, failed = (
                 f"{error.filename} cannot be used: {error.strerror}.",

@@ -30,8 +30,8 @@ class Command:
         kind: ``pose`` places the AV; ``sumo`` lets SUMO's own model drive; ``leader`` asks SUMO's
             model for the speed behind the given leader and drives at it; ``speed`` drives along the
             route at ``speed_mps``.
-        x_m, y_m, heading_rad, speed_mps: the pose after the step (``pose``); ``speed_mps`` alone for
-            ``speed``.
+        x_m, y_m, heading_rad, speed_mps: the pose after the step (``pose``); of ``speed`` the last
+            alone.
         gap_m: bumper to leader, metres (``leader``).
         leader_mps: the leader's speed along the AV's path, signed (``leader``).
     """

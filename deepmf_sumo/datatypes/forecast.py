@@ -47,7 +47,8 @@ class OpponentScores:
 
     Attributes:
         ids: (A) candidates: vehicles in range, not the AV, not parked.
-        logits: (A) before the sigmoid. partner_logits: (A) of the head trained on labelled partners.
+        logits: (A) before the sigmoid.
+        partner_logits: (A) of the head trained on labelled partners.
     """
 
     ids: tuple[AgentId, ...]

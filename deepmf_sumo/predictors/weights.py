@@ -125,6 +125,8 @@ def read_card(folder: Path, network: Network) -> dict[str, Any]:
         raise WeightsError(_missing(folder, file)) from None
     except ValueError as error:
         raise WeightsError(f"{file} is not a card ({error}); {_again(folder, network)}.") from None
+    if not isinstance(card, dict):
+        raise WeightsError(f"{file} is not a card (no mapping); {_again(folder, network)}.")
     version = card.get("format_version")
     if version != FORMAT_VERSION:
         raise WeightsError(
@@ -154,6 +156,14 @@ def _places(name: str | Path) -> tuple[Path, ...]:
 
 def _network(folder: Path, network: Network) -> tuple[nn.Module, dict[str, Any]]:
     card = read_card(folder, network)
+    heads = ("temperature", "partner_temperature") if network == "opponent" else ("temperature",)
+    for key in heads:
+        value = card.get(key)
+        if not (isinstance(value, int | float) and 0.0 < value < float("inf")):
+            raise WeightsError(
+                f"{folder / network}.json has {key} {value!r}; it must be a number above 0; "
+                f"{_again(folder, network)}."
+            )
     net = build(network, preset_named(str(card.get("preset"))))
     try:
         net.load_state_dict(tensors(folder, network))
@@ -163,6 +173,12 @@ def _network(folder: Path, network: Network) -> tuple[nn.Module, dict[str, Any]]
             f"{folder / network}.safetensors does not fit the {network} network of preset "
             f"'{card['preset']}' ({reason}); {_again(folder, network)}."
         ) from None
+    for key, value in net.state_dict().items():
+        if not torch.isfinite(value).all():
+            raise WeightsError(
+                f"{folder / network}.safetensors holds numbers in '{key}' that are not finite; "
+                f"{_again(folder, network)}."
+            )
     return net, card
 
 
