@@ -49,7 +49,7 @@ WOMD ?= ../shared/womd
 train: $(READY) open-weights  ## train the weights of the package, from our own SUMO traffic alone
 
 OPEN_NETS := arterial four_way highway roundabout rural
-OPEN_SEEDS := 1 2 3 4
+OPEN_SEEDS := 1 2
 open-scenes: $(READY)  ## record the SUMO traffic that `open` is trained on
 	for seed in $(OPEN_SEEDS); do for net in $(OPEN_NETS); do \
 	    $(RUN) record sumo_nets/$$net/$$net.sumocfg --out .cache/open-scenes/$$net-$$seed --scenes 40 --seed $$seed \
