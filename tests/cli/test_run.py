@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -75,12 +76,14 @@ def test_interrupt_keeps_the_table(tiny, tmp_path):
         cwd=ROOT,
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
+        # A shell's background jobs ignore interrupts, and so would their children.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.default_int_handler),
     )
     while not list(out.glob("runs/one-*/result.json")):
         assert child.poll() is None
         time.sleep(0.05)
     child.send_signal(signal.SIGINT)
-    _, errors = child.communicate(timeout=20)
+    _, errors = child.communicate(timeout=120)
     assert child.returncode == 130
     assert b"Traceback" not in errors
     summary = json.loads((out / "summary.json").read_text())
