@@ -56,10 +56,12 @@ open-scenes: $(READY)  ## record the SUMO traffic that `open` is trained on
 	    || exit 1; done; done
 
 open-weights: open-scenes  ## record SUMO traffic and train the set `open` on it
-	$(RUN) train all --data .cache/open-scenes --name open --seed 1
+	$(RUN) train all --data .cache/open-scenes --name open --cache .cache/features --seed 1 \
+	    --licence "own SUMO traffic; Apache-2.0"
 
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
-	$(RUN) train all --data $(WOMD)/train --name womd --seed 1
+	$(RUN) train all --data $(WOMD)/train --name womd --out .weights/womd --cache .cache/features --seed 1 \
+	    --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
