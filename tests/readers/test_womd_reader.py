@@ -210,6 +210,7 @@ def other_rate(message):
     ("damage", "said"),
     [
         (no_lanes, "no lanes"),
+        (av_not_finite, "states that are not finite numbers"),
         (lane_not_finite, "lane 100 has points that are not finite"),
         (av_not_there, r"AV \(12\) has no valid state at the current step 10"),
         (av_not_finite, r"AV \(12\) has no valid state"),

@@ -1,7 +1,7 @@
 """From what a file says to a Scene that the rest of the package can rely on."""
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -75,7 +75,7 @@ def _checked(recording: Recording) -> Scene:
     av_id = _named_av(recording)
     timestamps = _timestamps(recording.timestamps_s, steps, repairs)
     motion.drop_impossible_states(raw, repairs)
-    _refuse_av(av_id, raw.valid[raw.ids.index(av_id)], recording.now)
+    _refuse_av(av_id, raw.valid[raw.ids.index(av_id)], recording.now, repairs)
     motion.cut_jumps(raw, timestamps, recording.now, av_id, repairs)
     mended = road.mended(recording.road, repairs)
     tracks = motion.finished(raw, recording.now, av_id, repairs)
@@ -114,9 +114,12 @@ def _named_av(recording: Recording) -> str:
     return av_id
 
 
-def _refuse_av(av_id: str, valid: Bools, now: int) -> None:
+def _refuse_av(av_id: str, valid: Bools, now: int, repairs: Sequence[str] = ()) -> None:
+    """Raises ReaderError; what was left out of the AV's track before is the likely cause."""
     if not valid[now]:
-        raise ReaderError(f"the AV ({av_id}) has no valid state at the current step {now}")
+        causes = [line.rstrip(".") for line in repairs if line.startswith(f"Agent {av_id}:")]
+        why = f" ({'; '.join(causes)})" if causes else ""
+        raise ReaderError(f"the AV ({av_id}) has no valid state at the current step {now}{why}")
 
 
 def _timestamps(recorded: Floats, steps: int, repairs: list[str]) -> Floats:
