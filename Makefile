@@ -46,22 +46,40 @@ bench: $(READY)  ## speed and memory, as ratios and milliseconds side by side
 	$(PY) -m tests.bench
 
 WOMD ?= ../shared/womd
+OPEN := .cache/open-scenes
+TRAIN := $(RUN) train
+FEATURES := --cache .cache/features --jobs 2 --seed 1
 train: $(READY) open-weights  ## train the weights of the package, from our own SUMO traffic alone
 
-OPEN_NETS := arterial four_way highway roundabout rural
-OPEN_SEEDS := 1 2
-open-scenes: $(READY)  ## record the SUMO traffic that `open` is trained on
-	for seed in $(OPEN_SEEDS); do for net in $(OPEN_NETS); do \
-	    $(RUN) record sumo_nets/$$net/$$net.sumocfg --out .cache/open-scenes/$$net-$$seed --scenes 40 --seed $$seed \
-	    || exit 1; done; done
+open-scenes: $(READY)  ## record the SUMO traffic that `open` is trained on: 68 networks, 3000 scenes
+	$(RUN) record $(foreach net,arterial four_way highway roundabout rural,sumo_nets/$(net)/$(net).sumocfg) --generate mix --networks 63 --scenes 45 --avs 3 --seed 1 \
+	    --jobs 2 --out $(OPEN)
 
-open-weights: open-scenes  ## record SUMO traffic and train the set `open` on it
-	$(RUN) train all --data .cache/open-scenes --name open --cache .cache/features --seed 1 \
+open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
+	$(RUN) record --generate mix --networks 21 --scenes 8 --seed 1001 --jobs 2 --out .cache/open-test-scenes
+
+# An AV under attack in recorded scenes, each run as a scene: what planners do when somebody comes at them.
+REACT = $(RUN) run docs/studies/reactions.yaml --set source.recording=$(abspath $(1)) --scenes --jobs 2 --no-pictures
+reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=) to learn reactions from
+	$(call REACT,$(SCENES)) --set weights=$(WEIGHTS) --set "planner={name: idm, perception: corridor}" \
+	    --out $(OUT)/corridor > /dev/null
+	$(call REACT,$(SCENES)) --set weights=$(WEIGHTS) --set "planner={name: idm, perception: lane}" \
+	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1}" \
+	    --out $(OUT)/lane > /dev/null
+
+open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
+	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) marginal --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open
+	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
 
+WOMD_SET = --out .weights/womd $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
-	$(RUN) train all --data $(WOMD)/train --name womd --out .weights/womd --cache .cache/features --seed 1 \
-	    --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
+	$(TRAIN) opponent --data $(WOMD)/train $(WOMD_SET)
+	$(TRAIN) marginal --data $(WOMD)/train --from open $(WOMD_SET)
+	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
+	$(TRAIN) conditional --data $(WOMD)/train=0.5 --data .cache/womd-reactions=0.5 $(WOMD_SET)
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
@@ -75,20 +93,26 @@ no-attack-results: $(READY)  ## the IDM on recorded scenes without attack: conta
 
 WEIGHTS ?= womd
 VERSIONS ?= S1 G
-OPPONENTS ?= argmax partner
+OPPONENTS ?= argmax
 RULES ?= expected likeliest
+LIKELIHOOD_WEIGHTS ?= 1
+# A replayed AV drives as people do; an IDM as planners do.
+PLANNERS = replay idm-lane idm-corridor
+driven = $(if $(filter replay,$(1)),{name: replay},{name: idm$(comma) perception: $(patsubst idm-%,%,$(1))})
+comma := ,
 attack-results: $(READY)  ## DeepMF on recorded scenes, for docs/results.md
-	for planner in replay idm-lane idm-corridor; do for version in $(VERSIONS); do \
-	for opponent in $(OPPONENTS); do for rule in $(RULES); do \
-	    case $$planner in replay) drives="{name: replay}";; *) drives="{name: idm, perception: $${planner#idm-}}";; esac; \
-	    $(STUDY) --set weights=$(WEIGHTS) --set "planner=$$drives" --set "name=$$opponent $$rule" \
-	    --set "adversary={name: deepmf, version: $$version, opponent: $$opponent, rule: $$rule}" \
-	    --out $(RESULTS)/$(WEIGHTS)-$$planner-$$version-$$opponent-$$rule > /dev/null || exit 1; \
-	done; done; done; done
+	$(foreach planner,$(PLANNERS),for version in $(VERSIONS); do for opponent in $(OPPONENTS); do \
+	for rule in $(RULES); do for weight in $(LIKELIHOOD_WEIGHTS); do \
+	    $(STUDY) --set weights=$(WEIGHTS) --set "planner=$(call driven,$(planner))" \
+	    --set "name=$$opponent $$rule $$weight" --set "adversary={name: deepmf, version: $$version, \
+	    opponent: $$opponent, rule: $$rule, likelihood_weight: $$weight, \
+	    av_driver: $(if $(filter replay,$(planner)),human,planner)}" \
+	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$$rule-$$weight > /dev/null || exit 1; \
+	done; done; done; done; )
 	$(RUN) table $(RESULTS)/$(WEIGHTS)-*
 
 docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-weights womd-weights docs no-attack-results attack-results
+.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights docs no-attack-results attack-results

@@ -110,9 +110,9 @@ class FanPredictor:
             )
         return forecasts
 
-    def react(self, view, agent_id, given, modes):
+    def react(self, view, agent_id, given, modes, *, planner=False):
         (forecast,) = self.predict(view, [agent_id], modes)
-        return [forecast] * len(given.position_m)
+        return [forecast] * (1 if given is None else len(given.position_m))
 
     def log_density(self, view, agent_id, position_m):
         """A mixture of Gaussians round the fan's positions at 2, 4, 6, 8 s."""

@@ -2,18 +2,27 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
+
+_STEPS = click.IntRange(min=1)
+_ABOVE_0 = click.FloatRange(min=0, min_open=True)
 
 
 @click.command(name="train")
 @click.argument("network", type=click.Choice(["opponent", "marginal", "conditional", "all"]))
 @click.option(
     "--data",
-    required=True,
     multiple=True,
-    type=click.Path(path_type=Path),
-    help="Recorded file or folder; may be given several times.",
+    metavar="PATH[=WEIGHT]",
+    help="Recorded file or folder, and its share in training; may be given several times.",
+)
+@click.option(
+    "--config",
+    "file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="YAML file with these settings, also for single networks; flags stand above it.",
 )
 @click.option("--name", default="custom", show_default=True, help="Name of the set of weights.")
 @click.option(
@@ -21,51 +30,60 @@ import click
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder of the set, instead of its place in the weights home.",
 )
-@click.option("--preset", type=click.Choice(["light", "paper"]), default="light", show_default=True)
-@click.option("--steps", type=click.IntRange(min=1), help="Steps of each network.")
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--from", "begin_from", metavar="NAME", help="Set of weights to begin from.")
+@click.option("--preset", help="Sizes of the networks: light or paper.  [default: light]")
+@click.option("--steps", type=_STEPS, help="Steps of each network.")
+@click.option("--batch", type=_STEPS, help="Samples a step.")
+@click.option("--rate", type=_ABOVE_0, help="Highest learning rate.")
+@click.option("--weight-decay", type=click.FloatRange(min=0))
+@click.option("--clip", type=_ABOVE_0, help="Largest norm of the gradient.")
+@click.option(
+    "--ema",
+    type=click.FloatRange(min=0, max=1, max_open=True),
+    help="Decay of the average of the weights; 0 for none.",
+)
+@click.option("--precision", type=click.Choice(["auto", "bf16", "fp32"]))
+@click.option("--evaluate-every", type=_STEPS, help="Steps between looks at held-out scenes.")
+@click.option(
+    "--patience",
+    type=click.IntRange(min=0),
+    help="Looks without gain after which to stop; 0: never.",
+)
+@click.option("--seed", type=click.IntRange(min=0, max=2**31 - 1), help="0 by default.")
 @click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
 @click.option("--threads", type=click.IntRange(min=1), help="CPU threads; torch's own by default.")
+@click.option(
+    "--jobs",
+    default=1,
+    show_default=True,
+    type=click.IntRange(min=1),
+    help="Processes that compute features.",
+)
 @click.option(
     "--cache",
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for computed features (1 GB for 700 scenes), else under the weights home.",
 )
-@click.option("--licence", default="", help="Note on the data's licence, for the card.")
-def command(
-    network: str,
-    data: tuple[Path, ...],
-    name: str,
-    out: Path | None,
-    preset: str,
-    steps: int | None,
-    seed: int,
-    device: str,
-    threads: int | None,
-    cache: Path | None,
-    licence: str,
-) -> None:
+@click.option("--again", is_flag=True, help="Train even what the same training has made before.")
+@click.option("--licence", help="Note on the data's licence, for the card.")
+def command(network: str, name: str, **settings: Any) -> None:
     """Train NETWORK, or all three, on recordings of any known format.
 
-    One scene in ten is held out for early stopping and temperatures. A run that was cut off goes
-    on with the same command.
+    One scene in ten of each source is held out for early stopping and temperatures. Sources count
+    by their samples, or by the weights given to them. A run that was cut off goes on with the same
+    command; a network that this very training has made is left as it is.
     """
     if Path(name).name != name:
         raise click.UsageError(f"--name {name} is no plain name; give a folder with --out.")
-    from deepmf_sumo.training import run
+    from deepmf_sumo.training import command as training
+    from deepmf_sumo.training.config import Optimisation
 
-    run.train_named(
+    optimisation = {key: settings.pop(key) for key in Optimisation.model_fields if key in settings}
+    training.train_named(
         network,
-        data=data,
         name=name,
-        out=out,
-        preset=preset,
-        steps=steps,
-        seed=seed,
-        device=device,
-        threads=threads,
-        cache=cache,
-        licence=licence,
+        optimisation=optimisation,
         command=" ".join(["deepmf-sumo", *sys.argv[1:]]),
         report=click.echo,
+        **settings,
     )

@@ -16,6 +16,7 @@ from deepmf_sumo.datatypes import (
     FUTURE_STEPS,
     AgentId,
     Forecast,
+    Futures,
     OpponentScores,
     Plan,
     PlanReason,
@@ -71,6 +72,10 @@ class Settings(plugins.Settings):
         goal_candidates: at most so many ways to goals around the AV's predicted positions besides
             (0 as published).
         reactions: modes of the AV (N2).
+        av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s (a
+            recorded AV).
+        conditional: False predicts the AV as if it knew nothing of the opponent's future, by the
+            same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to see what that is worth.
         accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
         keep_tail: the rest of the last plan is a candidate too.
     """
@@ -83,6 +88,8 @@ class Settings(plugins.Settings):
     candidates: int = Field(default=32, ge=1, le=256)
     goal_candidates: int = Field(default=32, ge=0, le=256)
     reactions: int = Field(default=6, ge=1, le=64)
+    av_driver: Literal["planner", "human"] = "planner"
+    conditional: bool = True
     accel_mps2: float = Field(default=3.0, gt=0.0)
     brake_mps2: float = Field(default=4.0, gt=0.0)
     lateral_mps2: float = Field(default=3.0, gt=0.0)
@@ -159,9 +166,7 @@ class DeepMF:
         watch = _Stopwatch()
         start = Start.of(view, self._opponent_id)
         own = self._candidates(view, start, watch)
-        reactions = self._predictors.conditional.react(
-            view, view.av_id, own.forecast.futures, self._settings.reactions
-        )
+        reactions = self._reactions(view, own)
         watch.lap("conditional")
         self._last = self._select(view, own, reactions, watch)
         self.seconds += watch.seconds
@@ -175,12 +180,12 @@ class DeepMF:
         limits = settings.limits
         count = len(modes.probability)
         parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
+        watch.lap("marginal")
         if settings.goal_candidates:
-            (av,) = marginal.predict(view, [view.av_id], settings.reactions)
-            watch.lap("marginal")
+            (av,) = self._react(view, None)
+            watch.lap("conditional")
             parts.append(self._goals(view, modes, av, start))
             watch.lap("goals")
-        watch.lap("marginal")
         if settings.keep_tail and self._last is not None:
             rest = candidates.tail(self._last, view, limits, FUTURE_STEPS)
             parts += [rest] if rest else []
@@ -202,6 +207,21 @@ class DeepMF:
             self._settings.goal_candidates,
         )
         return References.of("goal", paths.reference_m, paths.limits)
+
+    def _reactions(self, view: View, own: Candidates) -> list[Forecast]:
+        """The AV's futures under each candidate; without condition the same ones under all."""
+        if self._settings.conditional:
+            return self._react(view, own.forecast.futures)
+        return self._react(view, None) * len(own.forecast.probability)
+
+    def _react(self, view: View, given: Futures | None) -> list[Forecast]:
+        return self._predictors.conditional.react(
+            view,
+            view.av_id,
+            given,
+            self._settings.reactions,
+            planner=self._settings.av_driver == "planner",
+        )
 
     def _select(
         self, view: View, own: Candidates, reactions: list[Forecast], watch: "_Stopwatch"

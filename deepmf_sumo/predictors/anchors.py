@@ -1,6 +1,6 @@
 """Geometry of dense goals: (path x speed profile) anchors, timed, in the vehicle's frame.
 
-All tensors; the same code serves training and prediction. P paths, R = 24 profiles, S times.
+All tensors; the same code serves training and prediction. P paths, R profiles, S times.
 """
 
 from typing import Final
@@ -11,7 +11,18 @@ from torch import Tensor
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
 
-PROFILES: Final = 24
+BRAKING: Final = (
+    (3.0, 8.0),
+    (5.0, 8.0),
+    (8.0, 8.0),
+    (3.0, 1.5),
+    (5.0, 1.5),
+    (8.0, 1.5),
+)
+"""Deceleration, m/s2, and for how long, s, of profiles that data hold too rarely to form clusters.
+
+Drivers who are attacked brake like this: to a stop, or briefly, going on at what is left.
+"""
 START_SPEEDS_MPS: Final = (0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0, 11.0, 13.5, 16.0, 20.0, 25.0, 30.0)
 KNOTS_S: Final = (1.0, 2.0, 4.0, 6.0, 8.0)
 KNOT_STEPS: Final = tuple(round(second / DT_S) - 1 for second in KNOTS_S)
@@ -28,6 +39,17 @@ def profiles_at(table: Tensor, speed_mps: Tensor) -> Tensor:
     time = torch.arange(1, FUTURE_STEPS + 1, device=table.device) * DT_S
     distance = relative + speed_mps.view(-1, 1, 1) * time
     return distance.clamp_min(0.0).cummax(-1).values
+
+
+def braking(speeds_mps: Tensor) -> Tensor:
+    """(V, 6, 80) s(t) - v0 t of `BRAKING` at start speeds (V)."""
+    time = torch.arange(1, FUTURE_STEPS + 1) * DT_S
+    start = speeds_mps.view(-1, 1, 1)
+    rate, seconds = torch.tensor(BRAKING).view(1, -1, 2, 1).unbind(2)
+    busy = torch.minimum(torch.minimum(time, seconds), start / rate)
+    left = (start - rate * seconds).clamp_min(0.0)
+    driven = start * busy - rate * busy**2 / 2 + left * (time - seconds).clamp_min(0.0)
+    return driven - start * time
 
 
 def look_up(paths: Tensor, along_m: Tensor) -> tuple[Tensor, Tensor]:

@@ -25,6 +25,17 @@ class MarginalPredictor(Protocol):
 class ConditionalPredictor(Protocol):
     """phi_C(X, Y_OV): futures of an agent given another's future (paper, section IV-C2)."""
 
-    def react(self, view: View, agent_id: AgentId, given: Futures, modes: int) -> list[Forecast]:
-        """One forecast of ``agent_id`` per given future of the other agent."""
+    def react(
+        self,
+        view: View,
+        agent_id: AgentId,
+        given: Futures | None,
+        modes: int,
+        *,
+        planner: bool = False,
+    ) -> list[Forecast]:
+        """One forecast of ``agent_id`` per given future of the other agent; one for None.
+
+        ``planner`` says that an automated planner drives the agent, and not a person.
+        """
         ...

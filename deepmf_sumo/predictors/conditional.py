@@ -5,7 +5,7 @@ import torch
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.predictors import completion, condition
 from deepmf_sumo.predictors.completion import Pose
-from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.predictors.densetnt import DenseTNT, Encoding, Goals
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.selection import Selection
 
@@ -26,19 +26,27 @@ class Conditional:
         self.net = net.eval()
         self.temperature = temperature
         self.selection = selection
+        self._last: tuple[View, tuple[AgentId, bool], Encoding] | None = None
 
     @torch.inference_mode()
     def react(
-        self, view: View, agent_id: AgentId, given: Futures | None, modes: int
+        self,
+        view: View,
+        agent_id: AgentId,
+        given: Futures | None,
+        modes: int,
+        *,
+        planner: bool = False,
     ) -> list[Forecast]:
         """One forecast of ``agent_id`` per given future (K, 80, 2) of the other agent.
 
-        With ``given=None`` the one forecast without condition. Raises KeyError for an agent that is
+        With ``given=None`` the one forecast without condition. ``planner``: an automated planner
+        drives the agent. Raises KeyError for an agent that is
         not in view.
         """
         pose = completion.pose_of(view, agent_id)
         return completion.forecasts(
-            self._goals(view, pose, given),
+            self._goals(view, pose, given, planner),
             pose,
             modes,
             self.temperature,
@@ -54,17 +62,27 @@ class Conditional:
         given: Futures | None,
         ends_m: Floats,
         kernel_m: float,
+        *,
+        planner: bool = False,
     ) -> Floats:
         """(Q) under the first given future, see `completion.end_density`."""
         pose = completion.pose_of(view, agent_id)
-        return completion.end_density(self._goals(view, pose, given), pose, ends_m, kernel_m)
+        return completion.end_density(
+            self._goals(view, pose, given, planner), pose, ends_m, kernel_m
+        )
 
-    def _goals(self, view: View, pose: Pose, given: Futures | None) -> Goals:
-        arrays, _ = features(view, pose.agent_id, self.net.preset)
+    def _goals(self, view: View, pose: Pose, given: Futures | None, planner: bool) -> Goals:
         future = None
         if given is not None:
             position, heading = completion.to_pose(pose, given)
             there = torch.ones(1, position.shape[1])
             future = condition.encode(position, heading, there, self.net.preset)
-        goals: Goals = self.net(completion.as_batch(arrays), future)
-        return goals
+        return self.net.decode(self._encoding(view, pose.agent_id, planner), future)
+
+    def _encoding(self, view: View, agent_id: AgentId, planner: bool) -> Encoding:
+        """Of the last view it is kept, since a plan asks more than once."""
+        asked = (agent_id, planner)
+        if self._last is None or self._last[0] is not view or self._last[1] != asked:
+            arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
+            self._last = (view, asked, self.net.encode(completion.as_batch(arrays)))
+        return self._last[2]

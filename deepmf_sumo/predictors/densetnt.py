@@ -2,7 +2,7 @@
 
 A goal is a (path, speed profile) anchor: it carries a whole timed trajectory, so that completion is
 a small residual in path coordinates, which joins the present pose and stays smooth. Shapes: B
-scenes, K given futures (1 without condition), P paths, R = 24 profiles, H hidden, E elements.
+scenes, K given futures (1 without condition), P paths, R profiles, H hidden, E elements.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from deepmf_sumo.predictors import anchors, condition
-from deepmf_sumo.predictors.anchors import KNOT_STEPS, PROFILES, START_SPEEDS_MPS
+from deepmf_sumo.predictors.anchors import BRAKING, KNOT_STEPS, START_SPEEDS_MPS
 from deepmf_sumo.predictors.condition import Condition
+from deepmf_sumo.predictors.goal_features import GOAL, goal_features
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
 from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.raster import unpack
@@ -20,7 +21,6 @@ from deepmf_sumo.predictors.vectornet import Attention, SubGraph, VectorNet
 from deepmf_sumo.predictors.vgg import VGG16
 
 _PATH_NODES = (0, 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 25, 30, 38, 47, 60, 80, 110)
-_GOAL = 26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,10 +56,33 @@ class Goals:
         return position.transpose(1, 2), tangent.transpose(1, 2)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Encoding:
+    """A batch before any future is given; ``goals`` (B, P, R, H) lack what the target adds.
+
+    Attributes:
+        paths: (B, P, 121, 2). exists: (B, P). along_m: (B, P, R, 80).
+        elements, there: (B, E, H), (B, E) of VectorNet.
+        target, around: (B, 1, H) the vehicle, and what it attends to.
+        image: (B, C, S', S') of the blocks of VGG16 that all given futures share.
+    """
+
+    paths: Tensor
+    exists: Tensor
+    along_m: Tensor
+    elements: Tensor
+    there: Tensor
+    goals: Tensor
+    target: Tensor
+    around: Tensor
+    image: Tensor | None
+
+
 class DenseTNT(nn.Module):
     """Scores and completes the dense goals of one vehicle; ``conditional`` takes given futures.
 
-    Buffers ``profiles`` (13, 24, 80) and ``prior`` (13, 24) come from training data; ``widths``
+    Buffers ``profiles`` (13, R, 80) and ``prior`` (13, R) come from training data; a
+    conditional network has those of `anchors.BRAKING` besides, as the last six; ``widths``
     (5, 2) are the log scales of the Laplace kernels along and across at the knots.
     """
 
@@ -73,21 +96,22 @@ class DenseTNT(nn.Module):
         self.preset = preset
         self.conditional = conditional
         speeds = len(START_SPEEDS_MPS)
-        self.register_buffer("profiles", torch.zeros(speeds, PROFILES, 80))
-        self.register_buffer("prior", torch.full((speeds, PROFILES), -3.18))
+        profiles = preset.profiles + (len(BRAKING) if conditional else 0)
+        self.register_buffer("profiles", torch.zeros(speeds, profiles, 80))
+        self.register_buffer("prior", torch.zeros(speeds, profiles))
         reach = [[1.0, 0.5], [2.0, 1.0], [4.0, 2.0], [6.0, 3.0], [8.0, 4.0]]
         self.register_buffer("reach", torch.tensor(reach))
         self.widths = nn.Parameter(torch.tensor(reach).mul(0.4).log())
-        self.vectors = VectorNet(preset)
-        self.image = VGG16(preset, conditional=conditional)
-        self.motion = _mlp(6, hidden, hidden)
+        self.vectors = VectorNet(preset) if preset.vectors else None
+        self.image = VGG16(preset, conditional=conditional) if preset.raster else None
+        self.motion = _mlp(7, hidden, hidden)
         self.path_line = _mlp(len(_PATH_NODES) * 5 + 14, hidden, hidden)
         self.path_agents = _mlp(8, hidden // 2, hidden)
         self.path_to_elements = Attention(hidden, preset.heads)
         self.path_to_paths = Attention(hidden, preset.heads)
         self.target_to_elements = Attention(hidden, preset.heads)
-        self.goal = nn.Linear(_GOAL, hidden)
-        self.profile = nn.Parameter(torch.zeros(PROFILES, hidden))
+        self.goal = nn.Linear(GOAL, hidden)
+        self.profile = nn.Parameter(torch.zeros(profiles, hidden))
         self.goal_path = nn.Linear(hidden, hidden)
         self.goal_target = nn.Linear(3 * hidden, hidden)
         self.goal_hidden = nn.Sequential(
@@ -106,26 +130,47 @@ class DenseTNT(nn.Module):
 
     def forward(self, batch: dict[str, Tensor], given: Condition | None = None) -> Goals:
         """Goals of a batch of `features.Features`, under K given futures if there are any."""
+        return self.decode(self.encode(batch), given)
+
+    def encode(self, batch: dict[str, Tensor]) -> Encoding:
+        """What does not depend on the given futures of a batch of `features.Features`."""
         batch = _trimmed(batch)
-        paths, info, speed = batch["paths"], batch["path_info"], batch["motion"][:, 0]
+        paths, speed = batch["paths"], batch["motion"][:, 0]
         along = anchors.profiles_at(self.profiles, speed)  # (B, R, 80)
         along = along.unsqueeze(1).expand(-1, paths.shape[1], -1, -1)
-        elements, there = self.vectors(batch)  # (B, E, H)
+        elements, there = self._elements(batch)  # (B, E, H)
         lines = self._lines(batch, elements, there)  # (B, P, H)
-        goals = self.goal(_goal_features(batch, along, self.log_prior(speed)))
-        goals = goals + self.goal_path(lines).unsqueeze(2) + self.profile  # (B, P, R, H)
-        target = self._target(batch, elements, there, given)  # (B, K, 3H)
-        goals = goals.unsqueeze(1) + self.goal_target(target)[:, :, None, None]
+        goals = self.goal(goal_features(batch, along, self.log_prior(speed)))
+        scale = batch["motion"].new_tensor([1 / 15, 0.5, 2, 0.2, 0.5, 1, 1])
+        target = elements[:, :1] + self.motion(batch["motion"] * scale).unsqueeze(1)  # (B, 1, H)
+        image = self.image.shared(unpack(batch["raster"], self.preset)) if self.image else None
+        return Encoding(
+            paths=paths,
+            exists=batch["path_info"][..., 0] > 0,
+            along_m=along,
+            elements=elements,
+            there=there,
+            goals=goals + self.goal_path(lines).unsqueeze(2) + self.profile,
+            target=target,
+            around=self.target_to_elements(target, elements, there),
+            image=image,
+        )
+
+    def decode(self, scene: Encoding, given: Condition | None = None) -> Goals:
+        """Goals under K given futures if there are any."""
+        target = self._target(scene, given)  # (B, K, 3H)
+        goals = scene.goals.unsqueeze(1) + self.goal_target(target)[:, :, None, None]
         if self.conditional and given is not None:
-            met = condition.relations(paths, along[..., 4::5], given.position_m)
+            met = condition.relations(scene.paths, scene.along_m[..., 4::5], given.position_m)
             gate = given.given[:, :, None, None]
             goals = goals + (self.goal_met_path(met[0]) * gate).unsqueeze(3)
             goals = goals + self.goal_met(met[1]) * gate.unsqueeze(4)
         hidden = self.goal_hidden(goals)  # (B, K, P, R, H)
         logits = self.score(hidden).squeeze(-1)
-        logits = logits.masked_fill(info[:, None, :, None, 0] <= 0, float("-inf"))
+        logits = logits.masked_fill(~scene.exists[:, None, :, None], float("-inf"))
         knots = self.complete(hidden).unflatten(-1, (len(KNOT_STEPS), 2))
-        return Goals(logits=logits, along_m=along, knots=self.reach * knots.tanh(), paths=paths)
+        knots = self.reach * knots.tanh()
+        return Goals(logits=logits, along_m=scene.along_m, knots=knots, paths=scene.paths)
 
     def log_prior(self, speed_mps: Tensor) -> Tensor:
         """(B, R) log frequency of the profiles at the nearest tabulated start speeds."""
@@ -166,28 +211,41 @@ class DenseTNT(nn.Module):
         out: Tensor = self.path_to_paths(line, line, valid)
         return out
 
-    def _target(
-        self, batch: dict[str, Tensor], elements: Tensor, there: Tensor, given: Condition | None
-    ) -> Tensor:
+    def _target(self, scene: Encoding, given: Condition | None) -> Tensor:
         """(B, K, 3H) the vehicle: its vectors and motion, the given future, the image."""
-        scale = batch["motion"].new_tensor([1 / 15, 0.5, 2, 0.2, 0.5, 1])
-        target = elements[:, :1] + self.motion(batch["motion"] * scale).unsqueeze(1)  # (B, 1, H)
-        around = self.target_to_elements(target, elements, there)
-        image = unpack(batch["raster"], self.preset)
+        target = scene.target
         if not self.conditional:
-            return torch.cat([target, around, self.image(image).unsqueeze(1)], -1)
+            return torch.cat([target, scene.around, self._picture(scene, None)], -1)
         future = given or self._nothing_given(target)
         count = future.futures
-        picture = self.image(image, future.image).unflatten(0, (-1, count))  # (B, K, H)
         line = self.given_line(future.tokens, torch.ones_like(future.tokens[..., 0]) > 0)
         gate = future.given.unsqueeze(-1)
         line = line.unflatten(0, (-1, count)) * gate  # (B, K, H)
-        seen = torch.cat([elements.repeat_interleave(count, 0), line.flatten(0, 1)[:, None]], 1)
-        mask = torch.cat([there.repeat_interleave(count, 0), gate.flatten(0, 1) > 0], 1)
+        elements = scene.elements.repeat_interleave(count, 0)
+        seen = torch.cat([elements, line.flatten(0, 1)[:, None]], 1)
+        mask = scene.there.repeat_interleave(count, 0)
+        mask = torch.cat([mask, gate.flatten(0, 1) > 0], 1)
         query = target.expand(-1, count, -1).reshape(-1, 1, target.shape[-1])
         aware = self.target_to_given(query, seen, mask).view(len(target), count, -1)
         scale, shift = (self.film(line) * gate).chunk(2, -1)
-        return torch.cat([target * (1 + scale) + shift, around + aware, picture], -1)
+        picture = self._picture(scene, future)
+        return torch.cat([target * (1 + scale) + shift, scene.around + aware, picture], -1)
+
+    def _elements(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """(B, E, H) of VectorNet, the vehicle first, and the mask (B, E); one zero without it."""
+        if self.vectors is not None:
+            elements, there = self.vectors(batch)
+            return elements, there
+        nothing = batch["motion"].new_zeros(len(batch["motion"]), 1, self.preset.hidden)
+        return nothing, nothing[..., 0] == 0
+
+    def _picture(self, scene: Encoding, given: Condition | None) -> Tensor:
+        """(B, K, H) of VGG16, K = 1 without condition; zero without it."""
+        count = given.futures if given else 1
+        if self.image is None or scene.image is None:
+            return scene.target.new_zeros(len(scene.target), count, self.preset.hidden)
+        picture: Tensor = self.image(scene.image, given.image if given else None)
+        return picture.view(-1, count, self.preset.hidden)
 
     def _nothing_given(self, target: Tensor) -> Condition:
         """The condition that says nothing: one future per scene, switched off."""
@@ -206,41 +264,3 @@ def _trimmed(batch: dict[str, Tensor]) -> dict[str, Tensor]:
     used = max(int((batch["path_info"][..., 0] > 0).sum(1).max()), 1)
     cut = {name: batch[name][:, :used] for name in ("paths", "path_info", "path_agents")}
     return {**batch, **cut}
-
-
-def _goal_features(batch: dict[str, Tensor], along: Tensor, log_prior: Tensor) -> Tensor:
-    """(B, P, R, 26) distances and speeds each second, gaps, stop line, bend, prior."""
-    paths, info = batch["paths"], batch["path_info"]
-    seconds = along[..., 9::10]  # (B, P, R, 8) at 1..8 s
-    speed = torch.diff(along, dim=-1)[..., 8::10] * 10.0
-    stop = seconds[..., [3, 7]] - info[..., 6, None, None]
-    over = (stop / 10.0).clamp(-2.0, 2.0) * (info[..., 8, None, None] + info[..., 9, None, None])
-    node = (seconds / NODE_SPACING_M).long().clamp(0, paths.shape[2] - 3)
-    bend = anchors.curvature(paths).gather(2, node.flatten(2)).view_as(node)
-    sideways = (bend.abs() * speed**2).amax(-1, keepdim=True)
-    length = (seconds[..., 7:] - info[..., 4, None, None]) / 20.0
-    limit = info[..., 5, None, None]
-    fast = ((speed.amax(-1, keepdim=True) - limit) / 10.0) * (limit > 0)
-    start = batch["motion"][:, 0].view(-1, 1, 1, 1).expand_as(fast) / 15.0
-    columns = [
-        seconds / 50.0,
-        speed / 15.0,
-        _gaps(batch["path_agents"], seconds),
-        over,
-        (sideways / 4.0).clamp_max(3.0),
-        length.clamp(-3.0, 3.0),
-        fast.clamp(-3.0, 3.0),
-        log_prior[:, None, :, None].expand_as(fast),
-        start,
-    ]
-    return torch.cat(columns, -1)
-
-
-def _gaps(others: Tensor, seconds: Tensor) -> Tensor:
-    """(B, P, R, 3) gap to the vehicle ahead on the path at 2, 4, 8 s, if it keeps its speed."""
-    ahead = (others[..., 1].abs() < 2.0) & (others[..., 0] > 0.5) & (others[..., 7] > 0)
-    times = seconds.new_tensor([2.0, 4.0, 8.0])
-    tail = others[..., 0:1] - 0.5 * others[..., 6:7] + others[..., 2:3] * times  # (B, P, 8, 3)
-    tail = tail.masked_fill(~ahead.unsqueeze(-1), 1e3).amin(2)  # (B, P, 3)
-    gap = tail.unsqueeze(2) - seconds[..., [1, 3, 7]]
-    return (gap / 20.0).clamp(-1.0, 3.0)

@@ -31,7 +31,7 @@ lane_info    (48, 10)       freeway, street, bike, interpolating, limit, red..un
 paths        (16, 121, 2)   see `paths.PathSet`
 path_info    (16, 14)       see `paths.PathSet`
 path_agents  (16, 8, 8)     s, d, vs, vd, cos, sin, length, there, of the vehicles nearest to each
-motion       (6)            speed, acceleration, yaw rate, length, width, is AV
+motion       (7)            speed, acceleration, yaw rate, length, width, is AV, planner drives
 raster       (bytes)        bits of `raster.draw`
 ===========  ============== ====================================================================
 """
@@ -41,8 +41,13 @@ _PATH_STRIDE = 2
 """Projection on paths looks at every other node: a chord of 4 m."""
 
 
-def features(view: View, agent_id: str, preset: Preset) -> tuple[Features, PathSet]:
-    """Features of one agent, and its paths. Raises KeyError for an agent that is not in view."""
+def features(
+    view: View, agent_id: str, preset: Preset, *, planner: bool = False
+) -> tuple[Features, PathSet]:
+    """Features of one agent, and its paths. Raises KeyError for an agent that is not in view.
+
+    ``planner`` says that an automated planner drives it, which reacts otherwise than people do.
+    """
     index = road_index(view.road)
     tracks = view.history
     row = tracks.row(agent_id)
@@ -53,7 +58,7 @@ def features(view: View, agent_id: str, preset: Preset) -> tuple[Features, PathS
     agents, agent_info = agent_arrays(view, near, AGENTS, origin, heading)
     lanes, lane_info = lane_arrays(view, index, origin, heading, speed, LANES)
     paths = path_set(index, origin, heading, speed, view.signals)
-    motion = _motion(view, row)
+    motion = np.append(_motion(view, row), float(planner))
     image = raster.draw(view, index, row, preset, origin, heading)
     return {
         "agents": agents.astype(np.float32),

@@ -1,200 +1,139 @@
-"""What the opponent network reads: the scene around the AV, and each candidate's relation to it."""
+"""What the opponent network reads: the scene around the AV, and everybody's relation to it."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, Ints, View
-from deepmf_sumo.geometry import angles, frames
-from deepmf_sumo.predictors import raster
-from deepmf_sumo.predictors.features import (
-    Features,
-    agent_arrays,
-    lane_arrays,
-    nearest_agents,
-    path_feet,
-)
-from deepmf_sumo.predictors.paths import path_set
+from deepmf_sumo.predictors import raster, relations
+from deepmf_sumo.predictors.features import Features, agent_arrays, lane_arrays
+from deepmf_sumo.predictors.lane_relations import LANES, MEETING, PLACE, lane_columns
+from deepmf_sumo.predictors.lane_routes import on_lanes
 from deepmf_sumo.predictors.presets import Preset
-from deepmf_sumo.predictors.road_index import RoadIndex, road_index
+from deepmf_sumo.predictors.relations import CONSTANT, MOTION, Motion, rank
+from deepmf_sumo.predictors.road_index import road_index
 
-SCENE_AGENTS: Final = 64
+OTHERS: Final = 63
+"""Slots of agents around the AV."""
 RANGE_M: Final = 80.0
-PAIR: Final = 36
+PAIR: Final = MOTION + CONSTANT + LANES + 10
 """Columns of ``pair``, see `_pairs`."""
 
-_TIMES_S = np.arange(0.0, 8.01, 0.5)
-_STILL_MPS = 0.5
+_MOVED_M = 0.5
 _ON_LANE_M, _ALONG_LANE_RAD = 2.0, np.deg2rad(45.0)
 
 
-def candidates(view: View) -> Ints:
-    """Rows that may be the opponent: vehicles within 80 m, not the AV, not parked; nearest first.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surroundings:
+    """Who is around the AV.
 
-    Parked is who has not moved in the history and stands off the lanes, or across them. Who waits
-    on a lane may well attack.
+    Attributes:
+        rows: rows of the view: the AV, the vehicles within 80 m, nearest first, then others.
+        vehicles: how many vehicles there are.
+        parked: (vehicles) who has not moved in the history and stands off the lanes, or across
+            them. Who waits on a lane may well attack.
     """
+
+    rows: Ints
+    vehicles: int
+    parked: Bools
+
+    def ids(self, view: View) -> tuple[AgentId, ...]:
+        """Ids of the vehicles."""
+        return tuple(view.history.ids[row] for row in self.rows[1 : self.vehicles + 1])
+
+
+def surroundings(view: View) -> Surroundings:
+    """The AV's surroundings: at most 63 others."""
     tracks = view.history
-    near = nearest_agents(view, tracks.row(view.av_id), SCENE_AGENTS - 1)[1:]
-    apart = np.hypot(*(tracks.position_m[near, -1] - _now(view)[0]).T)
-    index = road_index(view.road)
-    keep = [
-        tracks.kinds[row] == "vehicle" and distance <= RANGE_M and not _parked(view, index, row)
-        for row, distance in zip(near.tolist(), apart, strict=True)
-    ]
-    return near[np.array(keep, bool)] if len(near) else near
-
-
-def opponent_features(view: View, preset: Preset) -> tuple[Features, tuple[AgentId, ...]]:
-    """Arrays around the AV, and the candidates' ids.
-
-    Keys: agents (64, 11, 7), agent_info (64, 8), lanes (48, 10, 2), lane_info (48, 10), raster, as
-    in `features.Features`; pair (64, 36) and candidate (64) 1 for agents that are candidates.
-    """
-    tracks, index = view.history, road_index(view.road)
-    row = tracks.row(view.av_id)
-    origin, heading = _now(view)
-    speed = float(tracks.speed_mps[row, -1])
-    near = nearest_agents(view, row, SCENE_AGENTS - 1)
-    agents, info = agent_arrays(view, near, SCENE_AGENTS, origin, heading)
-    lanes, lane_info = lane_arrays(view, index, origin, heading, speed, 48)
-    chosen = candidates(view)
-    slot = {int(agent): number for number, agent in enumerate(near)}
-    slots = np.array([slot[int(agent)] for agent in chosen], np.int64)
-    pair, candidate = np.zeros((SCENE_AGENTS, PAIR)), np.zeros(SCENE_AGENTS)
-    if len(chosen):
-        pair[slots] = _pairs(view, index, chosen, agents[slots], agents[0])
-        candidate[slots] = 1.0
-    image = raster.draw(view, index, row, preset, origin, heading)
-    arrays: Features = {
-        "agents": agents.astype(np.float32),
-        "agent_info": info.astype(np.float32),
-        "lanes": lanes.astype(np.float32),
-        "lane_info": lane_info.astype(np.float32),
-        "raster": raster.pack(image),
-        "pair": pair.astype(np.float32),
-        "candidate": candidate.astype(np.float32),
-    }
-    return arrays, tuple(tracks.ids[agent] for agent in near[np.sort(slots)])
-
-
-def _now(view: View) -> tuple[Floats, float]:
-    row = view.history.row(view.av_id)
-    return view.history.position_m[row, -1], float(view.history.heading_rad[row, -1])
-
-
-def _parked(view: View, index: RoadIndex, row: int) -> bool:
-    tracks = view.history
-    seen = tracks.valid[row]
-    moved = np.ptp(tracks.position_m[row, seen], axis=0).max() > 0.5
-    if moved or tracks.speed_mps[row, -1] > _STILL_MPS:
-        return False
-    pose = tracks.position_m[row, -1], float(tracks.heading_rad[row, -1])
-    return not index.feet(*pose, _ON_LANE_M, float(_ALONG_LANE_RAD))
-
-
-def _pairs(view: View, index: RoadIndex, rows: Ints, states: Floats, av: Floats) -> Floats:
-    """(C, 36): pose and motion (14), constant velocity (6), lanes (10), ranks (4), AV (2)."""
-    tracks = view.history
-    now, av_now = states[:, -1], av[-1]
-    distance = np.hypot(now[:, 0], now[:, 1])
-    speed = np.hypot(now[:, 4], now[:, 5])
-    av_speed = np.hypot(av_now[4], av_now[5])
-    toward = -(now[:, 0:2] * (now[:, 4:6] - av_now[4:6])).sum(-1) / np.maximum(distance, 1.0)
-    first = tracks.valid[rows].argmax(1)
-    start = tracks.position_m[rows, first]
-    moved = np.hypot(*(tracks.position_m[rows, -1] - start).T)
-    size = tracks.size_m[rows]
-    kinematics = [
-        now[:, 0] / 30, now[:, 1] / 30, np.abs(now[:, 1]) / 10, now[:, 2], now[:, 3],
-        now[:, 4] / 15, now[:, 5] / 15, speed / 15, distance / 30, np.exp(-distance / 10),
-        toward / 15, moved / 5, size[:, 0] / 5, (moved > 0.5) | (speed > _STILL_MPS),
-    ]  # fmt: skip
-    constant = _constant_velocity(now, av_now)
-    lanes = _lanes(view, index, rows)
-    moving = kinematics[-1].astype(float)
-    ranks = [
-        _rank(distance), _rank(distance + 1e3 * (moving < 1)), _rank(constant[:, 0]),
-        _rank(lanes[:, 0]),
-    ]  # fmt: skip
-    av_columns = np.broadcast_to([av_speed / 15, len(rows) / 30], (len(rows), 2))
-    return np.concatenate(
-        [np.stack(kinematics, 1), constant, lanes, np.stack(ranks, 1), av_columns], axis=1
+    av = tracks.row(view.av_id)
+    distance = np.hypot(*(tracks.position_m[:, -1] - tracks.position_m[av, -1]).T)
+    vehicle = np.array([kind == "vehicle" for kind in tracks.kinds], bool) & (distance <= RANGE_M)
+    vehicle[av] = False
+    order = np.lexsort((distance, ~vehicle))
+    order = order[order != av][:OTHERS]
+    vehicles = int(vehicle[order].sum())
+    return Surroundings(
+        rows=np.concatenate([[av], order]),
+        vehicles=vehicles,
+        parked=_parked(view, order[:vehicles]),
     )
 
 
-def _rank(values: Floats) -> Floats:
-    rank: Floats = np.log1p(values.argsort(kind="stable").argsort(kind="stable"))
-    return rank
+def opponent_features(
+    view: View, preset: Preset, *, known_s: float = 8.0, stands_in: bool = False
+) -> tuple[Features, Surroundings]:
+    """Arrays around the AV, and whom they are about.
+
+    Keys: pair (63, 112) and vehicle (63) 1 for slots that hold a vehicle, which come first. With
+    the preset's vectors: agents (64, 11, 7), agent_info (64, 8), the AV first, then the slots;
+    lanes (48, 10, 2), lane_info (48, 10); with its image: raster; all as in `features.Features`.
+
+    Args:
+        view: of the present.
+        preset: of the network.
+        known_s: time ahead that the labels look at, told to the network.
+        stands_in: the AV of this view is another vehicle of the recording: it saw less.
+    """
+    around = surroundings(view)
+    pair, vehicle = np.zeros((OTHERS, PAIR)), np.zeros(OTHERS)
+    vehicle[: around.vehicles] = 1.0
+    if around.vehicles:
+        pair[: around.vehicles] = _pairs(view, around, known_s, stands_in)
+    arrays: Features = {"pair": pair.astype(np.float32), "vehicle": vehicle.astype(np.float32)}
+    index, av = road_index(view.road), int(around.rows[0])
+    origin = view.history.position_m[av, -1]
+    heading = float(view.history.heading_rad[av, -1])
+    if preset.vectors:
+        speed = float(view.history.speed_mps[av, -1])
+        agents, info = agent_arrays(view, around.rows, OTHERS + 1, origin, heading)
+        lanes, lane_info = lane_arrays(view, index, origin, heading, speed, 48)
+        arrays["agents"], arrays["agent_info"] = agents.astype(np.float32), info.astype(np.float32)
+        arrays["lanes"], arrays["lane_info"] = (
+            lanes.astype(np.float32),
+            lane_info.astype(np.float32),
+        )
+    if preset.raster:
+        arrays["raster"] = raster.pack(raster.draw(view, index, av, preset, origin, heading))
+    return arrays, around
 
 
-def _constant_velocity(now: Floats, av: Floats) -> Floats:
-    """(C, 6) least distance at one time and when; least distance of the ways, and both times."""
-    own = now[:, None, 0:2] + _TIMES_S[:, None] * now[:, None, 4:6]  # (C, 17, 2)
-    ego = _TIMES_S[:, None] * av[None, 4:6]  # (17, 2)
-    same = np.linalg.norm(own - ego, axis=-1)
-    ways = np.linalg.norm(own[:, :, None] - ego, axis=-1).reshape(len(now), -1)
-    when = ways.argmin(1)
-    own_time, av_time = np.divmod(when, len(_TIMES_S))
-    return np.stack(
+def _parked(view: View, rows: Ints) -> Bools:
+    """(A) see `Surroundings`."""
+    tracks = view.history
+    valid = tracks.valid[rows][..., None]
+    high = np.where(valid, tracks.position_m[rows], -np.inf).max(1)
+    low = np.where(valid, tracks.position_m[rows], np.inf).min(1)
+    still = ((high - low).max(-1) <= _MOVED_M) & (tracks.speed_mps[rows, -1] <= relations.STILL_MPS)
+    pose = tracks.position_m[rows, -1], tracks.heading_rad[rows, -1]
+    parked: Bools = still & ~on_lanes(view.road, *pose, _ON_LANE_M, float(_ALONG_LANE_RAD))
+    return parked
+
+
+def _pairs(view: View, around: Surroundings, known_s: float, stands_in: bool) -> Floats:
+    """(V, 112) by motion, at constant motion, along the lanes; ranks (7), parked, the rest (2)."""
+    rows = around.rows[: around.vehicles + 1]
+    motion = relations.motion_of(view, rows)
+    constant = relations.constant_columns(motion)
+    lanes = lane_columns(view, rows, motion)
+    rest = np.broadcast_to([float(stands_in), known_s / 8.0], (around.vehicles, 2))
+    return np.concatenate(
         [
-            np.minimum(same.min(1) / 10, 4), same.argmin(1) / 16, np.minimum(ways.min(1) / 10, 4),
-            own_time / 16, av_time / 16, (own_time - av_time) / 16,
+            relations.motion_columns(motion), constant, lanes,
+            _ranks(motion, constant, lanes), around.parked[:, None], rest,
         ],
         axis=1,
     )  # fmt: skip
 
 
-def _lanes(view: View, index: RoadIndex, rows: Ints) -> Floats:
-    """(C, 10): to the AV's paths (offset, along, turn), the AV to theirs, where paths meet."""
-    tracks = view.history
-    origin, heading = _now(view)
-    av_row = tracks.row(view.av_id)
-    av_paths = path_set(index, origin, heading, tracks.speed_mps[av_row, -1], view.signals)
-    own_lines = av_paths.points_m[: max(len(av_paths.lanes), 1)]
-    here = frames.to_local(tracks.position_m[rows, -1], origin, heading)
-    along, left, cos, sin = path_feet(own_lines, here)
-    turn = angles.unit(tracks.heading_rad[rows, -1] - heading)
-    best = np.abs(left).argmin(0)
-    columns = np.arange(len(rows))
-    nearest = np.abs(left[best, columns])
-    parallel = cos[best, columns] * turn[:, 0] + sin[best, columns] * turn[:, 1]
-    out = np.zeros((len(rows), 10))
-    out[:, 0] = np.minimum(nearest / 10, 4)
-    out[:, 1] = np.clip(along[best, columns] / 50, -1, 4)
-    out[:, 2] = parallel
-    for number, row in enumerate(rows):
-        out[number, 3:] = _meeting(view, index, int(row), own_lines, here[number])
-    return out
-
-
-def _meeting(view: View, index: RoadIndex, row: int, own_lines: Floats, here_m: Floats) -> Floats:
-    """(7) offset and along of the AV on the candidate's paths; where both paths are nearest."""
-    tracks = view.history
-    origin, heading = _now(view)
-    position, turn = tracks.position_m[row, -1], float(tracks.heading_rad[row, -1])
-    speed = float(tracks.speed_mps[row, -1])
-    paths = path_set(index, position, turn, speed, view.signals)
-    count = max(len(paths.lanes), 1)
-    lines = frames.to_scene(paths.points_m[:count], position, turn)
-    lines = frames.to_local(lines, origin, heading)
-    along, left, _, _ = path_feet(lines, np.zeros((1, 2)))
-    best = int(np.abs(left[:, 0]).argmin())
-    reach = slice(0, 61, 2)  # 120 m every 4 m
-    apart = own_lines[:, None, reach, None] - lines[None, :, None, reach]
-    square = (apart * apart).sum(-1).min(axis=(0, 1))
-    av_node, own_node = np.divmod(int(square.argmin()), square.shape[1])
-    met = np.sqrt(square.min())
-    on_lane: Bools = np.array(len(paths.lanes) > 0)
-    return np.array(
-        [
-            min(abs(left[best, 0]) / 10, 4), np.clip(along[best, 0] / 50, -2, 4),
-            min(met / 10, 4), av_node / 30, own_node / 30, float(np.hypot(*here_m) < 12), on_lane,
-        ]
-    )  # fmt: skip
-
-
-def candidate_mask(arrays: Features) -> Bools:
-    """(64) which agent slots are candidates."""
-    mask: Bools = arrays["candidate"] > 0
-    return mask
+def _ranks(motion: Motion, constant: Floats, lanes: Floats) -> Floats:
+    """(V, 7) each vehicle's place in the order by several measures of nearness."""
+    distance = np.hypot(*motion.position_m[1:].T)
+    meeting = lanes[:, MEETING]
+    late = meeting[:, 0] + np.maximum(meeting[:, 3], meeting[:, 4])
+    measures = [
+        distance, distance + 1e3 * ~motion.moving[1:], constant[:, 2], constant[:, 8],
+        lanes[:, PLACE], late, constant[:, 0],
+    ]  # fmt: skip
+    return np.stack([rank(measure) for measure in measures], axis=1)

@@ -1,12 +1,14 @@
 """Sizes of the networks: ``light`` runs on a CPU, ``paper`` follows the published sizes."""
 
-from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Final, Literal, get_type_hints
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.road_index import ROAD_CHANNELS
 
 AGENT_CLASSES: Final = ("target", "vehicle", "vru", "av")
+_LEAST: Final = {"hidden": 1, "heads": 1, "profiles": 1, "raster_pixels": 32}
+"""Smallest sizes; VGG16 halves the image five times."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +26,9 @@ class Preset:
             input image itself.
         condition_channels: channels of that future; 80 is one a step.
         dropout: of the heads.
+        raster, vectors: False leaves the VGG16 or the VectorNet branch out (ablations).
+        profiles: speed profiles a path that are fitted on data; a conditional network has
+            those of `anchors.BRAKING` on top.
     """
 
     name: str
@@ -37,6 +42,9 @@ class Preset:
     condition_stage: int
     condition_channels: int
     dropout: float = 0.1
+    raster: bool = True
+    vectors: bool = True
+    profiles: int = 24
 
     @property
     def raster_channels(self) -> int:
@@ -47,6 +55,23 @@ class Preset:
     def record(self) -> dict[str, Any]:
         """For the card of a set of weights."""
         return asdict(self)
+
+    @classmethod
+    def from_record(cls, record: Any) -> "Preset":
+        """The preset of a card. Raises WeightsError where a size is missing, unknown or wrong."""
+        known = {each.name for each in fields(cls)}
+        if not isinstance(record, dict) or not set(record) <= known:
+            raise WeightsError(f"These are no sizes of a network: {str(record)[:200]}.")
+        values: dict[str, Any] = {
+            key: tuple(v) if isinstance(v, list) else v for key, v in record.items()
+        }
+        try:
+            preset = cls(**values)
+        except TypeError as error:
+            raise WeightsError(f"Sizes of the network are missing: {error}.") from None
+        for key, kind in get_type_hints(cls).items():
+            _check(key, getattr(preset, key), kind)
+        return preset
 
 
 LIGHT: Final = Preset(
@@ -85,3 +110,35 @@ def preset_named(name: str) -> Preset:
     if name not in PRESETS:
         raise WeightsError(f"There is no preset '{name}'; choose one of {', '.join(PRESETS)}.")
     return PRESETS[name]
+
+
+def changed(preset: Preset, name: str, sizes: dict[str, Any]) -> Preset:
+    """A preset with other sizes and a name of its own. Raises WeightsError for unknown sizes."""
+    return Preset.from_record({**replace(preset, name=name).record(), **sizes})
+
+
+def _check(key: str, value: Any, kind: Any) -> None:
+    whole = _whole(value)
+    right = {
+        str: isinstance(value, str),
+        bool: isinstance(value, bool),
+        int: whole and value >= _LEAST.get(key, 0),
+        float: isinstance(value, int | float) and not isinstance(value, bool) and value >= 0,
+    }.get(kind)
+    if right is None:  # a tuple or a choice
+        right = value in (3, 7) if key == "raster_signals" else _numbers(key, value)
+    if not right:
+        raise WeightsError(f"The size '{key}' of the network is {value!r}; that cannot be.")
+
+
+def _numbers(key: str, value: Any) -> bool:
+    """Whether these are the widths of five blocks, or steps of the history."""
+    if not (isinstance(value, tuple) and all(map(_whole, value))):
+        return False
+    if key == "vgg_widths":
+        return len(value) == 5 and min(value) > 0
+    return bool(value) and all(0 <= step <= 10 for step in value)
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)

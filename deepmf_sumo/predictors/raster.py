@@ -60,6 +60,15 @@ def unpack(bits: Tensor, preset: Preset) -> Tensor:
     return flat.reshape(len(bits), -1)[:, :count].reshape(len(bits), -1, side, side).float()
 
 
+def repack(image: Tensor) -> Tensor:
+    """(B, C, pixels, pixels) of zeros and ones -> (B, bytes) uint8: undoes `unpack`."""
+    flat = image.flatten(1).to(torch.uint8)
+    flat = torch.nn.functional.pad(flat, (0, -flat.shape[1] % 8)).view(len(flat), -1, 8)
+    places = torch.arange(7, -1, -1, device=image.device, dtype=torch.uint8)
+    bits: Tensor = (flat << places).sum(-1).to(torch.uint8)
+    return bits
+
+
 def draw_future(position_m: Tensor, preset: Preset) -> Tensor:
     """A future (B, K, F, 2) in the pose's frame as channels (B*K, C, side, side).
 

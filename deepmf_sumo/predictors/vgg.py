@@ -46,14 +46,19 @@ class VGG16(nn.Module):
                 # a third faster on CPUs
                 layer.weight.data = layer.weight.data.contiguous(memory_format=torch.channels_last)
 
-    def forward(self, image: Tensor, future: Tensor | None = None) -> Tensor:
-        """(B, C, S, S), and channels of K futures (B*K, D, S', S') -> (B, H) or (B*K, H)."""
+    def shared(self, image: Tensor) -> Tensor:
+        """(B, C, S, S) -> (B, C', S', S') of the blocks before the condition enters."""
         image = image.contiguous(memory_format=torch.channels_last)
         for block in self.blocks[: self.stage]:
             image = block(image)
+        return image
+
+    def forward(self, shared: Tensor, future: Tensor | None = None) -> Tensor:
+        """What `shared` gives, and channels of K futures (B*K, D, S', S') -> (B, H) or (B*K, H)."""
+        image = shared
         if future is not None:
-            shared = image.repeat_interleave(len(future) // len(image), 0)
-            image = torch.cat([shared, future], 1)
+            each = shared.repeat_interleave(len(future) // len(shared), 0)
+            image = torch.cat([each, future], 1)
         for block in self.blocks[self.stage :]:
             image = block(image)
         feature: Tensor = self.out(image.mean((2, 3)))

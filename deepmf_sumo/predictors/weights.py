@@ -20,7 +20,7 @@ from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.opponent import Opponent, OpponentNet
-from deepmf_sumo.predictors.presets import Preset, preset_named
+from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.selection import Selection
 
 Network = Literal["opponent", "marginal", "conditional"]
@@ -70,7 +70,8 @@ def random(preset: Preset, seed: int) -> Predictors:
         nets = {network: build(network, preset) for network in NETWORKS}
     for net in (nets["marginal"], nets["conditional"]):
         assert isinstance(net, DenseTNT)
-        share = torch.linspace(-1.0, 1.0, 24)[:, None] * torch.linspace(0.1, 8.0, 80)
+        share = torch.linspace(-1.0, 1.0, net.profiles.shape[1])[:, None]
+        share = share * torch.linspace(0.1, 8.0, 80)
         net.profiles.copy_(4.0 * share.expand_as(net.profiles))
     opponent, marginal, conditional = nets.values()
     assert isinstance(opponent, OpponentNet)
@@ -164,14 +165,18 @@ def _network(folder: Path, network: Network) -> tuple[nn.Module, dict[str, Any]]
                 f"{folder / network}.json has {key} {value!r}; it must be a number above 0; "
                 f"{_again(folder, network)}."
             )
-    net = build(network, preset_named(str(card.get("preset"))))
+    try:
+        preset = Preset.from_record(card.get("sizes"))
+    except WeightsError as error:
+        raise WeightsError(f"{folder / network}.json: {error} {_again(folder, network)}.") from None
+    net = build(network, preset)
     try:
         net.load_state_dict(tensors(folder, network))
     except RuntimeError as error:
         reason = " ".join(str(error).split())[:200]
         raise WeightsError(
             f"{folder / network}.safetensors does not fit the {network} network of preset "
-            f"'{card['preset']}' ({reason}); {_again(folder, network)}."
+            f"'{preset.name}' ({reason}); {_again(folder, network)}."
         ) from None
     for key, value in net.state_dict().items():
         if not torch.isfinite(value).all():

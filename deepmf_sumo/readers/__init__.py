@@ -18,7 +18,9 @@ __all__ = ["Refusal", "find", "ids", "scene", "scenes"]
 def find(paths: Sequence[Path]) -> list[Path]:
     """The given files, and those in the given folders (at any depth, sorted, hidden ones not).
 
-    Raises UsageError where a path does not exist.
+    A folder of results (`deepmf-sumo run --scenes`) gives the scenes of its runs.
+
+    Raises UsageError where a path does not exist, ReaderError where a folder cannot be read.
     """
     found: dict[Path, None] = {}
     for path in paths:
@@ -69,12 +71,19 @@ def scene(path: Path, scene_id: str, cache: Path | None = None) -> Scene:
 
 
 def _inside(folder: Path) -> list[Path]:
-    return sorted(
-        path
-        for path in folder.rglob("*")
-        if path.is_file()
-        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    )
+    """Files that are not hidden; of a folder of results, the scenes that its runs wrote alone."""
+    if (folder / "runs.csv").is_file() and (folder / "runs").is_dir():
+        return sorted(folder.glob("runs/*/scene.npz"))
+    try:
+        inside = sorted(folder.iterdir())
+    except OSError as error:
+        raise ReaderError(f"{folder} cannot be read: {error.strerror}.") from None
+    found: list[Path] = []
+    for path in inside:
+        if path.name.startswith("."):
+            continue
+        found += _inside(path) if path.is_dir() else [path] if path.is_file() else []
+    return found
 
 
 def _reader(path: Path) -> Reader:

@@ -14,10 +14,10 @@ from deepmf_sumo.datatypes import (
     FUTURE_STEPS,
     HISTORY_STEPS,
     AgentId,
-    Driver,
     Floats,
     RoadMap,
     Scene,
+    SignalLink,
     Signals,
     SignalState,
     Source,
@@ -25,11 +25,13 @@ from deepmf_sumo.datatypes import (
     frozen,
 )
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.geometry import angles, sumo_frame
+from deepmf_sumo.network.excerpt import Excerpts
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
-from deepmf_sumo.simulation import casting, smoothing
+from deepmf_sumo.simulation import casting, smoothing, turn_speeds
 from deepmf_sumo.simulation.configuration import Configuration, read_configuration
 from deepmf_sumo.simulation.driver_mix import DriverMix
-from deepmf_sumo.simulation.frame import Body, Pose
+from deepmf_sumo.simulation.frame import Body
 from deepmf_sumo.simulation.reading import TrafficReader
 from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi, running
@@ -47,7 +49,11 @@ class Recording:
         start_s, stop_s: of the simulation's time; recording waits until the net has filled.
         every_s: a scene begins so often; scenes overlap where this is less than 9 s.
         diverse: give the drivers different models and tempers, instead of the demand's own types.
+        avs: a moment gives up to so many scenes, each with an AV of its own.
         radius_m: agents that come no nearer to the AV than this are left out.
+        map_radius_m: so is what of the road lies no nearer to the AV's way.
+        name: how the scenes' names begin, and what they name as their source; None takes the
+            configuration's name and the seed, and its file.
     """
 
     config: Path
@@ -56,12 +62,15 @@ class Recording:
     stop_s: float = 660.0
     every_s: float = 9.0
     diverse: bool = True
-    radius_m: float = 120.0
+    avs: int = 1
+    radius_m: float = 100.0
+    map_radius_m: float = 150.0
+    name: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Moment:
-    poses: dict[AgentId, tuple[Pose, Driver]]
+    states: dict[AgentId, tuple[float, float, float, float]]
     signals: dict[str, SignalState]
 
 
@@ -107,14 +116,16 @@ def _scenes(
     mix: DriverMix | None,
     rng: np.random.Generator,
 ) -> Iterator[Scene]:
+    if mix is not None:
+        turn_speeds.slow_down(api, road)
     reader = TrafficReader(api)
     links = signal_links(configuration.net)
     lights = LiveSignals(api, links)
-    stops = {lane: road.lanes[lane].centre_m[0] for lane in links if lane in road.lanes}
+    scenes = _Scenes(recording, road, links)
     window: deque[_Moment] = deque(maxlen=_STEPS)
     stride = round(recording.every_s / DT_S)
     begin = round(recording.start_s / DT_S)
-    step, taken = round(api.simulation.getTime() / DT_S), 0
+    step = round(api.simulation.getTime() / DT_S)
     while step < round(recording.stop_s / DT_S):
         api.simulationStep()
         step += 1
@@ -122,38 +133,90 @@ def _scenes(
             mix.assign(api)
         if step < begin:
             continue
-        window.append(_Moment(poses=reader.read(), signals=lights.states()))
-        if len(window) == _STEPS and (step - begin + 1 - _STEPS) % stride == 0:
-            tracks = _tracks(list(window), reader.body)
-            cast = casting.choose(tracks, HISTORY_STEPS - 1, recording.radius_m, rng)
-            if cast is not None:
-                source = _source(recording, taken)
-                name = f"{recording.config.stem}-{recording.seed}-{step * DT_S - 9.0:.1f}s"
-                scene = _scene(name, source, road, _signals(list(window), stops), tracks, cast)
-                taken += 1
-                yield scene
+        since = (step - begin + 1 - _STEPS) % stride
+        if -since % stride < _STEPS:  # nothing is read that no scene will hold
+            window.append(_Moment(states=reader.states(), signals=lights.states()))
+        if len(window) == _STEPS and since == 0:
+            yield from scenes.of(list(window), reader.body, step * DT_S - 9.0, rng)
         if api.simulation.getMinExpectedNumber() == 0:
             break
 
 
+class _Scenes:
+    """Makes scenes of 91 moments; what does not change from scene to scene is kept."""
+
+    def __init__(
+        self, recording: Recording, road: RoadMap, links: dict[str, tuple[SignalLink, ...]]
+    ) -> None:
+        self._recording = recording
+        self._excerpts = Excerpts(road)
+        self._stops = {lane: road.lanes[lane].centre_m[0] for lane in links if lane in road.lanes}
+        self._digest = hashlib.sha256(recording.config.read_bytes())
+        self._digest.update(repr(replace(recording, config=Path())).encode())
+        self._taken = 0
+
+    def of(
+        self,
+        window: list[_Moment],
+        body: Callable[[AgentId], Body],
+        time_s: float,
+        rng: np.random.Generator,
+    ) -> Iterator[Scene]:
+        """A scene for each AV that can be cast."""
+        recording = self._recording
+        tracks = _tracks(window, body)
+        casts = casting.choose(tracks, HISTORY_STEPS - 1, recording.radius_m, rng, recording.avs)
+        first = recording.name or f"{recording.config.stem}-{recording.seed}"
+        for number, cast in enumerate(casts):
+            name = f"{first}-{time_s:.1f}s" + (f"-{number}" if recording.avs > 1 else "")
+            yield self._scene(name, window, tracks, cast)
+            self._taken += 1
+
+    def _scene(self, name: str, window: list[_Moment], tracks: Tracks, cast: casting.Cast) -> Scene:
+        way_m = tracks.position_m[tracks.row(cast.av_id), ::5]
+        road = self._excerpts.near(way_m, self._recording.map_radius_m)
+        stops = {lane: stop for lane, stop in self._stops.items() if lane in road.lanes}
+        return Scene(
+            name=name,
+            source=self._source(),
+            dt_s=DT_S,
+            now=HISTORY_STEPS - 1,
+            timestamps_s=frozen(np.arange(tracks.steps) * DT_S),
+            tracks=tracks.select(cast.rows),
+            road=road,
+            signals=_signals(window, stops),
+            av_id=cast.av_id,
+            interest=cast.interest,
+            to_predict=cast.to_predict,
+        )
+
+    def _source(self) -> Source:
+        digest = self._digest.copy()
+        digest.update(str(self._taken).encode())
+        file = self._recording.name or str(self._recording.config)
+        return Source(dataset="sumo", file=file, record=self._taken, sha256=digest.hexdigest())
+
+
 def _tracks(window: list[_Moment], body: Callable[[AgentId], Body]) -> Tracks:
-    ids = sorted({agent for moment in window for agent in moment.poses})
+    ids = sorted({agent for moment in window for agent in moment.states})
     state = np.zeros((len(ids), len(window), 4))
     valid = np.zeros((len(ids), len(window)), bool)
     row_of = {agent: row for row, agent in enumerate(ids)}
     for step, moment in enumerate(window):
-        for agent, (pose, _) in moment.poses.items():
-            state[row_of[agent], step] = pose.x_m, pose.y_m, pose.heading_rad, pose.speed_mps
-            valid[row_of[agent], step] = True
+        rows = [row_of[agent] for agent in moment.states]
+        state[rows, step] = list(moment.states.values()) or np.zeros((0, 4))
+        valid[rows, step] = True
     bodies = [body(agent) for agent in ids]
+    size = np.array([one.size_m for one in bodies]).reshape(-1, 3)
+    centre, heading = sumo_frame.from_sumo(state[..., :2], state[..., 2], size[:, None, 0])
     raw = Tracks(
         ids=tuple(ids),
         kinds=tuple(one.kind for one in bodies),
-        size_m=np.array([one.size_m for one in bodies]).reshape(-1, 3),
-        position_m=state[..., :2],
+        size_m=size,
+        position_m=centre,
         z_m=np.zeros(valid.shape),
-        heading_rad=state[..., 2],
-        velocity_mps=state[..., 3:] * np.stack([np.cos(state[..., 2]), np.sin(state[..., 2])], -1),
+        heading_rad=heading,
+        velocity_mps=state[..., 3:] * angles.unit(heading),
         valid=valid,
     )
     return smoothing.smooth(raw)
@@ -168,30 +231,4 @@ def _signals(window: list[_Moment], stops: dict[str, Floats]) -> Signals:
         state=state,
         seen=state > 0,
         stop_m=np.array(list(stops.values())).reshape(-1, 2),
-    )
-
-
-def _source(recording: Recording, record: int) -> Source:
-    digest = hashlib.sha256(recording.config.read_bytes())
-    digest.update(repr(replace(recording, config=Path())).encode())
-    digest.update(str(record).encode())
-    file = str(recording.config)
-    return Source(dataset="sumo", file=file, record=record, sha256=digest.hexdigest())
-
-
-def _scene(
-    name: str, source: Source, road: RoadMap, signals: Signals, tracks: Tracks, cast: casting.Cast
-) -> Scene:
-    return Scene(
-        name=name,
-        source=source,
-        dt_s=DT_S,
-        now=HISTORY_STEPS - 1,
-        timestamps_s=frozen(np.arange(tracks.steps) * DT_S),
-        tracks=tracks.select(cast.rows),
-        road=road,
-        signals=signals,
-        av_id=cast.av_id,
-        interest=cast.interest,
-        to_predict=cast.to_predict,
     )

@@ -29,7 +29,7 @@ def load(path: Path, sets: Sequence[str] = ()) -> Spec:
         _expand(document, override=True)
     _place_files(document)
     context = {"folder": str(path.parent)}
-    spec: Spec = _checked(Spec, document.values, (), document, context)
+    spec: Spec = checked(Spec, document.values, (), document, context)
     _check_plugin("planners", "planner", spec.planner, document)
     _check_plugin("adversaries", "adversary", spec.adversary, document)
     return spec
@@ -83,17 +83,20 @@ def _check_plugin(kind: plugins.Kind, key: str, choice: Plugin, document: Docume
             f"{place}: {choice.name} has no class 'Settings'; derive one from"
             " deepmf_sumo.plugins.Settings."
         )
-    _checked(model, choice.settings, (key,), document)
+    checked(model, choice.settings, (key,), document)
 
 
-def _checked(
+def checked(
     model: type[BaseModel],
     values: dict[str, Any],
     at: KeyPath,
     document: Document,
     context: dict[str, str] | None = None,
 ) -> Any:
-    """``values`` as ``model``; they hang under the key path ``at`` of the document."""
+    """``values`` as ``model``; they hang under the key path ``at`` of the document.
+
+    Raises SpecError for the first key that is wrong, with its place.
+    """
     try:
         return model.model_validate(values, context=context)
     except ValidationError as error:

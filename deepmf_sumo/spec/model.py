@@ -30,7 +30,7 @@ def _wrong(rule: str) -> PydanticCustomError:
     return PydanticCustomError("rule", "{rule}", {"rule": rule})
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
     """No unknown keys, no silent conversion of types, immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -66,13 +66,13 @@ def _existing(value: Any, info: ValidationInfo) -> Path:
 ExistingPath = Annotated[Path, BeforeValidator(_existing), WithJsonSchema({"type": "string"})]
 
 
-class Av(_Strict):
+class Av(Strict):
     """The automated vehicle: an id in SUMO's demand."""
 
     vehicle: str = Field(min_length=1)
 
 
-class FromNetwork(_Strict):
+class FromNetwork(Strict):
     """A SUMO configuration with demand, run by SUMO until ``start_s``."""
 
     network: ExistingPath = Field(description="a .sumocfg")
@@ -80,7 +80,7 @@ class FromNetwork(_Strict):
     av: Av
 
 
-class First(_Strict):
+class First(Strict):
     """The first scenes of a recording, in the recording's order."""
 
     first: int = Field(ge=1)
@@ -100,7 +100,7 @@ Scenes = Annotated[
 ]
 
 
-class FromRecording(_Strict):
+class FromRecording(Strict):
     """A recorded file, or a folder of them; the format is found by the content."""
 
     recording: ExistingPath
@@ -138,14 +138,14 @@ class Plugin(BaseModel):
         return dict(self.model_extra or {})
 
 
-class Bound(_Strict):
+class Bound(Strict):
     """A metric's value must lie in [min, max]; a metric without a value does not hold."""
 
     min: float | None = None
     max: float | None = None
 
 
-class Expect(_Strict):
+class Expect(Strict):
     """What must come true in every run of the spec; makes the spec a test."""
 
     av_collision: bool | None = Field(default=None, description="the AV touches anybody")
@@ -159,7 +159,7 @@ def _weights(value: str, info: ValidationInfo) -> str:
     return str(_existing(value, info)) if "/" in value else value
 
 
-class Spec(_Strict):
+class Spec(Strict):
     """One spec: a source of situations, the planner under test, and its adversary."""
 
     version: Literal[1]

@@ -49,6 +49,13 @@ def _replace(file: Path, content: bytes) -> None:
     beside.replace(file)
 
 
+def _table(rows: list[dict[str, Any]]) -> list[str]:
+    """Rows of equal keys, as Markdown."""
+    names = list(rows[0])
+    head = [f"| {' | '.join(names)} |", "|" + " --- |" * len(names)]
+    return head + [f"| {' | '.join(str(row[name]) for name in names)} |" for row in rows]
+
+
 def _page(folder: Path) -> str:
     lines = [f"# Weights '{folder.name}'", ""]
     for network in NETWORKS:
@@ -57,6 +64,9 @@ def _page(folder: Path) -> str:
         card = read_card(folder, network)
         lines += [f"## {network}", ""]
         for key, value in card.items():
+            if isinstance(value, list) and value and isinstance(value[0], dict):
+                lines += [f"- {key}:", "", *_table(value), ""]
+                continue
             text = json.dumps(value) if isinstance(value, dict | list) else str(value)
             lines.append(f"- {key}: {text}")
         lines.append("")

@@ -1,8 +1,10 @@
 """The paper's pseudo-labels for the opponent network (section IV-B1), from whole recordings."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Scene
+from deepmf_sumo.datatypes import AgentId, Bools, Scene, Tracks
 from deepmf_sumo.geometry import boxes
 
 
@@ -11,17 +13,44 @@ def interacts(scene: Scene, agent_id: AgentId) -> bool:
 
     Close: at one time the centres are nearer than the AV's length.
     """
-    tracks = scene.tracks
-    av, other = tracks.row(scene.av_id), tracks.row(agent_id)
-    av_seen, seen = np.flatnonzero(tracks.valid[av]), np.flatnonzero(tracks.valid[other])
+    return bool(interacting(scene.tracks, scene.av_id, [agent_id])[0])
+
+
+def interacting(tracks: Tracks, av_id: AgentId, agent_ids: Sequence[AgentId]) -> Bools:
+    """(A) `interacts` of several vehicles with any one that is taken as the AV."""
+    av = tracks.row(av_id)
+    length = float(tracks.size_m[av, 0])
+    reach = np.hypot(*tracks.size_m[:, :2].T) / 2
+    place = tracks.position_m[av, tracks.valid[av]]
+    found = np.zeros(len(agent_ids), bool)
+    if len(place) == 0:
+        return found
+    low, high = place.min(0), place.max(0)
+    for number, agent_id in enumerate(agent_ids):
+        other = tracks.row(agent_id)
+        own = tracks.position_m[other, tracks.valid[other]]
+        near = max(float(reach[av] + reach[other]), length)
+        if len(own) == 0 or (own > high + near).all(0).any() or (own < low - near).all(0).any():
+            continue  # the ways keep apart along one axis: most do
+        found[number] = _close(tracks, av, other, length) or _overlap(
+            tracks, av, other, float(reach[av] + reach[other])
+        )
+    return found
+
+
+def _close(tracks: Tracks, av: int, other: int, length_m: float) -> bool:
+    """Whether the centres are at one time nearer than the AV's length."""
     both = tracks.valid[av] & tracks.valid[other]
     apart = tracks.position_m[av, both] - tracks.position_m[other, both]
-    if len(apart) and np.hypot(apart[:, 0], apart[:, 1]).min() < tracks.size_m[av, 0]:
-        return True
-    reach = np.hypot(*tracks.size_m[av, :2]) / 2 + np.hypot(*tracks.size_m[other, :2]) / 2
+    return bool(len(apart) and np.hypot(apart[:, 0], apart[:, 1]).min() < length_m)
+
+
+def _overlap(tracks: Tracks, av: int, other: int, reach_m: float) -> bool:
+    """Whether the boxes overlap at any two times."""
+    av_seen, seen = np.flatnonzero(tracks.valid[av]), np.flatnonzero(tracks.valid[other])
     av_place, place = tracks.position_m[av, av_seen], tracks.position_m[other, seen]
-    near = np.linalg.norm(av_place[:, None] - place, axis=-1) < reach
-    first, second = near.nonzero()
+    away = av_place[:, None] - place
+    first, second = ((away * away).sum(-1) < reach_m**2).nonzero()
     if len(first) == 0:
         return False
     hit = boxes.overlap(

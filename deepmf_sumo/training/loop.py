@@ -1,10 +1,9 @@
-"""The optimisation that all networks share: AdamW, one cycle, clipping, checkpoints that resume."""
+"""The optimisation that all networks share: AdamW, one cycle, averaging, early stopping."""
 
-import os
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,48 +11,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from deepmf_sumo.training.cache import Arrays, Cache, Progress
+from deepmf_sumo.errors import RunError
+from deepmf_sumo.training import held_out, sampling
+from deepmf_sumo.training.cache import Cache, Progress
+from deepmf_sumo.training.checkpoints import Checkpoints
+from deepmf_sumo.training.curves import Curves
+from deepmf_sumo.training.schedule import Loss, Outcome, Schedule, tensors
 
-Loss = Callable[[dict[str, Tensor], torch.Generator], Tensor]
-"""Batch -> mean loss; the generator is for what is drawn at random in it."""
+__all__ = ["Loss", "Outcome", "Schedule", "tensors", "train"]
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Schedule:
-    """How to train.
-
-    Attributes:
-        rate: highest learning rate of the cycle.
-        fresh: beginnings of the names of layers that begin anew in a network that does not.
-        fresh_rate: their highest learning rate.
-        evaluate_every: steps between looks at the held-out samples, and checkpoints.
-    """
-
-    steps: int
-    batch: int = 64
-    rate: float = 2e-3
-    fresh: tuple[str, ...] = ()
-    fresh_rate: float = 4e-3
-    weight_decay: float = 0.02
-    clip: float = 5.0
-    evaluate_every: int = 250
-    held_out_samples: int = 1024
-    seed: int = 0
-    device: str = "cpu"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """What came of it.
-
-    Attributes:
-        held_out: least held-out loss, at ``best_step``; the network holds that step's weights.
-        hours: wall time, resumed parts included.
-    """
-
-    held_out: float
-    best_step: int
-    hours: float
+Weights = dict[str, Tensor]
 
 
 def train(
@@ -61,111 +28,187 @@ def train(
     cache: Cache,
     loss: Loss,
     schedule: Schedule,
-    checkpoint: Path,
+    checkpoints: Checkpoints,
+    curves: Curves,
     report: Progress,
 ) -> Outcome:
-    """Minimise the loss; goes on from the checkpoint if there is one, and removes it at the end."""
-    net.to(schedule.device)
-    optimiser = torch.optim.AdamW(_groups(net, schedule), betas=(0.9, 0.99))
-    cycle = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser,
-        [group["lr"] for group in optimiser.param_groups],
-        total_steps=schedule.steps + 1,
-        pct_start=0.15,
-    )
-    state: dict[str, Any] = {"step": 0, "best": float("inf"), "best_step": 0, "seconds": 0.0}
-    best = {name: value.clone() for name, value in net.state_dict().items()}
-    if checkpoint.is_file():
-        saved = torch.load(checkpoint, weights_only=True, map_location=schedule.device)
-        net.load_state_dict(saved["net"])
-        optimiser.load_state_dict(saved["optimiser"])
-        cycle.load_state_dict(saved["cycle"])
-        best, state = saved["best_net"], saved["state"]
-        report(f"going on from step {state['step']} ({checkpoint})")
-    start = time.monotonic() - state["seconds"]
-    running: float = state.get("loss", 0.0)
-    for step, rows in _batches(cache, schedule, state["step"]):
-        torch.manual_seed(schedule.seed * 1_000_003 + step)
-        net.train()
-        value = loss(tensors(cache.batch(rows), schedule.device), _generator(schedule, step))
-        optimiser.zero_grad(set_to_none=True)
-        value.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(net.parameters(), schedule.clip)
-        optimiser.step()
-        cycle.step()
-        now = value.item()
-        running = running + 0.02 * (now - running) if step else now
-        done = step + 1
-        if done % schedule.evaluate_every == 0 or done == schedule.steps:
-            held_out = evaluate(net, cache, loss, schedule)
-            if held_out <= state["best"]:
-                state.update(best=held_out, best_step=done)
-                best = {name: value.clone() for name, value in net.state_dict().items()}
-            state.update(step=done, seconds=time.monotonic() - start, loss=running)
-            _save(checkpoint, net, optimiser, cycle, best, state)
-            report(
-                f"step {done} of {schedule.steps}: loss {running:.3f}, held out {held_out:.3f}, "
-                f"{state['seconds'] / done * 1000:.0f} ms a step"
-            )
-    net.load_state_dict(best)
-    net.eval()
-    checkpoint.unlink(missing_ok=True)
-    return Outcome(
-        held_out=state["best"],
-        best_step=state["best_step"],
-        hours=state["seconds"] / 3600,
-    )
+    """Minimise the loss; goes on from the last checkpoint if there is one.
 
+    Checkpoints stay: the caller clears them when the weights are safe.
 
-@torch.inference_mode()
-def evaluate(net: nn.Module, cache: Cache, loss: Loss, schedule: Schedule) -> float:
-    """Mean loss over held-out samples, always the same ones."""
-    net.eval()
-    rows = cache.rows(held_out=True)
-    if len(rows) > schedule.held_out_samples:
-        rows = np.random.default_rng(0).choice(rows, schedule.held_out_samples, replace=False)
-    total = 0.0
-    for number, start in enumerate(range(0, len(rows), schedule.batch)):
-        part = rows[start : start + schedule.batch]
-        batch = tensors(cache.batch(part), schedule.device)
-        total += float(loss(batch, torch.Generator().manual_seed(number))) * len(part)
-    return total / max(len(rows), 1)
-
-
-def tensors(arrays: Arrays, device: str = "cpu") -> dict[str, Tensor]:
-    """The arrays as tensors on a device."""
-    return {name: torch.from_numpy(values).to(device) for name, values in arrays.items()}
-
-
-def _batches(
-    cache: Cache, schedule: Schedule, first: int
-) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """(step, rows) from a step on; each epoch's order depends on seed and epoch alone.
-
-    Within eight batches, samples with similar numbers of paths go together: the networks cut a
-    batch to the paths that it uses.
+    Raises:
+        RunError: the loss or its gradient is not finite.
     """
-    rows = cache.rows(held_out=False)
-    size = min(schedule.batch, len(rows))
-    an_epoch = len(rows) // size
-    paths = cache.arrays.get("path_info")
-    step = 0
-    while step < schedule.steps:
-        rng = np.random.default_rng([schedule.seed, step // an_epoch])
-        order = rng.permutation(rows)[: an_epoch * size]
-        if paths is not None and step + an_epoch > first:
-            used = (np.asarray(paths[:, :, 0]) > 0).sum(1)
-            chunks = np.array_split(order, max(an_epoch // 8, 1))
-            order = np.concatenate([c[np.argsort(used[c], kind="stable")] for c in chunks])
-        batches = order.reshape(an_epoch, size)
-        for number in rng.permutation(an_epoch):
-            if first <= step < schedule.steps:
-                yield step, batches[number]
-            step += 1
+    run = _Run(net.to(schedule.device), schedule)
+    saved = checkpoints.load(schedule.device, report)
+    if saved is not None:
+        run.restore(saved)
+        report(f"going on from step {run.state.step} ({checkpoints.file})")
+    curves.begin(run.state.step)
+    started = last_saved = time.monotonic()
+    earlier = run.state.seconds
+    first = schedule.steps if run.state.stopped else run.state.step
+    for step, rows in sampling.batches(cache, schedule.batch, schedule.seed, first, schedule.steps):
+        run.step(step, rows, cache, loss)
+        run.state.seconds = earlier + time.monotonic() - started
+        look = run.state.step % schedule.evaluate_every == 0 or run.state.step == schedule.steps
+        if look:
+            curves.write(run.look(cache, loss, report))
+        if look or time.monotonic() - last_saved > schedule.checkpoint_s:
+            checkpoints.save(run.saved(), report)
+            last_saved = time.monotonic()
+        if run.state.stopped:
+            report(f"stopped at step {run.state.step}: no better since {run.state.best_step}")
+            break
+    curves.end()
+    net.load_state_dict(run.best)
+    net.eval()
+    return run.outcome()
 
 
-def _generator(schedule: Schedule, step: int) -> torch.Generator:
-    return torch.Generator().manual_seed(schedule.seed * 7_919 + step)
+@dataclass(slots=True)
+class _State:
+    """Where a training stands, but for the tensors."""
+
+    step: int = 0
+    best: float = float("inf")
+    best_step: int = 0
+    best_by_source: list[float | None] = field(default_factory=list)
+    worse: int = 0
+    stopped: bool = False
+    loss: float = 0.0
+    seconds: float = 0.0
+    rows: list[list[float]] = field(default_factory=list)
+
+    def better(self, held_out: float | None, by_source: list[float | None]) -> bool:
+        """Whether to keep these weights; with nothing held out the last ones are kept."""
+        if held_out is not None and held_out > self.best:
+            self.worse += 1
+            return False
+        self.best = self.best if held_out is None else held_out
+        self.best_step, self.best_by_source, self.worse = self.step, by_source, 0
+        return True
+
+
+class _Run:
+    """A network under training."""
+
+    def __init__(self, net: nn.Module, schedule: Schedule) -> None:
+        self.net, self.schedule, self.state = net, schedule, _State()
+        self.optimiser = torch.optim.AdamW(_groups(net, schedule), betas=(0.9, 0.99))
+        self.cycle = torch.optim.lr_scheduler.OneCycleLR(
+            self.optimiser,
+            [group["lr"] for group in self.optimiser.param_groups],
+            total_steps=schedule.steps + 1,
+            pct_start=0.15,
+        )
+        self.average = _copy(net) if schedule.average else {}
+        self.best = _copy(net)
+
+    def step(self, step: int, rows: NDArray[np.int64], cache: Cache, loss: Loss) -> None:
+        """One batch. What is random in it depends on seed and step alone."""
+        schedule = self.schedule
+        torch.manual_seed(schedule.seed * 1_000_003 + step)
+        generator = torch.Generator().manual_seed(schedule.seed * 7_919 + step)
+        self.net.train()
+        with _precision(schedule):
+            value = loss(tensors(cache.batch(rows), schedule.device), generator)
+        self.optimiser.zero_grad(set_to_none=True)
+        value.backward()  # type: ignore[no-untyped-call]
+        norm = nn.utils.clip_grad_norm_(self.net.parameters(), schedule.clip)
+        now = value.item()
+        if not np.isfinite(now) or not torch.isfinite(norm):
+            raise RunError(_not_finite(step, now, rows, cache))
+        self.optimiser.step()
+        self.cycle.step()
+        if self.average:
+            _follow(self.average, self.net, min(schedule.average, (1 + step) / (10 + step)))
+        self.state.loss += (0.02 if step else 1.0) * (now - self.state.loss)
+        self.state.step = step + 1
+
+    def look(self, cache: Cache, loss: Loss, report: Progress) -> list[list[float]]:
+        """Evaluate, keep the weights if they are the best so far; the rows of the curves."""
+        state = self.state
+        with self._averaged():
+            by_source = held_out.evaluate(self.net, cache, loss, self.schedule)
+            whole = held_out.mean(by_source, cache)
+            if state.better(whole, by_source):
+                self.best = _copy(self.net)
+        state.stopped = 0 < self.schedule.patience <= state.worse
+        pace = state.seconds / state.step * 1000
+        values = [float("nan") if value is None else value for value in (whole, *by_source)]
+        rate = self.optimiser.param_groups[0]["lr"]
+        state.rows.append([state.step, state.loss, *values, rate, pace])
+        report(
+            f"step {state.step} of {self.schedule.steps}: loss {state.loss:.3f}, "
+            f"held out {held_out.text(whole, by_source, cache)}, {pace:.0f} ms a step"
+        )
+        return state.rows
+
+    def saved(self) -> dict[str, Any]:
+        """All that `restore` needs."""
+        return {
+            "net": self.net.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "cycle": self.cycle.state_dict(),
+            "average": self.average,
+            "best": self.best,
+            "state": {name: getattr(self.state, name) for name in _State.__slots__},
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go back to where `saved` was taken."""
+        self.net.load_state_dict(saved["net"])
+        self.optimiser.load_state_dict(saved["optimiser"])
+        self.cycle.load_state_dict(saved["cycle"])
+        self.average, self.best = saved["average"], saved["best"]
+        self.state = _State(**saved["state"])
+
+    def outcome(self) -> Outcome:
+        """What came of it."""
+        state = self.state
+        return Outcome(
+            held_out=None if np.isinf(state.best) else state.best,
+            by_source=state.best_by_source,
+            best_step=state.best_step,
+            steps=state.step,
+            hours=state.seconds / 3600,
+        )
+
+    @contextmanager
+    def _averaged(self) -> Iterator[None]:
+        """The averaged weights in place of the network's own."""
+        if not self.average:
+            yield
+            return
+        own = _copy(self.net)
+        self.net.load_state_dict(self.average)
+        try:
+            yield
+        finally:
+            self.net.load_state_dict(own)
+
+
+def _precision(schedule: Schedule) -> torch.autocast:
+    return torch.autocast(
+        torch.device(schedule.device).type,
+        dtype=torch.bfloat16,
+        enabled=schedule.precision == "bf16",
+    )
+
+
+def _copy(net: nn.Module) -> Weights:
+    return {name: value.clone() for name, value in net.state_dict().items()}
+
+
+@torch.no_grad()
+def _follow(average: Weights, net: nn.Module, decay: float) -> None:
+    """Move the average towards the network; counters are taken over."""
+    for name, value in net.state_dict().items():
+        if value.is_floating_point():
+            average[name].lerp_(value, 1 - decay)
+        else:
+            average[name].copy_(value)
 
 
 def _groups(net: nn.Module, schedule: Schedule) -> list[dict[str, Any]]:
@@ -185,24 +228,23 @@ def _groups(net: nn.Module, schedule: Schedule) -> list[dict[str, Any]]:
     return groups
 
 
-def _save(
-    file: Path,
-    net: nn.Module,
-    optimiser: torch.optim.Optimizer,
-    cycle: torch.optim.lr_scheduler.LRScheduler,
-    best: dict[str, Tensor],
-    state: dict[str, Any],
-) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    beside = file.with_name(f"{file.name}.{os.getpid()}")
-    torch.save(
+def _not_finite(step: int, value: float, rows: NDArray[np.int64], cache: Cache) -> str:
+    """The message on a loss or gradient that is not finite: whose numbers to look at."""
+    arrays = cache.batch(rows)
+    wrong = sorted(
         {
-            "net": net.state_dict(),
-            "optimiser": optimiser.state_dict(),
-            "cycle": cycle.state_dict(),
-            "best_net": best,
-            "state": state,
-        },
-        beside,
+            int(row)
+            for values in arrays.values()
+            if values.dtype.kind == "f"
+            for row in rows[~np.isfinite(values).reshape(len(rows), -1).all(1)]
+        }
     )
-    beside.replace(file)
+    what = f"the loss is {value}" if not np.isfinite(value) else "the gradient is not finite"
+    of = np.array(wrong or sorted(map(int, rows)))
+    why = "samples that hold numbers that are not finite" if wrong else "samples of this batch"
+    names = cache.names(of)
+    return (
+        f"Training stopped at step {step + 1}: {what}; {why}: {', '.join(map(str, of))}, of scenes "
+        f"{', '.join(names[:8])}{' and others' if len(names) > 8 else ''}; the last checkpoint"
+        " stays; try a lower --rate, or leave these scenes out."
+    )

@@ -1,7 +1,10 @@
 """``deepmf-sumo train``: recordings -> features -> network -> weights with a card."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -10,16 +13,30 @@ import torch
 from torch import nn
 
 from deepmf_sumo.datatypes import Scene
-from deepmf_sumo.errors import RunError, WeightsError
+from deepmf_sumo.errors import OutputError, RunError, WeightsError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.opponent import OpponentNet
-from deepmf_sumo.predictors.presets import Preset, preset_named
-from deepmf_sumo.predictors.weights import NETWORKS, Network
-from deepmf_sumo.training import cards, loop, opponent, samples, trajectory
-from deepmf_sumo.training.cache import Arrays, Cache, Progress, open_or_make
+from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.training import (
+    beginnings,
+    cards,
+    loop,
+    making,
+    opponent,
+    opponent_samples,
+    samples,
+    trajectory,
+)
+from deepmf_sumo.training.cache import Arrays, Cache, Progress, mix
+from deepmf_sumo.training.checkpoints import Checkpoints
+from deepmf_sumo.training.config import Optimisation
+from deepmf_sumo.training.curves import Curves
+from deepmf_sumo.training.making import Data
+from deepmf_sumo.training.schedule import Loss, Outcome, Schedule
 
-STEPS: Final[dict[Network, int]] = {"opponent": 1500, "marginal": 3000, "conditional": 1500}
+_CPU_INFO: Final = Path("/proc/cpuinfo")
 _MODES: Final[dict[Network, int]] = {"marginal": 32, "conditional": 6}
 
 
@@ -29,112 +46,215 @@ class Training:
 
     Attributes:
         folder: of the weights; checkpoints of a run that was cut off lie beside the tensors.
-        cache: folder of computed features.
-        steps: None takes the default of each network.
+        cache: folder of computed features. jobs: processes that compute them.
+        optimisation: of each network; one that is not named takes its defaults.
+        begin_from: set of weights whose networks these begin from.
+        again: train even what this very training has made before.
         licence: a note on the data for the card.
         command: for the card.
     """
 
-    data: Sequence[Path]
+    data: Sequence[Data]
     folder: Path
     cache: Path
     preset: Preset
-    steps: int | None = None
+    optimisation: Mapping[Network, Optimisation] = field(default_factory=dict)
+    begin_from: str | None = None
     seed: int = 0
     device: Literal["cpu", "cuda"] = "cpu"
+    jobs: int = 1
+    again: bool = False
     licence: str = ""
     command: str = ""
 
 
 def train(network: Network, training: Training, report: Progress) -> None:
-    """Train one network and write it; a run that was cut off goes on."""
+    """Train one network and write it; a run that was cut off goes on.
+
+    Raises:
+        WeightsError: no such device, or weights to begin from that do not fit.
+        ReaderError: data without anything to learn from.
+        RunError: no pairs for the conditional network, or a loss that is not finite.
+        OutputError: the weights cannot be written; the last checkpoint stays.
+    """
     if training.device == "cuda" and not torch.cuda.is_available():
         raise WeightsError("There is no CUDA device for --device cuda; use --device cpu.")
-    cache = _cache(network, training, report)
+    begin = beginnings.file_of(
+        network, training.preset, training.folder, training.begin_from, report
+    )
+    schedule = _schedule(network, training, began=begin is not None)
+    digest = _digest(network, training, schedule, begin)
+    if not training.again and _made(training.folder, network, digest):
+        report(f"{network}: this training has been made; --again makes it again")
+        return
     torch.manual_seed(training.seed)
     net = weights.build(network, training.preset)
-    began = _begin(network, net, training, cache)
+    if begin is not None:
+        beginnings.load(net, network, begin)
+    cache = open_caches(network, training, report)
+    if isinstance(net, DenseTNT):
+        trajectory.start(net, cache, training.seed)
     if network == "conditional":
-        cache = replace(cache, chosen=trajectory.interacting(cache))
-        if not len(cache.rows(held_out=False)):
-            raise RunError("No two vehicles come near each other in these recordings; give more.")
-    steps = training.steps or STEPS[network]
-    schedule = loop.Schedule(
-        steps=steps,
-        batch=16 if network == "opponent" else 64,
-        rate=5e-4 if began else 1e-3 if network == "opponent" else 2e-3,
-        fresh=trajectory.CONDITION_LAYERS if began else (),
-        weight_decay=0.1 if network == "opponent" else 0.02,
+        cache = _pairs(cache)
+    checkpoints = Checkpoints(training.folder / f"{network}-{digest[:12]}.checkpoint")
+    names = [source.name for source in cache.sources]
+    curves = Curves(training.folder / "curves" / f"{network}.csv", names, report)
+    outcome = loop.train(net, cache, _loss(net), schedule, checkpoints, curves, report)
+    card = _card(network, net, training, cache, schedule, outcome)
+    card["began_from"] = beginnings.name_of(begin, training.begin_from)
+    card["training_digest"] = digest
+    card |= _temperatures(network, net, cache)
+    try:
+        cards.write(training.folder, network, net, card)
+    except OSError as error:
+        raise OutputError(
+            f"The weights cannot be written to {training.folder} ({error.strerror}); the checkpoint"
+            " stays there: make room, and give the same command again."
+        ) from None
+    checkpoints.clear()
+    report(f"{network}: best step {outcome.best_step}, written to {training.folder}")
+
+
+def open_caches(network: Network, training: Training, report: Progress) -> Cache:
+    """The samples of all sources; features are made where they are not there."""
+    make: Callable[[Scene], Iterable[Arrays]] = partial(
+        opponent_samples.opponent_samples if network == "opponent" else samples.trajectory_samples,
+        preset=training.preset,
+    )
+    kind, settings = _features(network, training.preset)
+    return mix(
+        [
+            making.open_or_make(kind, data, settings, make, training.cache, report, training.jobs)
+            for data in training.data
+        ]
+    )
+
+
+def _features(network: Network, preset: Preset) -> tuple[str, str]:
+    """Kind of the features, and what they depend on: of the preset, the image alone."""
+    if network == "opponent":
+        return "opponent", opponent_samples.settings(preset)
+    image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
+    return (
+        "trajectory",
+        f"{json.dumps(image, sort_keys=True)} {samples.WINDOW_STEPS} {samples.SIMULATED_TARGETS}",
+    )
+
+
+def _schedule(network: Network, training: Training, *, began: bool) -> Schedule:
+    given = training.optimisation.get(network, Optimisation())
+    fresh = began and network == "conditional" and training.begin_from is None
+    values = given.with_defaults(network, began=began and not fresh)
+    precision = values.pop("precision")
+    return Schedule(
+        **{"average" if name == "ema" else name: value for name, value in values.items()},
+        precision=_precision(training.device) if precision == "auto" else precision,
+        fresh=trajectory.CONDITION_LAYERS if fresh else (),
         seed=training.seed,
         device=training.device,
-        evaluate_every=min(250, max(steps // 4, 1)),
     )
-    loss = _loss(net)
-    name = f"{network}-{training.preset.name}-{steps}-{training.seed}.checkpoint"
-    outcome = loop.train(net, cache, loss, schedule, training.folder / name, report)
-    card = {
+
+
+def _precision(device: str) -> Literal["fp32", "bf16"]:
+    """bf16 on processors that have it.
+
+    Never found out by timing: the same command must give the same weights on one machine.
+    """
+    if device == "cuda":
+        return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
+    try:
+        flags = set(_CPU_INFO.read_text(encoding="utf-8").split())
+    except OSError:  # not Linux
+        return "fp32"
+    return "bf16" if flags & {"avx512_bf16", "amx_bf16"} else "fp32"
+
+
+def _digest(network: Network, training: Training, schedule: Schedule, begin: Path | None) -> str:
+    """Of all that the trained tensors depend on."""
+    kind, settings = _features(network, training.preset)
+    described = {
+        "network": network,
+        "preset": training.preset.record(),
+        "schedule": asdict(schedule),
+        "data": [(making.digest_of(kind, data, settings), data.weight) for data in training.data],
+        "begin": beginnings.digest(begin),
+    }
+    return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
+
+
+def _made(folder: Path, network: Network, digest: str) -> bool:
+    """Whether the folder holds the network that this training makes."""
+    try:
+        card = weights.read_card(folder, network)
+        weights.tensors(folder, network)
+    except WeightsError:
+        return False
+    return card.get("training_digest") == digest
+
+
+def _pairs(cache: Cache) -> Cache:
+    """The samples that the conditional network learns from."""
+    chosen = replace(cache, chosen=trajectory.interacting(cache))
+    if not len(chosen.rows(held_out=False)):
+        raise RunError("No two vehicles come near each other in these recordings; give more.")
+    return chosen
+
+
+def _loss(net: nn.Module) -> Loss:
+    if isinstance(net, DenseTNT):
+        return trajectory.loss_of(net)
+    assert isinstance(net, OpponentNet)
+    return opponent.loss_of(net)
+
+
+def _card(
+    network: Network,
+    net: nn.Module,
+    training: Training,
+    cache: Cache,
+    schedule: Schedule,
+    outcome: Outcome,
+) -> dict[str, Any]:
+    return {
         "network": network,
         "preset": training.preset.name,
         "sizes": training.preset.record(),
         "weights": sum(value.numel() for value in net.parameters()),
-        "data": [path.name for path in training.data],
+        "data": _sources(cache, outcome),
         "scenes": cache.scenes,
         "refused": cache.refused,
         "samples": len(cache.rows(held_out=False)),
         "licence": training.licence,
         "command": training.command,
-        "began_from": began,
         "seed": training.seed,
-        "steps": steps,
-        "batch": schedule.batch,
+        "steps": schedule.steps,
+        "schedule": asdict(schedule),
+        "torch": torch.__version__,
+        "threads": torch.get_num_threads(),
+        "trained": time.strftime("%Y-%m-%d", time.gmtime()),
+        "steps_made": outcome.steps,
         "best_step": outcome.best_step,
-        "held_out_loss": round(outcome.held_out, 4),
+        "held_out_loss": None if outcome.held_out is None else round(outcome.held_out, 4),
         "hours": round(outcome.hours, 3),
-        **_temperatures(network, net, cache),
     }
-    cards.write(training.folder, network, net, card)
-    report(f"{network}: held-out loss {outcome.held_out:.3f}, written to {training.folder}")
 
 
-def _cache(network: Network, training: Training, report: Progress) -> Cache:
-    make: Callable[[Scene], Iterable[Arrays]]
-    if network == "opponent":
-        kind, make = "opponent", partial(samples.opponent_samples, preset=training.preset)
-    else:
-        kind, make = "trajectory", partial(samples.trajectory_samples, preset=training.preset)
-    steps = samples.OPPONENT_STEPS if network == "opponent" else samples.WINDOW_STEPS
-    settings = f"{training.preset.record()} {steps}"
-    return open_or_make(kind, training.data, settings, make, training.cache, report)
-
-
-def _begin(network: Network, net: nn.Module, training: Training, cache: Cache) -> str:
-    """Fit profiles; the conditional network begins from the marginal one of the same folder.
-
-    They share all layers but those that read the condition. Where the condition enters the image,
-    its channels come after the shared ones.
-    """
-    if not isinstance(net, DenseTNT):
-        return ""
-    trajectory.start(net, cache, training.seed)
-    file = training.folder / "marginal.safetensors"
-    if network != "conditional" or not file.is_file():
-        return ""
-    card = weights.read_card(training.folder, "marginal")
-    if card.get("preset") != training.preset.name:
-        return ""
-    marginal = weights.tensors(training.folder, "marginal")
-    own = net.state_dict()
-    for name, value in marginal.items():
-        shared = own[name] if own[name].shape == value.shape else own[name][:, : value.shape[1]]
-        shared.copy_(value)
-    return "marginal"
-
-
-def _loss(net: nn.Module) -> loop.Loss:
-    if isinstance(net, DenseTNT):
-        return trajectory.loss_of(net)
-    assert isinstance(net, OpponentNet)
-    return opponent.loss_of(net)
+def _sources(cache: Cache, outcome: Outcome) -> list[dict[str, Any]]:
+    found = []
+    for number, source in enumerate(cache.sources):
+        held_out = outcome.by_source[number]
+        found.append(
+            {
+                "name": source.name,
+                "weight": source.weight,
+                "share": round(float(cache.shares[number]), 4),
+                "scenes": len(source.scenes),
+                "samples": len(cache.rows(held_out=False, source=number)),
+                "refused": len(source.refused),
+                "held_out_loss": None if held_out is None else round(held_out, 4),
+            }
+        )
+    return found
 
 
 def _temperatures(network: Network, net: nn.Module, cache: Cache) -> dict[str, Any]:
@@ -144,38 +264,3 @@ def _temperatures(network: Network, net: nn.Module, cache: Cache) -> dict[str, A
     assert isinstance(net, OpponentNet)
     first, second = opponent.fit_temperatures(net, cache)
     return {"temperature": first, "partner_temperature": second}
-
-
-def train_named(
-    network: str,
-    *,
-    data: Sequence[Path],
-    name: str,
-    out: Path | None,
-    preset: str,
-    steps: int | None,
-    seed: int,
-    device: str,
-    threads: int | None,
-    cache: Path | None,
-    licence: str,
-    command: str,
-    report: Progress,
-) -> None:
-    """Train the network of a name, or ``all``, into the weights home or the folder ``out``."""
-    if threads is not None:
-        torch.set_num_threads(threads)
-    training = Training(
-        data=data,
-        folder=out or weights.place(name),
-        cache=cache or weights.home() / ".features",
-        preset=preset_named(preset),
-        steps=steps,
-        seed=seed,
-        device="cuda" if device == "cuda" else "cpu",
-        licence=licence,
-        command=command,
-    )
-    for each in NETWORKS:
-        if network in {each, "all"}:
-            train(each, training, report)

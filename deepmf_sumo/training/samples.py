@@ -1,21 +1,24 @@
-"""One scene -> training samples of each network."""
+"""One scene -> training samples of the trajectory networks."""
 
+import zlib
 from collections.abc import Iterator
-from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, HISTORY_STEPS, Scene, View
+from deepmf_sumo.datatypes import FUTURE_STEPS, Scene, View
 from deepmf_sumo.geometry import angles
 from deepmf_sumo.predictors.features import features
-from deepmf_sumo.predictors.opponent_features import SCENE_AGENTS, opponent_features
 from deepmf_sumo.predictors.presets import Preset
-from deepmf_sumo.training import labels, profiles, windows
+from deepmf_sumo.training import profiles, windows
 from deepmf_sumo.training.cache import Arrays
 
 WINDOW_STEPS = (10, 20, 30, 40)
 """Current steps at which a recording is looked at; later ones know less of the future."""
-OPPONENT_STEPS = (10, 20, 30)
+ATTACKED_STEPS = (10, 15, 20, 25, 30, 35, 40, 50, 60)
+"""The same of attacks, where the later steps matter as much as the first."""
+SIMULATED_TARGETS: Final = 3
+"""Simulated scenes are plentiful and overlap: few vehicles of each are enough, at fewer steps."""
 
 
 def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
@@ -24,12 +27,16 @@ def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
     Added to `features.Features`: future (80, 2), future_valid (80), driven (80) m along the way,
     partner (80, 3) x, y, heading, partner_known () 0 or 1; futures in the target's frame.
     """
-    for step in WINDOW_STEPS:
-        if step >= scene.tracks.steps - windows.MIN_FUTURE_STEPS:
+    attacked = scene.source.dataset == windows.ROLLOUT  # its only target is the AV
+    steps = ATTACKED_STEPS if attacked else WINDOW_STEPS
+    simulated = scene.source.dataset == windows.SIMULATED
+    for step in steps[::2] if simulated else steps:
+        if step >= scene.tracks.steps - windows.least_steps(scene):
             break
         view = windows.view_at(scene, step)
-        for future in windows.targets(scene, step):
-            arrays, _ = features(view, future.agent_id, preset)
+        futures = list(windows.targets(scene, step))
+        for future in _some(scene, step, futures) if simulated else futures:
+            arrays, _ = features(view, future.agent_id, preset, planner=attacked)
             partner = windows.partner_of(scene, future.agent_id, step)
             given = np.zeros((FUTURE_STEPS, 3))
             if partner is not None:
@@ -44,30 +51,12 @@ def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
             }
 
 
-def opponent_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
-    """Features around the AV at each window, with both labels of each candidate.
-
-    Labels look at the recording from the start of the window's history on. Added to
-    `opponent_features`: interacts (64), partner (64) one-hot, partner_known ().
-    """
-    tracks = scene.tracks
-    for step in OPPONENT_STEPS:
-        if step >= tracks.steps or not tracks.valid[tracks.row(scene.av_id), step]:
-            continue
-        arrays, ids = opponent_features(windows.view_at(scene, step), preset)
-        if not ids:
-            continue
-        rest = replace(scene, tracks=tracks.window(step - HISTORY_STEPS + 1, tracks.steps))
-        slots = np.flatnonzero(arrays["candidate"])
-        interacts, partner = np.zeros(SCENE_AGENTS), np.zeros(SCENE_AGENTS)
-        interacts[slots] = [labels.interacts(rest, agent_id) for agent_id in ids]
-        partner[slots] = [agent_id == scene.partner_id for agent_id in ids]
-        yield {
-            **arrays,
-            "interacts": _float(interacts),
-            "partner": _float(partner),
-            "partner_known": _float(partner.any()),
-        }
+def _some(scene: Scene, step: int, futures: list[windows.Future]) -> list[windows.Future]:
+    """The AV and others drawn by the scene's name: always the same ones."""
+    rng = np.random.default_rng(zlib.crc32(f"{scene.name} {step}".encode()))
+    order = rng.permutation(len(futures)).tolist()
+    order.sort(key=lambda row: futures[row].agent_id != scene.av_id)
+    return [futures[row] for row in order[:SIMULATED_TARGETS]]
 
 
 def _float(values: object) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

@@ -5,22 +5,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from deepmf_sumo.predictors import condition, selection
+from deepmf_sumo.predictors import anchors, condition, selection
 from deepmf_sumo.predictors.condition import Condition
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.presets import Preset
-from deepmf_sumo.training import losses, profiles
+from deepmf_sumo.training import augmentation, losses, profiles
 from deepmf_sumo.training.cache import Cache
 from deepmf_sumo.training.loop import Loss, tensors
 
-_GIVEN = 0.75
-"""Share of samples whose partner's future is given; half of them disturbed."""
+_RARE = -6.9
+"""log .001: prior of profiles that are not fitted on data."""
+_GIVEN = 0.6
+"""Share of samples whose partner's future is given; the others keep the network marginal too."""
 _NEAR_M = 15.0
 """The conditional network learns from pairs whose ways come as near as this, at any two times."""
 CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met")
 """Begin anew where the conditional network begins from the marginal one."""
-_WARP, _DRIFT_M = 0.04, 0.4
-"""A given future is disturbed as a prediction errs: in its pace, and sideways at 8 s."""
 _TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
 
 
@@ -31,10 +31,16 @@ def start(net: DenseTNT, cache: Cache, seed: int) -> None:
     table = profiles.fit(
         np.asarray(cache.arrays["driven"][known], float),
         np.asarray(cache.arrays["motion"][known, 0], float),
+        net.preset.profiles,
         np.random.default_rng([seed, 1]),
     )
-    net.profiles.copy_(torch.from_numpy(table.relative_m))
-    net.prior.copy_(torch.from_numpy(table.log_prior))
+    fitted = torch.from_numpy(table.relative_m).float()
+    speeds = torch.tensor(anchors.START_SPEEDS_MPS)
+    braking = anchors.braking(speeds)[:, : net.profiles.shape[1] - fitted.shape[1]]
+    net.profiles.copy_(torch.cat([fitted, braking], 1))
+    prior = torch.from_numpy(table.log_prior).float()
+    rare = prior.new_full(braking.shape[:2], _RARE)
+    net.prior.copy_(torch.cat([prior, rare], 1))
 
 
 def interacting(cache: Cache) -> NDArray[np.bool_]:
@@ -55,6 +61,8 @@ def loss_of(net: DenseTNT) -> Loss:
     """Mixture likelihood; a conditional network is given most of the partners' futures."""
 
     def loss(batch: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+        if net.training:
+            batch = augmentation.augmented(batch, net.preset, generator)
         given = partner_condition(batch, net.preset, generator) if net.conditional else None
         return losses.mixture(net, net(batch, given), batch).mean()
 
@@ -66,32 +74,13 @@ def partner_condition(
     preset: Preset,
     generator: torch.Generator | None,
 ) -> Condition:
-    """The partner's future as condition; with a generator it is dropped and disturbed at random."""
+    """The partner's future as condition; with a generator some are left out at random."""
     position, heading = batch["partner"][..., :2], batch["partner"][..., 2]
     given = batch["partner_known"]
     if generator is not None:
         keep = torch.rand(len(given), generator=generator) < _GIVEN
         given = given * keep.to(given.device)
-        position = _disturbed(position, generator)
     return condition.encode(position[:, None], heading[:, None], given[:, None], preset)
-
-
-def _disturbed(position: Tensor, generator: torch.Generator) -> Tensor:
-    """Half of the futures (B, 80, 2) run through faster or slower, and drift sideways."""
-    batch, steps, _ = position.shape
-    noise = torch.randn(batch, 2, generator=generator)
-    noise = (noise * (torch.rand(batch, 1, generator=generator) < 0.5)).to(position.device)
-    time = torch.arange(steps, device=position.device, dtype=position.dtype)
-    place = (time * (1 + _WARP * noise[:, :1])).clamp(0, steps - 1.001)
-    base = place.floor().long()
-    share = (place - base).unsqueeze(-1)
-    index = base.unsqueeze(-1).expand(-1, -1, 2)
-    moved = torch.lerp(position.gather(1, index), position.gather(1, index + 1), share)
-    way = moved[:, -1] - moved[:, 0]
-    left = torch.stack([-way[:, 1], way[:, 0]], -1) / way.norm(dim=-1, keepdim=True).clamp_min(1.0)
-    drift = _DRIFT_M * noise[:, 1:] * (time / steps)
-    disturbed: Tensor = moved + drift.unsqueeze(-1) * left.unsqueeze(1)
-    return disturbed
 
 
 @torch.inference_mode()

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -21,12 +22,17 @@ from deepmf_sumo.geometry import angles, frames
 
 ROLLOUT: Final = "rollout"
 """Data set of scenes that `deepmf-sumo run --scenes` wrote."""
+SIMULATED: Final = "sumo"
+"""Data set of scenes that `deepmf-sumo record` wrote."""
 MIN_FUTURE_STEPS: Final = 30
 """A target is known for at least 3 s."""
+MIN_ATTACKED_STEPS: Final = 10
+"""An AV under attack is for 1 s: what it does just before a contact counts most."""
 MIN_DISTANCE_M: Final = 2.0
 """Who moves less is no target, the AV and labelled agents excepted."""
 _FARTHEST_M: Final = 30.0
 """Others that stay farther away, in space and time, are no partners."""
+_PLACE_M: Final = 500.0
 _MAX_STEP_M: Final = 12.0
 """Tracks that jump farther in 0.1 s are the tracker's mistakes."""
 
@@ -43,6 +49,19 @@ class Future:
     position_m: Floats
     heading_rad: Floats
     valid: Bools
+
+
+def place_of(scene: Scene) -> str:
+    """Where a scene is: scenes of one place share its roads, be they recorded, driven or attacked.
+
+    A cell of 500 m of the recording's frame. Networks have frames of their own: scenes of SUMO
+    traffic name theirs, a configuration or a generated one, where others name a recorded file.
+    """
+    row = scene.tracks.row(scene.av_id)
+    cell = np.floor(scene.tracks.position_m[row, scene.now] / _PLACE_M).astype(int)
+    source = Path(scene.source.file)
+    name = source.name if source.suffix in {"", ".sumocfg"} else ""
+    return f"{name} {cell[0]} {cell[1]}"
 
 
 def view_at(scene: Scene, step: int) -> View:
@@ -73,8 +92,13 @@ def future_of(scene: Scene, agent_id: AgentId, step: int) -> Future:
     return Future(agent_id=agent_id, position_m=position, heading_rad=heading, valid=valid)
 
 
+def least_steps(scene: Scene) -> int:
+    """Steps after a window that must be known of a target."""
+    return MIN_ATTACKED_STEPS if scene.source.dataset == ROLLOUT else MIN_FUTURE_STEPS
+
+
 def targets(scene: Scene, step: int) -> Iterator[Future]:
-    """Vehicles to learn from at a step: known for 3 s, moving, the AV and labelled ones always.
+    """Vehicles to learn from at a step: known for long enough, moving; labelled ones always.
 
     Of a simulated attack only the AV is: its opponent drives a plan, and the others the log.
     """
@@ -87,8 +111,8 @@ def targets(scene: Scene, step: int) -> Iterator[Future]:
         if attacked and agent_id != scene.av_id:
             continue
         future = future_of(scene, agent_id, step)
-        known = np.flatnonzero(future.valid)
-        if len(known) < MIN_FUTURE_STEPS or known[-1] < MIN_FUTURE_STEPS - 1:
+        known, least = np.flatnonzero(future.valid), least_steps(scene)
+        if len(known) < least or known[-1] < least - 1:
             continue
         if _jumps(tracks, row):
             continue

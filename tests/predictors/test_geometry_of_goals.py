@@ -121,3 +121,14 @@ def test_numbers_are_finite_for_a_standing_other():
     assert bool(torch.isfinite(path).all())
     assert bool(torch.isfinite(goal).all())
     assert np.prod(goal.shape) == 3 * 2 * 15
+
+
+def test_braking_profiles_stop_and_hold():
+    speeds = torch.tensor([0.0, 10.0, 30.0])
+    driven = anchors.braking(speeds) + speeds.view(-1, 1, 1) * torch.arange(1, 81) * 0.1
+    assert (driven[0] == 0).all()
+    assert (torch.diff(driven, dim=-1) >= -1e-4).all()
+    hard_stop, brief = driven[1, 2], driven[1, 3]
+    assert hard_stop[-1] == pytest.approx(10.0**2 / (2 * 8.0), abs=0.05)
+    assert brief[-1] - brief[-2] == pytest.approx((10.0 - 3.0 * 1.5) * 0.1, abs=0.01)
+    assert driven[2, 2, 9] == pytest.approx(30.0 - 4.0, abs=0.05)

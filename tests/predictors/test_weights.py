@@ -12,7 +12,12 @@ def folder(tmp_path):
     made = weights.random(LIGHT, 1)
     for network in weights.NETWORKS:
         net = getattr(made, network).net
-        card = {"preset": "light", "temperature": 1.3, "partner_temperature": 1.1}
+        card = {
+            "sizes": LIGHT.record(),
+            "preset": "light",
+            "temperature": 1.3,
+            "partner_temperature": 1.1,
+        }
         cards.write(tmp_path / "mine", network, net, card)
     return tmp_path / "mine"
 

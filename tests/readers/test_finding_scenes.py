@@ -114,3 +114,21 @@ def test_every_reader_keeps_the_contract(name, tmp_path):
 
 def test_womd_offers_places():
     assert isinstance(womd, IndexedReader)
+
+
+def test_a_folder_of_results_gives_the_scenes_of_its_runs_alone(tmp_path):
+    study = tmp_path / "attacks" / "lane"
+    for name in ("one", "two"):
+        run = study / "runs" / name
+        run.mkdir(parents=True)
+        for file in ("scene.npz", "plans.npz", "result.json"):
+            (run / file).touch()
+    (study / "runs" / "without").mkdir()
+    (study / "runs.csv").touch()
+    (tmp_path / "attacks" / "mine.npz").touch()
+    found = [path.relative_to(tmp_path).as_posix() for path in readers.find([tmp_path])]
+    assert found == [
+        "attacks/lane/runs/one/scene.npz",
+        "attacks/lane/runs/two/scene.npz",
+        "attacks/mine.npz",
+    ]

@@ -18,7 +18,7 @@ class KnowsTheLog(FanPredictor):
         super().__init__()
         self.tracks = tracks
 
-    def react(self, view, agent_id, given, modes):
+    def react(self, view, agent_id, given, modes, *, planner=False):
         row = self.tracks.row(agent_id)
         steps = np.minimum(view.step + 1 + np.arange(FUTURE_STEPS), self.tracks.steps - 1)
         futures = Futures(
@@ -27,7 +27,7 @@ class KnowsTheLog(FanPredictor):
             heading_rad=self.tracks.heading_rad[row, steps][None],
         )
         forecast = Forecast(futures=futures, probability=np.ones(1))
-        return [forecast] * len(given.position_m)
+        return [forecast] * (1 if given is None else len(given.position_m))
 
 
 class Watched:

@@ -74,6 +74,41 @@ def test_motion_is_smooth_and_consistent(scenes):
         assert np.percentile(slip, 99) < 0.2
 
 
+def test_a_moment_gives_scenes_around_several_avs_and_the_road_near_them(config):
+    recording = Recording(
+        config=config, seed=4, start_s=55.0, stop_s=64.5, avs=3, radius_m=60.0, map_radius_m=40.0
+    )
+    scenes = list(record(recording))
+    assert len(scenes) == 3
+    assert len({scene.av_id for scene in scenes}) == 3
+    assert len({scene.name for scene in scenes}) == 3
+    everywhere = set().union(*(scene.road.lanes for scene in scenes))
+    for scene in scenes:
+        assert len(scene.road.lanes) < len(everywhere)
+        assert scene.road.lanes.keys() >= set(scene.signals.lane_ids)
+        for lane in scene.road.lanes.values():
+            assert {*lane.next, *lane.previous} <= scene.road.lanes.keys()
+        row = scene.tracks.row(scene.av_id)
+        away = np.linalg.norm(scene.tracks.position_m - scene.tracks.position_m[row], axis=-1)
+        assert np.where(scene.tracks.valid, away, np.inf).min(axis=1).max() < 60.0
+
+
+def test_drivers_ease_into_motion(scenes):
+    """Accelerations from rest build up, and are those of people."""
+    peaks, first = [], []
+    for scene in scenes:
+        for speed, valid in zip(scene.tracks.speed_mps, scene.tracks.valid, strict=True):
+            known = speed[valid]
+            starts = np.flatnonzero((known[:-1] < 0.2) & (known[1:] >= 0.2))
+            if len(starts) and known[starts[-1] :].max() > 3.0:
+                acceleration = np.gradient(known[starts[-1] :], 0.1)
+                peaks.append(acceleration.max())
+                first.append(acceleration[:5].mean())
+    assert len(peaks) > 2
+    assert 0.7 < np.median(peaks) < 3.0
+    assert np.median(first) < 0.75 * np.median(peaks)
+
+
 def test_poses_are_on_the_lanes(scenes):
     scene = scenes[0]
     points = np.concatenate([lane.centre_m for lane in scene.road.lanes.values()])
@@ -102,6 +137,6 @@ def test_command_writes_files_that_can_be_read(config, tmp_path):
     result = CliRunner().invoke(command, arguments)
     assert result.exit_code == 0, result.output
     assert "2 scenes" in result.output
-    files = sorted(out.iterdir())
+    files = sorted(out.glob("grid-4/*.npz"))
     assert len(files) == 2
     assert [scene.tracks.steps for file in files for scene in npz.scenes(file)] == [91, 91]

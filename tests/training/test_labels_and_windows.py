@@ -81,3 +81,25 @@ def test_tracks_that_jump_are_no_targets():
     position[given.tracks.row("far"), 60:] += 30.0
     jumping = replace(given, tracks=replace(given.tracks, position_m=position))
     assert "far" not in {each.agent_id for each in windows.targets(jumping, 10)}
+
+
+def test_a_place_is_a_part_of_the_map_whatever_happens_there():
+    first, other = windows.place_of(scene()), windows.place_of(scene(shift=-20.0, av_speed=3.0))
+    assert first == other
+    away = replace(
+        scene(), tracks=replace(scene().tracks, position_m=scene().tracks.position_m + 2e3)
+    )
+    assert windows.place_of(away) != first
+    net = replace(scene(), source=replace(scene().source, dataset="sumo", file="grid-1-003"))
+    assert windows.place_of(net) != first
+
+
+def test_an_av_under_attack_is_a_target_until_just_before_the_contact():
+    given = scene()
+    valid = given.tracks.valid.copy()
+    valid[given.tracks.row("av"), 45:] = False
+    logged = replace(given, tracks=replace(given.tracks, valid=valid))
+    attacked = replace(logged, source=replace(given.source, dataset=windows.ROLLOUT))
+    assert "av" not in {each.agent_id for each in windows.targets(logged, 30)}
+    assert [each.agent_id for each in windows.targets(attacked, 30)] == ["av"]
+    assert not list(windows.targets(attacked, 40))

@@ -15,12 +15,12 @@ def on_road(road: RoadMap, points_m: Floats) -> Bools:
     inside = np.zeros(len(points), dtype=bool)
     if len(points) == 0:
         return inside
-    low, high = points.min(axis=0), points.max(axis=0)
     for lane in road.lanes.values():
-        reach = (lane.width_m or _WIDTH_M) / 2 + MARGIN_M
-        centre = lane.centre_m
-        outside = (centre.max(axis=0) < low - reach) | (centre.min(axis=0) > high + reach)
-        if lane.kind == "bike" or len(centre) < 2 or outside.any():
+        if lane.kind == "bike" or len(lane.centre_m) < 2:
             continue
-        inside |= polylines.project(centre, points).distance_m <= reach
+        reach = (lane.width_m or _WIDTH_M) / 2 + MARGIN_M
+        low, high = lane.centre_m.min(axis=0) - reach, lane.centre_m.max(axis=0) + reach
+        near = ~inside & ((points >= low) & (points <= high)).all(axis=1)
+        if near.any():
+            inside[near] = polylines.project(lane.centre_m, points[near]).distance_m <= reach
     return inside

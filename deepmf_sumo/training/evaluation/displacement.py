@@ -1,4 +1,4 @@
-"""Measures of predictions, as WOMD and the opponent literature define them."""
+"""Distances between predicted modes and what happened, as WOMD defines them."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -7,6 +7,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
 from deepmf_sumo.predictors.selection import speed_factor
+from deepmf_sumo.training.evaluation.estimates import mean, standard_error
 
 HORIZONS: Final[dict[str, tuple[int, float, float]]] = {
     "3.0": (29, 1.0, 2.0),
@@ -14,14 +15,20 @@ HORIZONS: Final[dict[str, tuple[int, float, float]]] = {
     "8.0": (79, 3.0, 6.0),
 }
 """Seconds -> index in the 80 steps, and WOMD's miss thresholds across and along, metres."""
+EARLY: Final[dict[str, int]] = {"1.0": 9, "2.0": 19}
+"""Seconds at which the attack needs its best mode close; WOMD has no miss rule there."""
+STEPS: Final[dict[str, int]] = EARLY | {key: step for key, (step, *_) in HORIZONS.items()}
 
 
 @dataclass(slots=True)
 class DisplacementErrors:
-    """Errors of M modes against what happened, summed over agents; at 2 Hz up to each horizon."""
+    """Errors of the best of M modes, a value an object; ADE at 2 Hz up to each horizon.
+
+    An object counts at a horizon where it is known there (ADE: anywhere up to there).
+    """
 
     ade: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in HORIZONS})
-    fde: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in HORIZONS})
+    fde: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in STEPS})
     missed: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in HORIZONS})
 
     def add(
@@ -32,8 +39,11 @@ class DisplacementErrors:
         valid: Bools,
         speed_mps: float,
     ) -> None:
-        """One agent: modes (M, 80, 2), what happened (80, 2), (80), (80), start speed."""
+        """One object: modes (M, 80, 2), what happened (80, 2), (80), (80), start speed."""
         error = np.linalg.norm(modes_m - true_m, axis=-1)  # (M, 80)
+        for key, step in STEPS.items():
+            if valid[step]:
+                self.fde[key].append(float(error[:, step].min()))
         for key, (step, across_m, along_m) in HORIZONS.items():
             seen = np.arange(4, step + 1, 5)
             seen = seen[valid[seen]]
@@ -41,7 +51,6 @@ class DisplacementErrors:
                 self.ade[key].append(float(error[:, seen].mean(1).min()))
             if not valid[step]:
                 continue
-            self.fde[key].append(float(error[:, step].min()))
             off = modes_m[:, step] - true_m[step]
             cos, sin = np.cos(true_heading_rad[step]), np.sin(true_heading_rad[step])
             factor = speed_factor(speed_mps)
@@ -50,27 +59,15 @@ class DisplacementErrors:
             self.missed[key].append(float(not (along & across).any()))
 
 
-def auroc(scores: Floats, labels: Bools) -> float | None:
-    """Area under the ROC curve; ties count half. None without both kinds."""
-    positive, negative = int(labels.sum()), int((~labels).sum())
-    if not positive or not negative:
-        return None
-    values, inverse, counts = np.unique(scores, return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(counts) - (counts - 1) / 2)[inverse]
-    assert len(values) == len(counts)
-    return float((ranks[labels].sum() - positive * (positive + 1) / 2) / (positive * negative))
-
-
-def average_precision(scores: Floats, labels: Bools) -> float | None:
-    """Area under the precision-recall curve (step-wise). None without positives."""
-    if not labels.any():
-        return None
-    order = np.argsort(-scores, kind="stable")
-    hits = labels[order]
-    precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
-    return float(precision[hits].mean())
-
-
-def mean(values: list[float], digits: int = 3) -> float | None:
-    """Rounded mean; None of nothing."""
-    return round(float(np.mean(values)), digits) if values else None
+def summary(errors: dict[int, DisplacementErrors], key: str) -> dict[str, object]:
+    """Least final errors with standard errors, minADE and miss rate, each by number of modes."""
+    found: dict[str, object] = {
+        "min_fde": {str(modes): mean(each.fde[key]) for modes, each in errors.items()},
+        "min_fde_standard_error": {
+            str(modes): standard_error(each.fde[key]) for modes, each in errors.items()
+        },
+    }
+    if key in HORIZONS:
+        found["min_ade"] = {str(modes): mean(each.ade[key]) for modes, each in errors.items()}
+        found["miss_rate"] = {str(modes): mean(each.missed[key]) for modes, each in errors.items()}
+    return found

@@ -1,0 +1,66 @@
+"""``deepmf-sumo ablate``: what each part of the networks and of the attack is worth, and costs."""
+
+import sys
+from pathlib import Path
+
+import click
+
+
+@click.command(name="ablate")
+@click.argument("file", metavar="PLAN", type=click.Path(path_type=Path))
+@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a plan's key.")
+@click.option(
+    "--out",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder of weights, figures, runs and tables; what is finished there is kept.",
+)
+@click.option(
+    "--jobs", "-j", type=click.IntRange(1, 256), default=1, show_default=True,
+    help="Processes that compute features, and that attack.",
+)  # fmt: skip
+@click.option(
+    "--threads", type=click.IntRange(min=1), help="CPU threads of training; torch's own by default."
+)
+@click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
+@click.option(
+    "--cache",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for computed features, else under the weights home.",
+)
+@click.pass_context
+def command(
+    ctx: click.Context,
+    file: Path,
+    sets: tuple[str, ...],
+    out: Path,
+    jobs: int,
+    threads: int | None,
+    device: str,
+    cache: Path | None,
+) -> None:
+    """Train, evaluate and attack with each variant of PLAN: a table of quality and cost.
+
+    Writes ablation.csv and ablation.md after each variant. The same command goes on where it was
+    cut off.
+    """
+    from deepmf_sumo.benchmark import ablation
+    from deepmf_sumo.cli.figures.ablation import show
+
+    plan = ablation.load(file, sets)
+    options = ablation.Options(
+        out=out,
+        cache=cache,
+        jobs=jobs,
+        threads=threads,
+        device="cuda" if device == "cuda" else "cpu",
+        command=" ".join(["deepmf-sumo", *sys.argv[1:]]),
+    )
+    rows, notes = [], []
+    for row in ablation.run(plan, options, lambda line: click.echo(line, err=True)):
+        rows.append(row)
+        notes = ablation.notes(plan, options, rows)
+        ablation.write(out, notes, rows)
+    show(notes, rows, out)
+    failed = any(attacked.failed for row in rows for attacked in row.attacks)
+    ctx.exit(3 if failed else 0)

@@ -1,0 +1,26 @@
+"""What `ablate` shows: its notes and its table."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deepmf_sumo.benchmark.ablation import Row, cells, headings
+
+
+def show(notes: Sequence[str], rows: Sequence[Row], out: Path) -> None:
+    """The table as in ``ablation.md``."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 240  # pipes and logs have no width of their own
+    for note in notes:
+        console.print(escape(note), soft_wrap=True)
+    grid = Table(box=None, pad_edge=False, header_style="bold")
+    for number, heading in enumerate(headings([one.planner for one in rows[0].attacks])):
+        grid.add_column(heading, justify="left" if number < 2 else "right")
+    for row in rows:
+        grid.add_row(*map(escape, cells(row)))
+    console.print(grid)
+    console.print(escape(f"{out}/ablation.csv, {out}/ablation.md"), soft_wrap=True)

@@ -1,0 +1,59 @@
+"""Networks made up at random from a seed, with traffic on them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.network.generated import demand, motorway, roundabouts, skeleton
+from deepmf_sumo.network.generated.dressing import dress
+from deepmf_sumo.network.generated.layout import Layout, build
+
+__all__ = ["KINDS", "MIX", "generate", "kinds_of"]
+
+
+def _streets(
+    make: Callable[[np.random.Generator], skeleton.Skeleton],
+) -> Callable[[np.random.Generator], Layout]:
+    def layout(rng: np.random.Generator) -> Layout:
+        dressed = dress(make(rng), rng)
+        roundabouts.add(dressed, rng)
+        return dressed
+
+    return layout
+
+
+_MAKERS: Final[dict[str, Callable[[np.random.Generator], Layout]]] = {
+    "grid": _streets(skeleton.grid),
+    "spider": _streets(skeleton.spider),
+    "random": _streets(skeleton.random_net),
+    "junctions": _streets(skeleton.crossing),
+    "motorway": motorway.motorway,
+}
+MIX: Final = "mix"
+KINDS: Final = (*_MAKERS, MIX)
+_MIXED: Final = ("grid", "junctions", "random", "grid", "junctions", "spider", "motorway")
+"""What a mix consists of, one after the other."""
+
+
+def kinds_of(kind: str, count: int) -> list[str]:
+    """The kind of each of ``count`` networks."""
+    return [_MIXED[number % len(_MIXED)] if kind == MIX else kind for number in range(count)]
+
+
+def generate(kind: str, seed: int, number: int, folder: Path) -> Path:
+    """Make a network and traffic for it; returns the .sumocfg. The same numbers, the same bytes.
+
+    Args:
+        kind: one of ``KINDS`` but the mix.
+        seed: of all networks.
+        number: of this one among them.
+        folder: exists; is written to.
+
+    Raises ConversionError where SUMO's programs refuse what was drawn.
+    """
+    rng = np.random.default_rng([seed, number, sorted(_MAKERS).index(kind)])
+    layout = _MAKERS[kind](rng)
+    net = build(layout, folder)
+    return demand.write(layout, net, folder, f"{kind}-{seed}-{number:03d}", rng)

@@ -1,0 +1,274 @@
+"""Where many vehicles can drive along the lane graph: coarse routes of all of them at once.
+
+`paths` prepares one vehicle's paths finely enough to drive on. Relations of a vehicle to everybody
+around it need many vehicles' routes in a few milliseconds, and care for metres only.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SignalState
+from deepmf_sumo.geometry import angles
+from deepmf_sumo.predictors.paths import signal_colour
+from deepmf_sumo.predictors.road_index import RoadIndex, road_index
+
+NODES: Final = 46
+SPACING_M: Final = 4.0
+"""Routes reach 180 m."""
+
+_REACH_M = 5.0
+_TURN_RAD = np.deg2rad(60.0)
+_CELL_M = 8.0
+_STARTS = 3
+"""Start lanes of a vehicle, and continuations of each of them."""
+_ROUTES_OF_START = (5, 2, 2)
+_AHEAD_S, _AHEAD_M, _MOST_M = 8.0, 60.0, (NODES - 1) * SPACING_M
+_ALONG = np.arange(NODES) * SPACING_M
+_NO_STOP_M = 200.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Routes:
+    """R routes, those of a vehicle together, the likeliest start lane first.
+
+    Attributes:
+        owner: (R) row of the vehicle in the arguments.
+        rank: (R) 0 for the first route of each vehicle.
+        node_m: (R, 46, 2) every 4 m along the lanes, straight on past the end of the graph.
+        direction: (R, 46, 2) unit vectors along the lanes.
+        left_m, turn_rad: (R) the vehicle's offset from the start lane and its heading to it.
+        end_m: (R) length of the lane graph, at most 180 m. limit_mps: (R) 0 where unknown.
+        stop_m: (R) distance to the first signal, 200 without one.
+        signal: (R, 4) one-hot red, yellow, green, unknown; zeros without a signal.
+    """
+
+    owner: Ints
+    rank: Ints
+    node_m: Floats
+    direction: Floats
+    left_m: Floats
+    turn_rad: Floats
+    end_m: Floats
+    limit_mps: Floats
+    stop_m: Floats
+    signal: Floats
+
+
+class _Pairs(NamedTuple):
+    """Vehicles and segments near them: along the segment, left of it, distance, turn to it."""
+
+    vehicle: Ints
+    segment: Ints
+    along_m: Floats
+    left_m: Floats
+    apart_m: Floats
+    turn_rad: Floats
+
+
+class _Feet(NamedTuple):
+    """Feet of vehicles on lanes, cheapest first within each vehicle."""
+
+    vehicle: Ints
+    segment: Ints
+    lane: Ints
+    along_m: Floats
+    left_m: Floats
+    turn_rad: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Grid:
+    """Segments sorted by the 8 m cell of their start; ``key`` is that of the sorted ones."""
+
+    key: Ints
+    segment: Ints
+    first: Ints
+    low_m: Floats
+    rows: int
+
+
+def lane_routes(
+    road: RoadMap,
+    position_m: Floats,
+    heading_rad: Floats,
+    speed_mps: Floats,
+    signals: dict[str, SignalState],
+) -> Routes:
+    """Routes of V vehicles: positions (V, 2), headings (V), speeds (V). Off the lanes: none."""
+    index, grid = road_index(road), _grid(road)
+    feet = _feet(index, grid, position_m, heading_rad)
+    owner, rank, foot_of, chains = [], [], [], []
+    taken: dict[int, int] = {}
+    starts: dict[int, int] = {}
+    for foot, vehicle in enumerate(feet.vehicle.tolist()):
+        number = starts.get(vehicle, 0)
+        if number == _STARTS:
+            continue
+        starts[vehicle] = number + 1
+        depth = min(_AHEAD_S * float(speed_mps[vehicle]) + _AHEAD_M, _MOST_M)
+        lane, along = int(feet.lane[foot]), float(feet.along_m[foot])
+        for chain in _chains(index, lane, along, depth, _ROUTES_OF_START[number]):
+            owner.append(vehicle)
+            rank.append(taken.get(vehicle, 0))
+            taken[vehicle] = rank[-1] + 1
+            foot_of.append(foot)
+            chains.append(chain)
+    picked = np.array(foot_of, np.int64)
+    return Routes(
+        owner=np.array(owner, np.int64),
+        rank=np.array(rank, np.int64),
+        left_m=feet.left_m[picked],
+        turn_rad=feet.turn_rad[picked],
+        limit_mps=index.limit_mps[feet.lane[picked]],
+        **_geometry(index, grid, feet, picked, chains),
+        **_stops(index, feet, picked, chains, signals),
+    )
+
+
+@lru_cache(maxsize=8)
+def _grid(road: RoadMap) -> _Grid:
+    """Made once a road, like its index."""
+    index = road_index(road)
+    start = index.segment_start_m
+    low = start.min(0) - 2 * _CELL_M if len(start) else np.zeros(2)
+    cell = np.floor((start - low) / _CELL_M).astype(np.int64)
+    rows = int(cell[:, 1].max()) + 3 if len(cell) else 1
+    key = cell[:, 0] * rows + cell[:, 1]
+    segment = np.argsort(key, kind="stable")
+    lanes = np.arange(len(index.lane_ids) + 1)
+    return _Grid(
+        key=key[segment],
+        segment=segment,
+        first=np.searchsorted(index.segment_lane, lanes),
+        low_m=low,
+        rows=rows,
+    )
+
+
+def on_lanes(
+    road: RoadMap, position_m: Floats, heading_rad: Floats, reach_m: float, turn_rad: float
+) -> Bools:
+    """(V) who is within reach (at most 8 m) and angle of any drivable lane."""
+    pairs = _pairs(road_index(road), _grid(road), position_m, heading_rad)
+    near = (pairs.apart_m < reach_m) & (np.abs(pairs.turn_rad) < turn_rad)
+    found = np.zeros(len(position_m), bool)
+    found[pairs.vehicle[near]] = True
+    return found
+
+
+def _pairs(index: RoadIndex, grid: _Grid, position_m: Floats, heading_rad: Floats) -> _Pairs:
+    """Vehicles and the drivable segments near them."""
+    vehicle, segment = _near(grid, position_m)
+    drivable = index.drivable[index.segment_lane[segment]]
+    vehicle, segment = vehicle[drivable], segment[drivable]
+    direction = index.segment_direction[segment]
+    offset = position_m[vehicle] - index.segment_start_m[segment]
+    share = np.clip((offset * direction).sum(-1), 0.0, index.segment_length_m[segment])
+    away = offset - share[:, None] * direction
+    ahead = angles.unit(heading_rad)[vehicle]
+    cross = direction[:, 0] * ahead[:, 1] - direction[:, 1] * ahead[:, 0]
+    return _Pairs(
+        vehicle,
+        segment,
+        share,
+        direction[:, 0] * offset[:, 1] - direction[:, 1] * offset[:, 0],
+        np.hypot(away[:, 0], away[:, 1]),
+        np.arctan2(cross, (direction * ahead).sum(-1)),
+    )
+
+
+def _feet(index: RoadIndex, grid: _Grid, position_m: Floats, heading_rad: Floats) -> _Feet:
+    """The foot of each vehicle on each lane within reach and angle."""
+    pairs = _pairs(index, grid, position_m, heading_rad)
+    kept = np.flatnonzero((pairs.apart_m < _REACH_M) & (np.abs(pairs.turn_rad) < _TURN_RAD))
+    kept = kept[np.argsort(pairs.apart_m[kept], kind="stable")]
+    lane = index.segment_lane[pairs.segment[kept]]
+    _, first = np.unique(pairs.vehicle[kept] * (len(index.lane_ids) + 1) + lane, return_index=True)
+    kept = kept[first]
+    cost = pairs.apart_m[kept] + 4 * np.abs(pairs.turn_rad[kept])
+    kept = kept[np.lexsort((cost, pairs.vehicle[kept]))]
+    segment = pairs.segment[kept]
+    return _Feet(
+        pairs.vehicle[kept],
+        segment,
+        index.segment_lane[segment],
+        index.segment_along_m[segment] + pairs.along_m[kept],
+        pairs.left_m[kept],
+        pairs.turn_rad[kept],
+    )
+
+
+def _near(grid: _Grid, position_m: Floats) -> tuple[Ints, Ints]:
+    """Pairs of vehicle and segment in its own cell or one of the eight around it."""
+    cell = np.floor((position_m - grid.low_m) / _CELL_M).astype(np.int64)
+    inside = (cell[:, 1] >= 1) & (cell[:, 1] < grid.rows - 1)
+    vehicle = np.repeat(np.flatnonzero(inside), 3)
+    column = cell[inside, 0][:, None] + np.array([-1, 0, 1])
+    low = (column * grid.rows + cell[inside, 1][:, None] - 1).reshape(-1)
+    begin = np.searchsorted(grid.key, low)
+    count = np.searchsorted(grid.key, low + 3) - begin
+    place = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    return np.repeat(vehicle, count), grid.segment[np.repeat(begin, count) + place]
+
+
+def _chains(
+    index: RoadIndex, lane: int, along_m: float, depth_m: float, most: int
+) -> list[tuple[int, ...]]:
+    """Lane sequences from a lane on, as deep as wanted."""
+    found: list[tuple[int, ...]] = []
+    stack: list[tuple[tuple[int, ...], float]] = [((lane,), float(index.length_m[lane]) - along_m)]
+    while stack and len(found) < most:
+        lanes, length = stack.pop()
+        following = [each for each in index.following[lanes[-1]] if each not in lanes]
+        if length >= depth_m or not following:
+            found.append(lanes)
+        else:
+            stack += [((*lanes, each), length + index.length_m[each]) for each in following[::-1]]
+    return found
+
+
+def _geometry(
+    index: RoadIndex, grid: _Grid, feet: _Feet, picked: Ints, chains: list[tuple[int, ...]]
+) -> dict[str, Floats]:
+    """Nodes, directions and ends of the routes."""
+    node, direction = np.empty((2, len(chains), NODES, 2))
+    end = np.empty(len(chains))
+    for row, (foot, lanes) in enumerate(zip(picked.tolist(), chains, strict=True)):
+        spans = [np.arange(feet.segment[foot], grid.first[lanes[0] + 1])]
+        spans += [np.arange(grid.first[lane], grid.first[lane + 1]) for lane in lanes[1:]]
+        segment = np.concatenate(spans)
+        length = index.segment_length_m[segment]
+        before = np.cumsum(length) - length
+        first = feet.along_m[foot] - index.segment_along_m[feet.segment[foot]]
+        at = np.maximum(np.searchsorted(before, _ALONG + first, side="right") - 1, 0)
+        direction[row] = index.segment_direction[segment[at]]
+        on = _ALONG + first - before[at]
+        node[row] = index.segment_start_m[segment[at]] + on[:, None] * direction[row]
+        end[row] = before[-1] + length[-1] - first
+    return {"node_m": node, "direction": direction, "end_m": np.minimum(end, _MOST_M)}
+
+
+def _stops(
+    index: RoadIndex,
+    feet: _Feet,
+    picked: Ints,
+    chains: list[tuple[int, ...]],
+    signals: dict[str, SignalState],
+) -> dict[str, Floats]:
+    """Distance and colour of the first signal that is not behind."""
+    stop, colour = np.full(len(chains), _NO_STOP_M), np.zeros((len(chains), 4))
+    if not signals:
+        return {"stop_m": stop, "signal": colour}
+    for row, (foot, lanes) in enumerate(zip(picked.tolist(), chains, strict=True)):
+        start = -float(feet.along_m[foot])
+        for lane in lanes:
+            state = signals.get(index.lane_ids[lane])
+            if state is not None and start > -3.0:
+                stop[row] = min(start, _NO_STOP_M)
+                colour[row, signal_colour(state)] = 1.0
+                break
+            start += float(index.length_m[lane])
+    return {"stop_m": stop, "signal": colour}

@@ -1,0 +1,72 @@
+"""Command line and configuration -> what to train; flags stand above the file."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.presets import preset_named
+from deepmf_sumo.predictors.weights import NETWORKS, Network
+from deepmf_sumo.training import config, run
+from deepmf_sumo.training.cache import Progress
+
+
+def train_named(
+    network: str,
+    *,
+    file: Path | None,
+    data: Sequence[str],
+    name: str,
+    out: Path | None,
+    preset: str | None,
+    begin_from: str | None,
+    seed: int | None,
+    licence: str | None,
+    optimisation: Mapping[str, Any],
+    device: str,
+    threads: int | None,
+    cache: Path | None,
+    jobs: int,
+    again: bool,
+    command: str,
+    report: Progress,
+) -> None:
+    """Train the network of a name, or ``all``, into the weights home or the folder ``out``.
+
+    What is None is what ``file`` says, else the default. Raises UsageError without any data.
+    """
+    settings = config.load(file) if file is not None else config.Config(version=1)
+    sources = [config.parsed(text) for text in data] or settings.sources()
+    if not sources:
+        raise UsageError("There is no data to train on; give --data, or a --config with 'data'.")
+    config.check_weights(sources)
+    flags = config.Optimisation(**optimisation)
+    training = run.Training(
+        data=sources,
+        folder=out or weights.place(name),
+        cache=cache or weights.home() / ".features",
+        preset=preset_named(preset or settings.preset or "light"),
+        optimisation={each: flags.over(settings.of(each)) for each in NETWORKS},
+        begin_from=begin_from or settings.begin_from,
+        seed=seed if seed is not None else settings.seed or 0,
+        device="cuda" if device == "cuda" else "cpu",
+        jobs=jobs,
+        again=again,
+        licence=licence if licence is not None else settings.licence or "",
+        command=command,
+    )
+    chosen = [each for each in NETWORKS if network in {each, "all"}]
+    train_each(chosen, training, threads, report)
+
+
+def train_each(
+    networks: Sequence[Network], training: run.Training, threads: int | None, report: Progress
+) -> None:
+    """Train networks one after the other, with so many CPU threads; None leaves it to torch."""
+    if threads is not None:
+        torch.set_num_threads(threads)
+    for network in networks:
+        run.train(network, training, report)

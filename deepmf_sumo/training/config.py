@@ -1,0 +1,154 @@
+"""``train --config FILE``: what to train, in strict YAML, and the defaults of each network."""
+
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BeforeValidator, Field
+
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.spec.document import read
+from deepmf_sumo.spec.loading import checked
+from deepmf_sumo.spec.model import ExistingPath, Strict
+from deepmf_sumo.training.making import Data
+
+Precision = Literal["auto", "bf16", "fp32"]
+DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
+    "opponent": {
+        "steps": 900,
+        "batch": 32,
+        "rate": 2e-3,
+        "weight_decay": 0.05,
+        "ema": 0.998,
+        "precision": "fp32",
+    },
+    "marginal": {"steps": 1500},
+    "conditional": {"steps": 2000, "rate": 1.5e-3},
+}
+"""Where they differ from those of `Optimisation.with_defaults`."""
+_FINE_RATE: Final = 5e-4
+"""Learning rate of a network that begins from the same one of another set."""
+
+
+class Optimisation(Strict):
+    """How to train a network; what is left out takes the network's default."""
+
+    steps: int | None = Field(default=None, ge=1)
+    batch: int | None = Field(default=None, ge=1, description="samples a step")
+    rate: float | None = Field(default=None, gt=0, le=1, description="highest learning rate")
+    fresh_rate: float | None = Field(
+        default=None, gt=0, le=1, description="of layers that begin anew in a network that does not"
+    )
+    weight_decay: float | None = Field(default=None, ge=0, le=1)
+    clip: float | None = Field(default=None, gt=0, description="largest norm of the gradient")
+    ema: float | None = Field(
+        default=None, ge=0, lt=1, description="decay of the average of the weights; 0: none"
+    )
+    precision: Precision | None = None
+    evaluate_every: int | None = Field(default=None, ge=1, description="steps between looks")
+    patience: int | None = Field(
+        default=None, ge=0, description="looks without gain after which to stop; 0: never"
+    )
+
+    def over(self, other: "Optimisation") -> "Optimisation":
+        """These settings, and the other's where these say nothing."""
+        own = {name: getattr(self, name) for name in Optimisation.model_fields}
+        return Optimisation(
+            **{
+                name: getattr(other, name) if value is None else value
+                for name, value in own.items()
+            }
+        )
+
+    def with_defaults(self, network: Network, *, began: bool) -> dict[str, Any]:
+        """All values: these, then the network's own, then the common ones."""
+        given = {name: value for name, value in dict(self).items() if value is not None}
+        common: dict[str, Any] = {
+            "batch": 64,
+            "rate": 2e-3,
+            "fresh_rate": 4e-3,
+            "weight_decay": 0.02,
+            "clip": 5.0,
+            "ema": 0.0,
+            "precision": "auto",
+            "patience": 0,
+        }
+        values = common | DEFAULTS[network] | ({"rate": _FINE_RATE} if began else {}) | given
+        values.setdefault("evaluate_every", min(250, max(values["steps"] // 4, 1)))
+        return values
+
+
+class DataEntry(Strict):
+    """A source of recordings, and its share in training relative to the others."""
+
+    path: ExistingPath
+    weight: float | None = Field(default=None, gt=0)
+
+
+def _entry(value: Any) -> Any:
+    return {"path": value} if isinstance(value, str) else value
+
+
+class Config(Optimisation):
+    """A training: its data, how to optimise, and the same for single networks."""
+
+    version: Literal[1]
+    data: list[Annotated[DataEntry, BeforeValidator(_entry)]] | None = Field(
+        default=None, min_length=1
+    )
+    preset: str | None = None
+    begin_from: str | None = Field(
+        default=None, description="set of weights whose networks these begin from"
+    )
+    seed: int | None = Field(default=None, ge=0, lt=2**31)
+    licence: str | None = None
+    opponent: Optimisation = Optimisation()
+    marginal: Optimisation = Optimisation()
+    conditional: Optimisation = Optimisation()
+
+    def of(self, network: Network) -> Optimisation:
+        """How to train one network: its own settings over those of all."""
+        own: Optimisation = getattr(self, network)
+        return own.over(self)
+
+    def sources(self) -> list[Data]:
+        """The recordings; as `parsed` gives them from the command line."""
+        return [Data(path=entry.path, weight=entry.weight) for entry in self.data or ()]
+
+
+def load(file: Path) -> Config:
+    """The configuration in a file; its paths are relative to it.
+
+    Raises SpecError for anything wrong, with file, line and key.
+    """
+    document = read(file)
+    context = {"folder": str(file.parent)}
+    config: Config = checked(Config, document.values, (), document, context)
+    check_weights(config.sources(), f"{document.place(('data',))}: key 'data'")
+    return config
+
+
+def parsed(text: str) -> Data:
+    """``PATH`` or ``PATH=WEIGHT``. Raises UsageError where the weight is no number above 0."""
+    path, equals, weight = text.rpartition("=")
+    if not equals or Path(text).exists():
+        return Data(path=Path(text))
+    try:
+        value = float(weight)
+    except ValueError:
+        value = 0.0
+    if not (path and 0 < value < float("inf")):
+        raise UsageError(
+            f"--data {text}: '{weight}' is no weight; give PATH=WEIGHT, e.g. {path}=2."
+        )
+    return Data(path=Path(path), weight=value)
+
+
+def check_weights(data: list[Data], place: str = "--data") -> None:
+    """Raises UsageError where some sources have a weight and others have none."""
+    without = [entry.path.name for entry in data if entry.weight is None]
+    if 0 < len(without) < len(data):
+        raise UsageError(
+            f"{place}: {', '.join(without)} has no weight, but other sources have; give all of them"
+            " one, or none."
+        )

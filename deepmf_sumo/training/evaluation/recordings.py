@@ -1,0 +1,143 @@
+"""Recordings and weights -> figures."""
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from deepmf_sumo import readers
+from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.errors import OutputError, ReaderError
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.training import cards, clusters, windows
+from deepmf_sumo.training.evaluation import summary
+from deepmf_sumo.training.evaluation.conditional import ConditionalFigures, Pair
+from deepmf_sumo.training.evaluation.marginal import MarginalFigures
+from deepmf_sumo.training.evaluation.opponent import OpponentFigures
+from deepmf_sumo.training.evaluation.targets import targets
+
+MODES: Final = (6, 16, 32)
+_NAMED: Final = 20
+"""So many refused records are named, the others counted."""
+
+
+@dataclass(slots=True)
+class Refused:
+    """Records that could not be used."""
+
+    count: int = 0
+    reasons: list[str] = field(default_factory=list)
+
+    def add(self, file: str, record: int, reason: str) -> None:
+        """One more; the first twenty are named."""
+        self.count += 1
+        if len(self.reasons) < _NAMED:
+            known = file in reason  # readers mostly name the place themselves
+            self.reasons.append(reason if known else f"{file}, record {record}: {reason}")
+
+
+def evaluate(
+    data: Sequence[Path],
+    name: str | Path,
+    report: Callable[[str], None],
+    candidates: int = max(MODES),
+) -> dict[str, Any]:
+    """All figures as nested dictionaries: opponent, marginal, conditional.
+
+    Targets are the labelled vehicles of each scene; where a scene has no labels, the AV and all
+    vehicles that move within 50 m of it. Of a simulated attack the AV alone, and no opponent
+    scores, since the attack has made its own labels. ``candidates`` is a number of modes (N1) to
+    measure besides 6, 16, 32. Raises ReaderError where there is no usable scene.
+    """
+    predictors = weights.load(name)
+    modes = tuple(sorted({*MODES, candidates}))
+    fitted = clusters.read(predictors.folder) if predictors.folder else None
+    opponent = OpponentFigures()
+    marginal = MarginalFigures(modes, fitted)
+    conditional = ConditionalFigures(modes)
+    refused, scenes, labelled = Refused(), 0, 0
+    for scene in _usable(data, refused):
+        view = windows.view_at(scene, scene.now)
+        if scene.source.dataset != windows.ROLLOUT:
+            opponent.add(predictors.opponent, scene, view)
+        pairs = []
+        for target in targets(scene, view):
+            found = marginal.add(predictors.marginal, target)
+            if target.partner is not None:
+                pairs.append(Pair(target=target, partner=target.partner, marginals=found))
+        conditional.add(predictors.conditional, pairs)
+        scenes, labelled = scenes + 1, labelled + len(scene.interest)
+        if scenes % 20 == 0:
+            report(f"{scenes} scenes")
+    if not scenes:
+        places, why = ", ".join(map(str, data)), ""
+        if refused.count:
+            why = f" (the first of {refused.count} refused: {refused.reasons[0]})"
+        raise ReaderError(
+            f"There is no usable scene in {places}{why}; give recorded files or folders of such."
+        )
+    conditional.finish(predictors.conditional)
+    return {
+        "data": [path.name for path in data],
+        "weights": str(name),
+        "scenes": scenes,
+        "attacked_scenes": scenes - opponent.scenes,
+        "refused": refused.count,
+        "refusals": refused.reasons,
+        "labelled_objects": labelled,
+        "modes": list(modes),
+        "opponent": opponent.summary(),
+        "marginal": marginal.summary(),
+        "conditional": conditional.summary(),
+    }
+
+
+def run(
+    data: Sequence[Path],
+    *,
+    name: str,
+    file: Path | None,
+    card: bool,
+    threads: int | None,
+    report: Callable[[str], None],
+    candidates: int = max(MODES),
+) -> dict[str, Any]:
+    """Evaluate, write the figures to ``file`` and, with ``card``, into the cards of the weights.
+
+    Raises OutputError where they cannot be written.
+    """
+    if threads is not None:
+        torch.set_num_threads(threads)
+    found = evaluate(data, name, report, candidates)
+    if file is not None:
+        _write(file, found)
+    if card:
+        cards.add_results(weights.find(name), summary.compact(found))
+    return found
+
+
+def _write(file: Path, found: dict[str, Any]) -> None:
+    beside = file.with_name(f"{file.name}.{os.getpid()}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        beside.replace(file)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise OutputError(f"{file} cannot be written: {error.strerror}.") from None
+
+
+def _usable(data: Sequence[Path], refused: Refused) -> Iterator[Scene]:
+    for each in readers.scenes(data):
+        if isinstance(each, Refusal):
+            refused.add(each.file, each.record, each.reason)
+        elif not each.tracks.valid[each.tracks.row(each.av_id), each.now]:
+            reason = f"the AV is not there at the current step {each.now}"
+            refused.add(each.source.file, each.source.record, reason)
+        else:
+            yield each

@@ -1,0 +1,109 @@
+"""One scene -> training samples of the opponent network.
+
+The pseudo-labels need no human: any vehicle of a recording can stand in for the AV. So every
+window is looked at from the AV, and from some of the vehicles that drive near it.
+"""
+
+import json
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import HISTORY_STEPS, AgentId, Scene, View
+from deepmf_sumo.predictors.opponent_features import OTHERS, opponent_features
+from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.training import labels, windows
+from deepmf_sumo.training.cache import Arrays
+
+AV_STEPS = (10, 15, 20, 25, 30, 40)
+"""Current steps at which the AV looks around."""
+STAND_IN_STEPS = (10, 30)
+"""Current steps at which others look around in its place."""
+STAND_INS: Final = 2
+"""So many of them a window, the labelled partner of the AV first."""
+SIMULATED_STEPS: Final = (10, 30)
+"""Those of simulated traffic, which is plentiful: the AV alone looks around there."""
+VERSION: Final = 2
+"""Changes when features change."""
+
+_NEAR_M = 60.0
+_KNOWN_STEPS = 45
+_WAY_M = 4.0
+"""Who stands in for the AV drives farther than this, and is seen for longer."""
+
+
+def settings(preset: Preset) -> str:
+    """What the samples depend on, for the cache: of the preset, the image's sizes alone."""
+    image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
+    steps = f"{AV_STEPS} {STAND_IN_STEPS} {STAND_INS} {SIMULATED_STEPS}"
+    return f"{VERSION} {steps} {json.dumps(image, sort_keys=True)}"
+
+
+def opponent_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
+    """Features around the AV and who stands in for it, with both labels of each vehicle.
+
+    Labels look at the recording from the start of the window's history on. Added to
+    `opponent_features`: interacts (63), partner (63) one-hot, partner_known (), stands_in ().
+    Networks that leave a branch out train on the same samples.
+    """
+    preset = replace(preset, raster=True, vectors=True)
+    tracks = scene.tracks
+    rng = np.random.default_rng(zlib.crc32(scene.name.encode()))
+    simulated = scene.source.dataset == windows.SIMULATED
+    av_steps, others = (SIMULATED_STEPS, ()) if simulated else (AV_STEPS, STAND_IN_STEPS)
+    for step in sorted({*av_steps, *others}):
+        if step >= tracks.steps:
+            break
+        view = windows.view_at(scene, step)
+        centres = [scene.av_id] if step in av_steps and scene.av_id in view.history.ids else []
+        if step in others:
+            centres += _stand_ins(scene, step, rng)
+        for centre in centres:
+            sample = _sample(scene, replace(view, av_id=centre), preset)
+            if sample is not None:
+                yield sample
+
+
+def _stand_ins(scene: Scene, step: int, rng: np.random.Generator) -> list[AgentId]:
+    """Vehicles that drive near the AV, the labelled partner among them."""
+    tracks, av = scene.tracks, scene.tracks.row(scene.av_id)
+    found = []
+    for row, agent_id in enumerate(tracks.ids):
+        if tracks.kinds[row] != "vehicle" or row == av or not tracks.valid[row, step]:
+            continue
+        seen = step + np.flatnonzero(tracks.valid[row, step:])
+        way = tracks.position_m[row, seen[-1]] - tracks.position_m[row, step]
+        away = tracks.position_m[row, step] - tracks.position_m[av, step]
+        drives = len(seen) >= _KNOWN_STEPS and np.hypot(*way) > _WAY_M
+        if agent_id == scene.partner_id or (drives and np.hypot(*away) < _NEAR_M):
+            found.append(agent_id)
+    order = rng.permutation(len(found))
+    chosen = sorted(order, key=lambda number: found[number] != scene.partner_id)[:STAND_INS]
+    return [found[number] for number in sorted(chosen)]
+
+
+def _sample(scene: Scene, view: View, preset: Preset) -> Arrays | None:
+    """One view with its labels; None where there is no other vehicle."""
+    tracks = scene.tracks
+    stands_in = view.av_id != scene.av_id
+    known_s = (tracks.steps - 1 - view.step) * view.dt_s
+    arrays, around = opponent_features(view, preset, known_s=min(known_s, 8.0), stands_in=stands_in)
+    if not around.vehicles:
+        return None
+    ids = around.ids(view)
+    partner_of = {scene.av_id: scene.partner_id, scene.partner_id: scene.av_id}
+    other = partner_of.get(view.av_id) if scene.partner_id is not None else None
+    rest = tracks.window(view.step - HISTORY_STEPS + 1, tracks.steps)
+    interacts, partner = np.zeros(OTHERS, np.float32), np.zeros(OTHERS, np.float32)
+    interacts[: len(ids)] = labels.interacting(rest, view.av_id, ids)
+    partner[: len(ids)] = [agent_id == other for agent_id in ids]
+    return {
+        **arrays,
+        "interacts": interacts,
+        "partner": partner,
+        "partner_known": np.asarray(partner.any(), np.float32),
+        "stands_in": np.asarray(stands_in, np.float32),
+    }

@@ -1,0 +1,104 @@
+"""Figures of an ablation and their table: every denominator is shown."""
+
+import csv
+
+import pytest
+
+from deepmf_sumo.benchmark import ablation
+from deepmf_sumo.benchmark.ablation import figures
+
+CARDS = {
+    "opponent": {"weights": 1000, "hours": 0.5},
+    "marginal": {"weights": 200, "hours": 0.1, "steps_made": 30},
+    "conditional": {"weights": 34, "hours": 0.05, "steps_made": 20},
+}
+EVALUATION = {
+    "scenes": 4,
+    "refused": 1,
+    "marginal": {
+        "8.0": {
+            "objects": 7,
+            "min_fde": {"6": 4.123, "16": 2.5, "32": None},
+            "min_fde_standard_error": {"6": 0.5, "16": None, "32": None},
+            "log_likelihood": -3.21,
+            "log_likelihood_standard_error": 0.1,
+        }
+    },
+    "conditional": {
+        "8.0": {
+            "by_role": {
+                "av": {
+                    "log_likelihood_objects": 3,
+                    "log_likelihood_gain_true": 0.25,
+                    "log_likelihood_gain_true_standard_error": 0.02,
+                    "log_likelihood_gain_shuffled": -0.5,
+                    "log_likelihood_gain_shuffled_standard_error": None,
+                }
+            }
+        }
+    },
+}
+
+
+def run_of(outcome, rms, *cycles):
+    return {
+        "status": "ok",
+        "outcome": outcome,
+        "metrics": {"opponent_rms_acceleration": {"value": rms}},
+        "timings": {"plans_ms": [{"marginal": each / 2, "select": each / 2} for each in cycles]},
+    }
+
+
+def unfinished(status):
+    return {"status": status, "timings": {"wall_s": 1.0}}
+
+
+@pytest.fixture
+def row():
+    results = {
+        "idm": [
+            run_of("av_opponent", 1.0, 10.0, 20.0),
+            run_of("none", None, 60.0),
+            run_of("av_other", 2.0),
+            unfinished("skipped"),
+            unfinished("timeout"),
+        ],
+        "replay": [unfinished("skipped")],
+    }
+    return figures.row("half", "base", CARDS, EVALUATION, results)
+
+
+def test_rates_are_of_the_runs_that_went_through(row):
+    idm, replay = row.attacks
+    assert (idm.runs, idm.not_ok, idm.failed, idm.hits) == (3, 2, 1, 1)
+    assert idm.rate.rate == pytest.approx(1 / 3)
+    assert idm.rms_mps2 == pytest.approx(1.5)
+    assert (replay.runs, replay.not_ok, replay.failed, replay.rate) == (0, 1, 0, None)
+    assert replay.rms_mps2 is None
+
+
+def test_costs(row):
+    assert row.weights == 1234
+    assert row.minutes == pytest.approx(9.0)
+    assert row.opponent_minutes == pytest.approx(30.0)
+    assert (row.cycle_ms, row.cycles) == (20.0, 3)
+
+
+def test_the_table_shows_what_was_not_measured(row, tmp_path):
+    ablation.write(tmp_path, ["What it is of."], [row, row])
+    lines = (tmp_path / "ablation.md").read_text(encoding="utf-8").splitlines()
+    assert lines[2] == "What it is of."
+    assert [one.strip() for one in lines[4].strip("|").split("|")] == ablation.headings(
+        ["idm", "replay"]
+    )
+    assert lines[6] == lines[7]
+    assert [one.strip() for one in lines[6].strip("|").split("|")] == [
+        "half", "base", "1,234", "9.0", "4.12 ± 0.50", "2.50", "-", "-3.21 ± 0.10",
+        "+0.25 ± 0.02", "-0.50", "20",
+        "1/3 (2 not ok) = 0.33 (0.06 to 0.79)", "1.50", "0/0 (1 not ok)", "-",
+    ]  # fmt: skip
+    with (tmp_path / "ablation.csv").open(newline="", encoding="utf-8") as file:
+        first, _ = csv.DictReader(file)
+    assert first["idm low"] == "0.0615"
+    assert first["replay rate"] == first["min_fde_32_m"] == ""
+    assert (first["objects"], first["avs"], first["marginal_steps"]) == ("7", "3", "30")

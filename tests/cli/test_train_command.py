@@ -1,0 +1,151 @@
+import errno
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from safetensors.torch import load_file
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
+from synthetic import scene
+
+from deepmf_sumo.cli import main
+from deepmf_sumo.readers import npz
+from deepmf_sumo.training import cards
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two folders of few scenes, and room for what is made of them."""
+    made = tmp_path_factory.mktemp("training")
+    for name, shift in (("mine", 0.0), ("sumo", 5.0)):
+        (made / name).mkdir()
+        for number in range(3):
+            scenes = scene(shift=shift + number - 20, av_speed=8.0 + number)
+            npz.write(scenes, made / name / f"{number}.npz")
+    (made / "sumo" / "broken.npz").write_bytes(b"PK\x03\x04 nothing")
+    return made
+
+
+@pytest.fixture
+def train(folder, tmp_path, capsys):
+    """`deepmf-sumo train opponent` with arguments -> (exit code, output, errors)."""
+
+    def run(*arguments, out="set"):
+        fixed = ["--out", str(tmp_path / out), "--cache", str(folder / "cache")]
+        code = main._run(["train", "opponent", *map(str, arguments), *fixed])
+        text = capsys.readouterr()
+        return code, text.out, text.err
+
+    return run
+
+
+def card(folder):
+    return json.loads((folder / "opponent.json").read_text(encoding="utf-8"))
+
+
+def test_sources_are_mixed_by_weight_and_listed_in_the_card(train, folder, tmp_path):
+    mine, sumo = f"{folder / 'mine'}=3", f"{folder / 'sumo'}=1"
+    code, text, _ = train("--data", mine, "--data", sumo, "--steps", 2, "--licence", "ours")
+    assert code == 0
+    assert "sumo: 1 record(s) left out, as they cannot be used: broken.npz" in text
+    found = card(tmp_path / "set")
+    assert [source["name"] for source in found["data"]] == ["mine", "sumo"]
+    assert [source["share"] for source in found["data"]] == [0.75, 0.25]
+    assert [source["refused"] for source in found["data"]] == [0, 1]
+    assert all(source["held_out_loss"] > 0 for source in found["data"])
+    assert (found["scenes"], found["refused"], found["licence"]) == (6, 1, "ours")
+    assert (tmp_path / "set/curves/opponent.csv").is_file()
+    assert not list((tmp_path / "set").glob("*checkpoint*"))
+
+
+def test_what_has_been_made_is_left_as_it_is(train, folder, tmp_path):
+    arguments = ["--data", folder / "mine", "--steps", 2]
+    train(*arguments)
+    file = tmp_path / "set" / "opponent.safetensors"
+    first, time = file.read_bytes(), file.stat().st_mtime_ns
+    code, text, _ = train(*arguments)
+    assert (code, file.stat().st_mtime_ns) == (0, time)
+    assert "this training has been made; --again makes it again" in text
+    train(*arguments, "--again")
+    assert file.stat().st_mtime_ns > time
+    assert file.read_bytes() == first  # the same seed, the same bytes
+    train(*arguments, "--seed", 1)
+    assert file.read_bytes() != first
+
+
+def test_a_file_says_what_flags_do_not(train, folder, tmp_path):
+    file = folder / "train.yaml"
+    file.write_text(
+        "version: 1\ndata: [mine]\nseed: 5\nsteps: 9\nlicence: theirs\n"
+        "opponent: {steps: 2, batch: 4}\n",
+        encoding="utf-8",
+    )
+    assert train("--config", file, "--batch", 2)[0] == 0
+    found = card(tmp_path / "set")
+    assert (found["seed"], found["steps"], found["licence"]) == (5, 2, "theirs")
+    assert found["schedule"]["batch"] == 2
+
+
+def test_a_network_begins_from_another_set(train, folder, tmp_path):
+    data = ["--data", folder / "mine"]
+    train(*data, "--steps", 2, out="before")
+    first = tmp_path / "before"
+    assert train(*data, "--steps", 1, "--rate", 1e-12, "--from", first)[0] == 0
+    before = load_file(first / "opponent.safetensors")
+    after = load_file(tmp_path / "set" / "opponent.safetensors")
+    assert card(tmp_path / "set")["began_from"] == str(first)
+    changed = [
+        name
+        for name in before
+        if "running" not in name and (before[name].float() - after[name].float()).abs().max() > 1e-4
+    ]
+    assert set(changed) <= {name for name in before if "num_batches" in name}
+
+
+def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_path, monkeypatch):
+    arguments = ["--data", folder / "mine", "--steps", 2]
+
+    def full(file, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cards, "_replace", full)
+        code, _, error = train(*arguments)
+    assert code == 2
+    assert "No space left on device" in error
+    assert list((tmp_path / "set").glob("*.checkpoint"))
+    code, text, _ = train(*arguments)
+    assert code == 0
+    assert "going on from step 2" in text
+    assert not list((tmp_path / "set").glob("*.checkpoint*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "There is no data to train on"),
+        (["--data", "nowhere"], "nowhere does not exist"),
+        (["--data", "nowhere=much"], "'much' is no weight"),
+        (["--data", "mine=1", "--data", "sumo"], "sumo has no weight"),
+        (["--data", "mine", "--preset", "huge"], "huge"),
+        (["--data", "mine", "--from", "nobody"], "There are no weights 'nobody'"),
+        (["--data", "mine", "--ema", "1"], "--ema"),
+        (["--data", "mine", "--config", "missing.yaml"], "missing.yaml"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_is_made(
+    train, folder, tmp_path, monkeypatch, arguments, message
+):
+    monkeypatch.chdir(folder)
+    code, _, error = train(*arguments)
+    assert code == 2
+    assert message in error
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_folder_without_recordings_ends_with_3(train, tmp_path):
+    (tmp_path / "empty").mkdir()
+    code, _, error = train("--data", tmp_path / "empty")
+    assert code == 3
+    assert "empty holds no files; there is nothing to learn from" in error

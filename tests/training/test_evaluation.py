@@ -1,0 +1,310 @@
+"""`evaluate` as a whole, with predictors whose answers are known."""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
+from synthetic import scene
+
+from deepmf_sumo import readers
+from deepmf_sumo.cli.evaluate import command
+from deepmf_sumo.datatypes import Forecast, Futures, OpponentScores, Source
+from deepmf_sumo.errors import OutputError, ReaderError
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.training import cards, clusters, evaluation, windows
+
+SCENES = [scene(shift=3.0 * number, av_speed=8.0 + number) for number in range(3)]
+
+
+def truth(view, agent_id):
+    """What an agent does: everyone in these scenes keeps its velocity."""
+    row = view.history.row(agent_id)
+    times = np.arange(1, 81)[:, None] * 0.1
+    start, velocity = view.history.position_m[row, -1], view.history.velocity_mps[row, -1]
+    return start + times * velocity
+
+
+def forecast(view, agent_id, modes, off_m, temperature):
+    """Modes side by side, 10 m apart, the best off by so much at all times."""
+    way = truth(view, agent_id) + np.array([off_m, 0.0])
+    row = view.history.row(agent_id)
+    positions = np.stack([way + np.array([0.0, 10.0 * mode]) for mode in range(modes)])
+    heading = np.full(positions.shape[:2], view.history.heading_rad[row, -1])
+    share = np.arange(modes, 0, -1.0) ** (1 / temperature)
+    return Forecast(
+        futures=Futures(agent_id=agent_id, position_m=positions, heading_rad=heading),
+        probability=share / share.sum(),
+        temperature=temperature,
+    )
+
+
+def density(off_m):
+    return np.array([-(off_m**2) / 8])
+
+
+@dataclass
+class Opponent:
+    temperature = 2.0
+
+    def score(self, view, *, everyone=False):
+        return OpponentScores(
+            ids=("south",), logits=np.array([1.0]), partner_logits=np.array([2.0])
+        )
+
+
+@dataclass
+class Marginal:
+    temperature: float = 2.0
+    off_m = 2.0
+
+    def predict_each(self, view, agent_id, modes):
+        return [forecast(view, agent_id, count, self.off_m, self.temperature) for count in modes]
+
+    def end_density(self, view, agent_id, ends_m, kernel_m):
+        return density(self.off_m)
+
+
+@dataclass
+class Conditional:
+    """Right given the truth; off by how far the given end is from the truth; 3 m given nothing."""
+
+    temperature: float = 2.0
+
+    def react(self, view, agent_id, given, modes, *, planner=False):
+        futures = [None] if given is None else given.position_m
+        return [
+            forecast(view, agent_id, modes, self._off(view, given, row), self.temperature)
+            for row in range(len(futures))
+        ]
+
+    def end_density(self, view, agent_id, given, ends_m, kernel_m, *, planner=False):
+        return density(self._off(view, given, 0))
+
+    def _off(self, view, given, row):
+        if given is None:
+            return 3.0
+        apart = given.position_m[row, -1] - truth(view, given.agent_id)[-1]
+        return float(np.hypot(*apart))
+
+
+@pytest.fixture
+def predictors(monkeypatch):
+    made = weights.Predictors(
+        name="double", folder=None, opponent=Opponent(), marginal=Marginal(),
+        conditional=Conditional(),
+    )  # fmt: skip
+    monkeypatch.setattr(weights, "load", lambda _: made)
+    return made
+
+
+@pytest.fixture
+def given(monkeypatch):
+    """Puts scenes and refusals in the place of recordings."""
+    return lambda *scenes: monkeypatch.setattr(readers, "scenes", lambda _: iter(scenes))
+
+
+def evaluate(report=lambda _: None, **options):
+    return evaluation.evaluate([Path("here")], "double", report, **options)
+
+
+def test_who_is_compared_with_whom(predictors, given):
+    given(*SCENES)
+    found = evaluate()
+    at_8 = found["conditional"]["8.0"]
+    assert found["conditional"]["targets"] == at_8["objects"] == 6
+    assert at_8["min_fde_marginal"] == {"6": 2.0, "16": 2.0, "32": 2.0}
+    assert at_8["min_fde_given_nothing"]["6"] == 3.0
+    assert at_8["min_fde_given_true"]["6"] == pytest.approx(0.0, abs=1e-6)
+    assert at_8["min_fde_change_true"]["6"] == pytest.approx(-2.0)
+    assert at_8["log_likelihood_gain_true"] == pytest.approx(0.5)  # 2**2 / 8
+    assert at_8["log_likelihood_gain_true_standard_error"] == pytest.approx(0.0, abs=1e-6)
+    assert at_8["log_likelihood_gain_true_over_nothing"] == pytest.approx(1.125)  # 3**2 / 8
+    assert at_8["log_likelihood_gain_nothing"] == pytest.approx(0.5 - 1.125)
+    for role in ("av", "partner"):
+        assert at_8["by_role"][role]["objects"] == 3
+        assert at_8["by_role"][role]["log_likelihood_gain_true"] == pytest.approx(0.5)
+    assert found["conditional"]["3.0"]["log_likelihood_gain_true"] > 0.5
+
+
+def test_the_shuffled_future_is_another_scene_s_partner_in_the_same_role(predictors, given):
+    given(*SCENES)
+    at_8 = evaluate()["conditional"]["8.0"]
+    # South drives at 9 m/s in all scenes, so that the AV is given the truth even when shuffled. Its
+    # own speed is 8, 9, 10 m/s: the partner is given a motion that ends 16, 8, 8 m from the truth.
+    assert at_8["by_role"]["av"]["min_fde"]["given_shuffled"] == pytest.approx(0.0, abs=1e-6)
+    partner = at_8["by_role"]["partner"]["min_fde"]["given_shuffled"]
+    assert partner == pytest.approx((16 + 8 + 8) / 3, abs=0.01)
+    assert at_8["by_role"]["partner"]["log_likelihood_gain_shuffled"] < 0
+
+
+def test_a_single_scene_cannot_be_shuffled(predictors, given):
+    given(SCENES[0])
+    at_8 = evaluate()["conditional"]["8.0"]
+    assert at_8["min_fde_given_true"]["6"] == pytest.approx(0.0, abs=1e-6)
+    assert at_8["min_fde_given_shuffled"]["6"] is None
+    assert at_8["log_likelihood_gain_shuffled"] is None
+    assert at_8["log_likelihood_gain_true"] == pytest.approx(0.5)
+
+
+def test_marginal_figures_and_calibration_before_and_after(predictors, given):
+    given(*SCENES)
+    found = evaluate()["marginal"]
+    at_8 = found["8.0"]
+    assert at_8["objects"] == 6
+    assert at_8["most_probable_fde"] == 2.0
+    # The likeliest mode is always the nearest. At temperature 1 the six have 6/21 ... 1/21: two of
+    # them in each of the bins from 0.2, 0.1, 0 on.
+    assert at_8["ece_uncalibrated"] == pytest.approx((1 - 11 / 21 + 7 / 21 + 3 / 21) / 6, abs=1e-4)
+    assert at_8["ece"] > at_8["ece_uncalibrated"]
+    assert at_8["negative_log_likelihood"] == pytest.approx(0.5)
+    assert at_8["baselines"]["constant_velocity"]["min_fde"]["1"] == pytest.approx(0.0, abs=1e-6)
+    assert at_8["baselines"]["lane_following"]["min_fde"]["1"] < 0.5
+    assert "clusters" not in at_8["baselines"]
+    assert "not fitted" in found["clusters"]
+    assert at_8["on_road"]["recorded"] == 1.0
+    assert 0.1 < at_8["on_road"]["6"] < 0.9  # one of six modes is on the lane, some cross another
+    assert found["1.0"]["min_fde"] == {"6": 2.0, "16": 2.0, "32": 2.0}
+
+
+def test_opponent_figures_among_all_and_among_scored(predictors, given):
+    given(*SCENES)
+    found = evaluate()["opponent"]
+    assert (found["candidates"], found["parked"]) == (6, 3)  # south and the parked one
+    assert (found["positives"], found["positives_parked"]) == (3, 0)
+    assert found["auroc"] == found["average_precision"] == 1.0
+    assert found["top1_positive_scenes"] == found["partner_top1_scenes"] == 3
+    assert found["attackable"]["candidates"] == 3
+    assert found["attackable"]["auroc"] is None  # there are only positives
+    assert found["baselines"]["nearest"]["partner_top1"] == 0.0
+    assert found["baselines"]["nearest_moving"]["partner_top1"] == 1.0
+    sigmoid = 1 / (1 + np.exp(-1.0))
+    assert found["ece"] == pytest.approx(1 - sigmoid, abs=1e-4)
+    assert found["ece_uncalibrated"] == pytest.approx(1 / (1 + np.exp(2.0)), abs=1e-4)
+
+
+def test_other_numbers_of_modes_are_measured_too(predictors, given):
+    given(SCENES[0])
+    found = evaluate(candidates=24)
+    assert list(found["marginal"]["8.0"]["min_fde"]) == ["6", "16", "24", "32"]
+    assert found["modes"] == [6, 16, 24, 32]
+
+
+def attacked(number):
+    source = Source(dataset=windows.ROLLOUT, file="-", record=number, sha256="")
+    return replace(SCENES[number], source=source)
+
+
+def test_attacked_avs_are_predicted_reactively_and_blindly(predictors, given):
+    given(attacked(0), attacked(1), SCENES[2])
+    found = evaluate()
+    assert found["attacked_scenes"] == 2
+    assert found["opponent"]["scenes"] == 1
+    at_2 = found["conditional"]["reactions"]["2.0"]
+    assert at_2["objects"] == 2
+    for name in ("most_probable", "best_of_6"):
+        assert at_2[name]["reactive"] == pytest.approx(0.0, abs=1e-6)
+        assert (at_2[name]["blind"], at_2[name]["marginal"]) == (3.0, 2.0)
+        assert at_2[name]["gain"] == pytest.approx(3.0)
+
+
+def test_scenes_without_labels_have_the_av_and_who_moves_near_it(predictors, given):
+    given(scene(labelled=False, shift=20.0))  # south is 56 m away, `far` 90 m
+    found = evaluate()
+    assert found["labelled_objects"] == 0
+    assert found["marginal"]["targets"] == 1
+    assert found["opponent"]["scenes_with_partner"] == 0
+    assert found["opponent"]["partner_top1"] is None
+
+
+def test_broken_records_are_counted_and_named(predictors, given):
+    lost = replace(
+        SCENES[1], tracks=replace(SCENES[1].tracks, valid=np.zeros_like(SCENES[1].tracks.valid))
+    )
+    bad = Refusal(file="a.tfrecord", record=7, name="", reason="the checksum is wrong")
+    given(bad, SCENES[0], lost)
+    found = evaluate()
+    assert (found["scenes"], found["refused"]) == (1, 2)
+    assert found["refusals"][0] == "a.tfrecord, record 7: the checksum is wrong"
+    assert "AV is not there" in found["refusals"][1]
+
+
+def test_no_usable_scene_is_an_error(predictors, given):
+    given(Refusal(file="a", record=0, name="", reason="torn"))
+    with pytest.raises(ReaderError, match=r"no usable scene in here .*torn"):
+        evaluate()
+    given()
+    with pytest.raises(ReaderError, match=r"no usable scene in here; give"):
+        evaluate()
+
+
+def test_the_command_shows_tables_and_writes_json(predictors, given, tmp_path):
+    bad = Refusal(file="a.tfrecord", record=7, name="", reason="torn [here]")
+    given(*SCENES, attacked(0), bad)
+    file = tmp_path / "new" / "figures.json"
+    found = CliRunner().invoke(command, ["here", "--json", str(file), "--threads", "1"])
+    assert found.exit_code == 0, found.output
+    assert json.loads(file.read_text(encoding="utf-8"))["scenes"] == 4
+    for text in (
+        "4 scenes, 1 refused",
+        "a.tfrecord, record 7: torn [here]",
+        "corridor formula",
+        "lane following, constant speed",
+        "conditional, given a shuffled one",
+        "AV: given true - marginal network",
+        "AVs attacked in simulation",
+    ):
+        assert text in found.output
+
+
+def test_main_figures_go_onto_the_cards(predictors, given, tmp_path, monkeypatch):
+    given(*SCENES)
+    monkeypatch.setattr(weights, "find", lambda _: tmp_path)
+    for network in weights.NETWORKS:
+        net = getattr(weights.random(LIGHT, 0), network).net
+        cards.write(tmp_path, network, net, {"network": network})
+    found = evaluation.run(
+        [Path("here")], name="double", file=None, card=True, threads=None, report=print
+    )
+    for network in weights.NETWORKS:
+        results = weights.read_card(tmp_path, network)["results"]
+        assert results["data"] == ["here"]
+        assert len(json.dumps(results)) < 3000
+    assert results["8.0"]["min_fde_marginal"] == found["conditional"]["8.0"]["min_fde_marginal"]
+
+
+def test_a_file_that_cannot_be_written_is_named(predictors, given, tmp_path):
+    given(SCENES[0])
+    file = tmp_path / "folder"
+    (file / "inside").mkdir(parents=True)
+    with pytest.raises(OutputError, match="folder cannot be written"):
+        evaluation.run(
+            [Path("here")], name="double", file=file, card=False, threads=None, report=print
+        )
+    assert [each.name for each in tmp_path.iterdir()] == ["folder"]
+
+
+def test_real_networks_and_clusters_go_through(monkeypatch, given, tmp_path):
+    rng = np.random.default_rng(0)
+    fitted = clusters.fit(
+        rng.normal(size=(40, 80, 2)), np.ones((40, 80), bool), np.zeros((40, 6)), rng
+    )
+    clusters.write(fitted, tmp_path)
+    made = replace(weights.random(LIGHT, 0), folder=tmp_path)
+    monkeypatch.setattr(weights, "load", lambda _: made)
+    given(SCENES[0])
+    found = evaluate()
+    at_8 = found["marginal"]["8.0"]
+    assert set(at_8["baselines"]["clusters"]["min_fde"]) == {"6", "16", "32"}
+    assert found["marginal"]["clusters"] == "fitted on 40 trajectories"
+    errors = list(at_8["min_fde"].values())
+    assert errors == sorted(errors, reverse=True)
+    assert np.isfinite(found["conditional"]["8.0"]["log_likelihood_gain_true"])
+    assert 0 <= at_8["ece"] <= 1

@@ -1,0 +1,234 @@
+"""Measures by hand: ranking, displacement, calibration, likelihood, plausibility, baselines."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
+from synthetic import scene
+
+from deepmf_sumo.datatypes import Forecast, Futures
+from deepmf_sumo.training import windows
+from deepmf_sumo.training.evaluation import baselines, likelihood, opponent_rules, plausibility
+from deepmf_sumo.training.evaluation.calibration import ModeCalibration, expected_error
+from deepmf_sumo.training.evaluation.displacement import DisplacementErrors, summary
+from deepmf_sumo.training.evaluation.estimates import difference, mean, standard_error
+from deepmf_sumo.training.evaluation.opponent import vehicles_near
+from deepmf_sumo.training.evaluation.ranking import Ranking, auroc, average_precision
+from deepmf_sumo.training.evaluation.targets import targets
+from deepmf_sumo.training.windows import Future
+
+STRAIGHT = np.stack([np.arange(1, 81) * 1.0, np.zeros(80)], 1)
+
+
+def the(given, agent_id):
+    view = windows.view_at(given, given.now)
+    return next(each for each in targets(given, view) if each.agent_id == agent_id)
+
+
+def forecast_of(modes_m, probability):
+    futures = Futures(agent_id="a", position_m=modes_m, heading_rad=np.zeros(modes_m.shape[:2]))
+    return Forecast(futures=futures, probability=np.array(probability))
+
+
+def future_of(position_m, valid=None):
+    valid = np.ones(80, bool) if valid is None else valid
+    return Future(agent_id="a", position_m=position_m, heading_rad=np.zeros(80), valid=valid)
+
+
+def test_auroc_counts_pairs_and_halves_ties():
+    scores = np.array([3.0, 2.0, 2.0, 1.0])
+    labels = np.array([True, True, False, False])
+    assert auroc(scores, labels) == pytest.approx(3.5 / 4)
+    assert auroc(scores, np.ones(4, bool)) is None
+
+
+def test_average_precision_by_hand():
+    scores = np.array([4.0, 3.0, 2.0, 1.0])
+    labels = np.array([True, False, True, False])
+    assert average_precision(scores, labels) == pytest.approx((1 + 2 / 3) / 2)
+    assert average_precision(scores, np.zeros(4, bool)) is None
+
+
+def test_average_precision_does_not_depend_on_the_order_of_ties():
+    scores = np.array([2.0, -np.inf, -np.inf, -np.inf])
+    first = average_precision(scores, np.array([True, True, False, False]))
+    last = average_precision(scores, np.array([True, False, False, True]))
+    assert first == last == pytest.approx((1 + 2 / 4) / 2)
+
+
+def test_the_partner_s_place_counts_and_who_is_not_scored_is_never_found():
+    ranking = Ranking()
+    scores = np.array([0.5, 2.0, -np.inf])
+    ranking.add(scores, np.array([False, True, True]))
+    for partner in (1, 0, 2, None):
+        ranking.add_partner(scores, partner)
+    assert ranking.places == [0.0, 1.0, np.inf, np.inf]
+    found = ranking.by_partner()
+    assert (found["partner_top1"], found["partner_top3"]) == (0.25, 0.5)
+    assert found["partner_top3_scenes"] == 2
+    assert ranking.by_label()["top1_positive_scenes"] == 1
+
+
+def test_a_scene_without_scored_candidates_has_no_first():
+    ranking = Ranking()
+    ranking.add(np.array([-np.inf]), np.array([True]))
+    ranking.add(np.zeros(0), np.zeros(0, bool))
+    assert ranking.by_label()["top1_positive"] == 0.0
+
+
+def test_errors_and_misses_by_hand():
+    errors, valid = DisplacementErrors(), np.ones(80, bool)
+    modes = np.stack([STRAIGHT + np.array([0, 4.0]), STRAIGHT + np.array([7.0, 0])])
+    errors.add(modes, STRAIGHT, np.zeros(80), valid, 20.0)
+    assert errors.fde["8.0"] == errors.fde["1.0"] == [4.0]
+    assert errors.ade["3.0"] == [4.0]
+    assert errors.missed["8.0"] == [1.0]  # 4 m beside, 7 m ahead: outside 3 and 6
+    errors.add(STRAIGHT[None] + [5.0, 0], STRAIGHT, np.zeros(80), valid, 20.0)
+    assert errors.missed["8.0"][-1] == 0.0
+    assert errors.missed["3.0"][-1] == 1.0
+    errors.add(STRAIGHT[None] + [5.0, 0], STRAIGHT, np.zeros(80), valid, 0.0)
+    assert errors.missed["8.0"][-1] == 1.0  # thresholds are halved at low speed
+    errors.add(STRAIGHT[None], STRAIGHT, np.zeros(80), np.arange(80) < 60, 0.0)
+    assert len(errors.fde["8.0"]) == 3
+    assert len(errors.fde["5.0"]) == 4
+
+
+def test_a_summary_has_standard_errors_and_no_miss_rule_before_three_seconds():
+    errors, valid = DisplacementErrors(), np.ones(80, bool)
+    for off in (1.0, 3.0):
+        errors.add(STRAIGHT[None] + [0, off], STRAIGHT, np.zeros(80), valid, 0.0)
+    late, early = summary({1: errors}, "8.0"), summary({1: errors}, "2.0")
+    assert late["min_fde"] == {"1": 2.0}
+    assert late["min_fde_standard_error"] == {"1": 1.0}
+    assert late["miss_rate"] == {"1": 0.5}
+    assert "miss_rate" not in early
+
+
+def test_differences_are_paired():
+    assert difference([1.0, 5.0, 9.0], [0.0, 4.0, 8.0]) == (1.0, 0.0)
+    assert difference([1.0], []) == (None, None)
+    assert mean([]) is None
+    assert standard_error([1.0]) is None
+
+
+def test_calibration_error_by_hand():
+    probability = np.array([0.75, 0.75, 0.25, 0.25])
+    assert expected_error(probability, np.array([True, True, False, False])) == pytest.approx(0.25)
+    assert expected_error(probability, np.array([True, False, True, False])) == pytest.approx(0.25)
+    assert expected_error(np.ones(2), np.array([True, True])) == 0.0
+    assert expected_error(np.zeros(0), np.zeros(0, bool)) is None
+
+
+def test_the_event_of_a_mode_is_to_be_nearest_at_the_horizon():
+    found = ModeCalibration()
+    slower = STRAIGHT * 0.5
+    modes = np.stack([STRAIGHT, slower])
+    truth = np.where(np.arange(80)[:, None] < 40, STRAIGHT, slower)
+    found.add(forecast_of(modes, [0.9, 0.1]), future_of(truth, np.arange(80) < 60))
+    assert found.nearest["3.0"][0].tolist() == [True, False]
+    assert found.nearest["5.0"][0].tolist() == [False, True]
+    assert found.error("3.0") == pytest.approx(0.1)
+    assert found.error("5.0") == pytest.approx(0.9)
+    assert found.error("8.0") is None
+
+
+def test_likelihood_of_modes_is_a_density_and_grows_with_probability():
+    modes = np.stack([STRAIGHT, STRAIGHT + np.array([0, 8.0])])
+    step = 29
+    place = STRAIGHT[step]
+    axis = np.linspace(-60, 60, 401)
+    grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) + place
+    forecast = forecast_of(modes, [0.8, 0.2])
+    total = sum(np.exp(likelihood.of_modes(forecast, step, p, 1.25)) for p in grid[::7])
+    assert total * 7 * 0.3**2 == pytest.approx(1.0, abs=0.02)
+    other = forecast_of(modes, [0.2, 0.8])
+    gain = likelihood.of_modes(forecast, step, place, 0.75) - likelihood.of_modes(
+        other, step, place, 0.75
+    )
+    assert gain == pytest.approx(np.log(4), abs=0.05)
+
+
+def test_the_end_is_judged_by_all_goals_and_what_is_unknown_not_at_all():
+    asked = []
+
+    def density(ends, kernel):
+        asked.append((ends, kernel))
+        return np.array([-3.0])
+
+    forecast = forecast_of(STRAIGHT[None], [1.0])
+    known = likelihood.by_horizon(forecast, future_of(STRAIGHT), density)
+    assert known["8.0"] == -3.0
+    assert asked[0][0].tolist() == [[80.0, 0.0]]
+    cut = likelihood.by_horizon(forecast, future_of(STRAIGHT, np.arange(80) < 30), density)
+    assert cut["3.0"] is not None
+    assert cut["5.0"] is cut["8.0"] is None
+
+
+def test_modes_that_meet_others_are_not_clear():
+    target = the(scene(), "av")  # from (-50, 0) eastward at 10 m/s
+    steps = np.arange(1, 81)
+    waits = np.stack([np.full(80, -50.0), np.zeros(80)], 1)
+    rushes = np.stack([-50.0 + steps * 2.0, np.zeros(80)], 1)  # 20 m/s
+    modes = np.stack([target.future.position_m, rushes, waits])
+    first = plausibility.first_overlap(target, modes, np.zeros((3, 80)))
+    # as it drove it meets `south` at the crossing, from x = -3, y = -2.7 on, after 4.7 s; faster it
+    # passes before, and meets the one that waits at x = 55.2, after 5.3 s
+    assert first.tolist() == [46, 52, plausibility.NEVER]
+    unknown = np.full((1, 80, 2), np.nan)
+    assert plausibility.first_overlap(target, unknown, unknown[..., 0])[0] == plausibility.NEVER
+
+
+def test_modes_off_the_lanes_are_found_at_half_seconds():
+    target = the(scene(), "av")
+    steps = np.arange(1, 81)
+    leaves = target.future.position_m + np.stack([np.zeros(80), 0.1 * steps], 1)
+    modes = np.stack([target.future.position_m, leaves])
+    # off beyond 1.85 + 0.5 m: at step index 23 (2.4 m), seen at 24; then `left` is far
+    assert plausibility.first_off_road(target, modes).tolist() == [plausibility.NEVER, 24]
+
+
+def test_baselines_go_straight_and_along_the_lane():
+    given = scene(turn=0.4)
+    target = the(given, "av")
+    straight = baselines.constant_velocity(target)[0]
+    assert straight == pytest.approx(target.future.position_m, abs=1e-6)
+    lane = baselines.lane_following(target)[0]
+    assert lane == pytest.approx(target.future.position_m, abs=0.3)
+    tilted = tilted_scene()
+    lane = baselines.lane_following(the(tilted, "av"))[0]
+    assert np.abs(lane[-20:, 1]).max() < 0.2  # back on the lane y = 0
+    assert np.abs(baselines.constant_velocity(the(tilted, "av"))[0, -1, 1]) > 10
+
+
+def tilted_scene():
+    """The AV turned by 0.2 rad against its lane."""
+    given = scene()
+    row = given.tracks.row("av")
+    heading, velocity = given.tracks.heading_rad.copy(), given.tracks.velocity_mps.copy()
+    heading[row] = 0.2
+    velocity[row] = 10 * np.array([np.cos(0.2), np.sin(0.2)])
+    return replace(given, tracks=replace(given.tracks, heading_rad=heading, velocity_mps=velocity))
+
+
+def test_opponent_rules_by_hand():
+    view = windows.view_at(scene(), 10)
+    rows = np.array([view.history.row(name) for name in ("south", "parked", "far")])
+    # relative to the AV at (-50, 0): (50, -45), (20, 12), (-90, 0)
+    assert opponent_rules.corridor(view, rows).tolist() == pytest.approx([-100.0, -28.0, -18.0])
+    assert opponent_rules.nearest(view, rows)[1] == pytest.approx(-np.hypot(20, 12))
+    assert opponent_rules.nearest_moving(view, rows)[1] == -np.inf
+    assert np.isfinite(opponent_rules.nearest_moving(view, rows)[[0, 2]]).all()
+    # they meet at the crossing at 5 s; the AV passes 12 m beside the parked one
+    approach = opponent_rules.constant_velocity(view, rows)
+    assert approach[0] == pytest.approx(0.0, abs=4.0)
+    assert approach[1] == pytest.approx(-12.0, abs=0.1)
+
+
+def test_candidates_are_all_vehicles_within_80_m():
+    view = windows.view_at(scene(), 10)
+    found = {view.history.ids[row] for row in vehicles_near(view)}
+    assert found == {"south", "parked"}  # `waiting` and `far` are 110 and 90 m away
