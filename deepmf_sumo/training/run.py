@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -22,6 +23,7 @@ from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training import (
     beginnings,
     cards,
+    clusters,
     loop,
     making,
     opponent,
@@ -106,6 +108,8 @@ def train(network: Network, training: Training, report: Progress) -> None:
     card |= _temperatures(network, net, cache)
     try:
         cards.write(training.folder, network, net, card)
+        if network == "marginal":  # a baseline that `evaluate` shows beside it
+            clusters.write(_clusters(cache, training.seed), training.folder)
     except OSError as error:
         raise OutputError(
             f"The weights cannot be written to {training.folder} ({error.strerror}); the checkpoint"
@@ -113,6 +117,14 @@ def train(network: Network, training: Training, report: Progress) -> None:
         ) from None
     checkpoints.clear()
     report(f"{network}: best step {outcome.best_step}, written to {training.folder}")
+
+
+def _clusters(cache: Cache, seed: int) -> clusters.Clusters:
+    rows = cache.rows(held_out=False)
+    future, valid, motion = (
+        np.asarray(cache.arrays[name][rows]) for name in ("future", "future_valid", "motion")
+    )
+    return clusters.fit(future, valid > 0, motion, np.random.default_rng([seed, 2]))
 
 
 def open_caches(network: Network, training: Training, report: Progress) -> Cache:
