@@ -62,10 +62,10 @@ open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
 REACT = $(RUN) run docs/studies/reactions.yaml --set source.recording=$(abspath $(1)) --scenes --jobs 2 --no-pictures
 reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=) to learn reactions from
 	$(call REACT,$(SCENES)) --set weights=$(WEIGHTS) --set "planner={name: idm, perception: corridor}" \
-	    --out $(OUT)/corridor > /dev/null
+	    --out $(OUT)/corridor > /dev/null || test $$? = 3  # single runs may fail; the others are there
 	$(call REACT,$(SCENES)) --set weights=$(WEIGHTS) --set "planner={name: idm, perception: lane}" \
 	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1}" \
-	    --out $(OUT)/lane > /dev/null
+	    --out $(OUT)/lane > /dev/null || test $$? = 3
 
 open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
@@ -77,7 +77,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 WOMD_SET = --out .weights/womd $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
 	$(TRAIN) opponent --data $(WOMD)/train $(WOMD_SET)
-	$(TRAIN) marginal --data $(WOMD)/train --from open $(WOMD_SET)
+	$(TRAIN) marginal --data $(WOMD)/train $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
 	$(TRAIN) conditional --data $(WOMD)/train=0.5 --data .cache/womd-reactions=0.5 $(WOMD_SET)
 
