@@ -30,7 +30,7 @@ class DeepMF:
             from deepmf_sumo.predictors import weights
 
             self._predictors = weights.load(self._weights)
-        policy = deepmf.build(self._settings, self._predictors, case.partner_id)
+        policy = deepmf.build(self._settings, self._predictors, case.partner_id, case.av_driver)
         rollout = simulate(policy)
         return Attack(rollout=rollout, simulations=1, generation_s=policy.seconds)
 

@@ -105,6 +105,7 @@ def make_case(task: Task, cache: Path) -> Case:
         scene=scene,
         net=network.cached(scene, cache / "nets"),
         partner_id=scene.partner_id,
+        av_driver=getattr(plugins.load("planners", spec.planner.name), "DRIVER", "planner"),
     )
 
 

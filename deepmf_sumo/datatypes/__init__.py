@@ -7,7 +7,7 @@ Units are SI and stand in the field names; headings are radians counter-clockwis
 
 from deepmf_sumo.datatypes.arrays import Bools, Bytes, Floats, Ints, frozen
 from deepmf_sumo.datatypes.attack import Attack, Budget, Trial
-from deepmf_sumo.datatypes.case import Case, NetworkSource, Traffic
+from deepmf_sumo.datatypes.case import AvDriver, Case, NetworkSource, Traffic
 from deepmf_sumo.datatypes.command import Command, VehicleModel
 from deepmf_sumo.datatypes.forecast import Forecast, Futures, OpponentScores
 from deepmf_sumo.datatypes.metric import MetricValue
@@ -44,6 +44,7 @@ __all__ = [
     "AgentId",
     "AgentKind",
     "Attack",
+    "AvDriver",
     "Bools",
     "Boundary",
     "Budget",

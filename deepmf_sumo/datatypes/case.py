@@ -9,6 +9,7 @@ from deepmf_sumo.datatypes.road import RoadMap
 from deepmf_sumo.datatypes.scene import AgentId, Scene
 
 Traffic = Literal["log", "sumo"]
+AvDriver = Literal["planner", "human"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +37,7 @@ class Case:
         av_id: track id, or SUMO vehicle id.
         duration_steps: steps after the current one.
         partner_id: the labelled opponent, if the recording names one (``opponent: labelled``).
+        av_driver: ``human`` where the AV does what a person did in a recording.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Case:
     net: SumoNet | None = None
     network: NetworkSource | None = None
     partner_id: AgentId | None = None
+    av_driver: AvDriver = "planner"
 
     def __post_init__(self) -> None:
         if (self.scene is None) == (self.network is None):

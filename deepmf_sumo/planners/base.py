@@ -8,7 +8,11 @@ from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
 
 
 class Planner(Protocol):
-    """Drives the AV, one command a step."""
+    """Drives the AV, one command a step.
+
+    A plug-in whose AV drives as a person did, in a recording, says so by ``DRIVER = "human"`` in
+    its module or class: people react otherwise than automated planners.
+    """
 
     @property
     def model(self) -> VehicleModel | None:

@@ -1,11 +1,15 @@
 """The AV does what it did in the recording."""
 
+from typing import Final
+
 import numpy as np
 
 from deepmf_sumo.datatypes import Case, Command, Scene, VehicleModel, View
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import angles
 from deepmf_sumo.plugins import Settings as PluginSettings
+
+DRIVER: Final = "human"
 
 
 class Settings(PluginSettings):

@@ -15,6 +15,7 @@ from deepmf_sumo.datatypes import (
     DT_S,
     FUTURE_STEPS,
     AgentId,
+    AvDriver,
     Forecast,
     Futures,
     OpponentScores,
@@ -72,8 +73,8 @@ class Settings(plugins.Settings):
         goal_candidates: at most so many ways to goals around the AV's predicted positions besides
             (0 as published).
         reactions: modes of the AV (N2).
-        av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s (a
-            recorded AV).
+        av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
+            null takes what the AV's planner is (``human`` for ``replay``).
         conditional: False predicts the AV as if it knew nothing of the opponent's future, by the
             same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to see what that is worth.
         accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
@@ -88,7 +89,7 @@ class Settings(plugins.Settings):
     candidates: int = Field(default=32, ge=1, le=256)
     goal_candidates: int = Field(default=32, ge=0, le=256)
     reactions: int = Field(default=6, ge=1, le=64)
-    av_driver: Literal["planner", "human"] = "planner"
+    av_driver: AvDriver | None = None
     conditional: bool = True
     accel_mps2: float = Field(default=3.0, gt=0.0)
     brake_mps2: float = Field(default=4.0, gt=0.0)
@@ -120,11 +121,16 @@ class DeepMF:
     """The policy. ``seconds`` is the wall time of all resets and plans so far."""
 
     def __init__(
-        self, settings: Settings, predictors: Predictors, partner_id: AgentId | None = None
+        self,
+        settings: Settings,
+        predictors: Predictors,
+        partner_id: AgentId | None = None,
+        av_driver: AvDriver = "planner",
     ) -> None:
         self._settings = settings
         self._predictors = predictors
         self._partner_id = partner_id
+        self._av_driver = settings.av_driver or av_driver
         self._opponent_id: AgentId | None = None
         self._scores: OpponentScores | None = None
         self._last: Plan | None = None
@@ -220,7 +226,7 @@ class DeepMF:
             view.av_id,
             given,
             self._settings.reactions,
-            planner=self._settings.av_driver == "planner",
+            planner=self._av_driver == "planner",
         )
 
     def _select(
@@ -269,9 +275,14 @@ class DeepMF:
         )
 
 
-def build(settings: Settings, predictors: Predictors, partner_id: AgentId | None = None) -> DeepMF:
+def build(
+    settings: Settings,
+    predictors: Predictors,
+    partner_id: AgentId | None = None,
+    av_driver: AvDriver = "planner",
+) -> DeepMF:
     """The policy; ``partner_id`` is what ``opponent: labelled`` attacks."""
-    return DeepMF(settings, predictors, partner_id)
+    return DeepMF(settings, predictors, partner_id, av_driver)
 
 
 def _footprint(view: View, agent_id: AgentId) -> np.ndarray:
