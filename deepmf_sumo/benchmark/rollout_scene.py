@@ -1,13 +1,10 @@
 """Rollout -> Scene: what happened under attack as a recording, e.g. to learn reactions from."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Rollout, Scene, Signals, Source, Tracks, frozen
-
-DATASET: Final = "rollout"
+from deepmf_sumo.datatypes import ROLLOUT, Case, Rollout, Scene, Signals, Source, Tracks, frozen
 
 
 def scene_of(rollout: Rollout, case: Case) -> Scene:
@@ -24,7 +21,7 @@ def scene_of(rollout: Rollout, case: Case) -> Scene:
     return Scene(
         name=case.name,
         source=Source(
-            dataset=DATASET,
+            dataset=ROLLOUT,
             file=recorded.source.file if recorded else str(case.network and case.network.config),
             record=recorded.source.record if recorded else 0,
             sha256=recorded.source.sha256 if recorded else "",

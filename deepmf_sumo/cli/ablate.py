@@ -45,7 +45,7 @@ def command(
     cut off.
     """
     from deepmf_sumo.benchmark import ablation
-    from deepmf_sumo.cli.figures.ablation import show
+    from deepmf_sumo.cli.screen.ablation import show
 
     plan = ablation.load(file, sets)
     options = ablation.Options(

@@ -33,7 +33,7 @@ def command(
     Records that cannot be used are named and left out. Baselines without a network stand beside
     the figures.
     """
-    from deepmf_sumo.cli import figures
+    from deepmf_sumo.cli.screen import evaluation as figures
     from deepmf_sumo.training import evaluation
 
     found = evaluation.run(

@@ -45,7 +45,7 @@ def command(
 
     from deepmf_sumo.benchmark import batch
     from deepmf_sumo.benchmark.store import summary
-    from deepmf_sumo.cli.screen import progress, table
+    from deepmf_sumo.cli.screen.runs import progress, table
     from deepmf_sumo.report.picture import draw
     from deepmf_sumo.spec import load
 

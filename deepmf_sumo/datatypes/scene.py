@@ -108,12 +108,18 @@ class Tracks:
         )
 
 
+SIMULATED: Final = "sumo"
+"""Data set of scenes of SUMO's own traffic."""
+ROLLOUT: Final = "rollout"
+"""Data set of attacks that were written as scenes."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
     """Where a scene came from.
 
     Attributes:
-        dataset: name of the reader, e.g. ``womd``.
+        dataset: name of the reader, e.g. ``womd``; else `SIMULATED` or `ROLLOUT`.
         file: path as given by the user.
         record: index of the record in the file.
         sha256: hex digest of the record's bytes (of the whole file where it holds one scene).

@@ -32,7 +32,7 @@ paths        (16, 121, 2)   see `paths.PathSet`
 path_info    (16, 14)       see `paths.PathSet`
 path_agents  (16, 8, 8)     s, d, vs, vd, cos, sin, length, there, of the vehicles nearest to each
 motion       (7)            speed, acceleration, yaw rate, length, width, is AV, planner drives
-raster       (bytes)        bits of `raster.draw`
+raster       (bytes)        bits of `raster.draw`; not where the preset has no image
 ===========  ============== ====================================================================
 """
 
@@ -59,8 +59,7 @@ def features(
     lanes, lane_info = lane_arrays(view, index, origin, heading, speed, LANES)
     paths = path_set(index, origin, heading, speed, view.signals)
     motion = np.append(_motion(view, row), float(planner))
-    image = raster.draw(view, index, row, preset, origin, heading)
-    return {
+    arrays: Features = {
         "agents": agents.astype(np.float32),
         "agent_info": agent_info.astype(np.float32),
         "lanes": lanes.astype(np.float32),
@@ -69,8 +68,11 @@ def features(
         "path_info": paths.info.astype(np.float32),
         "path_agents": _path_agents(paths, agents, agent_info).astype(np.float32),
         "motion": motion.astype(np.float32),
-        "raster": raster.pack(image),
-    }, paths
+    }
+    if preset.raster:
+        image = raster.draw(view, index, row, preset, origin, heading)
+        arrays["raster"] = raster.pack(image)
+    return arrays, paths
 
 
 def nearest_agents(view: View, row: int, count: int) -> Ints:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from deepmf_sumo.datatypes import Bools, Floats, Ints, View
 from deepmf_sumo.geometry import angles, frames
 from deepmf_sumo.predictors.lane_routes import SPACING_M, Routes, lane_routes
-from deepmf_sumo.predictors.relations import Motion
+from deepmf_sumo.predictors.motion_relations import Motion
 
 LANES: Final = 50
 """Columns of `lane_columns`."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SignalState
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.predictors.lane_walk import first_signal, lane_sequences
 from deepmf_sumo.predictors.paths import signal_colour
 from deepmf_sumo.predictors.road_index import RoadIndex, road_index
 
@@ -110,7 +111,7 @@ def lane_routes(
         starts[vehicle] = number + 1
         depth = min(_AHEAD_S * float(speed_mps[vehicle]) + _AHEAD_M, _MOST_M)
         lane, along = int(feet.lane[foot]), float(feet.along_m[foot])
-        for chain in _chains(index, lane, along, depth, _ROUTES_OF_START[number]):
+        for chain in lane_sequences(index, lane, along, depth, _ROUTES_OF_START[number]):
             owner.append(vehicle)
             rank.append(taken.get(vehicle, 0))
             taken[vehicle] = rank[-1] + 1
@@ -214,22 +215,6 @@ def _near(grid: _Grid, position_m: Floats) -> tuple[Ints, Ints]:
     return np.repeat(vehicle, count), grid.segment[np.repeat(begin, count) + place]
 
 
-def _chains(
-    index: RoadIndex, lane: int, along_m: float, depth_m: float, most: int
-) -> list[tuple[int, ...]]:
-    """Lane sequences from a lane on, as deep as wanted."""
-    found: list[tuple[int, ...]] = []
-    stack: list[tuple[tuple[int, ...], float]] = [((lane,), float(index.length_m[lane]) - along_m)]
-    while stack and len(found) < most:
-        lanes, length = stack.pop()
-        following = [each for each in index.following[lanes[-1]] if each not in lanes]
-        if length >= depth_m or not following:
-            found.append(lanes)
-        else:
-            stack += [((*lanes, each), length + index.length_m[each]) for each in following[::-1]]
-    return found
-
-
 def _geometry(
     index: RoadIndex, grid: _Grid, feet: _Feet, picked: Ints, chains: list[tuple[int, ...]]
 ) -> dict[str, Floats]:
@@ -263,12 +248,8 @@ def _stops(
     if not signals:
         return {"stop_m": stop, "signal": colour}
     for row, (foot, lanes) in enumerate(zip(picked.tolist(), chains, strict=True)):
-        start = -float(feet.along_m[foot])
-        for lane in lanes:
-            state = signals.get(index.lane_ids[lane])
-            if state is not None and start > -3.0:
-                stop[row] = min(start, _NO_STOP_M)
-                colour[row, signal_colour(state)] = 1.0
-                break
-            start += float(index.length_m[lane])
+        met = first_signal(index, lanes, float(feet.along_m[foot]), signals)
+        if met is not None:
+            stop[row] = min(met[0], _NO_STOP_M)
+            colour[row, signal_colour(met[1])] = 1.0
     return {"stop_m": stop, "signal": colour}

@@ -6,12 +6,12 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, Ints, View
-from deepmf_sumo.predictors import raster, relations
+from deepmf_sumo.predictors import motion_relations, raster
 from deepmf_sumo.predictors.features import Features, agent_arrays, lane_arrays
 from deepmf_sumo.predictors.lane_relations import LANES, MEETING, PLACE, lane_columns
 from deepmf_sumo.predictors.lane_routes import on_lanes
+from deepmf_sumo.predictors.motion_relations import CONSTANT, MOTION, Motion, rank
 from deepmf_sumo.predictors.presets import Preset
-from deepmf_sumo.predictors.relations import CONSTANT, MOTION, Motion, rank
 from deepmf_sumo.predictors.road_index import road_index
 
 OTHERS: Final = 63
@@ -105,7 +105,9 @@ def _parked(view: View, rows: Ints) -> Bools:
     valid = tracks.valid[rows][..., None]
     high = np.where(valid, tracks.position_m[rows], -np.inf).max(1)
     low = np.where(valid, tracks.position_m[rows], np.inf).min(1)
-    still = ((high - low).max(-1) <= _MOVED_M) & (tracks.speed_mps[rows, -1] <= relations.STILL_MPS)
+    still = ((high - low).max(-1) <= _MOVED_M) & (
+        tracks.speed_mps[rows, -1] <= motion_relations.STILL_MPS
+    )
     pose = tracks.position_m[rows, -1], tracks.heading_rad[rows, -1]
     parked: Bools = still & ~on_lanes(view.road, *pose, _ON_LANE_M, float(_ALONG_LANE_RAD))
     return parked
@@ -114,13 +116,13 @@ def _parked(view: View, rows: Ints) -> Bools:
 def _pairs(view: View, around: Surroundings, known_s: float, stands_in: bool) -> Floats:
     """(V, 112) by motion, at constant motion, along the lanes; ranks (7), parked, the rest (2)."""
     rows = around.rows[: around.vehicles + 1]
-    motion = relations.motion_of(view, rows)
-    constant = relations.constant_columns(motion)
+    motion = motion_relations.motion_of(view, rows)
+    constant = motion_relations.constant_columns(motion)
     lanes = lane_columns(view, rows, motion)
     rest = np.broadcast_to([float(stands_in), known_s / 8.0], (around.vehicles, 2))
     return np.concatenate(
         [
-            relations.motion_columns(motion), constant, lanes,
+            motion_relations.motion_columns(motion), constant, lanes,
             _ranks(motion, constant, lanes), around.parked[:, None], rest,
         ],
         axis=1,

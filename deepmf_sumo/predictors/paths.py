@@ -11,6 +11,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, SignalState
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.predictors.lane_walk import first_signal, lane_sequences
 from deepmf_sumo.predictors.road_index import Foot, RoadIndex
 
 LANE_PATHS: Final = 11
@@ -93,15 +94,9 @@ def _routes(index: RoadIndex, position_m: Floats, heading_rad: float, depth: flo
     feet.sort(key=lambda foot: foot.distance_m + 4 * abs(foot.turn_rad))
     routes: list[Route] = []
     for foot in feet:
-        first: tuple[int, ...] = (foot.lane,)
-        stack = [(first, float(index.length_m[foot.lane]) - foot.along_m)]
-        while stack and len(routes) < _MAX_ROUTES:
-            lanes, length = stack.pop()
-            following = [lane for lane in index.following[lanes[-1]] if lane not in lanes]
-            if length >= depth or not following:
-                routes.append((foot, lanes))
-                continue
-            stack += [((*lanes, lane), length + index.length_m[lane]) for lane in following[::-1]]
+        most = _MAX_ROUTES - len(routes)
+        found = lane_sequences(index, foot.lane, foot.along_m, depth, most)
+        routes += [(foot, lanes) for lanes in found]
     return routes
 
 
@@ -162,13 +157,10 @@ def _describe(
 ) -> Floats:
     """(14) see `PathSet.info`."""
     foot, lanes = route
-    starts = np.cumsum([-foot.along_m, *(index.length_m[lane] for lane in lanes[:-1])])
     stop, state = 200.0, np.array([1.0, 0, 0, 0, 0])
-    for start, lane in zip(starts, lanes, strict=True):
-        signal = signals.get(index.lane_ids[lane])
-        if signal is not None and start > -3.0:
-            stop, state = float(start), _one_hot(signal)
-            break
+    met = first_signal(index, lanes, foot.along_m, signals)
+    if met is not None:
+        stop, state = met[0], _one_hot(met[1])
     limit = index.limit_mps[lanes[0]]
     head = [1.0, 0.0, foot.left_m, foot.turn_rad, min(end_m, 240.0), limit, min(stop, 200.0)]
     return np.array([*head, *state, foot.distance_m, len(lanes)])

@@ -13,6 +13,7 @@ from deepmf_sumo.datatypes import (
     DT_S,
     FUTURE_STEPS,
     HISTORY_STEPS,
+    SIMULATED,
     AgentId,
     Floats,
     RoadMap,
@@ -194,7 +195,7 @@ class _Scenes:
         digest = self._digest.copy()
         digest.update(str(self._taken).encode())
         file = self._recording.name or str(self._recording.config)
-        return Source(dataset="sumo", file=file, record=self._taken, sha256=digest.hexdigest())
+        return Source(dataset=SIMULATED, file=file, record=self._taken, sha256=digest.hexdigest())
 
 
 def _tracks(window: list[_Moment], body: Callable[[AgentId], Body]) -> Tracks:

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import HISTORY_STEPS, AgentId, Scene, View
+from deepmf_sumo.datatypes import HISTORY_STEPS, SIMULATED, AgentId, Scene, View
 from deepmf_sumo.predictors.opponent_features import OTHERS, opponent_features
 from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.training import labels, windows
@@ -52,7 +52,7 @@ def opponent_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
     preset = replace(preset, raster=True, vectors=True)
     tracks = scene.tracks
     rng = np.random.default_rng(zlib.crc32(scene.name.encode()))
-    simulated = scene.source.dataset == windows.SIMULATED
+    simulated = scene.source.dataset == SIMULATED
     av_steps, others = (SIMULATED_STEPS, ()) if simulated else (AV_STEPS, STAND_IN_STEPS)
     for step in sorted({*av_steps, *others}):
         if step >= tracks.steps:

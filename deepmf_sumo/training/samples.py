@@ -2,11 +2,12 @@
 
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, Scene, View
+from deepmf_sumo.datatypes import FUTURE_STEPS, ROLLOUT, SIMULATED, Scene, View
 from deepmf_sumo.geometry import angles
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.presets import Preset
@@ -27,9 +28,10 @@ def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
     Added to `features.Features`: future (80, 2), future_valid (80), driven (80) m along the way,
     partner (80, 3) x, y, heading, partner_known () 0 or 1; futures in the target's frame.
     """
-    attacked = scene.source.dataset == windows.ROLLOUT  # its only target is the AV
+    preset = replace(preset, raster=True)  # networks without the image share the features
+    attacked = scene.source.dataset == ROLLOUT  # its only target is the AV
     steps = ATTACKED_STEPS if attacked else WINDOW_STEPS
-    simulated = scene.source.dataset == windows.SIMULATED
+    simulated = scene.source.dataset == SIMULATED
     for step in steps[::2] if simulated else steps:
         if step >= scene.tracks.steps - windows.least_steps(scene):
             break

@@ -11,6 +11,7 @@ import numpy as np
 from deepmf_sumo.datatypes import (
     FUTURE_STEPS,
     HISTORY_STEPS,
+    ROLLOUT,
     AgentId,
     Bools,
     Floats,
@@ -20,10 +21,6 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.geometry import angles, frames
 
-ROLLOUT: Final = "rollout"
-"""Data set of scenes that `deepmf-sumo run --scenes` wrote."""
-SIMULATED: Final = "sumo"
-"""Data set of scenes that `deepmf-sumo record` wrote."""
 MIN_FUTURE_STEPS: Final = 30
 """A target is known for at least 3 s."""
 MIN_ATTACKED_STEPS: Final = 10

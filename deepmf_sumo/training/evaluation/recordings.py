@@ -10,7 +10,7 @@ from typing import Any, Final
 import torch
 
 from deepmf_sumo import readers
-from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.datatypes import ROLLOUT, Scene
 from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.readers.base import Refusal
@@ -63,7 +63,7 @@ def evaluate(
     refused, scenes, labelled = Refused(), 0, 0
     for scene in _usable(data, refused):
         view = windows.view_at(scene, scene.now)
-        if scene.source.dataset != windows.ROLLOUT:
+        if scene.source.dataset != ROLLOUT:
             opponent.add(predictors.opponent, scene, view)
         pairs = []
         for target in targets(scene, view):

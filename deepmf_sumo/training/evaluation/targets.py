@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Scene, View
+from deepmf_sumo.datatypes import ROLLOUT, AgentId, Scene, View
 from deepmf_sumo.training import windows
 from deepmf_sumo.training.windows import Future
 
@@ -42,7 +42,7 @@ class Target:
     @property
     def planner(self) -> bool:
         """Whether an automated planner drives it: the AV of an attack."""
-        return self.scene.source.dataset == windows.ROLLOUT and self.role == "av"
+        return self.scene.source.dataset == ROLLOUT and self.role == "av"
 
 
 def targets(scene: Scene, view: View) -> Iterator[Target]:

@@ -1,0 +1,50 @@
+"""What `run` shows: a live line while it works, a table at the end."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deepmf_sumo.benchmark.batch import Progress
+from deepmf_sumo.report import table as tables
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[Progress], None]]:
+    """A line that is written over on a terminal; elsewhere a line a run."""
+    console = Console(stderr=True, highlight=False)
+    with console.status("reading specs ...") as status:
+
+        def report(now: Progress) -> None:
+            last = f"; last: {now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
+            kept = f" ({now.kept} kept from before)" if now.kept else ""
+            line = escape(f"{now.done} of {now.of} runs{kept}{last}")
+            status.update(line)
+            if now.last and not console.is_terminal:
+                console.print(line, soft_wrap=True)
+
+        yield report
+
+
+def table(results: Sequence[dict[str, Any]], summary: dict[str, Any], out: Path) -> None:
+    """The runs, the totals, and where the files are."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 160  # pipes and logs have no width of their own
+    grid = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in tables.HEADINGS:
+        grid.add_column(heading, overflow="fold")
+    for result, row in zip(results, tables.rows(results), strict=True):
+        bad = result["status"] != "ok" or result["expectations_broken"]
+        grid.add_row(*map(escape, row), style="red" if bad else "")
+    console.print(grid)
+    console.print(escape(tables.totals(summary)), soft_wrap=True)
+    console.print(escape(f"{out}/runs.csv, {out}/runs/<run>/picture.png"), soft_wrap=True)
+
+
+def _outcome(result: dict[str, Any]) -> str:
+    return str(result["outcome"] if result["status"] == "ok" else result["status"])
