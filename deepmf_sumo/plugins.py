@@ -6,6 +6,7 @@ The folder's listing is the registry; other packages join through the entry poin
 """
 
 import difflib
+import functools
 import importlib
 import importlib.metadata
 import pkgutil
@@ -33,8 +34,7 @@ def names(kind: Kind) -> list[str]:
         for module in pkgutil.iter_modules(package.__path__)
         if module.name != "base" and not module.name.startswith("_") and not module.ispkg
     ]
-    points = importlib.metadata.entry_points(group=f"deepmf_sumo.{kind}")
-    return sorted({*own, *(point.name for point in points)})
+    return sorted({*own, *(point.name for point in _entry_points(kind))})
 
 
 def load(kind: Kind, name: str) -> Any:
@@ -49,7 +49,7 @@ def load(kind: Kind, name: str) -> Any:
         hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
         known = ", ".join(names(kind))
         raise PluginError(f"No plug-in '{name}' in {kind}.{hint} Known: {known}.")
-    for point in importlib.metadata.entry_points(group=f"deepmf_sumo.{kind}"):
+    for point in _entry_points(kind):
         if point.name == name:
             return point.load()
     module: ModuleType = importlib.import_module(f"deepmf_sumo.{kind}.{name}")
@@ -75,6 +75,12 @@ def explain(error: ValidationError, schema: type[BaseModel]) -> str:
         hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
         return f"unknown key '{key}'.{hint} Known: {', '.join(schema.model_fields)}."
     return f"'{key}' is {first['input']!r}: {first['msg']}."
+
+
+@functools.cache
+def _entry_points(kind: Kind) -> tuple[importlib.metadata.EntryPoint, ...]:
+    """Read once: every installed package is asked, and plug-ins are loaded for every episode."""
+    return tuple(importlib.metadata.entry_points(group=f"deepmf_sumo.{kind}"))
 
 
 def _load_class(kind: Kind, name: str) -> Any:

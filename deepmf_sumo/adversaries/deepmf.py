@@ -27,9 +27,9 @@ class DeepMF:
         """The episode; ``generation_s`` is what the policy did, without loading the predictors."""
         if self._predictors is None:
             # Brings torch along, which checking a spec's settings must not.
-            from deepmf_sumo.predictors import weights
+            from deepmf_sumo.predictors import shared
 
-            self._predictors = weights.load(self._weights)
+            self._predictors = shared.predictors(self._weights)
         policy = deepmf.build(self._settings, self._predictors, case.partner_id, case.av_driver)
         rollout = simulate(policy)
         return Attack(rollout=rollout, simulations=1, generation_s=policy.seconds)

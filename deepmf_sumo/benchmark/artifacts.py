@@ -70,6 +70,13 @@ def _reason(reason: PlanReason) -> dict[str, NDArray[Any]]:
     }
     if reason.origin:
         arrays["candidate_origin"] = np.array(reason.origin)
+    if reason.wanted_sector is not None and reason.sector is not None:
+        arrays["wanted_sector"] = np.array(reason.wanted_sector)
+        arrays["sector"] = reason.sector
+    if reason.fair is not None:
+        arrays["candidate_fair"] = reason.fair
+    if reason.unmet:
+        arrays["unmet"] = np.array(reason.unmet)
     if reactions:
         positions = np.stack([one.futures.position_m for one in reactions])
         arrays["reaction_position_m"] = positions.astype("float32")

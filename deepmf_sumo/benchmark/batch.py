@@ -1,8 +1,9 @@
 """Specs -> result folder."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from deepmf_sumo.benchmark import episode, pool, result, tasks
 from deepmf_sumo.benchmark.home import cache_folder
@@ -22,7 +23,10 @@ class Options:
         timeout_s: for one run; None is no limit.
         draw: makes the pictures, by name importable in a worker; None makes none.
         scenes: also write each rollout as a recording.
+        sumo: write a folder a run that sumo-gui opens.
         resume: keep the runs that an earlier, equal batch finished.
+        memory_mb: for one worker; None is no limit.
+        minutes: no run is begun after so many; None is no limit.
     """
 
     out: Path
@@ -33,7 +37,10 @@ class Options:
     gui: bool = False
     junit: bool = False
     scenes: bool = False
+    sumo: bool = True
     resume: bool = False
+    memory_mb: float | None = None
+    minutes: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,34 +63,60 @@ def run(
     An interrupt leaves the finished runs and their tables behind and is passed on. Raises SpecError
     or OutputError before anything runs.
     """
-    cache = cache_folder()
-    planned = tasks.plan(specs, cache, options.name_filter)
+    planned = tasks.plan(specs, cache_folder(), options.name_filter)
+    return run_tasks(planned, options, report)
+
+
+def run_tasks(
+    planned: Sequence[Task],
+    options: Options,
+    report: Callable[[Progress], None] = lambda _: None,
+    *,
+    queue: Callable[[Task], Any] | None = None,
+) -> list[Result]:
+    """As `run`; tables are in the order of ``planned``, runs begin in that of the key ``queue``."""
     store = open_folder(options.out, resume=options.resume)
     store.begin(planned, {"jobs": options.jobs, "timeout_s": options.timeout_s})
     found = {task.run_id: kept for task in planned if (kept := store.result(task))}
     left = [task for task in planned if task.run_id not in found]
+    if queue:
+        left.sort(key=queue)
     kept_runs, interrupted = len(found), True
     report(Progress(done=kept_runs, of=len(planned), kept=kept_runs))
-    work = episode.Episode(
-        runs=store.runs,
-        cache=cache,
-        draw=options.draw,
-        gui=options.gui,
-        scenes=options.scenes,
-    )
-    endings = pool.run(work, left, jobs=options.jobs, timeout_s=options.timeout_s)
+    endings = _endings(store, left, options)
     try:
         for ending in endings:
             task = left[ending.index]
             found[task.run_id] = last = _result(store, task, ending)
             report(Progress(done=len(found), of=len(planned), kept=kept_runs, last=last))
-        interrupted = False
+        interrupted = len(found) < len(planned)
     finally:
         endings.close()
         results = [found[task.run_id] for task in planned if task.run_id in found]
-        expects = any(spec.expect != Expect() for spec in specs)
+        expects = any(task.spec.expect != Expect() for task in planned)
         store.finish(results, junit_too=options.junit or expects, interrupted=interrupted)
     return results
+
+
+def _endings(
+    store: Store, left: Sequence[Task], options: Options
+) -> Generator[pool.Finished, None, None]:
+    work = episode.Episode(
+        runs=store.runs,
+        cache=cache_folder(),
+        draw=options.draw,
+        gui=options.gui,
+        scenes=options.scenes,
+        sumo=options.sumo,
+    )
+    return pool.run(
+        work,
+        left,
+        jobs=options.jobs,
+        timeout_s=options.timeout_s,
+        memory_mb=options.memory_mb,
+        minutes=options.minutes,
+    )
 
 
 def _result(store: Store, task: Task, ending: pool.Finished) -> Result:

@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo.benchmark.result import TIMINGS
+from deepmf_sumo.benchmark.study.rows import TIMINGS as TABLE_TIMINGS
 
-IGNORED: Final = {"log.txt", "report.html"}
-"""Files that tell of the machine."""
+IGNORED: Final = {"log.txt", "report.html", "table.md", "table.tex"}
+"""Files that tell of the machine; the readable tables are those of the CSV files, with times."""
+
+_TIMED: Final = {*TIMINGS, *TABLE_TIMINGS}
 
 
 def same(folder_a: Path, folder_b: Path) -> bool:
@@ -38,10 +41,14 @@ def _content(path: Path) -> Any:
     if path.suffix == ".json":
         values = json.loads(path.read_text("utf-8"))
         return {key: value for key, value in values.items() if key not in {"timings", "machine"}}
-    if path.name == "runs.csv":
+    if path.suffix == ".csv":
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
-        return [[(key, row[key]) for key in row if key not in TIMINGS] for row in rows]
+        return [
+            [(key, row[key]) for key in row if key not in _TIMED]
+            for row in rows
+            if row.get("quantity") not in _TIMED
+        ]
     content = path.read_bytes()
     if path.name == "junit.xml":
         return re.sub(rb' time="[^"]*"', b"", content)

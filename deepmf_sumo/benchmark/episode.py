@@ -20,8 +20,8 @@ from deepmf_sumo import network, plugins, readers, simulation
 from deepmf_sumo.benchmark import artifacts, expectations, files, result
 from deepmf_sumo.benchmark.rollout_scene import scene_of
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, MetricValue, Rollout
-from deepmf_sumo.errors import DeepmfError, ReaderError, UsageError
+from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, MetricValue, Rollout, Scene, SumoNet
+from deepmf_sumo.errors import DeepmfError, ReaderError, RunError, UsageError
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.readers import npz
 from deepmf_sumo.spec import FromNetwork
@@ -37,6 +37,8 @@ class Episode:
         runs: the folder of all runs. cache: of converted networks.
         draw: makes ``picture.png``; None makes none.
         scenes: also write the rollout as a recording, ``scene.npz``.
+        sumo: also write ``sumo/``, which sumo-gui opens; of networks it is always written, since
+            their road is known from it.
     """
 
     runs: Path
@@ -44,6 +46,7 @@ class Episode:
     draw: Draw | None = None
     gui: bool = False
     scenes: bool = False
+    sumo: bool = True
 
     def __call__(self, task: Task) -> None:
         """Run the task. A run that fails leaves its reason in ``result.json``."""
@@ -78,12 +81,17 @@ class Episode:
         metrics = measure(rollout, case)
         artifacts.write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
-        plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")
+        if self.sumo or isinstance(task.spec.source, FromNetwork):
+            plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")
         if self.scenes:
             npz.write(scene_of(rollout, case), folder / "scene.npz")
         if self.draw:
             self.draw(rollout, case, folder / "picture.png")
-        return result.finished(task, case, attack, metrics, time.perf_counter() - begin)
+        found = result.finished(task, case, attack, metrics, time.perf_counter() - begin)
+        wrong = result.not_finite(found)
+        if wrong:
+            raise RunError(f"{wrong} is not a finite number; the run is not used.")
+        return found
 
 
 def make_case(task: Task, cache: Path) -> Case:
@@ -94,7 +102,7 @@ def make_case(task: Task, cache: Path) -> Case:
         return simulation.network_case(
             source.network, source.start_s, source.av.vehicle, steps, spec.seed, task.run_id
         )
-    scene = readers.scene(source.recording, task.scene, cache)
+    scene, net = _recorded(source.recording, task.scene, cache)
     return Case(
         name=task.run_id,
         road=scene.road,
@@ -103,10 +111,17 @@ def make_case(task: Task, cache: Path) -> Case:
         traffic=spec.traffic,
         seed=spec.seed,
         scene=scene,
-        net=network.cached(scene, cache / "nets"),
+        net=net,
         partner_id=scene.partner_id,
         av_driver=getattr(plugins.load("planners", spec.planner.name), "DRIVER", "planner"),
     )
+
+
+@functools.lru_cache(maxsize=4)
+def _recorded(recording: Path, scene_id: str, cache: Path) -> tuple[Scene, SumoNet]:
+    """Kept between tasks: the methods of a benchmark follow one another on a scene."""
+    scene = readers.scene(recording, scene_id, cache)
+    return scene, network.cached(scene, cache / "nets")
 
 
 def attack_case(task: Task, case: Case, *, gui: bool = False) -> Attack:
@@ -120,7 +135,8 @@ def attack_case(task: Task, case: Case, *, gui: bool = False) -> Attack:
         return simulation.simulate(case, planner, policy, rng=rng, gui=gui)
 
     rng = np.random.default_rng(task.entropy())
-    attack: Attack = _adversary_of(task).attack(case, simulate, Budget(), rng)
+    budget = Budget(simulations=spec.budget.simulations, seconds=spec.budget.seconds)
+    attack: Attack = _adversary_of(task).attack(case, simulate, budget, rng)
     return attack
 
 
@@ -130,7 +146,7 @@ def _adversary_of(task: Task) -> Any:
     return _adversary(choice.name, settings, task.spec.weights)
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=64)
 def _adversary(name: str, settings: str, weights: str) -> Any:
     """Kept between tasks: loading its weights takes longer than an episode."""
     checked = plugins.settings("adversaries", name, json.loads(settings))

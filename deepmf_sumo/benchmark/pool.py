@@ -5,9 +5,11 @@ so that killing it takes its children along and Ctrl-C reaches the parent alone.
 """
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -17,6 +19,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Final, Literal, TypeVar
 
+from deepmf_sumo.benchmark import memory
 from deepmf_sumo.errors import RunError
 
 START_LIMIT_S: Final = 300.0
@@ -27,53 +30,74 @@ SINGLE_THREAD: Final = dict.fromkeys(
 )
 """Sums are the same to the last bit only for the same number of threads; workers are parallel."""
 
+_LOOK_S: Final = 0.2
+"""Between two looks at the memory of the workers."""
+
+_PR_SET_PDEATHSIG: Final = 1
+
+Status = Literal["done", "raised", "crashed", "timeout", "memory"]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finished:
-    """How a task ended; ``raised`` and ``crashed`` with a reason."""
+    """How a task ended; all but ``done`` with a reason."""
 
     index: int
-    status: Literal["done", "raised", "crashed", "timeout"]
+    status: Status
     reason: str = ""
     seconds: float = 0.0
 
 
 def run(
-    work: Callable[[T], None], tasks: Sequence[T], *, jobs: int, timeout_s: float | None
+    work: Callable[[T], None],
+    tasks: Sequence[T],
+    *,
+    jobs: int,
+    timeout_s: float | None,
+    memory_mb: float | None = None,
+    minutes: float | None = None,
 ) -> Generator[Finished, None, None]:
     """Do all tasks; yields each as it ends. Closing the iterator kills what still runs.
 
-    ``work`` must be importable by name in a new process; it reports nothing back, but writes its
-    result. ``timeout_s`` is for one task, without the start of its worker.
+    Args:
+        work: importable by name in a new process; writes its result.
+        tasks: begun in this order.
+        jobs: workers.
+        timeout_s: for one task, without the start of its worker.
+        memory_mb: of a worker and its children; above it the task is ended.
+        minutes: no task is begun after so many.
 
     Raises RunError where a worker does not even start.
     """
     pending = deque(enumerate(tasks))
-    workers = [_Worker(work) for _ in range(min(jobs, len(tasks)))]
+    stop = time.monotonic() + 60.0 * minutes if minutes else float("inf")
+    workers = [_Worker(work, timeout_s, memory_mb) for _ in range(min(jobs, len(tasks)))]
     try:
         while pending or any(worker.index is not None for worker in workers):
+            if time.monotonic() >= stop:
+                pending.clear()
             for worker in workers:
-                if worker.ready and worker.index is None and pending:
-                    worker.give(*pending.popleft(), timeout_s)
-            _wait(workers)
+                if pending and worker.free:
+                    worker.give(*pending.popleft())
+            _wait(workers, stop if pending else float("inf"))
             for place, worker in enumerate(workers):
-                finished = worker.look()
-                if finished:
+                if finished := worker.look():
                     yield finished
                 if not worker.alive and pending:
-                    workers[place] = _Worker(work)
+                    workers[place] = _Worker(work, timeout_s, memory_mb)
             workers = [worker for worker in workers if worker.alive]
     finally:
         for worker in workers:
             worker.kill()
 
 
-def _wait(workers: Sequence["_Worker"]) -> None:
-    """Sleep until a worker says something or one is out of time."""
-    due = min(worker.deadline for worker in workers)
-    wait([worker.connection for worker in workers], min(max(due - time.monotonic(), 0.0), 60.0))
+def _wait(workers: Sequence["_Worker"], stop: float) -> None:
+    """Sleep until a worker says something, one is out of time, or its memory is to be looked at."""
+    due = min(stop, *(worker.deadline for worker in workers))
+    most = _LOOK_S if any(worker.memory_mb for worker in workers) else 60.0
+    connections = [worker.connection for worker in workers]
+    wait(connections, min(max(due - time.monotonic(), 0.0), most))
 
 
 @dataclass
@@ -81,6 +105,8 @@ class _Worker:
     """The parent's side of a worker process."""
 
     work: Callable[[Any], None]
+    timeout_s: float | None
+    memory_mb: float | None
     ready: bool = False
     alive: bool = True
     index: int | None = None
@@ -97,9 +123,14 @@ class _Worker:
             self.process.start()
         theirs.close()
 
-    def give(self, index: int, task: object, timeout_s: float | None) -> None:
+    @property
+    def free(self) -> bool:
+        """Whether it waits for a task."""
+        return self.ready and self.index is None
+
+    def give(self, index: int, task: object) -> None:
         self.index, self.began = index, time.monotonic()
-        self.deadline = self.began + timeout_s if timeout_s else float("inf")
+        self.deadline = self.began + self.timeout_s if self.timeout_s else float("inf")
         with contextlib.suppress(BrokenPipeError):  # it died while idle: `look` finds out
             self.connection.send((task,))
 
@@ -116,7 +147,15 @@ class _Worker:
                 raise RunError(f"A worker did not start within {START_LIMIT_S:g} s.")
             self.kill()
             return self._finish("timeout", f"longer than {self.deadline - self.began:g} s")
+        if self.index is not None and self._eats_too_much():
+            self.kill()
+            return self._finish("memory", f"more than {self.memory_mb:g} MB of memory")
         return None
+
+    def _eats_too_much(self) -> bool:
+        if not self.memory_mb or not self.process.pid:
+            return False
+        return memory.resident_mb(self.process.pid) > self.memory_mb
 
     def kill(self) -> None:
         """End the process and its children."""
@@ -143,9 +182,7 @@ class _Worker:
             raise RunError(f"A worker process died while it started ({name}); see its message.")
         return None if self.index is None else self._finish("crashed", f"the worker died: {name}")
 
-    def _finish(
-        self, status: Literal["done", "raised", "crashed", "timeout"], why: str
-    ) -> Finished:
+    def _finish(self, status: Status, why: str) -> Finished:
         assert self.index is not None
         index, self.index, self.deadline = self.index, None, float("inf")
         seconds = time.monotonic() - self.began
@@ -155,6 +192,8 @@ class _Worker:
 def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> None:
     """A worker's life. ``work`` has been imported by now, and its libraries with it."""
     os.setpgid(0, 0)
+    if sys.platform == "linux":  # at once, so that no folder has two writers after a resume
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     connection.send(("ready", ""))

@@ -3,14 +3,18 @@
 All that differs between two equal runs stands under ``timings``.
 """
 
+import math
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from deepmf_sumo import plugins
-from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, MetricValue, Rollout
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.metrics.episode import accelerations
 from deepmf_sumo.spec import VERSIONS
 
 Status = Literal["ok", "failed", "timeout", "skipped"]
@@ -38,6 +42,13 @@ COLUMNS: Final = (
     "cycle_ms_median",
     "simulation_s",
     "error",
+    "method",
+    "planner_label",
+    "parameters",
+    "part",
+    "budget_simulations",
+    "budget_seconds",
+    "simulations",
 )
 TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
 """Columns that differ between equal runs."""
@@ -65,11 +76,13 @@ def finished(
         "outcome": rollout.outcome,
         "ended": rollout.ended,
         "steps": rollout.tracks.steps - 1 - rollout.now,
+        "duration_steps": case.duration_steps,
         "opponent": rollout.opponent_id,
         "opponent_score": _opponent_score(rollout, task.spec.adversary.settings),
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
         "events": [asdict(event) for event in rollout.events],
         "metrics": {value.name: _metric(value) for value in metrics},
+        "samples": _samples(rollout, case),
         "plans": len(rollout.plans),
         "rules": [plan.reason.rule for plan in rollout.plans if plan.reason],
         "search": {
@@ -92,6 +105,8 @@ def row(result: Result) -> dict[str, str]:
         "contact_speed_mps": contact.get("relative_mps"),
         "impact_sector": contact.get("sector"),
         **{key: metrics.get(key, {}).get("value") for key in ("feasible", "on_road")},
+        **{f"budget_{name}": value for name, value in result["budget"].items()},
+        "simulations": result.get("search", {}).get("simulations"),
         **{key: timings.get(key) for key in TIMINGS},
     }
     return {key: _text(known[key]) for key in COLUMNS}
@@ -103,19 +118,39 @@ def first_contact(result: Result) -> dict[str, Any] | None:
     return next((one for one in contacts if one["kind"] == result["outcome"]), None)
 
 
+def not_finite(values: Any, name: str = "") -> str | None:
+    """Dotted name of the first number that is NaN or infinite; None if all are finite."""
+    if isinstance(values, float):
+        return None if math.isfinite(values) else name
+    inside: Iterable[tuple[Any, Any]] = values.items() if isinstance(values, dict) else ()
+    if isinstance(values, list | tuple):
+        inside = enumerate(values)
+    found = (not_finite(value, f"{name}.{key}" if name else str(key)) for key, value in inside)
+    return next((one for one in found if one), None)
+
+
 def _identity(task: Task) -> dict[str, Any]:
     spec = task.spec
     planner = plugins.settings("planners", spec.planner.name, spec.planner.settings)
     adversary = plugins.settings("adversaries", spec.adversary.name, spec.adversary.settings)
+    perception = getattr(planner, "perception", None)
+    driver = f"{spec.planner.name} {perception}" if perception else spec.planner.name
+    label = task.label or Label(method=spec.name, planner=driver)
     return {
         "run_id": task.run_id,
         "key": task.key,
         "spec": spec.name,
         "scene": task.scene,
         "planner": spec.planner.name,
-        "perception": getattr(planner, "perception", None),
+        "perception": perception,
+        "parameters": getattr(planner, "parameters", None),
         "adversary": spec.adversary.name,
         "version": _version(adversary),
+        "method": label.method,
+        "planner_label": label.planner,
+        "base_method": label.base or label.method,
+        "part": label.part,
+        "budget": spec.budget.model_dump(mode="json"),
         "weights": spec.weights,
         "seed": spec.seed,
         "settings": {
@@ -151,6 +186,28 @@ def _contact(contact: Contact, rollout: Rollout) -> dict[str, Any]:
     for name in ("pose_first", "pose_second"):
         values[name] = [float(value) for value in values[name]]
     return {name: _plain(value) for name, value in values.items()}
+
+
+def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
+    """What figures over many runs are made of; None if nobody was driven.
+
+    ``opponent_m``: the opponent twice a second, in the frame of the AV's first pose.
+    ``attack_mps2``, ``recorded_mps2``: see `metrics.episode.accelerations.compared`, smooth.
+    """
+    tracks = rollout.tracks
+    if rollout.opponent_id is None or rollout.opponent_id not in tracks.ids:
+        return None
+    row, av = tracks.row(rollout.opponent_id), tracks.row(rollout.av_id)
+    there = tracks.valid[row, rollout.now :]
+    path = tracks.position_m[row, rollout.now :][there][:: round(0.5 / rollout.dt_s)]
+    origin, heading = tracks.position_m[av, rollout.now], tracks.heading_rad[av, rollout.now]
+    changes = accelerations.compared(rollout, case, smooth=True)
+    attack, recorded = ((), ()) if isinstance(changes, str) else changes
+    return {
+        "opponent_m": np.round(frames.to_local(path, origin, float(heading)), 2).tolist(),
+        "attack_mps2": np.round(attack, 3).tolist(),
+        "recorded_mps2": np.round(recorded, 3).tolist(),
+    }
 
 
 def _metric(value: MetricValue) -> dict[str, Any]:

@@ -10,6 +10,8 @@ from deepmf_sumo.errors import OutputError, UsageError
 FOLDERS = ("scenarios", "sumo_nets")
 """Side by side, because specs name their network by a path relative to themselves."""
 
+PAPER_PLAN = Path("docs/studies/paper.yaml")
+
 
 def starter_home() -> Path:
     """Folder that holds the networks and specs: package data, or the top of a checkout.
@@ -24,6 +26,18 @@ def starter_home() -> Path:
         f"The installation in {package} lacks the starter files ({', '.join(FOLDERS)}): "
         "install deepmf-sumo again."
     )
+
+
+def paper_plan() -> Path:
+    """The plan of the paper's tables: package data, or that of a checkout.
+
+    Raises UsageError if the installation has neither.
+    """
+    package = Path(deepmf_sumo.__file__).resolve().parent
+    for place in (package / "starter" / PAPER_PLAN.name, package.parent / PAPER_PLAN):
+        if place.is_file():
+            return place
+    raise UsageError(f"The installation in {package} lacks {PAPER_PLAN.name}: install it again.")
 
 
 def starter_files() -> tuple[Path, ...]:
@@ -72,4 +86,4 @@ def _move_all(files: tuple[Path, ...], staging: Path, target: Path) -> tuple[Pat
     return tuple(placed)
 
 
-__all__ = ["FOLDERS", "lay_out", "starter_files", "starter_home"]
+__all__ = ["FOLDERS", "lay_out", "paper_plan", "starter_files", "starter_home"]

@@ -24,6 +24,12 @@ from deepmf_sumo.errors import OutputError
 from deepmf_sumo.metrics.statistics.wilson import wilson
 
 FORMAT_VERSION: Final = 1
+_MADE: Final = (
+    "runs", "runs.csv", "summary.json", "junit.xml", "report.html", "study.json", "table.csv",
+    "table.md", "table.tex", "differences.csv", "equal_seconds.csv", "curves.csv", "accidents.csv",
+    "figures",
+)  # fmt: skip
+"""What an earlier batch or benchmark leaves in its folder."""
 _PACKAGES: Final = ("libsumo", "eclipse-sumo", "torch", "numpy", "pydantic", "shapely")
 
 
@@ -48,17 +54,25 @@ class Store:
 
     def read(self, task: Task) -> Result:
         """The result that a worker has written."""
-        found: Result = json.loads((self.runs / task.run_id / "result.json").read_text("utf-8"))
+        return self.read_run(task.run_id)
+
+    def read_run(self, run_id: str) -> Result:
+        """The result of a run that is there."""
+        found: Result = json.loads((self.runs / run_id / "result.json").read_text("utf-8"))
         return found
 
     def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
-        """Write the manifest; ``machine`` is what may differ between equal batches."""
+        """Write the manifest of a batch; ``machine`` is what may differ between equal ones."""
+        self.manifest({task.run_id: task.key for task in tasks}, machine)
+
+    def manifest(self, keys: dict[str, str], machine: dict[str, Any]) -> None:
+        """Write the manifest of runs, given by id and `Task.key`."""
         manifest = {
             "format_version": FORMAT_VERSION,
             "tool": "deepmf-sumo",
             "version": deepmf_sumo.__version__,
             "packages": {name: _installed(name) for name in _PACKAGES},
-            "runs": {task.run_id: task.key for task in tasks},
+            "runs": keys,
             "machine": {
                 "command": sys.argv,
                 "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -90,10 +104,10 @@ def open_folder(out: Path, *, resume: bool) -> Store:
     manifest = out / "manifest.json"
     try:
         out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()) and not _is_ours(manifest):
+        if not (_is_ours(manifest) or _is_empty(out)):
             raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
         if not resume:
-            for name in ("runs", "runs.csv", "summary.json", "junit.xml", "report.html"):
+            for name in _MADE:
                 _remove(out / name)
         (out / "runs").mkdir(exist_ok=True)
         files.write(out / "runs" / ".writable", "")
@@ -147,6 +161,12 @@ def _over_runs(done: Sequence[Result]) -> dict[str, Any]:
 
 def _timings(done: Sequence[Result], name: str) -> list[float]:
     return [one["timings"][name] for one in done if one["timings"].get(name) is not None]
+
+
+def _is_empty(out: Path) -> bool:
+    """Whether a folder holds nothing, or only what a batch killed in its first moment leaves."""
+    left = {".manifest.json.part", "runs", ".writable"}
+    return all(path.name in left for path in out.rglob("*"))
 
 
 def _is_ours(manifest: Path) -> bool:

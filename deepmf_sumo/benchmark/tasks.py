@@ -7,13 +7,32 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from zlib import crc32
 
 import deepmf_sumo
 from deepmf_sumo import readers
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.spec import First, FromNetwork, FromRecording, Spec
+
+Part = Literal["main", "budgets", "figures"]
+"""``budgets``: what a method finds with other budgets than its own; ``figures``: in no table."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Label:
+    """What a run is called in tables.
+
+    Attributes:
+        method: how the attack is found, the budget in it where that is not its own.
+        planner: who drives the AV. part: of a benchmark.
+        base: the method without the budget.
+    """
+
+    method: str
+    planner: str
+    part: Part = "main"
+    base: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,21 +42,30 @@ class Task:
     Attributes:
         run_id: ``<spec>--<scene>--<seed>``, safe as a file name, unique in a batch.
         scene: id in the recording, or the network's file name without suffix.
+        label: in a benchmark; None takes the names of spec and planner.
     """
 
     run_id: str
     spec: Spec
     scene: str
+    label: Label | None = None
 
     @property
     def key(self) -> str:
         """Digest of all that the result depends on, apart from plug-ins of other packages."""
-        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.spec.resolved()]
+        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.resolved()]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def entropy(self) -> list[int]:
-        """Seeds of the run's random generators."""
-        return [self.spec.seed, crc32(self.run_id.encode())]
+        """Seeds of the run's random generators: the same for every method and planner of a scene.
+
+        So differences between them are not those of the dice, and a search with a larger budget
+        begins as one with a smaller.
+        """
+        source, situation = self.spec.source, self.scene
+        if isinstance(source, FromNetwork):
+            situation = f"{source.network.stem} {source.start_s:g} {source.av.vehicle}"
+        return [self.spec.seed, crc32(situation.encode())]
 
     def resolved(self) -> dict[str, Any]:
         """The spec of this run alone."""
@@ -55,8 +83,8 @@ def plan(specs: Sequence[Spec], cache: Path, name_filter: str = "") -> list[Task
     """
     tasks: dict[str, Task] = {}
     for spec in specs:
-        for scene in _scenes(spec, cache):
-            run_id = "--".join([slug(spec.name), slug(scene), str(spec.seed)])
+        for scene in scenes(spec, cache):
+            run_id = run_id_of(spec, scene)
             if run_id in tasks:
                 raise SpecError(
                     f"Two runs are called '{run_id}'; give the specs different names or seeds."
@@ -70,6 +98,11 @@ def plan(specs: Sequence[Spec], cache: Path, name_filter: str = "") -> list[Task
     return chosen
 
 
+def run_id_of(spec: Spec, scene: str) -> str:
+    """``<spec>--<scene>--<seed>``."""
+    return "--".join([slug(spec.name), slug(scene), str(spec.seed)])
+
+
 def slug(name: str) -> str:
     """Lower-case letters, digits and single dashes; a checksum where that lost something."""
     plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60].strip("-")
@@ -77,7 +110,8 @@ def slug(name: str) -> str:
     return plain if plain and plain == spelled else f"{plain}-{crc32(name.encode()):08x}".strip("-")
 
 
-def _scenes(spec: Spec, cache: Path) -> Iterator[str]:
+def scenes(spec: Spec, cache: Path) -> Iterator[str]:
+    """Names of a spec's scenes. Raises SpecError where there is none, or not the one asked for."""
     source = spec.source
     if isinstance(source, FromNetwork):
         yield source.network.stem

@@ -11,7 +11,9 @@ _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 
 
 @click.command(name="train")
-@click.argument("network", type=click.Choice(["opponent", "marginal", "conditional", "all"]))
+@click.argument(
+    "network", type=click.Choice(["opponent", "marginal", "conditional", "strive", "all"])
+)
 @click.option(
     "--data",
     multiple=True,
@@ -67,8 +69,9 @@ _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 @click.option("--again", is_flag=True, help="Train even what the same training has made before.")
 @click.option("--licence", help="Note on the data's licence, for the card.")
 def command(network: str, name: str, **settings: Any) -> None:
-    """Train NETWORK, or all three, on recordings of any known format.
+    """Train NETWORK, or all three of DeepMF, on recordings of any known format.
 
+    strive is the motion prior of the baseline of that name; nothing else needs it.
     One scene in ten of each source is held out for early stopping and temperatures. Sources count
     by their samples, or by the weights given to them. A run that was cut off goes on with the same
     command; a network that this very training has made is left as it is.

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from deepmf_sumo.datatypes.scene import AgentId
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleModel:
@@ -34,6 +36,7 @@ class Command:
             alone.
         gap_m: bumper to leader, metres (``leader``).
         leader_mps: the leader's speed along the AV's path, signed (``leader``).
+        leader_id: whom the planner reacts to, if it knows; only recorded.
     """
 
     kind: Literal["pose", "sumo", "leader", "speed"]
@@ -43,3 +46,4 @@ class Command:
     speed_mps: float = 0.0
     gap_m: float = 0.0
     leader_mps: float = 0.0
+    leader_id: AgentId | None = None

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from deepmf_sumo.datatypes.arrays import Bools, Floats, frozen
+import numpy as np
+
+from deepmf_sumo.datatypes.arrays import Bools, Floats, Ints, frozen
 from deepmf_sumo.datatypes.forecast import Forecast, OpponentScores
 from deepmf_sumo.datatypes.scene import AgentId
 
@@ -20,11 +22,18 @@ class PlanReason:
         value: (N1) the rule's value of each candidate.
         product: (N1) the paper's plain product P_j * sum_k P_jk * Coll_jk.
         chosen: index of the candidate.
-        rule: the rule that chose it, or ``fallback`` where no pair collides.
+        rule: the rule that chose it; ``<rule>, any sector`` where no pair hits the wanted one,
+            ``nothing fair`` where none can be avoided, ``fallback`` where no pair collides.
         bent_m: (N1) farthest that the kinematic limits moved a candidate from its prediction.
         milliseconds: wall time by part.
         origin: (N1) where each candidate comes from: ``mode`` of the prediction, ``goal`` near the
-            AV's predicted way, ``tail`` of the last plan; empty where all are modes.
+            AV's predicted way, ``aim`` at the wanted side of it, ``tail`` of the last plan; empty
+            where all are modes.
+        wanted_sector: the AV's sector that was to be hit, 0..7; None: any.
+        sector: (N1, N2) sector in which a pair first overlaps, -1 where it does not; None where
+            none is wanted.
+        fair: (N1) a competent driver could avoid the candidate; None where that was not asked.
+        unmet: wishes that no candidate meets: ``sector``, ``fair``.
     """
 
     scores: OpponentScores | None
@@ -39,6 +48,17 @@ class PlanReason:
     bent_m: Floats
     milliseconds: dict[str, float] = field(default_factory=dict)
     origin: tuple[str, ...] = ()
+    wanted_sector: int | None = None
+    sector: Ints | None = None
+    fair: Bools | None = None
+    unmet: tuple[str, ...] = ()
+
+    @property
+    def collision_mass(self) -> Floats:
+        """(N1) probability that the AV's reaction to each candidate collides with it."""
+        chance = np.stack([reaction.probability for reaction in self.reactions])
+        mass: Floats = (chance * self.collides).sum(axis=1)
+        return mass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,6 +6,7 @@ from typing import Literal
 
 from deepmf_sumo.datatypes.arrays import Bytes, Floats, frozen
 from deepmf_sumo.datatypes.plan import Plan
+from deepmf_sumo.datatypes.road import SignalState
 from deepmf_sumo.datatypes.scene import AgentId, Tracks
 
 ContactKind = Literal["av_opponent", "av_other", "opponent_other"]
@@ -75,6 +76,9 @@ class Rollout:
         opponent_id: None if there was nobody to attack.
         ended: ``contact`` (AV and opponent), ``time``, ``av_gone``.
         seconds: wall time by part (``simulation``, ``policy``, ``planner``).
+        leaders: for each simulated step whom the AV's planner named, or SUMO's model followed on
+            its lanes, when it chose the step; None where nobody looked (poses, plain speeds).
+        signals: for each simulated step the lights as they were before it, by lane id.
     """
 
     tracks: Tracks
@@ -88,6 +92,8 @@ class Rollout:
     plans: tuple[Plan, ...]
     ended: str
     seconds: dict[str, float] = field(default_factory=dict)
+    leaders: tuple[tuple[AgentId, ...] | None, ...] = ()
+    signals: tuple[dict[str, SignalState], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "driver", frozen(self.driver, "uint8"))

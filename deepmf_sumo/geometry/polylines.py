@@ -22,21 +22,35 @@ def arc_lengths(points_m: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
+class Measured:
+    """A polyline (P, 2), P >= 2 distinct points, prepared for being asked for many points.
+
+    Attributes:
+        along_m: (P) distance along the polyline at each point; the first is 0.
+    """
+
+    def __init__(self, points_m: Floats) -> None:
+        points = np.asarray(points_m, float)
+        length = arc_lengths(points)
+        keep = np.concatenate([[True], np.diff(length) > 1e-9])
+        self._points, self.along_m = points[keep], length[keep]
+        self._direction = np.diff(self._points, axis=0) / np.diff(self.along_m)[:, None]
+        self._heading = np.arctan2(self._direction[:, 1], self._direction[:, 0])
+
+    def at(self, along_m: Floats) -> tuple[Floats, Floats]:
+        """See `points_at`."""
+        along, length = np.asarray(along_m, float), self.along_m
+        segment = np.clip(np.searchsorted(length, along, side="right") - 1, 0, len(length) - 2)
+        ahead = (along - length[segment])[..., None] * self._direction[segment]
+        return self._points[segment] + ahead, self._heading[segment]
+
+
 def points_at(points_m: Floats, along_m: Floats) -> tuple[Floats, Floats]:
     """Points (..., 2) and headings (...) at arc lengths (...); continued straight past both ends.
 
     The polyline (P, 2) needs P >= 2 distinct points.
     """
-    points = np.asarray(points_m, float)
-    length = arc_lengths(points)
-    keep = np.concatenate([[True], np.diff(length) > 1e-9])
-    points, length = points[keep], length[keep]
-    along = np.asarray(along_m, float)
-    segment = np.clip(np.searchsorted(length, along, side="right") - 1, 0, len(length) - 2)
-    direction = np.diff(points, axis=0) / np.diff(length)[:, None]
-    where = points[segment] + (along - length[segment])[..., None] * direction[segment]
-    heading = np.arctan2(direction[segment, 1], direction[segment, 0])
-    return where, heading
+    return Measured(points_m).at(along_m)
 
 
 def project(points_m: Floats, query_m: Floats) -> Projection:
@@ -49,19 +63,18 @@ def project(points_m: Floats, query_m: Floats) -> Projection:
     away = offset - share[..., None] * delta
     distance = np.hypot(away[..., 0], away[..., 1])
     best = distance.argmin(-1)
-    pick = best[..., None]
-
-    def at(values: Floats) -> Floats:
-        chosen: Floats = np.take_along_axis(values, pick, -1)[..., 0]
-        return chosen
-
-    length = arc_lengths(points)
-    heading = np.arctan2(delta[:, 1], delta[:, 0])[best]
-    left = at(offset[..., 1]) * np.cos(heading) - at(offset[..., 0]) * np.sin(heading)
+    # one flat look-up each: this is asked for every box at every step of a simulation
+    place = np.arange(best.size) * len(delta) + best.ravel()
+    share, left_x, left_y, nearest = (
+        values.ravel()[place].reshape(best.shape)
+        for values in (share, offset[..., 0], offset[..., 1], distance)
+    )
+    step = delta[best]
+    heading = np.arctan2(step[..., 1], step[..., 0])
     return Projection(
-        along_m=length[best] + at(share) * np.sqrt(square)[best],
-        left_m=left,
-        distance_m=at(distance),
+        along_m=arc_lengths(points)[best] + share * np.sqrt(square)[best],
+        left_m=left_y * np.cos(heading) - left_x * np.sin(heading),
+        distance_m=nearest,
         heading_rad=heading,
     )
 

@@ -8,6 +8,10 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "m"
 BETTER: Better = "neither"
+DEFINITION = (
+    "mean distance of the AV's centre to that of its recording at the same time, over the "
+    "simulated steps at which the recording has it"
+)
 _QUANTITY = Quantity("av_ade", UNIT, BETTER)
 
 

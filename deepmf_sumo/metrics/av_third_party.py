@@ -5,6 +5,7 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
 BETTER: Better = "neither"
+DEFINITION = "number of contacts of the AV with others than the opponent"
 _QUANTITY = Quantity("av_third_party", UNIT, BETTER)
 
 

@@ -7,6 +7,10 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
 BETTER: Better = "neither"
+DEFINITION = (
+    "exponential of the entropy of P(OV) over the candidates, mean over plans: how many are about "
+    "equally likely"
+)
 _QUANTITY = Quantity("candidate_perplexity", UNIT, BETTER)
 
 

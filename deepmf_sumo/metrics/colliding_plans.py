@@ -5,6 +5,7 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
 BETTER: Better = "higher"
+DEFINITION = "share of the plans in which some pair of candidate and reaction collides"
 _QUANTITY = Quantity("colliding_plans", UNIT, BETTER)
 
 

@@ -6,6 +6,10 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
 BETTER: Better = "higher"
+DEFINITION = (
+    "1 where the boxes of AV and opponent overlap at a simulated step, else 0; its mean is the "
+    "collision rate"
+)
 _QUANTITY = Quantity("collision", UNIT, BETTER)
 
 

@@ -6,6 +6,10 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
 BETTER: Better = "higher"
+DEFINITION = (
+    "1 where AV and opponent collide and neither of them had a contact with anybody else before, "
+    "else 0"
+)
 _QUANTITY = Quantity("collision_clean", UNIT, BETTER)
 
 

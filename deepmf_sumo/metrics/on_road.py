@@ -10,6 +10,10 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
 BETTER: Better = "higher"
+DEFINITION = (
+    "share of the steps driven by the policy at which the opponent's centre is within half a "
+    "width (3.7 m where unknown) and 0.5 m of the centre line of a lane for cars"
+)
 _QUANTITY = Quantity("on_road", UNIT, BETTER)
 
 

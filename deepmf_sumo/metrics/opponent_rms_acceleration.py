@@ -8,6 +8,10 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "m/s2"
 BETTER: Better = "lower"
+DEFINITION = (
+    "root mean square of the opponent's acceleration along its motion (second differences over "
+    "0.2 s) while the policy drives it"
+)
 _QUANTITY = Quantity("opponent_rms_acceleration", UNIT, BETTER)
 
 

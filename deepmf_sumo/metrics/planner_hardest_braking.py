@@ -7,6 +7,9 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "m/s2"
 BETTER: Better = "higher"
+DEFINITION = (
+    "hardest braking of the AV after the current step, from speeds 0.2 s apart; 0 without any"
+)
 _QUANTITY = Quantity("planner_hardest_braking", UNIT, BETTER)
 _STEPS = 2
 

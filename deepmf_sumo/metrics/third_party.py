@@ -6,6 +6,7 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
 BETTER: Better = "lower"
+DEFINITION = "number of contacts of the opponent with others than the AV"
 _QUANTITY = Quantity("third_party", UNIT, BETTER)
 
 

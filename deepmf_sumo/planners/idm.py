@@ -82,7 +82,12 @@ class IdmPlanner:
         leader = nearest_in_corridor(view, view.av_path_m, self._settings.margin_m)
         if leader is None:
             return Command(kind="sumo")
-        return Command(kind="leader", gap_m=leader.gap_m, leader_mps=leader.speed_mps)
+        return Command(
+            kind="leader",
+            gap_m=leader.gap_m,
+            leader_mps=leader.speed_mps,
+            leader_id=leader.agent_id,
+        )
 
 
 def build(settings: Settings) -> IdmPlanner:

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, Scene, VehicleModel, View
+from deepmf_sumo.datatypes import Case, Command, Floats, Tracks, VehicleModel, View
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import angles
 from deepmf_sumo.plugins import Settings as PluginSettings
@@ -20,7 +20,8 @@ class ReplayPlanner:
     """The log's poses; where the log ends or has a gap the AV stays where it was."""
 
     def __init__(self) -> None:
-        self._scene: Scene | None = None
+        self._now = 0
+        self._poses: Floats = np.empty((0, 4))
 
     @property
     def model(self) -> VehicleModel | None:
@@ -34,29 +35,32 @@ class ReplayPlanner:
                 f"The planner 'replay' needs a recording, and case '{case.name}' is a SUMO "
                 "network; choose idm, sumo or constant_velocity."
             )
-        self._scene = case.scene
+        self._now = case.scene.now
+        self._poses = _poses(case.scene.tracks, case.scene.tracks.row(case.av_id), self._now)
 
     def act(self, view: View) -> Command:
         """The recorded pose of the next step."""
-        assert self._scene is not None
-        tracks = self._scene.tracks
-        row, step = tracks.row(view.av_id), view.step + 1
-        if step < tracks.steps and tracks.valid[row, step]:
-            x, y = tracks.position_m[row, step]
-            heading, speed = tracks.heading_rad[row, step], tracks.speed_mps[row, step]
-            if tracks.velocity_mps[row, step] @ angles.unit(heading) < 0:
-                speed = -speed  # it rolls backwards
-        else:
-            row = view.history.row(view.av_id)
-            x, y = view.history.position_m[row, -1]
-            heading, speed = view.history.heading_rad[row, -1], 0.0
-        return Command(
-            kind="pose",
-            x_m=float(x),
-            y_m=float(y),
-            heading_rad=float(heading),
-            speed_mps=float(speed),
-        )
+        ahead = view.step + 1 - self._now
+        x, y, heading, speed = self.fixed_poses(ahead)[-1].tolist()
+        return Command(kind="pose", x_m=x, y_m=y, heading_rad=heading, speed_mps=speed)
+
+    def fixed_poses(self, steps: int) -> Floats:
+        """(steps, 4) x, y, heading, signed speed of the recording after now."""
+        after = self._poses[1 : steps + 1]
+        stands = np.repeat(self._poses[-1:] * [1, 1, 1, 0], steps - len(after), axis=0)
+        return np.concatenate([after, stands])
+
+
+def _poses(tracks: Tracks, row: int, now: int) -> Floats:
+    """(K, 4) poses from now to the end of the recording; speed 0 in gaps."""
+    valid, heading = tracks.valid[row, now:], tracks.heading_rad[row, now:]
+    velocity = tracks.velocity_mps[row, now:]
+    speed = np.hypot(*velocity.T)
+    backwards = (velocity * angles.unit(heading)).sum(-1) < 0  # it rolls
+    speed = np.where(valid, np.where(backwards, -speed, speed), 0.0)
+    known = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
+    poses = np.column_stack([tracks.position_m[row, now:], heading])[known]
+    return np.column_stack([poses, speed])
 
 
 def build(settings: Settings) -> ReplayPlanner:

@@ -4,15 +4,11 @@ At 0, T, 2T, ...: the largest of P(Y_OV | X) * sum over Y_AV of P(Y_AV | Y_OV, X
 among candidates Y_OV.
 """
 
-import time
-from typing import Literal, Protocol, Self
+from typing import Protocol
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import (
-    DT_S,
     FUTURE_STEPS,
     AgentId,
     AvDriver,
@@ -23,16 +19,23 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     View,
 )
-from deepmf_sumo.errors import RunError
-from deepmf_sumo.policies.factorization import candidates, opponent
+from deepmf_sumo.policies.factorization import candidates, opponent, steering
+from deepmf_sumo.policies.factorization.aims import aimed_paths
 from deepmf_sumo.policies.factorization.candidates import Candidates, References
-from deepmf_sumo.policies.factorization.collision import collisions
+from deepmf_sumo.policies.factorization.collision import (
+    collisions,
+    delta_v,
+    footprint,
+    impact_sectors,
+)
 from deepmf_sumo.policies.factorization.goals import goal_paths
-from deepmf_sumo.policies.factorization.selection import Rule, choose
-from deepmf_sumo.policies.factorization.tracking import Limits, Start, track
-from deepmf_sumo.predictors.base import ConditionalPredictor, MarginalPredictor, OpponentPredictor
+from deepmf_sumo.policies.factorization.selection import Choice
+from deepmf_sumo.policies.factorization.settings import Settings
+from deepmf_sumo.policies.factorization.stopwatch import Stopwatch
+from deepmf_sumo.policies.factorization.tracking import Start, track
 
-_PERIOD_S = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
+__all__ = ["DeepMF", "Predictors", "Settings", "build"]
+from deepmf_sumo.predictors.base import ConditionalPredictor, MarginalPredictor, OpponentPredictor
 
 
 class DensePredictor(MarginalPredictor, candidates.Density, Protocol):
@@ -58,65 +61,6 @@ class Predictors(Protocol):
         ...
 
 
-class Settings(plugins.Settings):
-    """How DeepMF attacks.
-
-    Attributes:
-        version: the paper's name of a period: G (one plan), S4, S2, S1.
-        period_s: seconds between plans, a multiple of 0.1; null plans once (G).
-        opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
-            trained on labelled partners; ``labelled``: the partner that the recording names; else
-            the id of a vehicle.
-        rule: see `factorization.selection`.
-        likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
-        candidates: modes of the opponent (N1).
-        goal_candidates: at most so many ways to goals around the AV's predicted positions besides
-            (0 as published).
-        reactions: modes of the AV (N2).
-        av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
-            null takes what the AV's planner is (``human`` for ``replay``).
-        conditional: False predicts the AV as if it knew nothing of the opponent's future, by the
-            same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to see what that is worth.
-        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
-        keep_tail: the rest of the last plan is a candidate too.
-    """
-
-    version: Literal["G", "S4", "S2", "S1"] | None = None
-    period_s: float | None = Field(default=1.0, ge=DT_S)
-    opponent: str = Field(default="argmax", min_length=1)
-    rule: Rule = "expected"
-    likelihood_weight: float = Field(default=1.0, ge=0.0)
-    candidates: int = Field(default=32, ge=1, le=256)
-    goal_candidates: int = Field(default=32, ge=0, le=256)
-    reactions: int = Field(default=6, ge=1, le=64)
-    av_driver: AvDriver | None = None
-    conditional: bool = True
-    accel_mps2: float = Field(default=3.0, gt=0.0)
-    brake_mps2: float = Field(default=4.0, gt=0.0)
-    lateral_mps2: float = Field(default=3.0, gt=0.0)
-    keep_tail: bool = False
-
-    @model_validator(mode="after")
-    def _one_period(self) -> Self:
-        both = self.version is not None and "period_s" in self.model_fields_set
-        if both and self.period_s != _PERIOD_S[str(self.version)]:
-            raise ValueError(f"version {self.version} and period_s {self.period_s} disagree")
-        if self.period_s is not None and abs(self.period_s / DT_S % 1 - 0.5) < 0.499:
-            raise ValueError(f"period_s {self.period_s} is no multiple of {DT_S} s")
-        return self
-
-    @property
-    def period_steps(self) -> int | None:
-        """Steps between plans; None plans once."""
-        period = self.period_s if self.version is None else _PERIOD_S[self.version]
-        return None if period is None else round(period / DT_S)
-
-    @property
-    def limits(self) -> Limits:
-        """Limits of what the opponent drives."""
-        return Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)
-
-
 class DeepMF:
     """The policy. ``seconds`` is the wall time of all resets and plans so far."""
 
@@ -134,6 +78,8 @@ class DeepMF:
         self._opponent_id: AgentId | None = None
         self._scores: OpponentScores | None = None
         self._last: Plan | None = None
+        self._first: Plan | None = None  # made while the opponent was chosen
+        self._committed = False  # the last plan attacks, and was fair when it was chosen
         self.seconds = 0.0
 
     @property
@@ -146,53 +92,76 @@ class DeepMF:
 
         Raises RunError where the settings name an opponent that is not there.
         """
-        watch = _Stopwatch()
-        self._last, self._scores = None, None
-        how = self._settings.opponent
-        if how in {"argmax", "sample", "partner"}:
-            self._scores = self._predictors.opponent.score(view)
-            self._opponent_id = opponent.from_scores(self._scores, how, rng)
-        elif how == "labelled":
-            if self._partner_id is None:
-                raise RunError(
-                    "opponent is 'labelled', but the recording names no partner of the AV; use "
-                    "argmax, sample or partner."
-                )
-            self._opponent_id = opponent.named(view, self._partner_id)
-        else:
-            self._opponent_id = opponent.named(view, how)
+        watch = Stopwatch()
+        self._last, self._first, self._committed = None, None, False
+        self._opponent_id, self._scores = opponent.choose(
+            view, self._settings.opponent, self._predictors.opponent, self._partner_id, rng
+        )
         watch.lap("opponent")
         self.seconds += watch.seconds
+        if self._settings.tried_opponents > 1 and self._scores and self._scores.ids:
+            self._opponent_id = self._most_promising(view, self._scores)
         return self._opponent_id
+
+    def _most_promising(self, view: View, scores: OpponentScores) -> AgentId:
+        """Of the highest scores the vehicle whose best candidate most likely meets the AV."""
+        settings = self._settings
+        tried = opponent.highest(scores, settings.opponent, settings.tried_opponents)
+        best, most = tried[0], -1.0
+        for self._opponent_id in tried:
+            self._last, self._committed = None, False
+            plan = self._plan(view)
+            assert plan.reason is not None
+            mass = float(plan.reason.collision_mass.max())
+            if mass > most:
+                best, most, first = self._opponent_id, mass, (plan, self._committed)
+        self._first, self._committed = first
+        return best
 
     def plan(self, view: View) -> Plan | None:
         """The opponent's next 8 s; None where the opponent or the AV is gone."""
         if self._opponent_id not in view.history.ids or view.av_id not in view.history.ids:
             return None
-        watch = _Stopwatch()
-        start = Start.of(view, self._opponent_id)
-        own = self._candidates(view, start, watch)
-        reactions = self._reactions(view, own)
-        watch.lap("conditional")
-        self._last = self._select(view, own, reactions, watch)
-        self.seconds += watch.seconds
+        if self._first is not None:
+            self._last, self._first = self._first, None
+            return self._last
+        self._last = self._plan(view)
         return self._last
 
-    def _candidates(self, view: View, start: Start, watch: "_Stopwatch") -> Candidates:
+    def _plan(self, view: View) -> Plan:
+        watch = Stopwatch()
+        alone = self._alone(view, watch)
+        own = self._candidates(view, alone, watch)
+        reactions = self._reactions(view, own)
+        watch.lap("conditional")
+        plan = self._select(view, own, reactions, alone, watch)
+        self.seconds += watch.seconds
+        return plan
+
+    def _alone(self, view: View, watch: Stopwatch) -> Forecast | None:
+        """The AV's futures if nobody attacks; None where nothing needs them."""
+        if not (self._settings.goal_candidates or self._settings.fair):
+            return None
+        (av,) = self._react(view, None)
+        watch.lap("conditional")
+        return av
+
+    def _candidates(self, view: View, alone: Forecast | None, watch: Stopwatch) -> Candidates:
         """Predicted and made candidates of the opponent, drivable, with P(OV)."""
         settings, marginal = self._settings, self._predictors.marginal
         assert self._opponent_id is not None
+        start = Start.of(view, self._opponent_id)
         (modes,) = marginal.predict(view, [self._opponent_id], settings.candidates)
         limits = settings.limits
         count = len(modes.probability)
         parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
         watch.lap("marginal")
         if settings.goal_candidates:
-            (av,) = self._react(view, None)
-            watch.lap("conditional")
-            parts.append(self._goals(view, modes, av, start))
+            assert alone is not None
+            parts += self._goals(view, modes, alone, start)
             watch.lap("goals")
-        if settings.keep_tail and self._last is not None:
+        kept = settings.keep_tail or self._committed or settings.wanted_sector is not None
+        if kept and self._last is not None:
             rest = candidates.tail(self._last, view, limits, FUTURE_STEPS)
             parts += [rest] if rest else []
         references = References.joined(parts)
@@ -202,17 +171,19 @@ class DeepMF:
         watch.lap("marginal")
         return candidates.ranked(references, tracked, probability, modes)
 
-    def _goals(self, view: View, modes: Forecast, av: Forecast, start: Start) -> References:
-        paths = goal_paths(
-            modes,
-            av,
-            start,
-            _footprint(view, view.av_id),
-            self._settings.limits,
-            min(FUTURE_STEPS, view.steps_left),
-            self._settings.goal_candidates,
-        )
-        return References.of("goal", paths.reference_m, paths.limits)
+    def _goals(self, view: View, modes: Forecast, av: Forecast, start: Start) -> list[References]:
+        """Ways to the AV, and ways to the wanted side of it."""
+        settings, av_size = self._settings, footprint(view, view.av_id)
+        limits, count = settings.limits, settings.goal_candidates
+        horizon = min(FUTURE_STEPS, view.steps_left)
+        paths = goal_paths(modes, av, start, av_size, limits, horizon, count)
+        found = [References.of("goal", paths.reference_m, paths.limits)]
+        if settings.wanted_sector is not None:
+            sizes = footprint(view, modes.futures.agent_id), av_size
+            sector = settings.wanted_sector
+            aimed = aimed_paths(modes, av, start, sizes, sector, limits, horizon, count)
+            found.append(References.of("aim", aimed.reference_m, aimed.limits))
+        return found
 
     def _reactions(self, view: View, own: Candidates) -> list[Forecast]:
         """The AV's futures under each candidate; without condition the same ones under all."""
@@ -230,33 +201,64 @@ class DeepMF:
         )
 
     def _select(
-        self, view: View, own: Candidates, reactions: list[Forecast], watch: "_Stopwatch"
+        self,
+        view: View,
+        own: Candidates,
+        reactions: list[Forecast],
+        alone: Forecast | None,
+        watch: Stopwatch,
     ) -> Plan:
         """Collide all pairs within the time that is left, choose, and say why."""
         futures = own.forecast.futures
-        collides, collision_step = collisions(
-            futures,
-            reactions,
-            _footprint(view, futures.agent_id),
-            _footprint(view, view.av_id),
-            min(FUTURE_STEPS, view.steps_left),
-        )
-        watch.lap("collision")
-        choice = choose(
-            own.forecast.probability,
-            np.stack([reaction.probability for reaction in reactions]),
-            collides,
-            collision_step,
-            self._settings.rule,
-            self._settings.likelihood_weight,
+        pairs = self._pairs(view, own, reactions, alone, watch)
+        pairs, choice, unmet = self._choose(view, own, reactions, pairs)
+        self._committed = pairs.fair is not None and bool(
+            (pairs.fair & pairs.collides.any(axis=1))[choice.index]
         )
         watch.lap("select")
-        reason = PlanReason(
+        return Plan(
+            agent_id=futures.agent_id,
+            first_step=view.step + 1,
+            position_m=futures.position_m[choice.index],
+            heading_rad=futures.heading_rad[choice.index],
+            speed_mps=own.speed_mps[choice.index],
+            reason=self._reason(own, reactions, pairs, choice, unmet, watch),
+        )
+
+    def _choose(
+        self, view: View, own: Candidates, reactions: list[Forecast], pairs: steering.Pairs
+    ) -> steering.Decision:
+        """The choice; with ``fair`` the first that is fair also against what it collides with."""
+        settings, futures = self._settings, own.forecast.futures
+
+        def verify(row: int) -> bool:
+            kept = self._committed and own.origin[row] == "tail"
+            hits = pairs.collides[row]
+            return kept or steering.verified(view, row, futures, reactions[row], hits)
+
+        return steering.decide(
+            pairs,
+            settings.choice_rule,
+            settings.likelihood_weight,
+            settings.wanted_sector,
+            verify,
+        )
+
+    def _reason(
+        self,
+        own: Candidates,
+        reactions: list[Forecast],
+        pairs: steering.Pairs,
+        choice: Choice,
+        unmet: tuple[str, ...],
+        watch: Stopwatch,
+    ) -> PlanReason:
+        return PlanReason(
             scores=self._scores,
             candidates=own.forecast,
             reactions=tuple(reactions),
-            collides=collides,
-            collision_step=collision_step,
+            collides=pairs.collides,
+            collision_step=pairs.collision_step,
             value=choice.value,
             product=choice.product,
             chosen=choice.index,
@@ -264,14 +266,45 @@ class DeepMF:
             bent_m=own.bent_m,
             milliseconds=watch.milliseconds,
             origin=own.origin,
+            wanted_sector=self._settings.wanted_sector,
+            sector=pairs.sector,
+            fair=pairs.fair,
+            unmet=unmet,
         )
-        return Plan(
-            agent_id=futures.agent_id,
-            first_step=view.step + 1,
-            position_m=futures.position_m[choice.index],
-            heading_rad=futures.heading_rad[choice.index],
-            speed_mps=own.speed_mps[choice.index],
-            reason=reason,
+
+    def _pairs(
+        self,
+        view: View,
+        own: Candidates,
+        reactions: list[Forecast],
+        alone: Forecast | None,
+        watch: Stopwatch,
+    ) -> steering.Pairs:
+        """How candidates and reactions collide, and what the settings want to know about it."""
+        settings, futures = self._settings, own.forecast.futures
+        sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
+        horizon = min(FUTURE_STEPS, view.steps_left)
+        collides, step = collisions(futures, reactions, *sizes, horizon)
+        sector = fair = severity = None
+        if settings.wanted_sector is not None:
+            sector = impact_sectors(futures, reactions, *sizes, step)
+        if settings.aggressiveness is not None:
+            severity = delta_v(futures, reactions, *sizes, step)
+        watch.lap("collision")
+        if settings.fair:
+            assert alone is not None
+            # What was avoidable when the opponent set out stays so while it goes through with it.
+            kept = np.array([origin == "tail" for origin in own.origin]) & self._committed
+            fair = kept | steering.fair(view, futures, alone)
+            watch.lap("fair")
+        return steering.Pairs(
+            probability=own.forecast.probability,
+            reaction_probability=np.stack([reaction.probability for reaction in reactions]),
+            collides=collides,
+            collision_step=step,
+            sector=sector,
+            fair=fair,
+            severity=severity,
         )
 
 
@@ -283,29 +316,3 @@ def build(
 ) -> DeepMF:
     """The policy; ``partner_id`` is what ``opponent: labelled`` attacks."""
     return DeepMF(settings, predictors, partner_id, av_driver)
-
-
-def _footprint(view: View, agent_id: AgentId) -> np.ndarray:
-    """(2) length and width of an agent."""
-    size: np.ndarray = view.history.size_m[view.history.row(agent_id), :2]
-    return size
-
-
-class _Stopwatch:
-    """Wall time by part."""
-
-    def __init__(self) -> None:
-        self._since = time.perf_counter()
-        self.milliseconds: dict[str, float] = {}
-
-    def lap(self, part: str) -> None:
-        """Add the time since the last lap to a part."""
-        now = time.perf_counter()
-        spent = 1000 * (now - self._since)
-        self.milliseconds[part] = self.milliseconds.get(part, 0.0) + spent
-        self._since = now
-
-    @property
-    def seconds(self) -> float:
-        """Sum of all laps."""
-        return sum(self.milliseconds.values()) / 1000

@@ -1,5 +1,8 @@
 """Sets of weights: a folder with a tensor file and a card for each network.
 
+Every set holds the three networks of the paper; STRIVE's motion prior is one more, loaded where it
+is asked for.
+
 ``open`` is part of the package. Other names are looked up in ``$DEEPMF_SUMO_HOME/weights`` and in
 ``.weights`` of the working directory; a path to a folder works as well.
 """
@@ -22,10 +25,21 @@ from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.opponent import Opponent, OpponentNet
 from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.selection import Selection
+from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 
-Network = Literal["opponent", "marginal", "conditional"]
+Network = Literal["opponent", "marginal", "conditional", "strive"]
 NETWORKS: Final[tuple[Network, ...]] = ("opponent", "marginal", "conditional")
+"""Those of the paper, which every set holds."""
+BASELINES: Final[tuple[Network, ...]] = ("strive",)
+"""Those that single baselines need: a set may be without them."""
 FORMAT_VERSION: Final = 1
+_TEMPERATURES: Final[dict[Network, tuple[str, ...]]] = {
+    "opponent": ("temperature", "partner_temperature"),
+    "marginal": ("temperature",),
+    "conditional": ("temperature",),
+    "strive": (),
+}
+"""Numbers above 0 in a network's card."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +77,16 @@ def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
     )
 
 
+def motion_prior(name: str | Path) -> MotionPrior:
+    """STRIVE's motion prior of a name or folder, in evaluation mode.
+
+    Raises WeightsError where the set has none, with the command that trains it.
+    """
+    net, _ = _network(find(name), "strive")
+    assert isinstance(net, MotionPrior)
+    return net.eval().requires_grad_(False)
+
+
 def random(preset: Preset, seed: int) -> Predictors:
     """Untrained predictors, for tests."""
     with torch.random.fork_rng(devices=[]):
@@ -90,6 +114,8 @@ def build(network: Network, preset: Preset) -> nn.Module:
     """An untrained network."""
     if network == "opponent":
         return OpponentNet(preset)
+    if network == "strive":
+        return MotionPrior(preset)
     return DenseTNT(preset, conditional=network == "conditional")
 
 
@@ -157,8 +183,7 @@ def _places(name: str | Path) -> tuple[Path, ...]:
 
 def _network(folder: Path, network: Network) -> tuple[nn.Module, dict[str, Any]]:
     card = read_card(folder, network)
-    heads = ("temperature", "partner_temperature") if network == "opponent" else ("temperature",)
-    for key in heads:
+    for key in _TEMPERATURES[network]:
         value = card.get(key)
         if not (isinstance(value, int | float) and 0.0 < value < float("inf")):
             raise WeightsError(

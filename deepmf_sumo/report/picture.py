@@ -2,23 +2,27 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, RoadMap, Rollout
-from deepmf_sumo.geometry import boxes
+from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, Rollout
+from deepmf_sumo.report.drawing.road import draw_road
+from deepmf_sumo.report.drawing.vehicles import draw_boxes
+from deepmf_sumo.report.drawing.window import Window, square
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 
 AV, OPPONENT, OTHER, CONTACT = "#1f5fbf", "#c1121f", "#8d99a6", "#000000"
 SCORES: Final = LinearSegmentedColormap.from_list("scores", ["#fff3b0", "#f4a32b", "#c1121f"])
+AXES_IN: Final = 7.4
+"""Width of the map on paper, about; the legend takes the rest."""
 MARGIN_M: Final = 18.0
 SMALLEST_M: Final = 60.0
 LARGEST_M: Final = 160.0
@@ -35,18 +39,18 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
     axes = figure.add_subplot()
     plan = _explained(rollout)
     contact = next((one for one in rollout.contacts if one.kind == rollout.outcome), None)
-    frame = _frame(rollout, plan, contact)
-    _road(axes, case.road, frame)
+    window = _window(rollout, plan, contact)
+    draw_road(axes, case.road, window, AXES_IN)
     scores = plan.reason.scores if plan and plan.reason else None
-    _others(axes, rollout, scores)
+    _others(axes, rollout, scores, window)
     if plan:
         _reasoning(axes, plan)
-    _driven(axes, rollout, rollout.av_id, AV)
+    _driven(axes, rollout, rollout.av_id, AV, window)
     if rollout.opponent_id:
-        _driven(axes, rollout, rollout.opponent_id, OPPONENT)
+        _driven(axes, rollout, rollout.opponent_id, OPPONENT, window)
     if contact:
-        _contact(axes, rollout, contact)
-    _finish(axes, frame, _title(rollout, case, contact))
+        _contact(axes, rollout, contact, window)
+    _finish(axes, window, _title(rollout, case, contact))
     handles = list(_handles(rollout, scores, plan))
     figure.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
     figure.savefig(path, metadata={"Software": None})
@@ -57,10 +61,8 @@ def _explained(rollout: Rollout) -> Plan | None:
     return next((plan for plan in rollout.plans if plan.reason), None)
 
 
-def _frame(
-    rollout: Rollout, plan: Plan | None, contact: Contact | None
-) -> tuple[float, float, float, float]:
-    """x0, x1, y0, y1 of a square around what the AV and the opponent did."""
+def _window(rollout: Rollout, plan: Plan | None, contact: Contact | None) -> Window:
+    """A square around what the AV and the opponent did."""
     tracks = rollout.tracks
     chosen = [agent for agent in (rollout.av_id, rollout.opponent_id) if agent in tracks.ids]
     points = [_positions(rollout, agent) for agent in chosen if agent]
@@ -73,12 +75,7 @@ def _frame(
     centre = (low + high) / 2
     if (high - low).max() > largest:  # too far for one picture
         centre = contact.pose_first[:2] if contact else _nearest(rollout)
-    return (
-        float(centre[0] - side / 2),
-        float(centre[0] + side / 2),
-        float(centre[1] - side / 2),
-        float(centre[1] + side / 2),
-    )
+    return square(centre, side)
 
 
 def _nearest(rollout: Rollout) -> Floats:
@@ -106,33 +103,7 @@ def _positions(rollout: Rollout, agent: str) -> Floats:
     return positions
 
 
-def _road(axes: Axes, road: RoadMap, frame: tuple[float, float, float, float]) -> None:
-    def near(points: Floats) -> bool:
-        low, high = points.min(axis=0), points.max(axis=0)
-        x0, x1, y0, y1 = frame
-        return bool(low[0] < x1 and high[0] > x0 and low[1] < y1 and high[1] > y0)
-
-    for lane in road.lanes.values():
-        if len(lane.centre_m) > 1 and near(lane.centre_m):
-            width = 72 * 7.4 * (lane.width_m or 3.5) / (frame[1] - frame[0])
-            line = axes.plot(*lane.centre_m.T, color="#eef0f2", lw=width, zorder=0)[0]
-            line.set_solid_capstyle("butt")
-    crosswalks = [one for one in road.polygons if one.kind == "crosswalk" and near(one.points_m)]
-    lines = {
-        "#d5dae0": [lane.centre_m for lane in road.lanes.values() if len(lane.centre_m) > 1],
-        "#c4cbd3": [line.points_m for line in road.lines],
-        "#6f7884": [edge.points_m for edge in road.edges],
-    }
-    for color, polylines in lines.items():
-        shown = [points for points in polylines if len(points) and near(points)]
-        axes.add_collection(LineCollection(shown, colors=color, linewidths=0.9, zorder=1))
-    stripes = [one.points_m for one in crosswalks]
-    axes.add_collection(
-        PolyCollection(stripes, facecolors="#e3e7ef", edgecolors="#c4cbd3", hatch="//", zorder=1)
-    )
-
-
-def _others(axes: Axes, rollout: Rollout, scores: OpponentScores | None) -> None:
+def _others(axes: Axes, rollout: Rollout, scores: OpponentScores | None, window: Window) -> None:
     """Everyone else as the simulation took over, coloured by score; thin lines where they went."""
     tracks = rollout.tracks
     main = {rollout.av_id, rollout.opponent_id}
@@ -148,7 +119,8 @@ def _others(axes: Axes, rollout: Rollout, scores: OpponentScores | None) -> None
         SCORES(chances[tracks.ids[row]]) if tracks.ids[row] in chances else "#ccd2d9"
         for row in rows
     ]
-    _boxes(axes, rollout, [(row, rollout.now) for row in rows], colors, edge="#59626d", zorder=4)
+    here = [(row, rollout.now) for row in rows]
+    draw_boxes(axes, tracks, here, colors, window, edge="#59626d", zorder=4)
 
 
 def _probabilities(scores: OpponentScores | None) -> dict[str, float]:
@@ -156,38 +128,6 @@ def _probabilities(scores: OpponentScores | None) -> dict[str, float]:
         return {}
     chances = 1.0 / (1.0 + np.exp(-scores.logits))
     return dict(zip(scores.ids, chances.tolist(), strict=True))
-
-
-def _boxes(
-    axes: Axes,
-    rollout: Rollout,
-    places: list[tuple[int, int]],
-    colors: list[Any],
-    *,
-    edge: str,
-    zorder: float,
-    alpha: float = 1.0,
-) -> None:
-    """Boxes of (row, step) pairs, with an arrowhead at the front."""
-    if not places:
-        return
-    tracks = rollout.tracks
-    rows, steps = np.array(places).T
-    centre, heading = tracks.position_m[rows, steps], tracks.heading_rad[rows, steps]
-    corners = boxes.corners(centre, heading, tracks.size_m[rows, :2])
-    axes.add_collection(
-        PolyCollection(
-            list(corners),
-            facecolors=colors,
-            edgecolors=edge,
-            linewidths=0.8,
-            alpha=alpha,
-            zorder=zorder,
-        )
-    )
-    left, front, right = (corners[:, pair].mean(axis=1) for pair in ([0, 1], [0, 3], [2, 3]))
-    noses = np.stack([left, front, right], axis=1)
-    axes.add_collection(LineCollection(list(noses), colors=edge, linewidths=0.6, zorder=zorder))
 
 
 def _reasoning(axes: Axes, plan: Plan) -> None:
@@ -206,7 +146,7 @@ def _reasoning(axes: Axes, plan: Plan) -> None:
     axes.plot(*plan.position_m.T, color=OPPONENT, lw=2.6, ls=(0, (4, 1.5)), zorder=5)
 
 
-def _driven(axes: Axes, rollout: Rollout, agent: str, color: str) -> None:
+def _driven(axes: Axes, rollout: Rollout, agent: str, color: str, window: Window) -> None:
     """The path, a box a second, and the first and last box in full colour."""
     tracks = rollout.tracks
     row = tracks.row(agent)
@@ -215,26 +155,21 @@ def _driven(axes: Axes, rollout: Rollout, agent: str, color: str) -> None:
         return
     axes.plot(*tracks.position_m[row, steps].T, color=color, lw=1.8, zorder=6)
     between = [(row, int(step)) for step in steps[EVERY_STEPS:-1:EVERY_STEPS]]
-    _boxes(axes, rollout, between, [color] * len(between), edge=color, zorder=6, alpha=0.22)
+    faint = [color] * len(between)
+    draw_boxes(axes, tracks, between, faint, window, edge=color, zorder=6, alpha=0.22)
     ends = [(row, int(steps[0])), (row, int(steps[-1]))]
-    _boxes(axes, rollout, ends, [color] * 2, edge="black", zorder=7, alpha=0.85)
+    draw_boxes(axes, tracks, ends, [color] * 2, window, edge="black", zorder=7, alpha=0.85)
     x, y = tracks.position_m[row, steps[0]]
     if agent == rollout.opponent_id:
         star = {"marker": "*", "color": "#ffd43b", "markeredgecolor": "black"}
         axes.plot(x, y, markersize=15, markeredgewidth=0.7, zorder=9, **star)  # type: ignore[arg-type]
 
 
-def _contact(axes: Axes, rollout: Rollout, contact: Contact) -> None:
+def _contact(axes: Axes, rollout: Rollout, contact: Contact, window: Window) -> None:
     """A cross between the two, and the outlines of both at that moment."""
     rows = [rollout.tracks.row(agent) for agent in (contact.first_id, contact.second_id)]
-    _boxes(
-        axes,
-        rollout,
-        [(row, contact.step) for row in rows if rollout.tracks.valid[row, contact.step]],
-        ["none"],
-        edge=CONTACT,
-        zorder=8,
-    )
+    there = [(row, contact.step) for row in rows if rollout.tracks.valid[row, contact.step]]
+    draw_boxes(axes, rollout.tracks, there, ["none"], window, edge=CONTACT, zorder=8)
     middle = (contact.pose_first[:2] + contact.pose_second[:2]) / 2
     axes.plot(*middle, marker="x", color="white", markersize=15, markeredgewidth=5, zorder=10)
     axes.plot(*middle, marker="x", color=CONTACT, markersize=13, markeredgewidth=2.5, zorder=11)
@@ -252,8 +187,8 @@ def _title(rollout: Rollout, case: Case, contact: Contact | None) -> str:
     )
 
 
-def _finish(axes: Axes, frame: tuple[float, float, float, float], title: str) -> None:
-    x0, x1, y0, y1 = frame
+def _finish(axes: Axes, window: Window, title: str) -> None:
+    x0, x1, y0, y1 = window.x0, window.x1, window.y0, window.y1
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])
     axes.set_title(title, fontsize=11, parse_math=False)
     bar = 20.0 if x1 - x0 > 80 else 10.0

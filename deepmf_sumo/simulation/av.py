@@ -19,6 +19,8 @@ _RISE_HELD_MPS = 0.02
 _RISE_FREE_MPS = 0.15
 _EXACT = 2  # keepRoute: exactly where it is put, on or off the lanes
 _MATCH_M = 5.0
+_LOOK_M = 100.0
+"""Distance within which SUMO's leader of the AV is recorded."""
 
 
 class Av:
@@ -37,6 +39,7 @@ class Av:
         self.length_m = length_m
         self.ahead = RouteAhead(api, av_id)
         self.placed: Pose | None = None
+        self.leaders: tuple[AgentId, ...] | None = None
         self._glide = Glide(start)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
@@ -62,6 +65,7 @@ class Av:
     def drive(self, command: Command) -> None:
         """Ask for the command in the coming step."""
         self.placed = None
+        self.leaders = self._followed(command)
         commanded = None
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
@@ -100,6 +104,14 @@ class Av:
     def sumo_pose(self) -> Pose:
         """Where SUMO has the AV."""
         return read_pose(self._api, self.id, self.length_m)
+
+    def _followed(self, command: Command) -> tuple[AgentId, ...] | None:
+        """Whom the planner names, and SUMO's leader on the AV's lanes; None if nobody looks."""
+        named = () if command.leader_id is None else (command.leader_id,)
+        if command.kind in ("pose", "speed"):
+            return named or None
+        found = self._api.vehicle.getLeader(self.id, _LOOK_M) if self.on_lane else None
+        return named if not found or not found[0] else tuple(dict.fromkeys([*named, str(found[0])]))
 
     def _place(self, command: Command) -> None:
         self.placed = Pose(

@@ -1,11 +1,10 @@
 """Contacts: which boxes overlap for the first time, who struck whom, and how hard."""
 
 import numpy as np
-from shapely import Polygon
 
 from deepmf_sumo.datatypes import AgentId, Contact, Event, Floats
 from deepmf_sumo.datatypes.rollout import ContactKind
-from deepmf_sumo.geometry import boxes, frames
+from deepmf_sumo.geometry import boxes, frames, impact
 from deepmf_sumo.simulation.frame import Frame
 
 
@@ -87,24 +86,13 @@ class Judge:
             pose_second=poses[other],
             relative_mps=float(np.hypot(*relative)),
             closing_mps=float(-relative @ _direction(centre[0], centre[1])),
-            sector=impact_sector(poses[me], size[0], poses[other], size[1]),
+            sector=int(
+                impact.sectors(
+                    poses[me, :2], poses[me, 2], size[0], poses[other, :2], poses[other, 2], size[1]
+                )
+            ),
             delta_v_mps=float(np.hypot(*relative) * area[1] / area.sum()),
         )
-
-
-def impact_sector(
-    pose_first: Floats, size_first: Floats, pose_second: Floats, size_second: Floats
-) -> int:
-    """Sector of the first box, 0..7, in which the middle of the overlap lies; front = 0, left = 2.
-
-    Poses (3) x, y, heading; sizes (2) length, width.
-    """
-    first = Polygon(boxes.corners(pose_first[:2], pose_first[2], size_first))
-    second = Polygon(boxes.corners(pose_second[:2], pose_second[2], size_second))
-    middle = first.intersection(second).centroid
-    where = np.array([middle.x, middle.y]) if not middle.is_empty else pose_second[:2]
-    x, y = frames.to_local(where, pose_first[:2], float(pose_first[2]))
-    return int(np.round(np.arctan2(y, x) / (np.pi / 4))) % 8
 
 
 def _nearest_point(of: Floats, centre: Floats, heading: float, size: Floats) -> Floats:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Case, Floats, Scene, Tracks
+from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import polylines, sumo_frame
 from deepmf_sumo.network.matching import lane_sequence, match
 from deepmf_sumo.network.routes import edge_route
@@ -73,6 +74,25 @@ def log_of(case: Case) -> Log:
         angle_deg=angle,
         passed=_passed_lights(case.scene),
     )
+
+
+def check_route(case: Case) -> None:
+    """Raise SimulationError where the AV drives on no lane, so that SUMO could not drive it.
+
+    Also asked where SUMO is not needed: all planners shall have the same scenes.
+    """
+    assert case.scene is not None
+    if not _av_route(case):
+        raise SimulationError(
+            f"The AV '{case.av_id}' of scene '{case.scene.name}' drives on no lane of the network, "
+            "so that SUMO cannot drive it; use another scene."
+        )
+
+
+@lru_cache(maxsize=4)
+def _av_route(case: Case) -> tuple[str, ...]:
+    assert case.scene is not None
+    return _route(case, case.scene.tracks.row(case.av_id))
 
 
 def _passed_lights(scene: Scene) -> dict[str, int]:

@@ -8,8 +8,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, Case, Floats, Rollout, View
-from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.planners.base import FixedPlanner, Planner
 from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.simulation import replayed
 from deepmf_sumo.simulation import stage as stages
 from deepmf_sumo.simulation.contacts import Judge
 from deepmf_sumo.simulation.opponent import Opponent
@@ -35,11 +36,19 @@ def simulate(
         policy: drives one opponent of its choice; None attacks nobody.
         rng: for planner and policy; SUMO's own seed is the case's.
         gui: show the episode in sumo-gui.
-        backend: how SUMO is run; by default libsumo, or sumo-gui where ``gui``.
+        backend: how SUMO is run; by default libsumo, or sumo-gui where ``gui``, or not at all where
+            nothing would react to the opponent (`replayed`).
 
     Raises SimulationError where SUMO refuses something or the AV is not there.
     """
     planner.reset(case, rng)
+    if (
+        backend is None
+        and not gui
+        and isinstance(planner, FixedPlanner)
+        and replayed.suffices(case)
+    ):
+        return replayed.episode(case, planner, policy, rng)
     with stages.opened(case, planner.model, backend or ("gui" if gui else "libsumo")) as stage:
         return _episode(case, stage, planner, policy, rng)
 
@@ -64,17 +73,21 @@ def _episode(
     judge = Judge(case.av_id, opponent.id)
     judge.look(now, frame, recorder.sizes_m(frame.ids))
     ended = "time"
+    leaders, lights = [], []
     while recorder.step < end:
         if opponent.due(recorder.step):
             with _timed(seconds, "policy"):
                 opponent.replan(look())
         with _timed(seconds, "planner"):
-            command = planner.act(look(stage.av_path()))
+            view = look(stage.av_path())
+            command = planner.act(view)
         with _timed(seconds, "simulation"):
             pose = opponent.pose(recorder.step + 1)
             frame = stage.advance(command, opponent.id, pose)
             recorder.add(frame)
             judge.look(recorder.step, frame, recorder.sizes_m(frame.ids))
+        leaders.append(stage.av_leaders())
+        lights.append(view.signals)
         if any(contact.kind == "av_opponent" for contact in judge.contacts):
             ended = "contact"
             break
@@ -95,6 +108,8 @@ def _episode(
         plans=tuple(opponent.plans),
         ended=ended,
         seconds=dict(seconds),
+        leaders=tuple(leaders),
+        signals=tuple(lights),
     )
 
 

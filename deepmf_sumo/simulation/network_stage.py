@@ -97,6 +97,10 @@ class NetworkStage:
         """Whether SUMO still simulates the AV."""
         return self._av.present
 
+    def av_leaders(self) -> tuple[AgentId, ...] | None:
+        """Whom the planner named or SUMO's model followed in the last step."""
+        return self._av.leaders
+
     def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
         """One step of SUMO; an opponent without a pose is SUMO's to drive."""
         self._step += 1

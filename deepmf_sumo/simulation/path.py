@@ -14,8 +14,9 @@ class RouteAhead:
         self._api = api
         self._id = vehicle_id
         self._shapes: dict[str, Floats] = {}
+        self._lengths_m: dict[str, float] = {}
         self._lanes: tuple[str, ...] = ()
-        self._line = self._along = np.zeros(0)
+        self._line: polylines.Measured | None = None
 
     def centre_line(self, length_m: float = 120.0) -> Floats | None:
         """(P, 2) from the front bumper on, P >= 2, or None off every lane.
@@ -31,15 +32,15 @@ class RouteAhead:
             self._lanes = lanes
             line = np.concatenate([self._shape(one) for one in lanes])
             moved = np.hypot(*np.diff(line, axis=0).T) > 1e-3
-            self._line = line[np.concatenate([[True], moved])]
-            self._along = polylines.arc_lengths(self._line)
-        shape_m = polylines.arc_lengths(self._shape(lane))[-1]
+            self._line = polylines.Measured(line[np.concatenate([[True], moved])])
+        assert self._line is not None
+        along = self._line.along_m
         lane_m = max(float(self._api.lane.getLength(lane)), 1e-6)
-        begin = float(vehicle.getLanePosition(self._id)) * shape_m / lane_m
+        begin = float(vehicle.getLanePosition(self._id)) * self._shape_m(lane) / lane_m
         # at least a metre, so that the line has a direction
-        end = max(min(self._along[-1], begin + length_m), begin + 1.0)
-        inner = self._along[(self._along > begin + 1e-3) & (self._along < end - 1e-3)]
-        points, heading = polylines.points_at(self._line, np.array([begin, *inner, end]))
+        end = max(min(along[-1], begin + length_m), begin + 1.0)
+        inner = along[(along > begin + 1e-3) & (along < end - 1e-3)]
+        points, heading = self._line.at(np.array([begin, *inner, end]))
         left = float(vehicle.getLateralLanePosition(self._id))
         if abs(left) > 0.01:
             points = points + left * np.stack([-np.sin(heading), np.cos(heading)], -1)
@@ -67,3 +68,9 @@ class RouteAhead:
         if lane not in self._shapes:
             self._shapes[lane] = np.array(self._api.lane.getShape(lane), float)[:, :2]
         return self._shapes[lane]
+
+    def _shape_m(self, lane: str) -> float:
+        """Length of a lane's shape, which need not be what SUMO takes the lane's length for."""
+        if lane not in self._lengths_m:
+            self._lengths_m[lane] = float(polylines.arc_lengths(self._shape(lane))[-1])
+        return self._lengths_m[lane]

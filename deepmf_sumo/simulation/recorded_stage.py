@@ -18,12 +18,11 @@ from deepmf_sumo.datatypes import (
     SignalState,
     VehicleModel,
 )
-from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.simulation.av import Av
 from deepmf_sumo.simulation.bystanders import Bystanders
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.free_traffic import FreeTraffic
-from deepmf_sumo.simulation.log import log_of
+from deepmf_sumo.simulation.log import check_route, log_of
 from deepmf_sumo.simulation.placed import (
     PlacedVehicles,
     add_vehicle,
@@ -118,6 +117,10 @@ class RecordedStage:
         """Whether SUMO still simulates the AV."""
         return self._av.present
 
+    def av_leaders(self) -> tuple[AgentId, ...] | None:
+        """Whom the planner named or SUMO's model followed in the last step."""
+        return self._av.leaders
+
     def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
         """One step; an opponent without a pose is driven like all others."""
         self._step += 1
@@ -152,11 +155,7 @@ class RecordedStage:
         """Insert everybody where the recording has them now; the first step leaves them there."""
         assert self._case.net is not None
         tracks, row, name = self._tracks, self._av_row, self._case.av_id
-        if row not in self._log.routes:
-            raise SimulationError(
-                f"The AV '{name}' of scene '{self._case.name}' drives on no lane of the network, "
-                "so that SUMO cannot drive it; use another scene."
-            )
+        check_route(self._case)
         route = self._log.routes[row]
         self._api.route.add(ANY_ROUTE, [route[0]])
         self._insert_av(model, on_route=False)

@@ -9,6 +9,7 @@ from deepmf_sumo.datatypes import (
     AgentId,
     AgentKind,
     Bytes,
+    Driver,
     Floats,
     Ints,
     RoadMap,
@@ -32,8 +33,9 @@ class Recorder:
         self._body = body
         self._steps = steps
         self._row: dict[AgentId, int] = {}
+        self._ids: list[AgentId] = []
         self._kinds: list[AgentKind] = []
-        self._sizes: list[tuple[float, float, float]] = []
+        self._size_m = np.zeros((64, 3))
         # x, y, z, heading, vx, vy
         self._state = np.zeros((64, steps, 6))
         self._driver = np.zeros((64, steps), np.uint8)
@@ -50,6 +52,21 @@ class Recorder:
         now[rows, 4:] = frame.velocity_mps
         self._driver[rows, self.step] = frame.driver
         self._valid[rows, self.step] = True
+
+    def extend(self, ids: list[AgentId], state: Floats, driver: Bytes) -> None:
+        """Append K steps of N agents, who are in the order of their appearance.
+
+        Args:
+            ids: (N).
+            state: (N, K, 6) x, y, z, heading, vx, vy; zeros where an agent is not there.
+            driver: (N, K) Driver numbers; NOBODY where an agent is not there.
+        """
+        rows = np.array([self._row_of(agent) for agent in ids], int)
+        steps = slice(self.step + 1, self.step + 1 + driver.shape[1])
+        self.step += driver.shape[1]
+        self._state[rows, steps] = state
+        self._driver[rows, steps] = driver
+        self._valid[rows, steps] = driver != Driver.NOBODY
 
     def view(
         self,
@@ -80,15 +97,16 @@ class Recorder:
 
     def sizes_m(self, ids: list[AgentId]) -> Floats:
         """(N, 2) length and width of agents."""
-        return np.array([self._sizes[self._row[agent]][:2] for agent in ids]).reshape(-1, 2)
+        size: Floats = self._size_m[[self._row[agent] for agent in ids], :2]
+        return size
 
     def _tracks(self, rows: Ints, a: int, b: int) -> Tracks:
-        ids = list(self._row)
         state = self._state[rows, a:b]
+        listed = rows.tolist()
         return Tracks(
-            ids=tuple(ids[row] for row in rows),
-            kinds=tuple(self._kinds[row] for row in rows),
-            size_m=np.array([self._sizes[row] for row in rows]).reshape(-1, 3),
+            ids=tuple(self._ids[row] for row in listed),
+            kinds=tuple(self._kinds[row] for row in listed),
+            size_m=self._size_m[rows],
             position_m=state[..., :2],
             z_m=state[..., 2],
             heading_rad=state[..., 3],
@@ -101,10 +119,12 @@ class Recorder:
         if row is None:
             row = self._row[agent] = len(self._row)
             body = self._body(agent)
+            self._ids.append(agent)
             self._kinds.append(body.kind)
-            self._sizes.append(body.size_m)
             if row == len(self._state):
-                self._state = np.concatenate([self._state, np.zeros_like(self._state)])
-                self._driver = np.concatenate([self._driver, np.zeros_like(self._driver)])
-                self._valid = np.concatenate([self._valid, np.zeros_like(self._valid)])
+                self._size_m, self._state, self._driver, self._valid = (
+                    np.concatenate([array, np.zeros_like(array)])
+                    for array in (self._size_m, self._state, self._driver, self._valid)
+                )
+            self._size_m[row] = body.size_m
         return row

@@ -38,6 +38,10 @@ class Stage(Protocol):
         """Whether the AV is still there."""
         ...
 
+    def av_leaders(self) -> tuple[AgentId, ...] | None:
+        """Whom the AV followed in the last step; None where nobody looked."""
+        ...
+
 
 @contextmanager
 def opened(case: Case, model: VehicleModel | None, backend: Backend) -> Iterator[Stage]:

@@ -47,6 +47,10 @@ class WatchedStage:
         """The stage's."""
         return self._stage.av_present()
 
+    def av_leaders(self) -> tuple[AgentId, ...] | None:
+        """The stage's."""
+        return self._stage.av_leaders()
+
     def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
         """One step of the stage, not before its time."""
         frame = self._stage.advance(command, opponent, pose)

@@ -4,7 +4,7 @@ A wrong spec stops the run before it starts, in one line with file, line, key, v
 nearest name. Paths are relative to the spec. `schema` describes specs to editors.
 """
 
-from deepmf_sumo.spec.loading import VERSIONS, load
+from deepmf_sumo.spec.loading import VERSIONS, load, of_document
 from deepmf_sumo.spec.model import (
     Av,
     Bound,
@@ -13,6 +13,7 @@ from deepmf_sumo.spec.model import (
     FromNetwork,
     FromRecording,
     Plugin,
+    SearchBudget,
     Spec,
 )
 from deepmf_sumo.spec.schema import schema
@@ -26,7 +27,9 @@ __all__ = [
     "FromNetwork",
     "FromRecording",
     "Plugin",
+    "SearchBudget",
     "Spec",
     "load",
+    "of_document",
     "schema",
 ]

@@ -27,8 +27,14 @@ def load(path: Path, sets: Sequence[str] = ()) -> Spec:
     for assignment in sets:
         document.assign(assignment)
         _expand(document, override=True)
+    return of_document(document)
+
+
+def of_document(document: Document) -> Spec:
+    """The spec that a document holds, paths relative to its file. Raises SpecError as `load`."""
+    _expand(document)
     _place_files(document)
-    context = {"folder": str(path.parent)}
+    context = {"folder": str(document.file.parent)}
     spec: Spec = checked(Spec, document.values, (), document, context)
     _check_plugin("planners", "planner", spec.planner, document)
     _check_plugin("adversaries", "adversary", spec.adversary, document)
@@ -109,7 +115,7 @@ def checked(
     elif first["type"] == "missing":
         path.append(first["loc"][-1])
     elif named:
-        path.append(named)
+        path += named.split(".")
     elif first["input"] is not values:
         rule = f"{_short(first['input'])}: {rule}{_yaml_trap(first)}"
     key = ".".join(str(part) for part in path)

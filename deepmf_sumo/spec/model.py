@@ -138,6 +138,13 @@ class Plugin(BaseModel):
         return dict(self.model_extra or {})
 
 
+class SearchBudget(Strict):
+    """What the adversary may spend on a run, whichever runs out first; else its own default."""
+
+    simulations: int | None = Field(default=None, ge=1)
+    seconds: float | None = Field(default=None, gt=0)
+
+
 class Bound(Strict):
     """A metric's value must lie in [min, max]; a metric without a value does not hold."""
 
@@ -169,6 +176,7 @@ class Spec(Strict):
     traffic: Literal["log", "sumo"] = Field(description="who drives the others")
     planner: Plugin = Plugin(name="idm")
     adversary: Plugin = Plugin(name="deepmf")
+    budget: SearchBudget = SearchBudget()
     weights: Annotated[str, AfterValidator(_weights)] = "open"
     seed: int = Field(default=0, ge=0, lt=2**31)
     expect: Expect = Expect()

@@ -92,7 +92,8 @@ def _wider(name: str, own: Tensor, shared: Tensor) -> bool:
 
 
 def _network(file: Path) -> Network:
-    return next(network for network in weights.NETWORKS if network == file.stem)
+    networks = (*weights.NETWORKS, *weights.BASELINES)
+    return next(network for network in networks if network == file.stem)
 
 
 def _check_sizes(folder: Path, network: Network, preset: Preset) -> None:

@@ -9,7 +9,7 @@ from safetensors.torch import save
 from torch import nn
 
 import deepmf_sumo
-from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, Network, read_card
+from deepmf_sumo.predictors.weights import BASELINES, FORMAT_VERSION, NETWORKS, Network, read_card
 
 
 def write(folder: Path, network: Network, net: nn.Module, card: dict[str, Any]) -> None:
@@ -58,7 +58,7 @@ def _table(rows: list[dict[str, Any]]) -> list[str]:
 
 def _page(folder: Path) -> str:
     lines = [f"# Weights '{folder.name}'", ""]
-    for network in NETWORKS:
+    for network in (*NETWORKS, *BASELINES):
         if not (folder / f"{network}.json").is_file():
             continue
         card = read_card(folder, network)

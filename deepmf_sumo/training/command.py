@@ -9,7 +9,7 @@ import torch
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.presets import preset_named
-from deepmf_sumo.predictors.weights import NETWORKS, Network
+from deepmf_sumo.predictors.weights import BASELINES, NETWORKS, Network
 from deepmf_sumo.training import config, run
 from deepmf_sumo.training.cache import Progress
 
@@ -34,9 +34,10 @@ def train_named(
     command: str,
     report: Progress,
 ) -> None:
-    """Train the network of a name, or ``all``, into the weights home or the folder ``out``.
+    """Train the network of a name, or ``all`` three of the paper.
 
-    What is None is what ``file`` says, else the default. Raises UsageError without any data.
+    Into the folder ``out``, or the set's place in the weights home. What is None is what
+    ``file`` says, else the default. Raises UsageError without any data.
     """
     settings = config.load(file) if file is not None else config.Config(version=1)
     sources = [config.parsed(text) for text in data] or settings.sources()
@@ -49,7 +50,7 @@ def train_named(
         folder=out or weights.place(name),
         cache=cache or weights.home() / ".features",
         preset=preset_named(preset or settings.preset or "light"),
-        optimisation={each: flags.over(settings.of(each)) for each in NETWORKS},
+        optimisation={each: flags.over(settings.of(each)) for each in (*NETWORKS, *BASELINES)},
         begin_from=begin_from or settings.begin_from,
         seed=seed if seed is not None else settings.seed or 0,
         device="cuda" if device == "cuda" else "cpu",
@@ -59,6 +60,7 @@ def train_named(
         command=command,
     )
     chosen = [each for each in NETWORKS if network in {each, "all"}]
+    chosen += [each for each in BASELINES if network == each]
     train_each(chosen, training, threads, report)
 
 

@@ -24,6 +24,7 @@ DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
     },
     "marginal": {"steps": 1500},
     "conditional": {"steps": 2000, "rate": 1.5e-3},
+    "strive": {"steps": 2000, "batch": 32, "ema": 0.99, "precision": "fp32"},
 }
 """Where they differ from those of `Optimisation.with_defaults`."""
 _FINE_RATE: Final = 5e-4
@@ -105,6 +106,7 @@ class Config(Optimisation):
     opponent: Optimisation = Optimisation()
     marginal: Optimisation = Optimisation()
     conditional: Optimisation = Optimisation()
+    strive: Optimisation = Optimisation()
 
     def of(self, network: Network) -> Optimisation:
         """How to train one network: its own settings over those of all."""

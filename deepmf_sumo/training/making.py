@@ -58,7 +58,7 @@ def open_or_make(
     """The features of these recordings, made now if they are not there.
 
     Args:
-        kind: ``opponent`` or ``trajectory``.
+        kind: ``opponent``, ``trajectory`` or ``graph``.
         data: recorded file or folder.
         settings: whatever else the features depend on.
         samples: what one scene gives; with several jobs it must be picklable.

@@ -19,6 +19,7 @@ from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.opponent import OpponentNet
 from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training import (
     beginnings,
@@ -36,6 +37,9 @@ from deepmf_sumo.training.checkpoints import Checkpoints
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.curves import Curves
 from deepmf_sumo.training.making import Data
+from deepmf_sumo.training.motion_prior import evaluation as motion_prior_evaluation
+from deepmf_sumo.training.motion_prior import loss as motion_prior_loss
+from deepmf_sumo.training.motion_prior import samples as graph_samples
 from deepmf_sumo.training.schedule import Loss, Outcome, Schedule
 
 _CPU_INFO: Final = Path("/proc/cpuinfo")
@@ -105,7 +109,7 @@ def train(network: Network, training: Training, report: Progress) -> None:
     card = _card(network, net, training, cache, schedule, outcome)
     card["began_from"] = beginnings.name_of(begin, training.begin_from)
     card["training_digest"] = digest
-    card |= _temperatures(network, net, cache)
+    card |= _measured(network, net, cache)
     try:
         cards.write(training.folder, network, net, card)
         if network == "marginal":  # a baseline that `evaluate` shows beside it
@@ -129,10 +133,7 @@ def _clusters(cache: Cache, seed: int) -> clusters.Clusters:
 
 def open_caches(network: Network, training: Training, report: Progress) -> Cache:
     """The samples of all sources; features are made where they are not there."""
-    make: Callable[[Scene], Iterable[Arrays]] = partial(
-        opponent_samples.opponent_samples if network == "opponent" else samples.trajectory_samples,
-        preset=training.preset,
-    )
+    make = _samples(network, training.preset)
     kind, settings = _features(network, training.preset)
     return mix(
         [
@@ -142,8 +143,19 @@ def open_caches(network: Network, training: Training, report: Progress) -> Cache
     )
 
 
+def _samples(network: Network, preset: Preset) -> Callable[[Scene], Iterable[Arrays]]:
+    """What one scene gives to a network."""
+    if network == "strive":
+        return graph_samples.graph_samples
+    if network == "opponent":
+        return partial(opponent_samples.opponent_samples, preset=preset)
+    return partial(samples.trajectory_samples, preset=preset)
+
+
 def _features(network: Network, preset: Preset) -> tuple[str, str]:
     """Kind of the features, and what they depend on: of the preset, the image alone."""
+    if network == "strive":
+        return "graph", graph_samples.settings()
     if network == "opponent":
         return "opponent", opponent_samples.settings(preset)
     image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
@@ -215,6 +227,8 @@ def _pairs(cache: Cache) -> Cache:
 def _loss(net: nn.Module) -> Loss:
     if isinstance(net, DenseTNT):
         return trajectory.loss_of(net)
+    if isinstance(net, MotionPrior):
+        return motion_prior_loss.loss_of(net)
     assert isinstance(net, OpponentNet)
     return opponent.loss_of(net)
 
@@ -269,8 +283,10 @@ def _sources(cache: Cache, outcome: Outcome) -> list[dict[str, Any]]:
     return found
 
 
-def _temperatures(network: Network, net: nn.Module, cache: Cache) -> dict[str, Any]:
+def _measured(network: Network, net: nn.Module, cache: Cache) -> dict[str, Any]:
     net.cpu()
+    if isinstance(net, MotionPrior):
+        return {"held_out_errors_m": motion_prior_evaluation.of_held_out(net, cache)}
     if isinstance(net, DenseTNT):
         return {"temperature": trajectory.fit_temperature(net, cache, _MODES[network])}
     assert isinstance(net, OpponentNet)

@@ -111,7 +111,7 @@ def targets(scene: Scene, step: int) -> Iterator[Future]:
         known, least = np.flatnonzero(future.valid), least_steps(scene)
         if len(known) < least or known[-1] < least - 1:
             continue
-        if _jumps(tracks, row):
+        if jumps(tracks, row):
             continue
         away = future.position_m[known[-1]] - tracks.position_m[row, step]
         if agent_id in labelled or np.hypot(*away) > MIN_DISTANCE_M:
@@ -158,7 +158,7 @@ def _movers(scene: Scene, step: int) -> tuple[Future, ...]:
             continue
         future = _filled(scene, future_of(scene, agent_id, step), step)
         away = np.hypot(*(future.position_m[-1] - future.position_m[0]))
-        if away > MIN_DISTANCE_M and not _jumps(scene.tracks, row):
+        if away > MIN_DISTANCE_M and not jumps(scene.tracks, row):
             found.append(future)
     return tuple(found)
 
@@ -192,7 +192,8 @@ def _filled(scene: Scene, future: Future, step: int) -> Future:
     )
 
 
-def _jumps(tracks: Tracks, row: int) -> bool:
+def jumps(tracks: Tracks, row: int) -> bool:
+    """Whether an agent moves farther in a step than vehicles do: the tracker's mistake."""
     valid = tracks.valid[row]
     both = valid[1:] & valid[:-1]
     step = np.diff(tracks.position_m[row], axis=0)[both]

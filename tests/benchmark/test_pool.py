@@ -22,6 +22,10 @@ def do(task):
         os._exit(7)
     elif kind == "raise":
         raise ValueError(value)
+    elif kind == "eat":
+        held = bytearray(value * 2**20)
+        time.sleep(60)
+        del held
     elif kind == "child":
         child = subprocess.Popen(["sleep", "60"])
         Path(value).write_text(str(child.pid))
@@ -63,6 +67,21 @@ def test_time_limit_kills_the_worker_and_its_children(tmp_path):
     assert [one.status for one in endings] == ["timeout", "done"]
     assert endings[0].reason == "longer than 1 s"
     assert _gone(int(pid_file.read_text()))
+
+
+def test_memory_limit_costs_one_task(tmp_path):
+    tasks = [("eat", 400), ("write", tmp_path / "after")]
+    begin = time.monotonic()
+    endings = list(pool.run(do, tasks, jobs=1, timeout_s=60, memory_mb=300))
+    assert [one.status for one in endings] == ["memory", "done"]
+    assert endings[0].reason == "more than 300 MB of memory"
+    assert time.monotonic() - begin < 30
+
+
+def test_no_task_is_begun_after_the_last_minute(tmp_path):
+    tasks = [("write", tmp_path / "a"), ("write", tmp_path / "b")]
+    assert list(pool.run(do, tasks, jobs=1, timeout_s=60, minutes=1e-9)) == []
+    assert not (tmp_path / "a").exists()
 
 
 def test_closing_kills_what_runs(tmp_path):

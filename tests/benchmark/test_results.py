@@ -107,6 +107,13 @@ def test_row(found):
         "cycle_ms_median": "5",
         "simulation_s": "0",
         "error": "",
+        "method": "made up",
+        "planner_label": "idm lane",
+        "parameters": "treiber",
+        "part": "main",
+        "budget_simulations": "",
+        "budget_seconds": "",
+        "simulations": "1",
     }
     assert tuple(row) == result.COLUMNS
     json.dumps(found, allow_nan=False)

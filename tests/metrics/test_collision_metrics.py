@@ -7,7 +7,7 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.metrics.episode.conflict import time_to_collision
+from deepmf_sumo.metrics.episode.conflict import Moving, time_to_collision
 from deepmf_sumo.metrics.episode.road import on_road
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)}
@@ -22,12 +22,15 @@ def test_every_metric(name):
     """The exam: a value or a reason, whatever happened."""
     module = plugins.load("metrics", name)
     assert module.BETTER in {"lower", "higher", "neither"}
+    assert module.DEFINITION
+    assert "\n" not in module.DEFINITION
     for rollout in (
         rollout_of(PATHS),
         rollout_of(PATHS, opponent_id=None),
         rollout_of(PATHS, contacts=[contact_of()]),
         rollout_of({key: path[:12] for key, path in PATHS.items()}, contacts=[contact_of(step=11)]),
         rollout_of({key: path[:11] for key, path in PATHS.items()}),
+        rollout_of({"av": straight(0, 0, 0), "b": straight(1, 0.5, 0)}),
     ):
         value = module.measure(rollout, case_of())
         assert (value.name, value.unit, value.better) == (name, module.UNIT, module.BETTER)
@@ -88,7 +91,8 @@ def test_time_to_collision_against_stepping(seed):
     place = rng.uniform(-25, 25, (2, count, 2))
     heading, velocity = rng.uniform(-3, 3, (2, count)), rng.uniform(-8, 8, (2, count, 2))
     fast = time_to_collision(
-        place[0], heading[0], velocity[0], size_a, place[1], heading[1], velocity[1], size_b
+        Moving(place[0], heading[0], velocity[0], size_a),
+        Moving(place[1], heading[1], velocity[1], size_b),
     )
     moved = place[:, :, None] + velocity[:, :, None] * seconds[:, None]
     hit = boxes.overlap(

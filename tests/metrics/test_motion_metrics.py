@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import scipy.spatial.distance
@@ -7,7 +9,7 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Plan
-from deepmf_sumo.metrics.episode import distributions, motion, paths
+from deepmf_sumo.metrics.episode import accelerations, motion, paths
 from deepmf_sumo.policies import deepmf
 
 AV = straight(0, 0, 10)
@@ -61,6 +63,26 @@ def test_a_jump_to_the_first_pose_is_not_feasible():
     path = straight(-8, 3.5, 12)
     path[11:, 1] += 0.4
     assert measured("feasible", with_opponent(path)).value == 0.0
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(0, 1.0), (25, 1.0), (35, 0.0), (180, 1.0)])
+def test_a_car_does_not_slide_sideways(degrees, expected):
+    path = straight(-8, 3.5, 12)
+    path[:, 2] += np.radians(degrees)  # 180: it drives backwards
+    assert measured("feasible", with_opponent(path)).value == expected
+
+
+@pytest.mark.parametrize(("radius", "expected"), [(4.0, 1.0), (2.5, 0.0)])
+def test_a_car_does_not_turn_on_the_spot(radius, expected):
+    angle = 3.0 * (np.arange(91) - 10) * 0.1 / radius
+    circle = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+    path = np.concatenate([circle, (angle + np.pi / 2)[:, None]], axis=1)
+    assert measured("feasible", with_opponent(path)).value == expected
+    standing = straight(-8, 3.5, 0)
+    standing[11:, 2] = np.linspace(0, 2 / radius, 80)
+    assert measured("feasible", with_opponent(standing)).value == 1.0
+    standing[40:, 2] += np.pi / 2
+    assert measured("feasible", with_opponent(standing)).value == 0.0
 
 
 def test_rms_acceleration():
@@ -122,19 +144,6 @@ def test_hausdorff_against_scipy_on_dense_points():
     assert paths.symmetric_mean(a, b) <= paths.hausdorff(a, b)
 
 
-def test_distributions():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=300), rng.normal(1.0, 2.0, size=500)
-    expected = scipy.stats.wasserstein_distance(a, b)
-    assert distributions.wasserstein(a, b) == pytest.approx(expected, rel=0.02)
-    # All mass in one bin against half in it and half in another: log 2.
-    kl = distributions.divergence(np.full(10, 0.5), np.repeat([0.5, 3.5], 5))
-    assert kl == pytest.approx(np.log(2), abs=1e-6)
-    np.testing.assert_allclose(
-        distributions.speed_changes(straight(0, 0, 5, accel=2.0, now=0)[:, :2], 0.1), 2.0, atol=1e-6
-    )
-
-
 def test_metrics_of_plans():
     view = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
     policy = deepmf.build(deepmf.Settings(), Doubles())
@@ -154,8 +163,13 @@ def test_metrics_of_plans():
 
 
 def test_a_gap_in_the_recording_is_no_change_of_speed():
-    even = np.column_stack([np.arange(40.0), np.zeros(40)])
-    stretches = [even[:15], even[25:]]
-    np.testing.assert_allclose(distributions.speed_changes_of(stretches, 0.1), 0.0, atol=1e-9)
-    assert len(distributions.speed_changes_of(stretches, 0.1)) == 13 + 13
-    assert len(distributions.speed_changes_of([even[:1], even[:2]], 0.1)) == 0
+    case, steady = case_of(), straight(-8, 3.5, 12)
+    tracks = case.scene.tracks
+    valid = tracks.valid.copy()
+    valid[tracks.row("b"), 40:50] = False
+    scene = dataclasses.replace(case.scene, tracks=dataclasses.replace(tracks, valid=valid))
+    gappy = dataclasses.replace(case, scene=scene)
+    found = accelerations.compared(with_opponent(steady), gappy)
+    assert len(found.recorded) == (29 - 2) + (41 - 2)
+    np.testing.assert_allclose(found.recorded, 0.0, atol=1e-9)
+    assert len(accelerations.speed_changes(steady[:1, :2], 0.1)) == 0

@@ -1,4 +1,5 @@
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,6 +85,37 @@ def test_sampled_opponents_follow_the_softmax():
     assert np.mean([one == "far" for one in drawn]) == pytest.approx(share, abs=0.03)
     rng = np.random.default_rng(5)
     assert drawn[:20] == [made.reset(view, rng) for _ in range(20)]
+
+
+@pytest.fixture
+def near_but_away():
+    """The nearest has left the AV behind and goes on faster; another comes up on the AV's lane."""
+    return view_of({"av": (0, 0, 0, 10), "gone": (12, 3.5, 0, 25), "behind": (-25, 0, 0, 14)})
+
+
+@pytest.mark.parametrize(("tried", "chosen"), [(1, "gone"), (2, "behind"), (9, "behind")])
+def test_of_several_opponents_the_one_that_can_reach_the_av(near_but_away, tried, chosen):
+    made = policy(tried_opponents=tried)
+    assert made.reset(near_but_away, np.random.default_rng(0)) == chosen
+    plan = made.plan(near_but_away)
+    assert plan.agent_id == chosen
+    straight = policy(opponent=chosen)
+    straight.reset(near_but_away, np.random.default_rng(0))
+    np.testing.assert_array_equal(plan.position_m, straight.plan(near_but_away).position_m)
+    assert plan.reason.scores is not None
+
+
+def test_a_plan_made_while_choosing_is_used_once(near_but_away):
+    made = policy(tried_opponents=2)
+    made.reset(near_but_away, np.random.default_rng(0))
+    made.plan(near_but_away)
+    later = replace(near_but_away, step=20, steps_left=70)
+    assert made.plan(later).first_step == 21
+
+
+def test_several_opponents_need_scores_to_rank_them_by():
+    with pytest.raises(PluginError, match="tried_opponents 3 goes with opponent argmax or partner"):
+        policy(tried_opponents=3, opponent="labelled")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.datatypes import Driver
-from deepmf_sumo.simulation.contacts import Judge, impact_sector
+from deepmf_sumo.simulation.contacts import Judge
 from deepmf_sumo.simulation.frame import Frame, Pose
 
 CAR = np.array([4.0, 2.0])
@@ -57,19 +57,6 @@ def test_heavier_box_is_slowed_less():
     after = frame(av=(1, 0, 0, 10), ov=(6.6, 0, 0, 0))
     (contact,) = judged(before, after, sizes={"ov": np.array([8.0, 2.0])}).contacts
     assert contact.delta_v_mps == pytest.approx(10 * 2 / 3)
-
-
-@pytest.mark.parametrize(
-    ("bearing", "sector"),
-    [(0, 0), (45, 1), (90, 2), (135, 3), (180, 4), (225, 5), (270, 6), (315, 7)],
-)
-def test_sectors_count_counterclockwise_from_the_front(bearing, sector):
-    angle = np.radians(bearing)
-    square = np.array([2.0, 2.0])
-    heading = 0.7
-    where = 1.8 * np.array([np.cos(angle + heading), np.sin(angle + heading)])
-    other = np.array([*where, heading])
-    assert impact_sector(np.array([0, 0, heading]), square, other, square) == sector
 
 
 def test_a_pair_counts_once_and_third_parties_are_kept_apart():

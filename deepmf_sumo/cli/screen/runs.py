@@ -1,5 +1,6 @@
 """What `run` shows: a live line while it works, a table at the end."""
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,12 +18,14 @@ from deepmf_sumo.report import table as tables
 def progress() -> Iterator[Callable[[Progress], None]]:
     """A line that is written over on a terminal; elsewhere a line a run."""
     console = Console(stderr=True, highlight=False)
+    begin = time.monotonic()
     with console.status("reading specs ...") as status:
 
         def report(now: Progress) -> None:
             last = f"; last: {now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
             kept = f" ({now.kept} kept from before)" if now.kept else ""
-            line = escape(f"{now.done} of {now.of} runs{kept}{last}")
+            left = _left(now, time.monotonic() - begin)
+            line = escape(f"{now.done} of {now.of} runs{kept}{left}{last}")
             status.update(line)
             if now.last and not console.is_terminal:
                 console.print(line, soft_wrap=True)
@@ -44,6 +47,15 @@ def table(results: Sequence[dict[str, Any]], summary: dict[str, Any], out: Path)
     console.print(grid)
     console.print(escape(tables.totals(summary)), soft_wrap=True)
     console.print(escape(f"{out}/runs.csv, {out}/runs/<run>/picture.png"), soft_wrap=True)
+
+
+def _left(now: Progress, seconds: float) -> str:
+    """Time left, by the mean of the runs so far."""
+    made = now.done - now.kept
+    if not made or now.done == now.of:
+        return ""
+    rest = seconds / made * (now.of - now.done)
+    return f", {rest:.0f} s left" if rest < 100 else f", {rest / 60:.0f} min left"
 
 
 def _outcome(result: dict[str, Any]) -> str:

@@ -1,38 +1,40 @@
-"""Distributions of accelerations, compared."""
+"""Distributions of accelerations, compared: divergences of histograms, and distance of samples."""
 
 import numpy as np
 
 from deepmf_sumo.datatypes import Floats
 
-_BINS = np.linspace(-10.0, 10.0, 21)
+LIMIT_MPS2 = 10.0
+"""Histograms reach from -10 to 10 m/s2; what lies outside is counted in the end bins."""
+BINS = 20
+"""Of one run's histograms: 1 m/s2 wide."""
 _PSEUDO_COUNT = 1e-10
-_QUANTILES = (np.arange(1000) + 0.5) / 1000
-
-
-def speed_changes(path_m: Floats, dt_s: float) -> Floats:
-    """(K - 2) signed changes of speed in m/s2 along a path (K, 2) with a point every ``dt_s``."""
-    speed = np.hypot(*np.diff(path_m, axis=0).T) / dt_s
-    changes: Floats = np.diff(speed) / dt_s
-    return changes
-
-
-def speed_changes_of(stretches: list[Floats], dt_s: float) -> Floats:
-    """Signed changes of speed along several stretches (K, 2) of motion, K >= 1 each."""
-    changes: Floats = np.concatenate([np.empty(0), *(speed_changes(s, dt_s) for s in stretches)])
-    return changes
 
 
 def wasserstein(a: Floats, b: Floats) -> float:
-    """First Wasserstein distance of two samples: mean difference of their quantiles."""
-    inverted = [np.quantile(sample, _QUANTILES, method="inverted_cdf") for sample in (a, b)]
-    return float(np.abs(inverted[0] - inverted[1]).mean())
+    """First Wasserstein distance of two samples: area between their distribution functions."""
+    a, b = np.sort(a), np.sort(b)
+    both = np.sort(np.concatenate([a, b]))
+    below = [np.searchsorted(sample, both[:-1], "right") / len(sample) for sample in (a, b)]
+    return float((np.abs(below[0] - below[1]) * np.diff(both)).sum())
 
 
-def divergence(a: Floats, b: Floats) -> float:
-    """KL(a || b) in nats of histograms of two samples."""
-    shares = []
-    for sample in (a, b):
-        inside = np.clip(sample, _BINS[0], _BINS[-1])
-        count = np.histogram(inside, _BINS)[0] + _PSEUDO_COUNT
-        shares.append(count / count.sum())
-    return float((shares[0] * np.log(shares[0] / shares[1])).sum())
+def divergence(a: Floats, b: Floats, bins: int = BINS) -> float:
+    """KL(a || b) in nats of histograms of two samples, 1e-10 added to each count."""
+    p, q = shares(a, bins), shares(b, bins)
+    return float((p * np.log(p / q)).sum())
+
+
+def jensen_shannon(a: Floats, b: Floats, bins: int = BINS) -> float:
+    """Jensen-Shannon divergence in nats, 0..log 2, of histograms of two samples."""
+    p, q = shares(a, bins), shares(b, bins)
+    middle = (p + q) / 2
+    return float((p * np.log(p / middle) + q * np.log(q / middle)).sum() / 2)
+
+
+def shares(sample: Floats, bins: int) -> Floats:
+    """(bins) relative frequencies on [-10, 10], all positive."""
+    inside = np.clip(sample, -LIMIT_MPS2, LIMIT_MPS2)
+    count = np.histogram(inside, bins, (-LIMIT_MPS2, LIMIT_MPS2))[0] + _PSEUDO_COUNT
+    frequency: Floats = count / count.sum()
+    return frequency

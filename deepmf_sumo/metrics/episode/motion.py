@@ -1,4 +1,7 @@
-"""Accelerations from poses: over 0.2 s, so that noise of a centimetre stays below 1 m/s2."""
+"""Accelerations and steering from poses.
+
+Over 0.2 s, so that noise of a centimetre stays below 1 m/s2.
+"""
 
 from typing import NamedTuple
 
@@ -40,6 +43,31 @@ def accelerations(position_m: Floats, heading_rad: Floats, dt_s: float) -> Accel
     along = (second * ahead).sum(-1)
     across = ahead[:, 0] * second[:, 1] - ahead[:, 1] * second[:, 0]
     return Accelerations(along, across)
+
+
+class Steering(NamedTuple):
+    """(K) motion of boxes over 0.4 s; ``sideways`` is the sine of heading to motion, unsigned."""
+
+    speed_mps: Floats
+    way_m: Floats
+    turn_rad: Floats
+    sideways: Floats
+
+
+def steering(position_m: Floats, heading_rad: Floats, dt_s: float) -> Steering:
+    """Of box centres (T, 2) and headings (T); K = T - 4, empty for fewer than 5 poses."""
+    position, heading = np.asarray(position_m, float), np.asarray(heading_rad, float)
+    if len(position) <= 2 * SPAN:
+        return Steering(*(np.empty(0) for _ in Steering._fields))
+    moved = position[2 * SPAN :] - position[: -2 * SPAN]
+    way = np.hypot(*moved.T)
+    course = np.arctan2(moved[:, 1], moved[:, 0])
+    return Steering(
+        speed_mps=way / (2 * SPAN * dt_s),
+        way_m=way,
+        turn_rad=np.abs(angles.difference(heading[2 * SPAN :], heading[: -2 * SPAN])),
+        sideways=np.abs(np.sin(course - heading[SPAN:-SPAN])),
+    )
 
 
 def runs(mask: Bools) -> list[slice]:

@@ -7,6 +7,7 @@ from deepmf_sumo.metrics.episode import motion
 
 NO_OPPONENT = "nobody was attacked"
 NEVER_DRIVEN = "the policy never drove the opponent"
+NO_COLLISION = "AV and opponent did not collide"
 NO_LOG = "the case has no recording to compare with"
 
 
@@ -45,19 +46,25 @@ def planned_path(rollout: Rollout, row: int, steps_at_most: int) -> Floats:
     return whole
 
 
-def logged_path(case: Case, agent_id: AgentId) -> Floats | None:
+def logged_path(case: Case, agent_id: AgentId, steps_at_most: int) -> Floats | None:
     """(K, 2) where the recording has the agent after now; None if it has fewer than three."""
-    stretches = logged_stretches(case, agent_id)
+    stretches = logged_stretches(case, agent_id, steps_at_most)
     path: Floats = np.concatenate([np.empty((0, 2)), *stretches])
     return path if len(path) > 2 else None
 
 
-def logged_stretches(case: Case, agent_id: AgentId) -> list[Floats]:
-    """Where the recording has the agent after now, (K, 2) each, without the gaps between them."""
+def logged_stretches(
+    case: Case, agent_id: AgentId, steps_at_most: int | None = None
+) -> list[Floats]:
+    """Where the recording has the agent after now, (K, 2) each, without the gaps between them.
+
+    At most the case's duration, or the given number of steps.
+    """
     scene = case.scene
     if scene is None or agent_id not in scene.tracks.ids:
         return []
     row = scene.tracks.row(agent_id)
-    steps = slice(scene.now + 1, scene.now + 1 + case.duration_steps)
+    count = case.duration_steps if steps_at_most is None else steps_at_most
+    steps = slice(scene.now + 1, scene.now + 1 + count)
     position = scene.tracks.position_m[row, steps]
     return [position[run] for run in motion.runs(scene.tracks.valid[row, steps])]

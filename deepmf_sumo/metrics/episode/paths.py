@@ -1,9 +1,37 @@
 """Distances of paths as curves, without regard to time (SSPD: Besse et al., T-ITS 17, 2016)."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.datatypes import Case, Floats, Rollout
 from deepmf_sumo.geometry import polylines
+from deepmf_sumo.metrics.episode import parts
+
+
+class Paths(NamedTuple):
+    """The opponent's path (K, 2) and its recording's (L, 2), at least three points each."""
+
+    attack: Floats
+    recorded: Floats
+
+
+def compared(rollout: Rollout, case: Case, *, until_contact: bool = False) -> Paths | str:
+    """Paths of one rollout, or the reason why there are none.
+
+    The whole: what the policy drove, and what its last plan says of the time after the end, against
+    the recorded 8 s. Until contact: what it drove, against the recording up to the same time.
+    """
+    row = parts.opponent_row(rollout)
+    if row is None:
+        return parts.NO_OPPONENT
+    whole = case.duration_steps
+    steps = min(whole, rollout.tracks.steps - 1 - rollout.now) if until_contact else whole
+    recorded = parts.logged_path(case, rollout.tracks.ids[row], steps)
+    if recorded is None:
+        return parts.NO_LOG
+    path = parts.planned_path(rollout, row, steps)
+    return Paths(path, recorded) if len(path) > 2 else parts.NEVER_DRIVEN
 
 
 def directed(points_m: Floats, path_m: Floats) -> Floats:

@@ -1,26 +1,79 @@
-"""Whether points are on the road: near the centre line of a lane for cars."""
+"""Whether points are on the road, and which way it runs there: lanes for cars around them."""
+
+import functools
+from typing import NamedTuple
 
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, RoadMap
-from deepmf_sumo.geometry import polylines
 
-_WIDTH_M = 3.7  # of a lane whose source says nothing
+WIDTH_M = 3.7
+"""Of a lane whose source says nothing."""
 MARGIN_M = 0.5
+_AGAINST_RAD = 2 * np.pi / 3
 
 
 def on_road(road: RoadMap, points_m: Floats) -> Bools:
     """(N) points (N, 2) within half a lane's width and 0.5 m of its centre line; no cycle lanes."""
     points = np.asarray(points_m, float)
-    inside = np.zeros(len(points), dtype=bool)
+    return np.asarray(_covering(_near(road, points), points).any(axis=1))
+
+
+def against_traffic(road: RoadMap, points_m: Floats, course_rad: Floats) -> Bools:
+    """(N) points on the road where all lanes run against the course (N), by more than 120 degrees.
+
+    A point on no lane is not against any: False.
+    """
+    points = np.asarray(points_m, float)
+    near = _near(road, points)
+    covering = _covering(near, points)
+    turn = np.cos(np.asarray(course_rad, float)[:, None] - near.heading_rad)
+    along = covering & (turn > np.cos(_AGAINST_RAD))
+    against: Bools = covering.any(axis=1) & ~along.any(axis=1)
+    return against
+
+
+class _Segments(NamedTuple):
+    """Pieces of centre lines: start and vector (S, 2), reach and direction (S)."""
+
+    start_m: Floats
+    vector_m: Floats
+    reach_m: Floats
+    heading_rad: Floats
+
+
+@functools.lru_cache(maxsize=4)
+def _segments(road: RoadMap) -> _Segments:
+    """All pieces of a road's lanes for cars; kept, for several metrics ask about one road."""
+    lanes = [one for one in road.lanes.values() if one.kind != "bike" and len(one.centre_m) > 1]
+    start = np.concatenate([np.empty((0, 2)), *(one.centre_m[:-1] for one in lanes)])
+    vector = np.concatenate([np.empty((0, 2)), *(np.diff(one.centre_m, axis=0) for one in lanes)])
+    reach = [(one.width_m or WIDTH_M) / 2 + MARGIN_M for one in lanes]
+    return _Segments(
+        start_m=start,
+        vector_m=vector,
+        reach_m=np.repeat(reach, [len(one.centre_m) - 1 for one in lanes]),
+        heading_rad=np.arctan2(vector[:, 1], vector[:, 0]),
+    )
+
+
+def _near(road: RoadMap, points: Floats) -> _Segments:
+    """The pieces that reach into the bounding box of points (N, 2)."""
+    every = _segments(road)
     if len(points) == 0:
-        return inside
-    for lane in road.lanes.values():
-        if lane.kind == "bike" or len(lane.centre_m) < 2:
-            continue
-        reach = (lane.width_m or _WIDTH_M) / 2 + MARGIN_M
-        low, high = lane.centre_m.min(axis=0) - reach, lane.centre_m.max(axis=0) + reach
-        near = ~inside & ((points >= low) & (points <= high)).all(axis=1)
-        if near.any():
-            inside[near] = polylines.project(lane.centre_m, points[near]).distance_m <= reach
-    return inside
+        return _Segments(*(part[:0] for part in every))
+    end, reach = every.start_m + every.vector_m, every.reach_m[:, None]
+    low, high = np.minimum(every.start_m, end) - reach, np.maximum(every.start_m, end) + reach
+    meets = ((high >= points.min(axis=0)) & (low <= points.max(axis=0))).all(axis=1)
+    return _Segments(*(part[meets] for part in every))
+
+
+def _covering(segments: _Segments, points: Floats) -> Bools:
+    """(N, S) whether a point lies within a piece's reach."""
+    offset = points[:, None] - segments.start_m
+    vector = segments.vector_m
+    square = np.maximum((vector**2).sum(axis=1), 1e-12)
+    share = np.clip((offset * vector).sum(axis=-1) / square, 0.0, 1.0)
+    away = offset - share[..., None] * vector
+    covers: Bools = (away**2).sum(axis=-1) <= segments.reach_m**2
+    return covers

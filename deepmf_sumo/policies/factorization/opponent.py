@@ -1,9 +1,47 @@
 """Which vehicle attacks: chosen once, before the first plan (Algorithm 1)."""
 
+from typing import Final
+
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Floats, OpponentScores, View
 from deepmf_sumo.errors import RunError
+from deepmf_sumo.predictors.base import OpponentPredictor
+
+SCORED: Final = frozenset({"argmax", "sample", "partner"})
+"""Choices that need the opponent network."""
+
+
+def choose(
+    view: View,
+    how: str,
+    predictor: OpponentPredictor | None,
+    partner_id: AgentId | None,
+    rng: np.random.Generator,
+) -> tuple[AgentId | None, OpponentScores | None]:
+    """The opponent, None if there is nobody; and the scores that it was chosen by, if it was.
+
+    Args:
+        view: at the current step.
+        how: one of `SCORED`, ``labelled`` or the id of a vehicle.
+        predictor: the opponent network; needed by `SCORED` alone.
+        partner_id: whom the recording names as the AV's partner.
+        rng: for ``sample``.
+
+    Raises RunError where the vehicle that is asked for is not there, or nobody is labelled.
+    """
+    if how in SCORED:
+        assert predictor is not None
+        scores = predictor.score(view)
+        return from_scores(scores, how, rng), scores
+    if how != "labelled":
+        return named(view, how), None
+    if partner_id is None:
+        raise RunError(
+            "opponent is 'labelled', but the recording names no partner of the AV; use "
+            "argmax, sample or partner."
+        )
+    return named(view, partner_id), None
 
 
 def from_scores(scores: OpponentScores, how: str, rng: np.random.Generator) -> AgentId | None:
@@ -16,8 +54,13 @@ def from_scores(scores: OpponentScores, how: str, rng: np.random.Generator) -> A
         return None
     if how == "sample":
         return scores.ids[int(rng.choice(len(scores.ids), p=softmax(scores.logits)))]
+    return highest(scores, how, 1)[0]
+
+
+def highest(scores: OpponentScores, how: str, count: int) -> list[AgentId]:
+    """At most ``count`` vehicles by ``argmax`` or ``partner``, the best first."""
     logits = scores.partner_logits if how == "partner" else scores.logits
-    return scores.ids[int(np.argmax(logits))]
+    return [scores.ids[row] for row in np.argsort(-logits, kind="stable")[:count]]
 
 
 def named(view: View, agent_id: AgentId) -> AgentId:

@@ -1,0 +1,1 @@
+"""Trajectories aimed at where the AV was in its last rollouts, and driven open loop."""

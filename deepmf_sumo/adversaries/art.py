@@ -1,0 +1,184 @@
+"""ART: a bounded perturbation, found by gradient, brings the opponent into the AV's way.
+
+Source: Zhang et al., On Adversarial Robustness of Trajectory Prediction for Autonomous Vehicles,
+CVPR 2022, which perturbs the *history* of a vehicle by at most 1 m a point so that a predictor
+errs, within bounds on speed, acceleration and jerk. Adapted to an attack on the AV in two forms:
+
+- ``future`` (default): the opponent's own un-attacked future is perturbed until its box meets the
+  AV's un-attacked one. It is the default since it is the stronger by far: a perturbed history only
+  shifts probability between futures that the predictor proposes anyway, by little within the
+  bounds. Its bound of 32 m is what 1 m/s2 reaches in 8 s; DeepMF's authors report Hausdorff
+  distances of 30 to 39 m for ART.
+- ``history``: the last second is perturbed, by gradient through our marginal predictor; the
+  likeliest future that it then predicts is driven.
+
+Points are 2 Hz as in the paper, and smooth in between: its free points would be jitter at 10 Hz.
+Either way the trajectory is tracked within DeepMF's limits before it is judged and driven.
+
+Budget: gradient steps, not simulations: ``restarts`` x ``iterations`` (10 x 100 as in the paper),
+at most ``seconds``; and two simulations, one un-attacked and the attack. With more, every further
+round aims at what the AV did in the round before, until it is hit.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo.adversaries.aiming import motions
+from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
+from deepmf_sumo.adversaries.aiming.settings import AimedSettings
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.adversaries.search.opponents import OpponentChoice
+from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
+from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
+from deepmf_sumo.policies.factorization.tracking import Start, track
+
+if TYPE_CHECKING:
+    from deepmf_sumo.adversaries.gradients.art_descent import Bounds, Descent
+
+
+class Settings(AimedSettings):
+    """How the perturbation is made.
+
+    Attributes:
+        form: what is perturbed, see above.
+        reach_m: largest move of a point of the future.
+        history_reach_m: largest move of a point of the history.
+        restarts, iterations: descents, and gradient steps of each at most.
+        seconds: at most so long where the budget says nothing.
+        modes: futures that are predicted under a perturbed history; the likeliest is driven.
+        speed_mps, jerk_mps3: bounds of the perturbed trajectory; that of its acceleration is the
+            larger of ``accel_mps2`` and ``brake_mps2``.
+    """
+
+    form: Literal["history", "future"] = "future"
+    reach_m: float = Field(default=32.0, gt=0.0)
+    history_reach_m: float = Field(default=1.0, gt=0.0)
+    restarts: int = Field(default=10, ge=1)
+    iterations: int = Field(default=100, ge=1)
+    seconds: float = Field(default=60.0, gt=0.0)
+    modes: int = Field(default=6, ge=1, le=256)
+    speed_mps: float = Field(default=30.0, gt=0.0)
+    jerk_mps3: float = Field(default=20.0, gt=0.0)
+
+
+class ART:
+    """Attacks by bounded perturbation."""
+
+    def __init__(self, settings: Settings, weights: str) -> None:
+        self._settings = settings
+        self._weights = weights
+        self._opponent = OpponentChoice(settings.opponent, weights)
+
+    def attack(
+        self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
+    ) -> Attack:
+        """The attack; trials are the rounds."""
+        chosen = self._settings
+        # What brings torch along is imported and loaded here, before the time counts.
+        if chosen.form == "history":
+            from deepmf_sumo.adversaries.gradients import art_history  # noqa: F401
+            from deepmf_sumo.predictors import shared
+
+            shared.predictors(self._weights)
+        else:
+            from deepmf_sumo.adversaries.gradients import art_future  # noqa: F401
+        choose = self._opponent.of(case)
+        if budget.seconds is None:
+            most = budget.simulations or 1 + chosen.rounds
+            budget = Budget(simulations=most, seconds=chosen.seconds)
+        deadline = time.perf_counter() + (budget.seconds or 0.0)
+        perturb = self._history if chosen.form == "history" else self._future
+
+        def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+            return self._aim(scouted, rollouts[-1], *perturb(scouted, rollouts[-1], deadline, rng))
+
+        return attack_in_rounds(case, simulate, choose, aim, chosen.rounds, budget)
+
+    def _future(
+        self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
+    ) -> tuple[Floats, "Descent"]:
+        """(R, K, 2) the opponent's reference, made drivable and bent into the AV's way."""
+        from deepmf_sumo.adversaries.gradients import art_future
+
+        view, chosen = scouted.view, self._settings
+        start = Start.of(view, scouted.opponent_id)
+        reference = motions.continued(scouted.reference, start)
+        calm = track(reference[None], start, chosen.limits.rows(1)).position_m[0]
+        target = art_future.Target(
+            position_m=motions.continued(av, Start.of(view, view.av_id)),
+            heading_rad=av.heading_rad,
+            there=av.valid,
+            av_size_m=motions.footprint(view, view.av_id),
+            own_size_m=motions.footprint(view, scouted.opponent_id),
+        )
+        bounds = self._bounds(chosen.reach_m)
+        found = art_future.bend(
+            calm, start, target, bounds, chosen.restarts, chosen.iterations, deadline, rng
+        )
+        return calm + found.offset_m, found
+
+    def _history(
+        self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
+    ) -> tuple[Floats, "Descent"]:
+        """(R, 80, 2) the likeliest futures of the opponent under perturbed histories."""
+        from deepmf_sumo.adversaries.gradients import art_history
+        from deepmf_sumo.predictors import shared
+
+        view, chosen, agent_id = scouted.view, self._settings, scouted.opponent_id
+        marginal = shared.predictors(self._weights).marginal
+        found = art_history.perturb(
+            view,
+            agent_id,
+            marginal.net,
+            motions.continued(av, Start.of(view, view.av_id)),
+            av.valid,
+            self._bounds(chosen.history_reach_m),
+            chosen.restarts,
+            chosen.iterations,
+            deadline,
+            rng,
+        )
+        past = art_history.Past(view, agent_id, marginal.net)
+        forecasts = [
+            marginal.predict(past.view(offset), [agent_id], chosen.modes)[0]
+            for offset in found.offset_m
+        ]
+        return np.stack([forecast.futures.position_m[0] for forecast in forecasts]), found
+
+    def _bounds(self, reach_m: float) -> "Bounds":
+        from deepmf_sumo.adversaries.gradients.art_descent import Bounds
+
+        chosen = self._settings
+        return Bounds(
+            reach_m=reach_m,
+            speed_mps=chosen.speed_mps,
+            accel_mps2=max(chosen.accel_mps2, chosen.brake_mps2),
+            jerk_mps3=chosen.jerk_mps3,
+        )
+
+    def _aim(self, scouted: Scouted, av: Motion, reference_m: Floats, found: "Descent") -> Aimed:
+        """The least perturbation that meets the AV once it is tracked, else the nearest miss."""
+        view = scouted.view
+        start = Start.of(view, scouted.opponent_id)
+        tracked = track(reference_m, start, self._settings.limits.rows(len(reference_m)))
+        gap = motions.gaps(scouted, av, tracked.position_m, tracked.heading_rad).min(axis=1)
+        moved = np.hypot(found.offset_m[..., 0], found.offset_m[..., 1]).mean(axis=1)
+        row = int(np.lexsort((moved, gap))[0])
+        return Aimed(
+            plan=motions.plan_of(view, scouted.opponent_id, tracked, row),
+            parameters={
+                "restart": float(row),
+                "iterations": float(found.iterations),
+                "mean_move_m": float(moved[row]),
+                "predicted_gap_m": float(gap[row]),
+            },
+        )
+
+
+def build(settings: Settings, weights: str) -> ART:
+    """The adversary; ``weights`` hold the networks, as `predictors.weights.load` takes them."""
+    return ART(settings, weights)

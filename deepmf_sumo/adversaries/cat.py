@@ -1,0 +1,156 @@
+"""CAT: likely candidates of the opponent against the AV's last rollouts, chosen once.
+
+Source: Zhang et al., CAT: Closed-loop Adversarial Training for Safe End-to-End Driving, CoRL 2023.
+The largest P(Y_OV | X) * sum over the AV's rollouts of P(Y_AV) * Coll: the AV is not predicted but
+looked up, and does not react to the candidate. Against DeepMF's version G, with which it shares
+the opponent, the candidates and their limits, it isolates what conditional prediction is worth.
+
+Adapted: our marginal network; candidates are tracked within limits before they are judged, and
+include ways to goals around the AV's rollout (``goal_candidates: 0`` as published); contacts are
+tested at 10 Hz with exact boxes, where CAT looks at every fifth step. As published: weights of
+candidates beyond the sixth are equal, contact counts 0.99 less a half second later, and where
+nothing touches, the candidate whose centre comes nearest to the AV's is driven.
+
+Budget: two simulations, one un-attacked and the attack. With more, every further round adds how the
+AV answered the attack before (the last five are kept, as in CAT's training), until it is hit.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo.adversaries.aiming import answers, motions
+from deepmf_sumo.adversaries.aiming.answers import Answers, Scored
+from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
+from deepmf_sumo.adversaries.aiming.settings import AimedSettings
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.adversaries.search.opponents import OpponentChoice
+from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
+from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Budget, Case, Plan, PlanReason, View
+from deepmf_sumo.policies.factorization import candidates
+from deepmf_sumo.policies.factorization.candidates import Candidates, References
+from deepmf_sumo.policies.factorization.goals import goal_paths
+from deepmf_sumo.policies.factorization.tracking import Start, track
+from deepmf_sumo.predictors.base import MarginalPredictor
+
+
+class DensePredictor(MarginalPredictor, candidates.Density, Protocol):
+    """A marginal predictor that also knows the density of futures that it did not propose."""
+
+
+class Settings(AimedSettings):
+    """How CAT attacks.
+
+    Attributes:
+        candidates: modes of the opponent.
+        goal_candidates: at most so many ways to goals around the AV's rollouts besides.
+        tail_after: candidates after the so many likeliest weigh as the next one; null leaves the
+            weights as predicted.
+        memory: rollouts of the AV that are kept.
+    """
+
+    candidates: int = Field(default=32, ge=1, le=256)
+    goal_candidates: int = Field(default=32, ge=0, le=256)
+    tail_after: int | None = Field(default=6, ge=1)
+    memory: int = Field(default=5, ge=1)
+
+
+class CAT:
+    """Attacks with the candidate that is likely and meets the AV's rollouts."""
+
+    def __init__(self, settings: Settings, weights: str) -> None:
+        self._settings = settings
+        self._weights = weights
+        self._opponent = OpponentChoice(settings.opponent, weights)
+        self._marginal: DensePredictor | None = None
+
+    def attack(
+        self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
+    ) -> Attack:
+        """The attack; trials are the rounds."""
+        if self._marginal is None:
+            # Brings torch along, which checking a spec's settings must not.
+            from deepmf_sumo.predictors import shared
+
+            self._marginal = shared.predictors(self._weights).marginal
+        marginal = self._marginal
+
+        def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+            return self._aim(scouted, rollouts, marginal)
+
+        choose, rounds = self._opponent.of(case), self._settings.rounds
+        return attack_in_rounds(case, simulate, choose, aim, rounds, budget)
+
+    def _aim(self, scouted: Scouted, rollouts: Sequence[Motion], marginal: DensePredictor) -> Aimed:
+        """The best candidate, and why."""
+        view = scouted.view
+        last = Answers.of(view, rollouts[-self._settings.memory :])
+        own = self._candidates(view, scouted.opponent_id, last, marginal)
+        weight = own.forecast.probability
+        if self._settings.tail_after is not None:
+            weight = answers.flattened(weight, self._settings.tail_after)
+        scored = answers.score(weight, own.forecast.futures, last, view)
+        parameters = {
+            "candidate": float(scored.chosen),
+            "probability": float(own.forecast.probability[scored.chosen]),
+            "value": float(scored.value[scored.chosen]),
+            "fallback": float(scored.fallback),
+        }
+        return Aimed(plan=_plan(view, own, last, scored), parameters=parameters)
+
+    def _candidates(
+        self, view: View, opponent_id: str, last: Answers, marginal: DensePredictor
+    ) -> Candidates:
+        """Predicted and made candidates of the opponent, drivable, likeliest first."""
+        settings, limits = self._settings, self._settings.limits
+        start = Start.of(view, opponent_id)
+        (modes,) = marginal.predict(view, [opponent_id], settings.candidates)
+        count = len(modes.probability)
+        parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
+        if settings.goal_candidates:
+            paths = goal_paths(
+                modes,
+                last.forecast,
+                start,
+                motions.footprint(view, view.av_id),
+                limits,
+                min(FUTURE_STEPS, view.steps_left),
+                settings.goal_candidates,
+            )
+            parts.append(References.of("goal", paths.reference_m, paths.limits))
+        references = References.joined(parts)
+        tracked = track(references.position_m, start, references.limits)
+        probability = candidates.weights(modes, tracked.position_m[count:], marginal, view)
+        return candidates.ranked(references, tracked, probability, modes)
+
+
+def _plan(view: View, own: Candidates, last: Answers, scored: Scored) -> Plan:
+    futures, row = own.forecast.futures, scored.chosen
+    mass = scored.collides @ last.forecast.probability
+    return Plan(
+        agent_id=futures.agent_id,
+        first_step=view.step + 1,
+        position_m=futures.position_m[row],
+        heading_rad=futures.heading_rad[row],
+        speed_mps=own.speed_mps[row],
+        reason=PlanReason(
+            scores=None,
+            candidates=own.forecast,
+            reactions=(last.forecast,) * len(mass),
+            collides=scored.collides,
+            collision_step=scored.collision_step,
+            value=scored.value,
+            product=own.forecast.probability * mass,
+            chosen=row,
+            rule="fallback" if scored.fallback else "rollouts",
+            bent_m=own.bent_m,
+            origin=own.origin,
+        ),
+    )
+
+
+def build(settings: Settings, weights: str) -> CAT:
+    """The adversary; ``weights`` hold the networks, as `predictors.weights.load` takes them."""
+    return CAT(settings, weights)

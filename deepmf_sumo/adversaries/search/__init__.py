@@ -1,0 +1,1 @@
+"""What searches for attacks share: scouting, the opponent, motion, cost, budget."""

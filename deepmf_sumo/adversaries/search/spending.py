@@ -1,0 +1,41 @@
+"""What a search has spent of its budget."""
+
+import time
+
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.datatypes import Budget, Rollout
+from deepmf_sumo.policies.base import Policy
+
+
+class Spending:
+    """Counts simulations and wall time from its making on.
+
+    Args:
+        simulate: one episode.
+        budget: what may be spent.
+        simulations: what may be spent where the budget says nothing at all.
+    """
+
+    def __init__(self, simulate: Simulate, budget: Budget, simulations: int) -> None:
+        self._simulate = simulate
+        unlimited = budget.simulations is None and budget.seconds is None
+        self._most = simulations if unlimited else budget.simulations
+        self._most_s = budget.seconds
+        self._begin = time.perf_counter()
+        self.simulations = 0
+
+    def simulate(self, policy: Policy | None) -> Rollout:
+        """One episode, counted."""
+        self.simulations += 1
+        return self._simulate(policy)
+
+    @property
+    def over(self) -> bool:
+        """Whether no simulation may be begun any more."""
+        late = self._most_s is not None and self.seconds >= self._most_s
+        return late or (self._most is not None and self.simulations >= self._most)
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the beginning."""
+        return time.perf_counter() - self._begin

@@ -1,0 +1,190 @@
+"""STRIVE: latents of a learned traffic model, moved until a likely motion hits the AV.
+
+Source: Rempe et al., Generating Useful Accident-Prone Driving Scenarios via a Learned Traffic
+Prior, CVPR 2022. A conditional VAE over the graph of vehicles decodes latents into motions; Adam
+moves the latents in three stages: match what happens un-attacked, attack the AV, and save it.
+
+Adapted: the prior is ours (`predictors.strive`), trained on the data of the other networks. The
+opponent is chosen as by the other methods; ``opponent: any`` is STRIVE's own way, whoever comes
+closest. The attack's distance is taken to the AV's last rollout, and the AV is driven against the
+attack again every ``iterations / rounds`` iterations. The stage ends as soon as a rollout hits: the
+latents stay as likely as the hit allows. Only the opponent drives its motion; the others do what
+they do un-attacked, and are obstacles to it as such.
+
+Budget: ``match_iterations`` + ``iterations`` + ``solution_iterations`` steps of Adam, at most
+``seconds``; and ``rounds`` + 1 simulations. The last trial says whether the AV could be saved:
+``solvable`` 1 where a motion of the AV was found that touches nobody, 0 where none was.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.adversaries.search.opponents import OpponentChoice, OpponentSettings
+from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
+from deepmf_sumo.datatypes import AgentId, Attack, Budget, Case, Trial, View
+
+if TYPE_CHECKING:
+    from deepmf_sumo.adversaries.gradients.strive_scene import Situation
+    from deepmf_sumo.adversaries.gradients.strive_stages import Search
+    from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
+
+ANY = "any"
+
+
+class Settings(OpponentSettings):
+    """How latents are moved.
+
+    Attributes:
+        opponent: as of the other methods, or ``any``: whoever comes closest.
+        match_iterations, iterations, solution_iterations: of the three stages; 0 of the last
+            leaves it out.
+        rounds: rollouts of the attack, so that the AV can answer it.
+        seconds: at most so long.
+        others, road, prior, init: weights of overlap with others, of metres off the road, of what
+            is unlikely, and of change, in metres of distance to the AV.
+    """
+
+    match_iterations: int = Field(default=20, ge=0)
+    iterations: int = Field(default=200, ge=1)
+    solution_iterations: int = Field(default=50, ge=0)
+    rounds: int = Field(default=10, ge=1)
+    seconds: float = Field(default=120.0, gt=0.0)
+    others: float = Field(default=40.0, ge=0.0)
+    road: float = Field(default=4.0, ge=0.0)
+    prior: float = Field(default=0.02, ge=0.0)
+    init: float = Field(default=0.01, ge=0.0)
+
+    def limited(self, budget: Budget) -> Budget:
+        """The budget, and these settings where it says nothing; seconds always end the search."""
+        unlimited = budget.simulations is None and budget.seconds is None
+        return Budget(
+            simulations=self.rounds + 1 if unlimited else budget.simulations,
+            seconds=self.seconds if budget.seconds is None else budget.seconds,
+        )
+
+
+class STRIVE:
+    """Attacks through latents; the prior is loaded at the first."""
+
+    def __init__(self, settings: Settings, weights: str) -> None:
+        self._settings = settings
+        self._weights = weights
+        self._opponent = (
+            None if settings.opponent == ANY else OpponentChoice(settings.opponent, weights)
+        )
+
+    def attack(
+        self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
+    ) -> Attack:
+        """The attack; trials are the rounds. Raises WeightsError where the set has no prior."""
+        # Brings torch along, which checking a spec's settings must not; loading is not searching.
+        from deepmf_sumo.adversaries.gradients import strive_stages  # noqa: F401
+        from deepmf_sumo.predictors import shared
+
+        chosen = self._settings
+        net = shared.motion_prior(self._weights)
+        choose = anybody if self._opponent is None else self._opponent.of(case)
+        limit = chosen.limited(budget)
+        stages = _Stages(chosen, net, case, limit)
+        attack = attack_in_rounds(case, simulate, choose, stages.aim, chosen.rounds, limit)
+        if not chosen.solution_iterations or not attack.rollout.plans:
+            return attack
+        begin = time.perf_counter()
+        solved = stages.solution(attack)
+        return replace(
+            attack,
+            trials=(*attack.trials, solved),
+            generation_s=attack.generation_s + time.perf_counter() - begin,
+        )
+
+
+class _Stages:
+    """The stages of one attack; made with the first scouted situation."""
+
+    def __init__(self, settings: Settings, net: "MotionPrior", case: Case, budget: Budget) -> None:
+        self._settings, self._net, self._case = settings, net, case
+        self._deadline = time.perf_counter() + (budget.seconds or 0.0)
+        self._search: Search | None = None
+        self._situation: Situation | None = None
+        self._matched_m = 0.0
+
+    def aim(self, scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+        """One round: match the AV's last rollout, then attack it."""
+        if self._search is None or self._situation is None:
+            self._begin(scouted)
+        assert self._search is not None
+        assert self._situation is not None
+        rollout = self._situation.to_path(rollouts[-1])
+        if len(rollouts) > 1:
+            self._search.match_av(rollout, self._settings.match_iterations // 2)
+        a_round = -(-self._settings.iterations // self._settings.rounds)
+        found = self._search.attack(rollout, a_round)
+        return Aimed(
+            plan=self._situation.plan(found.motions, found.closest, self._case.duration_steps),
+            parameters={
+                "iterations": float(found.iterations),
+                "match_error_m": self._matched_m,
+                "predicted_gap_m": found.gap_m,
+            },
+        )
+
+    def solution(self, attack: Attack) -> Trial:
+        """The third stage against the best attack; its objective is that attack's."""
+        from deepmf_sumo.adversaries.gradients.strive_stages import Costs
+
+        assert self._search is not None
+        assert self._situation is not None
+        plan = attack.rollout.plans[0]
+        motion = Motion(
+            position_m=plan.position_m,
+            heading_rad=plan.heading_rad,
+            speed_mps=plan.speed_mps,
+            valid=np.ones(len(plan.speed_mps), bool),
+        )
+        chosen = self._settings
+        saved = self._search.save(
+            {plan.agent_id: self._situation.to_path(motion)},
+            chosen.solution_iterations,
+            Costs(others=chosen.others, road=chosen.road, prior=chosen.prior / 4, init=0.0),
+        )
+        best = max(trial.objective for trial in attack.trials)
+        return Trial(parameters={"solvable": float(saved)}, objective=best)
+
+    def _begin(self, scouted: Scouted) -> None:
+        from deepmf_sumo.adversaries.gradients import strive_scene, strive_stages
+
+        chosen, view = self._settings, scouted.view
+        attackers = [scouted.opponent_id]
+        self._situation = strive_scene.situation_of(scouted, self._net, attackers)
+        if chosen.opponent == ANY:
+            attackers = [name for name in self._situation.ids if _attacks(view, name)]
+        weights = strive_stages.Costs(chosen.others, chosen.road, chosen.prior, chosen.init)
+        self._search = strive_stages.Search(
+            self._net, self._situation, attackers, weights, self._deadline
+        )
+        self._matched_m = self._search.match(chosen.match_iterations)
+
+
+def anybody(view: View, rng: np.random.Generator) -> AgentId | None:
+    """The vehicle nearest to the AV: only whether there is one matters. None if there is none."""
+    tracks = view.history
+    away = np.hypot(*(tracks.position_m[:, -1] - tracks.position_m[tracks.row(view.av_id), -1]).T)
+    others = [row for row in np.argsort(away).tolist() if _attacks(view, tracks.ids[row])]
+    return tracks.ids[others[0]] if others else None
+
+
+def _attacks(view: View, agent_id: AgentId) -> bool:
+    kind = view.history.kinds[view.history.row(agent_id)]
+    return kind == "vehicle" and agent_id != view.av_id
+
+
+def build(settings: Settings, weights: str) -> STRIVE:
+    """The adversary; ``weights`` hold the networks, as `predictors.weights.load` takes them."""
+    return STRIVE(settings, weights)

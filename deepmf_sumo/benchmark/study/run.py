@@ -1,0 +1,99 @@
+"""A plan -> a result folder with the tables of its methods."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self, get_args
+
+from deepmf_sumo.benchmark import batch
+from deepmf_sumo.benchmark.batch import Progress
+from deepmf_sumo.benchmark.home import cache_folder
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.store import open_folder
+from deepmf_sumo.benchmark.study import entries, layout, outline, tables
+from deepmf_sumo.benchmark.study.entries import Entry
+from deepmf_sumo.benchmark.study.plan import Loaded
+from deepmf_sumo.benchmark.tasks import Part, Task
+from deepmf_sumo.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shard:
+    """Every ``of``-th run of a plan, from the ``number``-th on (1 is the first)."""
+
+    number: int
+    of: int
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """``2/8``. Raises UsageError."""
+        match = re.fullmatch(r"(\d+)/(\d+)", text)
+        if match and 1 <= int(match[1]) <= int(match[2]):
+            return cls(number=int(match[1]), of=int(match[2]))
+        raise UsageError(f"--shard {text}: must be i/n with 1 <= i <= n, e.g. 2/8.")
+
+    def choose(self, tasks: Sequence[Task]) -> list[Task]:
+        """Its tasks. In the plan's order these are scenes: every shard has every method."""
+        return list(tasks[self.number - 1 :: self.of])
+
+
+def run(
+    loaded: Loaded,
+    options: batch.Options,
+    report: Callable[[Progress], None] = lambda _: None,
+    shard: Shard | None = None,
+) -> list[Result]:
+    """Run the plan, or a shard of it, and write runs.csv and the tables.
+
+    Runs begin scene by scene, so that an unfinished benchmark shows all methods; tables are in the
+    plan's order. An interrupt leaves the finished runs and their tables behind and is passed on.
+
+    Raises SpecError, UsageError or OutputError before anything runs.
+    """
+    plan = loaded.plan
+    rows = entries.entries_of(loaded, cache_folder())
+    planned = entries.tasks_of(rows, plan.seeds)
+    if options.resume and (options.out / layout.FILE).is_file():
+        layout.read(options.out)  # refuses what another version made
+    chosen = shard.choose(planned) if shard else planned
+    if not chosen:
+        raise UsageError(f"The plan has {len(planned)} runs: this shard of it is empty.")
+    open_folder(options.out, resume=options.resume).begin(chosen, {"jobs": options.jobs})
+    outline.layout_of(plan, rows, planned).write(options.out)
+    kept = replace(options, resume=True)  # what is not to be kept has been removed above
+    try:
+        return batch.run_tasks(chosen, kept, report, queue=_scene_by_scene(rows, plan.seeds))
+    finally:
+        if (options.out / "runs.csv").is_file():
+            tables.write(options.out)
+
+
+def expected(out: Path, shard: Shard | None = None) -> int:
+    """How many runs the plan of a folder, or a shard of it, has."""
+    runs = list(layout.read(out).runs)
+    return len(runs[shard.number - 1 :: shard.of]) if shard else len(runs)
+
+
+def _scene_by_scene(rows: Sequence[Entry], seeds: Sequence[int]) -> Callable[[Task], Any]:
+    """Key of the order in which runs begin: own budgets first, then scene, seed, planner, method.
+
+    So a worker reads a scene once for all methods.
+    """
+    every = (place.scene for entry in rows for place in entry.situations)
+    scenes = {scene: number for number, scene in enumerate(dict.fromkeys(every))}
+    labels = {entry.label: number for number, entry in enumerate(rows)}
+    parts = get_args(Part)
+    planners = list(dict.fromkeys(entry.label.planner for entry in rows))
+
+    def key(task: Task) -> tuple[Any, ...]:
+        assert task.label is not None
+        return (
+            parts.index(task.label.part),
+            scenes[task.scene],
+            seeds.index(task.spec.seed),
+            planners.index(task.label.planner),
+            labels[task.label],
+        )
+
+    return key

@@ -1,0 +1,176 @@
+"""A benchmark's folder -> ``table.csv`` and the tables beside it."""
+
+import csv
+import io
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.study import layout, paired
+from deepmf_sumo.benchmark.study.columns import accident, attacked, hit, sector
+from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
+from deepmf_sumo.benchmark.study.rows import Row, row_of
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.geometry.impact import SECTORS
+from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
+
+Key = tuple[str, str, int | None, float | None]
+"""Method, planner, and the budget: simulations, seconds; both None where it is the method's own."""
+
+MAIN: Final = "table.csv"
+DIFFERENCES: Final = "differences.csv"
+EQUAL_SECONDS: Final = "equal_seconds.csv"
+CURVES: Final = "curves.csv"
+ACCIDENTS: Final = "accidents.csv"
+
+
+def write(folder: Path) -> None:
+    """Write all tables of a benchmark's folder, from its runs. Raises UsageError."""
+    plan = layout.read(folder)
+    runs = _grouped(results_of(folder))
+    write_csv(folder / MAIN, main_rows(plan, runs))
+    write_csv(folder / DIFFERENCES, _differences(plan, runs))
+    write_csv(folder / ACCIDENTS, _accidents(plan, runs))
+    if plan.equal_seconds:
+        write_csv(folder / EQUAL_SECONDS, _equal_seconds(plan, plan.equal_seconds, runs))
+    if plan.curves:
+        write_csv(folder / CURVES, _curves(plan, plan.curves, runs))
+
+
+def results_of(folder: Path) -> list[Result]:
+    """All results that ``runs.csv`` lists, in its order. Raises UsageError where there are none."""
+    try:
+        with (folder / "runs.csv").open(newline="", encoding="utf-8") as file:
+            run_ids = [row["run_id"] for row in csv.DictReader(file)]
+        paths = [folder / "runs" / run_id / "result.json" for run_id in run_ids]
+        return [json.loads(path.read_text("utf-8")) for path in paths]
+    except OSError as error:
+        raise UsageError(f"{error.filename} cannot be read: {error.strerror}.") from None
+
+
+def main_rows(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+    """A row a method and planner, in the plan's order."""
+    return [
+        row_of(method, planner, runs.get((method, planner, None, None), ()), planned)
+        for planner in plan.planners
+        for method in plan.methods
+        if (planned := plan.planned(method, planner))
+    ]
+
+
+def _grouped(results: Iterable[Result]) -> dict[Key, list[Result]]:
+    groups: dict[Key, list[Result]] = {}
+    for one in results:
+        own = one["part"] != "budgets"
+        budget = (None, None) if own else (one["budget"]["simulations"], one["budget"]["seconds"])
+        groups.setdefault((one["base_method"], one["planner_label"], *budget), []).append(one)
+    return groups
+
+
+def _differences(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+    return [
+        row
+        for planner in plan.planners
+        if plan.planned(plan.baseline, planner)
+        for row in paired.differences(
+            {
+                method: runs.get((method, planner, None, None), ())
+                for method in plan.methods
+                if plan.planned(method, planner)
+            },
+            plan.baseline,
+            planner,
+        )
+    ]
+
+
+def _accidents(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+    """Hits by impact sector on the AV, and by the name of the accident."""
+    rows = []
+    for planner in plan.planners:
+        for method in plan.plan["methods"]:
+            found = runs.get((method, planner, None, None), ())
+            hits = [one for one in found if attacked(one) and hit(one)]
+            for kind, names, of in (
+                ("sector", SECTORS, sector),
+                ("type", ACCIDENT_TYPES, accident),
+            ):
+                counts = Counter(of(one) for one in hits)
+                rows += [
+                    {
+                        "method": method,
+                        "planner": planner,
+                        "kind": kind,
+                        "number": number,
+                        "name": name,
+                        "hits": counts[number],
+                        "of_hits": len(hits),
+                    }
+                    for number, name in enumerate(names)
+                ]
+    return rows
+
+
+def _equal_seconds(plan: Layout, part: Budgeted, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+    """All methods: those of the part with its seconds, the others with their own budget."""
+    return [
+        _point(plan, part, method, planner, budget, runs)
+        for planner in part.planners
+        for method in plan.methods
+        for budget in part.budgets.get(method, [{}])
+    ]
+
+
+def _curves(plan: Layout, part: Budgeted, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+    """The methods of the part, with their own budget and then with each of its budgets."""
+    return [
+        _point(plan, part, method, planner, budget, runs)
+        for planner in part.planners
+        for method in part.budgets
+        for budget in [{}, *part.budgets[method]]
+    ]
+
+
+def _point(
+    plan: Layout,
+    part: Budgeted,
+    method: str,
+    planner: str,
+    budget: Mapping[str, Any],
+    runs: Mapping[Key, Sequence[Result]],
+) -> Row:
+    """A row on the part's scenes; an empty budget is the method's own."""
+    own = plan.plan["methods"][method]["budget"]
+    asked = {"simulations": None, "seconds": None, **budget}
+    key: Key = (method, planner, asked["simulations"], asked["seconds"])
+    if asked == own:
+        key = (method, planner, None, None)
+    found = [one for one in runs.get(key, ()) if one["scene"] in part.scenes]
+    shown = budget or own
+    head = {
+        "budget": "given" if budget else "own",
+        "budget_simulations": shown["simulations"],
+        "budget_seconds": shown["seconds"],
+    }
+    planned = len(part.scenes) * len(plan.plan["seeds"])
+    return head | row_of(method, planner, found, planned)
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Rows of one set of columns; None is empty, numbers have six digits."""
+    text = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({key: _text(value) for key, value in row.items()} for row in rows)
+    files.write(path, text.getvalue())
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,21 @@
+"""``deepmf-sumo benchmark``: methods x planners x scenes x seeds, and their tables."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from deepmf_sumo.cli.sweep import execute, options
+
+
+@click.command(name="benchmark")
+@click.argument("file", metavar="PLAN", type=click.Path(path_type=Path))
+@options
+@click.pass_context
+def command(ctx: click.Context, /, file: Path, **wanted: Any) -> None:
+    """Run PLAN and write runs.csv, the tables (CSV, Markdown, LaTeX) and the figures.
+
+    Stopped at any moment, it goes on with --resume and gives the same. --shard 2/8 runs an eighth,
+    `deepmf-sumo merge` joins them.
+    """
+    ctx.exit(execute(file, **wanted))

@@ -1,0 +1,57 @@
+"""What `benchmark`, `reproduce` and `merge` show: the rates, and where the files are."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deepmf_sumo.report.tables.content import Row, read
+
+_SHOWN: Final = {
+    "collision_time_s": "time s",
+    "collision_speed_mps": "speed m/s",
+    "kl": "KL",
+    "wasserstein": "W m/s2",
+    "sspd_m": "SSPD m",
+    "hausdorff_m": "Hausd. m",
+    "generation_time_s": "gen. s",
+}
+
+
+def show(out: Path, results: Sequence[dict[str, Any]], expected: int, made: Sequence[Path]) -> None:
+    """A line a method and planner, what did not go through, and the files."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 160  # pipes and logs have no width of their own
+    grid = Table(box=None, pad_edge=False, header_style="bold")
+    for number, heading in enumerate(("planner", "method", "hits", "rate, 95 %", *_SHOWN.values())):
+        grid.add_column(heading, justify="left" if number < 2 else "right")
+    for row in read(out).main:
+        if row["runs"] != "0":
+            grid.add_row(*map(escape, _cells(row)))
+    console.print(grid)
+    statuses = Counter(one["status"] for one in results)
+    told = ", ".join(f"{count} {status}" for status, count in statuses.items())
+    left = expected - len(results)
+    unfinished = f"; {left} not begun: --resume makes them" if left else ""
+    console.print(escape(f"{len(results)} runs: {told}{unfinished}"), soft_wrap=True)
+    for one in [one for one in results if one["status"] not in {"ok", "skipped"}][:10]:
+        console.print(escape(f"  {one['run_id']}: {one['error']}"), style="red", soft_wrap=True)
+    files = ", ".join(str(path.relative_to(out)) for path in made if path.suffix != ".svg")
+    console.print(escape(f"{out}: runs.csv, table.csv, differences.csv, {files}"), soft_wrap=True)
+
+
+def _cells(row: Row) -> list[str]:
+    rate = "-"
+    if row["collision_rate"]:
+        share, low, high = (
+            f"{100 * float(row[f'collision_rate{end}']):.0f}" for end in ("", "_lo", "_hi")
+        )
+        rate = f"{share} % ({low}-{high})"
+    hits = f"{row['hits']}/{row['attacked']}"
+    numbers = [f"{float(row[name]):.2f}" if row[name] else "-" for name in _SHOWN]
+    return [row["planner"], row["method"], hits, rate, *numbers]

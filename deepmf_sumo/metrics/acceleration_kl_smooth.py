@@ -1,0 +1,22 @@
+"""KL divergence of the opponent's filtered accelerations from its recording's."""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode import accelerations, distributions
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "nat"
+BETTER: Better = "lower"
+DEFINITION = (
+    "signed change of the opponent's speed over the planned 8 s, Savitzky-Golay filtered (11 "
+    "samples, order 2) on both sides, against its recording's: KL(planned || recorded), 20 bins "
+    "of 1 m/s2 on [-10, 10], values outside in the end bins, 1e-10 added to each count"
+)
+_QUANTITY = Quantity("acceleration_kl_smooth", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:
+    """The metric of one rollout."""
+    found = accelerations.compared(rollout, case, smooth=True)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    return _QUANTITY.value(distributions.divergence(found.attack, found.recorded))

@@ -1,0 +1,22 @@
+"""Whether a reference driver would have avoided the contact (grade C or D): 1 or 0."""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode.judgement import judgement
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "1"
+BETTER: Better = "higher"
+DEFINITION = (
+    "of contacts: 1 if at least one of the reference drivers (UN R157 competent and careful, "
+    "fuzzy safety model, RSS braking) in the place of the AV avoids the same opponent "
+    "trajectory, else 0"
+)
+_QUANTITY = Quantity("avoidable", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:
+    """The metric of one rollout."""
+    found = judgement(rollout, case)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    return _QUANTITY.value(found.avoidable)

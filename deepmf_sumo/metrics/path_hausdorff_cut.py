@@ -1,0 +1,21 @@
+"""Hausdorff distance of the opponent's path to its recording until the contact."""
+
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.metrics.episode import paths
+from deepmf_sumo.metrics.episode.quantity import Better, Quantity
+
+UNIT = "m"
+BETTER: Better = "lower"
+DEFINITION = (
+    "the opponent's path until the contact (or the end) against its recorded path up to the same "
+    "time, without regard to time: largest distance of a point to the other polyline, both ways"
+)
+_QUANTITY = Quantity("path_hausdorff_cut", UNIT, BETTER)
+
+
+def measure(rollout: Rollout, case: Case) -> MetricValue:
+    """The metric of one rollout."""
+    found = paths.compared(rollout, case, until_contact=True)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    return _QUANTITY.value(paths.hausdorff(*found))

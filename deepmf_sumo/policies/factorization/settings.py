@@ -1,0 +1,123 @@
+"""How DeepMF attacks: the keys of ``adversary: {name: deepmf, ...}``."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import DT_S, AvDriver
+from deepmf_sumo.geometry.impact import SECTORS
+from deepmf_sumo.policies.factorization.selection import Balance, Rule
+from deepmf_sumo.policies.factorization.tracking import Limits
+
+SectorName = Literal[
+    "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
+]
+_PERIOD_S = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
+
+
+class Settings(plugins.Settings):
+    """How DeepMF attacks.
+
+    Attributes:
+        version: the paper's name of a period: G (one plan), S4, S2, S1.
+        period_s: seconds between plans, a multiple of 0.1; null plans once (G).
+        opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
+            trained on labelled partners; ``labelled``: the partner that the recording names; else
+            the id of a vehicle.
+        tried_opponents: a first plan is made for so many vehicles with the highest scores; the one
+            that has the candidate with the largest collision mass attacks. 1 as published: a
+            vehicle that interacts need not be one that can reach the AV. With ``argmax`` and
+            ``partner`` alone.
+        rule: see `factorization.selection`.
+        likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
+        candidates: modes of the opponent (N1).
+        goal_candidates: at most so many ways to goals around the AV's predicted positions besides
+            (0 as published).
+        reactions: modes of the AV (N2).
+        av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
+            null takes what the AV's planner is (``human`` for ``replay``).
+        conditional: False predicts the AV as if it knew nothing of the opponent's future, by the
+            same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to see what that is worth.
+        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
+        keep_tail: the rest of the last plan is a candidate too.
+        sector: the side of the AV to hit: 0 (front) to 7, counter-clockwise in steps of 45 degrees,
+            or a name of `geometry.impact.SECTORS`. Only pairs that first touch there count;
+            ways are made that lead there. Null: any side.
+        aggressiveness: from 0 (the likeliest future, whatever comes of it) to 1 (the most
+            dangerous), in place of ``rule`` and ``likelihood_weight``: see
+            `factorization.selection.Balance`. 0.5 is the rule ``likeliest``; the limits are
+            multiplied by 2^(aggressiveness - 0.5). Null: the rule decides.
+        fair: only candidates that a competent driver in the AV's place could avoid
+            (`avoidance.fair`), when they are chosen first; without one nobody is attacked.
+    """
+
+    version: Literal["G", "S4", "S2", "S1"] | None = None
+    period_s: float | None = Field(default=1.0, ge=DT_S)
+    opponent: str = Field(default="argmax", min_length=1)
+    tried_opponents: int = Field(default=1, ge=1, le=16)
+    rule: Rule = "expected"
+    likelihood_weight: float = Field(default=1.0, ge=0.0)
+    candidates: int = Field(default=32, ge=1, le=256)
+    goal_candidates: int = Field(default=32, ge=0, le=256)
+    reactions: int = Field(default=6, ge=1, le=64)
+    av_driver: AvDriver | None = None
+    conditional: bool = True
+    accel_mps2: float = Field(default=3.0, gt=0.0)
+    brake_mps2: float = Field(default=4.0, gt=0.0)
+    lateral_mps2: float = Field(default=3.0, gt=0.0)
+    keep_tail: bool = False
+    sector: SectorName | Annotated[int, Field(ge=0, le=7)] | None = None
+    aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
+    fair: bool = False
+
+    @model_validator(mode="after")
+    def _one_period(self) -> Self:
+        both = self.version is not None and "period_s" in self.model_fields_set
+        if both and self.period_s != _PERIOD_S[str(self.version)]:
+            raise ValueError(f"version {self.version} and period_s {self.period_s} disagree")
+        if self.period_s is not None and abs(self.period_s / DT_S % 1 - 0.5) < 0.499:
+            raise ValueError(f"period_s {self.period_s} is no multiple of {DT_S} s")
+        return self
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> Self:
+        other = {"rule", "likelihood_weight"} & self.model_fields_set
+        if self.aggressiveness is not None and other:
+            raise ValueError(f"aggressiveness takes the place of {min(other)}; give one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _several_by_score(self) -> Self:
+        if self.tried_opponents > 1 and self.opponent not in {"argmax", "partner"}:
+            raise ValueError(
+                f"tried_opponents {self.tried_opponents} goes with opponent argmax or partner, "
+                f"not with {self.opponent!r}"
+            )
+        return self
+
+    @property
+    def period_steps(self) -> int | None:
+        """Steps between plans; None plans once."""
+        period = self.period_s if self.version is None else _PERIOD_S[self.version]
+        return None if period is None else round(period / DT_S)
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of what the opponent drives."""
+        more = 1.0 if self.aggressiveness is None else 2.0 ** (self.aggressiveness - 0.5)
+        return Limits(
+            accel=more * self.accel_mps2,
+            brake=more * self.brake_mps2,
+            lateral=more * self.lateral_mps2,
+        )
+
+    @property
+    def choice_rule(self) -> Rule | Balance:
+        """What chooses among the candidates."""
+        return self.rule if self.aggressiveness is None else Balance.at(self.aggressiveness)
+
+    @property
+    def wanted_sector(self) -> int | None:
+        """0..7; None where any will do."""
+        return SECTORS.index(self.sector) if isinstance(self.sector, str) else self.sector

@@ -1,0 +1,179 @@
+"""Which rows and columns stand in which table: the paper's three, then what it does not measure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from deepmf_sumo.benchmark.study.columns import BY_NAME
+from deepmf_sumo.report.tables.content import Content, Row
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Head:
+    """A column: its heading with the unit, the column of ``table.csv``, and the number's form."""
+
+    text: str
+    column: str
+    digits: int = 2
+    percent: bool = False
+    interval: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """A formatted value; ``best`` of its planner's."""
+
+    text: str
+    best: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table in blocks, one a planner.
+
+    Attributes:
+        blocks: planner, and its rows: method, hits of attacked, and a cell a head.
+    """
+
+    title: str
+    heads: Sequence[str]
+    blocks: Sequence[tuple[str, Sequence[tuple[str, Sequence[Cell]]]]]
+
+
+RATE: Final = Head(text="Coll Rate (%)", column="collision_rate", digits=0, percent=True)
+_TIME: Final = Head(text="Coll Time (s)", column="collision_time_s")
+_SPEED: Final = Head(text="Coll Vel (m/s)", column="collision_speed_mps")
+_GENERATION: Final = Head(text="Generate Time (s)", column="generation_time_s")
+_NATURAL: Final = (
+    Head(text="KL (nat)", column="kl"),
+    Head(text="Wasserstein (m/s2)", column="wasserstein"),
+    Head(text="SSP (m)", column="sspd_m"),
+    Head(text="Hausdorff (m)", column="hausdorff_m"),
+)
+_BEYOND: Final = (
+    Head(text="Rate, 95 % (%)", column="collision_rate", digits=0, percent=True, interval=True),
+    Head(text="Valid (%)", column="valid_collision_rate", digits=0, percent=True, interval=True),
+    Head(text="Feasible (%)", column="feasible_rate", digits=0, percent=True),
+    Head(text="Off-road (%)", column="offroad_rate", digits=0, percent=True),
+    Head(text="Third party (%)", column="third_party_rate", digits=0, percent=True),
+    Head(text="Avoidable (% of hits)", column="avoidable_rate", digits=0, percent=True),
+    Head(text="AV at fault (% of hits)", column="av_at_fault_rate", digits=0, percent=True),
+    Head(text="AV hit others (%)", column="av_other_rate", digits=0, percent=True),
+    Head(text="Planner saw OV", column="planner_saw_opponent"),
+    Head(text="Pooled JSD (nat)", column="pooled_jsd"),
+    Head(text="Pooled W (m/s2)", column="pooled_wasserstein"),
+    Head(text="RMS a (m/s2)", column="rms_acceleration_mps2"),
+    Head(text="Sectors hit", column="sectors_hit", digits=0),
+    Head(text="Diversity (m)", column="diversity_m", digits=1),
+    Head(text="Simulations", column="simulations", digits=1),
+    Head(text="Generate Time, median (s)", column="generation_time_median_s"),
+)
+_EQUAL: Final = (
+    Head(text="Rate, 95 % (%)", column="collision_rate", digits=0, percent=True, interval=True),
+    _TIME, _SPEED, *_NATURAL, _GENERATION,
+    Head(text="Simulations", column="simulations", digits=1),
+)  # fmt: skip
+_COMPARED: Final = ("collision_rate", "kl", "wasserstein", "sspd_m", "hausdorff_m")
+
+
+def tables_of(content: Content) -> list[Table]:
+    """All tables that the plan's methods allow, in the paper's order."""
+    layout = content.layout
+    found = []
+    if layout.versions:
+        heads = (RATE, _TIME, _SPEED, *_NATURAL, _GENERATION)
+        found.append(_table("Table I. Versions of DeepMF", heads, content.main, layout.versions))
+    if layout.compared:
+        efficiency = (RATE, _TIME, _SPEED, _GENERATION)
+        found += [
+            _table("Table II. Efficiency", efficiency, content.main, layout.compared),
+            _table("Table III. Naturalness", _NATURAL, content.main, layout.compared),
+        ]
+    found.append(_table("Beyond the paper", _BEYOND, content.main, layout.methods))
+    if layout.equal_seconds:
+        scenes = len(layout.equal_seconds.scenes)
+        limits = {
+            f"{one['seconds']:g}" for each in layout.equal_seconds.budgets.values() for one in each
+        }
+        searched = ", ".join(layout.equal_seconds.budgets)
+        title = (
+            f"Equal time: {searched} with {'/'.join(sorted(limits))} s a run, the others as they"
+            f" are; {scenes} scenes"
+        )
+        found.append(_table(title, _EQUAL, content.equal_seconds, layout.compared))
+    if len(layout.methods) > 1:
+        found.append(_differences(content))
+    return found
+
+
+def _table(title: str, heads: Sequence[Head], rows: Sequence[Row], methods: Sequence[str]) -> Table:
+    planners = dict.fromkeys(row["planner"] for row in rows)
+    blocks = []
+    for planner in planners:
+        shown = [row for row in rows if row["planner"] == planner and row["method"] in methods]
+        best = {head.column: _best(head.column, shown) for head in heads}
+        blocks.append((planner, [(row["method"], _cells(row, heads, best)) for row in shown]))
+    texts = ["Methods", "Hits / attacked", *(head.text for head in heads)]
+    return Table(title=title, heads=texts, blocks=blocks)
+
+
+def _cells(row: Row, heads: Sequence[Head], best: dict[str, float | None]) -> list[Cell]:
+    cells = [Cell(text=f"{row['hits']} / {row['attacked']}")]
+    for head in heads:
+        value = row[head.column]
+        is_best = bool(value) and best[head.column] == float(value)
+        cells.append(Cell(text=_number(row, head), best=is_best))
+    return cells
+
+
+def _best(column: str, rows: Sequence[Row]) -> float | None:
+    values = [float(row[column]) for row in rows if row[column]]
+    known = BY_NAME.get(column)
+    if known is None or known.better == "neither" or len(values) < 2:
+        return None
+    if max(values) == min(values):
+        return None
+    return max(values) if known.better == "higher" else min(values)
+
+
+def _number(row: Row, head: Head) -> str:
+    def shown(name: str) -> str:
+        return f"{float(row[name]) * (100 if head.percent else 1):.{head.digits}f}"
+
+    if not row[head.column]:
+        return "-"
+    if not head.interval:
+        return shown(head.column)
+    low, high = shown(f"{head.column}_lo"), shown(f"{head.column}_hi")
+    return f"{shown(head.column)} ({low}-{high})"
+
+
+def _differences(content: Content) -> Table:
+    """Method minus baseline on the same scenes, with bootstrap intervals."""
+    blocks = []
+    for planner in content.layout.planners:
+        rows = []
+        for method in content.layout.methods:
+            found = {
+                row["quantity"]: row
+                for row in content.differences
+                if (row["planner"], row["method"]) == (planner, method)
+            }
+            if any(found[name]["difference"] for name in _COMPARED if name in found):
+                cells = [Cell(text=_difference(found[name])) for name in _COMPARED]
+                rows.append((method, [Cell(text=found["collision_rate"]["pairs"]), *cells]))
+        blocks.append((planner, rows))
+    return Table(
+        title=f"Paired differences to {content.layout.baseline} on the same scenes, 95 %",
+        heads=["Methods", "Pairs", "Coll Rate", "KL", "Wasserstein", "SSP", "Hausdorff"],
+        blocks=blocks,
+    )
+
+
+def _difference(row: Row) -> str:
+    if not row["difference"]:
+        return "-"
+    middle, low, high = (
+        f"{float(row[name]):+.2f}" for name in ("difference", "difference_lo", "difference_hi")
+    )
+    return f"{middle} ({low} to {high})"

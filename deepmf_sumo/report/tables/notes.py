@@ -1,0 +1,85 @@
+"""What stands below the tables: definitions, units, bins and denominators."""
+
+import inspect
+from collections.abc import Sequence
+from typing import Final
+
+from deepmf_sumo import plugins
+from deepmf_sumo.benchmark.study.columns import COLUMNS, Column
+from deepmf_sumo.benchmark.study.rows import STATUSES
+from deepmf_sumo.metrics.statistics.pooled import BINS
+from deepmf_sumo.report.tables.content import Content, Row
+
+_RATES: Final = (
+    "Rates are of attacked runs: those that went through and had somebody to attack with. Intervals"
+    " of rates are Wilson's, of differences bootstrapped over scenes, both 95 %."
+)
+
+_POOLED: Final = (
+    "pooled_kl, pooled_jsd [nat], pooled_wasserstein [m/s2]: smoothed accelerations of all runs at"
+    " once, attacks against recordings; Savitzky-Golay filter of 1.1 s on both,"
+    f" {BINS} bins of 0.1 m/s2 on [-10, 10], values outside in the end bins, 1e-10 added to each"
+    " count."
+)
+_DIVERSITY: Final = (
+    "diversity_m: mean distance of the opponents' trajectories at equal times, over all pairs of"
+    " runs, in the frame of the AV's first pose; diversity_within_scenes_m: of the attacks on one"
+    " scene (several seeds). sectors_hit: how many of the AV's eight sectors of 45 degrees were"
+    " hit; sectors_effective: exponential of their entropy. accidents.csv has all counts."
+)
+
+
+def of(content: Content) -> list[str]:
+    """Sentences, one a line."""
+    layout = content.layout
+    seeds = ", ".join(map(str, layout.plan["seeds"]))
+    run_on = (
+        f"{len(layout.scenes)} scenes of {layout.plan['duration_s']:g} s, seeds {seeds}, weights"
+        f" {layout.plan['weights']}; deepmf-sumo {layout.version}."
+    )
+    lines = [
+        run_on,
+        _RATES,
+        *_runs(content.main),
+        *(_definition(column, content.main) for column in COLUMNS),
+        _POOLED,
+        _DIVERSITY,
+        *_unmeasured(content.main),
+    ]
+    return [line for line in lines if line]
+
+
+def _runs(rows: Sequence[Row]) -> list[str]:
+    """Runs that are in no mean, by method and planner."""
+    lines = []
+    for row in rows:
+        parts = {name: int(row[name]) for name in (*STATUSES[1:], "nobody_to_attack", "unfinished")}
+        told = ", ".join(f"{count} {name}" for name, count in parts.items() if count)
+        if told:
+            name = f"{row['method']} on {row['planner']}"
+            lines.append(f"{name}: of {row['runs']} runs {told.replace('_', ' ')}.")
+    return lines
+
+
+def _definition(column: Column, rows: Sequence[Row]) -> str:
+    """Name, unit, what is averaged, the metric's own definition, and denominators."""
+    counts = [int(row[f"n_{column.name}"]) for row in rows]
+    if not any(counts):
+        return ""
+    of = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else str(counts[0])
+    unit = "" if column.unit == "1" else f" [{column.unit}]"
+    metric = f" of {column.metric}: {_metric(column.metric)}" if column.metric else ""
+    return f"{column.name}{unit}: {column.definition}{metric}. Runs a row: {of}."
+
+
+def _metric(name: str) -> str:
+    module = plugins.load("metrics", name)
+    text = getattr(module, "DEFINITION", None) or inspect.getdoc(module) or ""
+    return " ".join(str(text).split())
+
+
+def _unmeasured(rows: Sequence[Row]) -> list[str]:
+    empty = [
+        column.name for column in COLUMNS if not any(int(row[f"n_{column.name}"]) for row in rows)
+    ]
+    return [f"Not measured, or defined in no run: {', '.join(empty)}."] if empty else []

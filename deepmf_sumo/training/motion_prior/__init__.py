@@ -1,0 +1,1 @@
+"""Training of STRIVE's motion prior."""

@@ -1,0 +1,58 @@
+"""`benchmark`, `merge` and `reproduce` as they are called."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmark"))
+import tiny_plan
+
+from deepmf_sumo.benchmark import pool
+from deepmf_sumo.cli import benchmark, merge, reproduce
+from deepmf_sumo.errors import SpecError, UsageError
+
+
+def call(command, *arguments):
+    return CliRunner().invoke(command, list(map(str, arguments)), catch_exceptions=False)
+
+
+def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
+    plan = tiny_plan.write(tiny)
+    for number in (1, 2):
+        out = tmp_path / str(number)
+        done = call(benchmark.command, plan, "--out", out, "--shard", f"{number}/2", "--no-figures")
+        assert done.exit_code == 0, done.output
+        assert "4 runs: 4 ok" in done.output
+    out = tmp_path / "all"
+    done = call(merge.command, out, tmp_path / "1", tmp_path / "2")
+    assert done.exit_code == 0, done.output
+    assert "8 runs: 8 ok" in done.output
+    assert "1/2" in done.output, "hits of the attacked"
+    text = (out / "table.md").read_text()
+    assert "Table II." in text
+    assert (out / "figures" / "index.md").is_file()
+    done = call(merge.command, tmp_path / "half", tmp_path / "2", "--no-figures")
+    assert done.exit_code == 130
+    assert "4 not begun: --resume makes them" in done.output
+
+
+def test_wrong_calls_run_nothing(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(pool, "run", None)
+    plan = tiny_plan.write(tiny)
+    out = tmp_path / "out"
+    for wrong in (["--shard", "9/2"], ["--without", "nobody"], ["--set", "methods={}"]):
+        with pytest.raises(UsageError):
+            call(benchmark.command, plan, "--out", out, *wrong)
+    with pytest.raises(UsageError, match="this shard of it is empty"):
+        call(benchmark.command, plan, "--out", out, "--shard", "9/9")
+    with pytest.raises(SpecError, match="holds no recorded scene"):
+        call(reproduce.command, tmp_path, "--out", out)
+    assert not out.exists()
+
+
+def test_help_names_what_a_user_needs():
+    shown = call(benchmark.command, "--help").output
+    for option in ("--resume", "--shard", "--max-minutes", "--timeout", "--memory", "--without"):
+        assert option in shown
