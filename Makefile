@@ -73,6 +73,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open
 	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) strive --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
 WOMD_SET = --out .weights/womd $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
@@ -80,6 +81,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	$(TRAIN) marginal --data $(WOMD)/train $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
 	$(TRAIN) conditional --data $(WOMD)/train=0.5 --data .cache/womd-reactions=0.5 $(WOMD_SET)
+	$(TRAIN) strive --data $(WOMD)/train $(WOMD_SET)
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
