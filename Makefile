@@ -59,13 +59,21 @@ open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
 	$(RUN) record --generate mix --networks 21 --scenes 8 --seed 1001 --jobs 2 --out .cache/open-test-scenes
 
 # An AV under attack in recorded scenes, each run as a scene: what planners do when somebody comes at them.
-REACT = $(RUN) run docs/studies/reactions.yaml --set source.recording=$(abspath $(1)) --scenes --jobs 2 --no-pictures
+# Attacks as they are made, and, cheaply, candidates of all kinds (`drawn`): what happens if they are tried.
+REACT = $(RUN) run docs/studies/reactions.yaml --set source.recording=$(abspath $(SCENES)) --set weights=$(WEIGHTS) \
+    --scenes --jobs 2 --no-pictures --resume
+seen = --set "planner={name: idm, perception: $(1)}"
+drawn = --seed $(1) --set "adversary={name: deepmf, version: G, opponent: $(2), rule: drawn}"
+# Single runs may fail; the others are there.
+some = > /dev/null || test $$? = 3
 reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=) to learn reactions from
-	$(call REACT,$(SCENES)) --set weights=$(WEIGHTS) --set "planner={name: idm, perception: corridor}" \
-	    --out $(OUT)/corridor > /dev/null || test $$? = 3  # single runs may fail; the others are there
-	$(call REACT,$(SCENES)) --set weights=$(WEIGHTS) --set "planner={name: idm, perception: lane}" \
-	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1}" \
-	    --out $(OUT)/lane > /dev/null || test $$? = 3
+	$(REACT) $(call seen,corridor) --out $(OUT)/corridor $(some)
+	$(REACT) $(call seen,lane) --out $(OUT)/lane \
+	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1}" $(some)
+	$(REACT) $(call seen,corridor) $(call drawn,1,argmax) --out $(OUT)/drawn-1 $(some)
+	$(REACT) $(call seen,lane) $(call drawn,2,sample) --out $(OUT)/drawn-2 $(some)
+	$(REACT) $(call seen,corridor) $(call drawn,3,sample) --out $(OUT)/drawn-3 $(some)
+	$(REACT) $(call seen,lane) $(call drawn,4,argmax) --out $(OUT)/drawn-4 $(some)
 
 open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
@@ -80,7 +88,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	$(TRAIN) opponent --data $(WOMD)/train $(WOMD_SET)
 	$(TRAIN) marginal --data $(WOMD)/train $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
-	$(TRAIN) conditional --data $(WOMD)/train=0.5 --data .cache/womd-reactions=0.5 $(WOMD_SET)
+	$(TRAIN) conditional --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 --steps 2500 $(WOMD_SET)
 	$(TRAIN) strive --data $(WOMD)/train $(WOMD_SET)
 
 SCENES ?= $(WOMD)/val

@@ -75,6 +75,7 @@ class DeepMF:
         self._predictors = predictors
         self._partner_id = partner_id
         self._av_driver = settings.av_driver or av_driver
+        self._rng: np.random.Generator | None = None
         self._opponent_id: AgentId | None = None
         self._scores: OpponentScores | None = None
         self._last: Plan | None = None
@@ -93,6 +94,7 @@ class DeepMF:
         Raises RunError where the settings name an opponent that is not there.
         """
         watch = Stopwatch()
+        self._rng = rng
         self._last, self._first, self._committed = None, None, False
         self._opponent_id, self._scores = opponent.choose(
             view, self._settings.opponent, self._predictors.opponent, self._partner_id, rng
@@ -242,6 +244,7 @@ class DeepMF:
             settings.likelihood_weight,
             settings.wanted_sector,
             verify,
+            self._rng,
         )
 
     def _reason(

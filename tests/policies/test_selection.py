@@ -69,3 +69,18 @@ def test_ties_go_to_the_earlier_collision_then_the_likelier_then_the_first():
     uneven = np.array([0.2, 0.3, 0.5])
     same = choose(uneven, reaction, collides, np.full((3, 1), 4.0), "expected", 0.0)
     assert same.index == 2
+
+
+def test_drawn_candidates_are_of_all_kinds_and_mostly_such_that_collide():
+    probability = np.array([0.5, 0.4, 0.1])
+    reaction = np.tile([0.9, 0.1], (3, 1))
+    collides = np.array([[False, False], [True, False], [False, True]])
+    step = np.where(collides, 5.0, 80.0)
+    rng = np.random.default_rng(3)
+    drawn = [
+        choose(probability, reaction, collides, step, "drawn", rng=rng).index for _ in range(2000)
+    ]
+    share = np.bincount(drawn, minlength=3) / len(drawn)
+    np.testing.assert_allclose(share, np.array([0.05, 0.95, 0.15]) / 1.15, atol=0.03)
+    nothing = choose(probability, reaction, collides & False, step, "drawn", rng=rng)
+    assert nothing.rule == "drawn"

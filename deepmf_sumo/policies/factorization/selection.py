@@ -6,6 +6,8 @@ With P_j = P(Y_j^OV), P_jk = P(Y_k^AV | Y_j^OV) and the likelihood weight w:
 - ``pair`` (the paper's text): the colliding pair with the largest P_j^w * P_jk.
 - ``likeliest``: among the candidates with at least 95 % of the largest collision mass
   sum_k P_jk Coll_jk, the likeliest.
+- ``drawn``: any candidate, drawn with a chance that grows with its collision mass; no attack to
+  report, but attacks of all kinds to learn the AV's reactions from.
 - a `Balance` (``aggressiveness``) in place of a rule: see there.
 - no pair collides: the pair with the largest P_j * P_jk (the paper's text), rule ``fallback``.
 - steering leaves only some of the colliding pairs: sums and maxima run over these alone.
@@ -20,9 +22,10 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
 
-Rule = Literal["expected", "pair", "likeliest"]
+Rule = Literal["expected", "pair", "likeliest", "drawn"]
 
 _MASS_SHARE = 0.95
+_DRAWN_ANYWAY = 0.05  # added to the collision mass: candidates that miss are of use, too
 _EQUAL = 1e-9  # relative: closer values differ by rounding alone
 
 
@@ -69,18 +72,23 @@ def choose(
     counted: Bools | None = None,
     barred: Bools | None = None,
     severity: Floats | None = None,
+    rng: np.random.Generator | None = None,
 ) -> Choice:
     """Choose among N1 candidates with P_j (N1) and P_jk (N1, N2).
 
     ``collides`` and ``collision_step`` (N1, N2) are as from `collision.collisions`; of the
     colliding pairs those ``counted`` (N1, N2) are wanted, by default all; candidates ``barred``
-    (N1) are not taken. A `Balance` needs the ``severity`` (N1, N2) of collisions.
+    (N1) are not taken. A `Balance` needs the ``severity`` (N1, N2) of collisions, ``drawn`` a
+    generator.
     """
     counted = collides if counted is None else counted
     colliding = reaction_probability * counted
     mass = colliding.sum(axis=1)
     product = probability * (reaction_probability * collides).sum(axis=1)
-    if counted.any():
+    if rule == "drawn":
+        assert rng is not None
+        value, used = _drawn(mass, rng), "drawn"
+    elif counted.any():
         used = "aggressiveness" if isinstance(rule, Balance) else str(rule)
         if isinstance(rule, Balance):
             value = _balanced(rule, probability, colliding, mass, severity)
@@ -106,6 +114,14 @@ def harmless(
     value = np.where(mass <= mass.min() + _EQUAL, probability, 0.0)
     index = _best(value, -collision_step.min(axis=1), probability)
     return Choice(index=index, rule="nothing fair", value=value, product=probability * mass)
+
+
+def _drawn(mass: Floats, rng: np.random.Generator) -> Floats:
+    """(N1) 1 for the candidate that was drawn, else 0."""
+    chance = mass + _DRAWN_ANYWAY
+    value = np.zeros(len(mass))
+    value[rng.choice(len(mass), p=chance / chance.sum())] = 1.0
+    return value
 
 
 def _value(

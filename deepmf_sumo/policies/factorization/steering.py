@@ -53,23 +53,28 @@ def decide(
     likelihood_weight: float,
     wanted_sector: int | None,
     verify: Callable[[int], bool],
+    rng: np.random.Generator | None = None,
 ) -> Decision:
     """`choose`, until the chosen one is fair on a closer look: ``verify`` of its row.
 
     After 12 refusals nothing is fair. Without the wish nothing is verified.
     """
-    choice, unmet = choose(pairs, rule, likelihood_weight, wanted_sector)
+    choice, unmet = choose(pairs, rule, likelihood_weight, wanted_sector, rng)
     refused = 0
     while pairs.fair is not None and "fair" not in unmet and not verify(choice.index):
         refused += 1
         others = np.arange(len(pairs.fair)) != choice.index
         pairs = replace(pairs, fair=pairs.fair & others & (refused < _REFUSALS))
-        choice, unmet = choose(pairs, rule, likelihood_weight, wanted_sector)
+        choice, unmet = choose(pairs, rule, likelihood_weight, wanted_sector, rng)
     return pairs, choice, unmet
 
 
 def choose(
-    pairs: Pairs, rule: Rule | Balance, likelihood_weight: float, wanted_sector: int | None
+    pairs: Pairs,
+    rule: Rule | Balance,
+    likelihood_weight: float,
+    wanted_sector: int | None,
+    rng: np.random.Generator | None = None,
 ) -> tuple[Choice, tuple[str, ...]]:
     """The choice by the pairs that count, and the wishes that no candidate meets.
 
@@ -98,6 +103,7 @@ def choose(
         counted=counted,
         barred=barred,
         severity=pairs.severity,
+        rng=rng,
     )
     if unmet and counted.any():
         choice = replace(choice, rule=choice.rule + ANY_SECTOR)
