@@ -7,6 +7,7 @@ import numpy as np
 from deepmf_sumo.avoidance.manoeuvres import GRID, Driven
 from deepmf_sumo.avoidance.touching import touching
 from deepmf_sumo.datatypes import Bools, Case, Floats, Rollout
+from deepmf_sumo.geometry import angles
 
 
 class Bystanders(NamedTuple):
@@ -67,8 +68,8 @@ def hit_by(driven: Driven, others: Bystanders, av_size_m: Floats) -> Bools:
     """(M) whether a manoeuvre of `manoeuvres.GRID` hits a bystander.
 
     Who overlaps the AV at the first step is left out: they do not stand where the data says. Who
-    is behind it then does not count against braking alone: recorded followers do not brake, others
-    would.
+    is behind it when they are there first does not count against braking alone: recorded followers
+    do not brake, others would.
     """
     hit = np.zeros(len(driven.holds), bool)
     straight = GRID.lateral_mps2 == 0
@@ -76,10 +77,11 @@ def hit_by(driven: Driven, others: Bystanders, av_size_m: Floats) -> Bools:
     low = driven.centre_m.min(axis=(0, 1)) - reach[:, None]
     high = driven.centre_m.max(axis=(0, 1)) + reach[:, None]
     inside = ((others.position_m >= low[:, None]) & (others.position_m <= high[:, None])).all(-1)
-    start, course = driven.centre_m[0, 0], driven.heading_rad[0, 0]
     for other in np.flatnonzero((inside & others.valid).any(axis=1)):
         size, where = others.size_m[other], others.position_m[other]
-        ahead = (where[0] - start) @ [np.cos(course), np.sin(course)] > -av_size_m[0] / 2
+        seen = int(others.valid[other].argmax())
+        offset, course = where[seen] - driven.centre_m[:, seen], driven.heading_rad[:, seen]
+        ahead = (offset * angles.unit(course)).sum(-1) > -av_size_m[0] / 2
         rows = np.flatnonzero(~hit & (ahead | ~straight))
         steps = np.flatnonzero(inside[other] & others.valid[other])
         overlaps = touching(

@@ -14,13 +14,14 @@ import numpy as np
 
 from deepmf_sumo.avoidance.braking import STANDING_MPS
 from deepmf_sumo.avoidance.lanes import keeps_lane
-from deepmf_sumo.datatypes import Case, Contact, Rollout
+from deepmf_sumo.datatypes import AgentId, Case, Contact, Floats, Rollout
 from deepmf_sumo.geometry import angles, boxes
 
 Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front", "active_lateral"]
 
 BEHIND_RAD: Final = np.radians(30)
 _BUMPER_M = 0.1
+_PARTS_LEFT = np.linspace(0.95, 0.0, 20)  # of the step: at 40 m/s 0.2 m from one to the next
 
 
 def collision_class(rollout: Rollout, contact: Contact) -> Collision:
@@ -31,22 +32,31 @@ def collision_class(rollout: Rollout, contact: Contact) -> Collision:
         return "av_stopped"
     if tracks.speed_mps[other, before] <= STANDING_MPS:
         return "other_stopped"
-    offset = contact.pose_second[:2] - contact.pose_first[:2]
-    course = float(contact.pose_first[2])
-    aside = angles.difference(float(np.arctan2(offset[1], offset[0])), course)
+    pose, size_m = _during_step(rollout, contact, contact.first_id, contact.pose_first)
+    others, other_m = _during_step(rollout, contact, contact.second_id, contact.pose_second)
+    their_box = others[:, :2], others[:, 2], other_m
+    touch = int(boxes.overlap(pose[:, :2], pose[:, 2], size_m, *their_box).argmax())
+    x, y = others[touch, :2] - pose[touch, :2]
+    aside = angles.difference(float(np.arctan2(y, x)), float(pose[touch, 2]))
     if abs(float(aside)) >= np.pi - BEHIND_RAD:
         return "active_rear"
-    length, width = tracks.size_m[av, :2]
-    bumper = contact.pose_first[:2] + length / 2 * angles.unit(course)
-    front = boxes.overlap(
-        bumper,
-        np.asarray(course),
-        np.array([_BUMPER_M, width]),
-        contact.pose_second[:2],
-        np.asarray(contact.pose_second[2]),
-        tracks.size_m[other, :2],
-    )
-    return "active_front" if front else "active_lateral"
+    bumper = pose[:, :2] + size_m[0] / 2 * angles.unit(pose[:, 2])
+    front = boxes.overlap(bumper, pose[:, 2], np.array([_BUMPER_M, size_m[1]]), *their_box)
+    return "active_front" if front.any() else "active_lateral"
+
+
+def _during_step(
+    rollout: Rollout, contact: Contact, agent_id: AgentId, end: Floats
+) -> tuple[Floats, Floats]:
+    """(P, 3) poses during the step of the contact until its end (3), and the agent's size (2).
+
+    At its end alone a fast AV may be half through a car that crosses: its front is beyond it.
+    """
+    tracks, before = rollout.tracks, max(contact.step - 1, 0)
+    row = tracks.row(agent_id)
+    turn = angles.difference(end[2], tracks.heading_rad[row, before])
+    moved = np.append(end[:2] - tracks.position_m[row, before], turn)
+    return end - _PARTS_LEFT[:, None] * moved, tracks.size_m[row, :2]
 
 
 def av_at_fault(rollout: Rollout, case: Case) -> bool | None:

@@ -85,6 +85,22 @@ def test_a_follower_counts_against_swerving_and_not_against_braking():
         assert followed[~straight_on].sum() < ways[0][~straight_on].sum()
 
 
+@pytest.mark.parametrize("shift", [-500.0, 500.0])
+def test_who_appears_later_is_ahead_wherever_the_scene_lies(shift):
+    """What tracks hold of an agent before it is there says nothing of where it is."""
+    away = np.array([shift, 0.0, 0.0])
+    stands = {"c": straight(54, 0, 0) + away}
+    rollout, case = attack(straight(0, 0, 15) + away, straight(75, 0, 0) + away, others=stands)
+    always = ways_out(encounter_of(rollout, case), rollout, case)
+    tracks = rollout.tracks
+    position, valid = tracks.position_m.copy(), tracks.valid.copy()
+    position[tracks.row("c"), :30], valid[tracks.row("c"), :30] = 0.0, False
+    late = replace(rollout, tracks=replace(tracks, position_m=position, valid=valid))
+    encounter = encounter_of(late, case)
+    assert encounter.first_step + encounter.onset < 30 < encounter.first_step + encounter.contact
+    np.testing.assert_array_equal(ways_out(encounter, late, case), always)
+
+
 def test_who_overlaps_the_av_from_the_start_does_not_stand_where_the_data_says():
     av, wall = straight(0, 0, 20), straight(60, 0, 0)
     alone = graded(av, wall)
@@ -132,6 +148,19 @@ def test_fault_classes(av, other, found, at_fault):
     rollout, case = attack(av, other)
     assert fault.collision_class(rollout, rollout.contacts[0]) == found
     assert fault.av_at_fault(rollout, case) is at_fault
+
+
+@pytest.mark.parametrize("speed", [10, 20, 25, 30, 38])
+def test_a_fast_bumper_is_through_a_crossing_car_at_the_end_of_the_step(speed):
+    seconds = (np.arange(91) - NOW) * 0.1
+    for ahead in np.linspace(45, 49, 9):
+        meeting_s = ahead / speed
+        crossing = np.stack(
+            [np.full(91, ahead), 3 * (seconds - meeting_s), np.full(91, np.pi / 2)], -1
+        )
+        rollout, case = attack(straight(0, 0, speed), crossing)
+        assert fault.collision_class(rollout, rollout.contacts[0]) == "active_front"
+        assert fault.av_at_fault(rollout, case) is True
 
 
 def test_grades_follow_from_who_avoids():

@@ -8,8 +8,8 @@ from predictor_doubles import Doubles, view_of
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Plan
-from deepmf_sumo.metrics.episode import accelerations, motion, paths
+from deepmf_sumo.datatypes import Driver, Plan
+from deepmf_sumo.metrics.episode import accelerations, motion, parts, paths
 from deepmf_sumo.policies import deepmf
 
 AV = straight(0, 0, 10)
@@ -62,6 +62,20 @@ def test_feasible_across(speed, expected):
 def test_a_jump_to_the_first_pose_is_not_feasible():
     path = straight(-8, 3.5, 12)
     path[11:, 1] += 0.4
+    assert measured("feasible", with_opponent(path)).value == 0.0
+
+
+def test_a_jump_right_before_the_contact_is_not_feasible():
+    path = straight(-8, 3.5, 12)[:13]
+    path[12, 1] = 0.0  # the second driven pose: too few for second differences over 0.2 s
+    hit = rollout_of({"av": AV[:13], "b": path}, contacts=[contact_of(step=12)])
+    assert measured("feasible", hit).value == 0.0
+    assert measured("feasible", rollout_of({"av": AV[:12], "b": path[:12]})).value == 1.0
+
+
+def test_jumping_to_and_fro_is_not_feasible():
+    path = straight(-8, 3.5, 12)
+    path[12::2, 1] += 0.3  # unseen by differences over 0.2 s
     assert measured("feasible", with_opponent(path)).value == 0.0
 
 
@@ -173,3 +187,15 @@ def test_a_gap_in_the_recording_is_no_change_of_speed():
     assert len(found.recorded) == (29 - 2) + (41 - 2)
     np.testing.assert_allclose(found.recorded, 0.0, atol=1e-9)
     assert len(accelerations.speed_changes(steady[:1, :2], 0.1)) == 0
+
+
+def test_reasons_tell_a_missing_recording_from_one_that_is_too_short():
+    paths_to = {"av": AV[:13], "b": straight(-8, 3.5, 12)[:13]}
+    soon = rollout_of(paths_to, contacts=[contact_of(step=12)])
+    assert measured("path_sspd_cut", soon).reason == parts.TOO_SHORT
+    assert measured("acceleration_kl", soon).reason == parts.TOO_SHORT  # no plan, two poses
+    unknown = case_of({"av": AV, "c": straight(-8, 3.5, 12)})
+    waits = dataclasses.replace(soon, driver=np.full(soon.driver.shape, Driver.LOG))
+    for name in ("path_sspd", "acceleration_kl"):
+        assert measured(name, soon, unknown).reason == parts.NO_LOG
+        assert measured(name, waits).reason == parts.NEVER_DRIVEN

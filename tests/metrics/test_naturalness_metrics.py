@@ -56,6 +56,15 @@ def test_wasserstein_against_scipy(seed):
     assert distributions.wasserstein(a, a[::-1]) == 0.0
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.1, 2.5])
+def test_a_constant_speed_is_counted_in_one_bin_whichever_way_it_leads(angle):
+    path = straight(-800, 3.5, 12, heading=angle)[11:, :2]
+    steady = accelerations.speed_changes(path, 0.1)
+    assert np.abs(steady).max() < 1e-6
+    gaining = np.full(80, 0.5)  # in the bin from 0 to 1 as well
+    assert distributions.divergence(steady, gaining) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_divergence_by_hand():
     # all mass in one bin against half in it and half in another: log 2
     kl = distributions.divergence(np.full(10, 0.5), np.repeat([0.5, 3.5], 5))

@@ -27,17 +27,19 @@ def compared(rollout: Rollout, case: Case, *, smooth: bool = False) -> Samples |
     if row is None:
         return parts.NO_OPPONENT
     logged = parts.logged_stretches(case, rollout.tracks.ids[row])
-    if sum(len(stretch) for stretch in logged) < 3:
+    if not logged:
         return parts.NO_LOG
-    path = parts.planned_path(rollout, row, case.duration_steps)
-    if len(path) < 3:
+    if not parts.driven(rollout, row).any():
         return parts.NEVER_DRIVEN
+    path = parts.planned_path(rollout, row, case.duration_steps)
     change = smooth_changes if smooth else speed_changes
     found = Samples(
         change(path, rollout.dt_s),
         np.concatenate([np.empty(0), *(change(one, rollout.dt_s) for one in logged)]),
     )
-    return found if len(found.attack) and len(found.recorded) else TOO_SHORT
+    if len(found.attack) and len(found.recorded):
+        return found
+    return TOO_SHORT if smooth else parts.TOO_SHORT
 
 
 def speed_changes(path_m: Floats, dt_s: float) -> Floats:

@@ -9,6 +9,7 @@ NO_OPPONENT = "nobody was attacked"
 NEVER_DRIVEN = "the policy never drove the opponent"
 NO_COLLISION = "AV and opponent did not collide"
 NO_LOG = "the case has no recording to compare with"
+TOO_SHORT = "fewer than three recorded or planned poses to compare"
 
 
 def opponent_row(rollout: Rollout) -> int | None:

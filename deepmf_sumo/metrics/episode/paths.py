@@ -27,11 +27,13 @@ def compared(rollout: Rollout, case: Case, *, until_contact: bool = False) -> Pa
         return parts.NO_OPPONENT
     whole = case.duration_steps
     steps = min(whole, rollout.tracks.steps - 1 - rollout.now) if until_contact else whole
-    recorded = parts.logged_path(case, rollout.tracks.ids[row], steps)
-    if recorded is None:
+    if not parts.logged_stretches(case, rollout.tracks.ids[row]):
         return parts.NO_LOG
+    if not parts.driven(rollout, row).any():
+        return parts.NEVER_DRIVEN
+    recorded = parts.logged_path(case, rollout.tracks.ids[row], steps)
     path = parts.planned_path(rollout, row, steps)
-    return Paths(path, recorded) if len(path) > 2 else parts.NEVER_DRIVEN
+    return parts.TOO_SHORT if recorded is None or len(path) < 3 else Paths(path, recorded)
 
 
 def directed(points_m: Floats, path_m: Floats) -> Floats:

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
-from itertools import combinations
 
 import numpy as np
 
@@ -16,10 +15,14 @@ def mean_distance_m(paths_m: Sequence[Floats]) -> float | None:
     one scene, or each in the frame of its AV's first pose. Of two the mean distance at equal times
     counts, as long as both last.
     """
-    pairs = list(combinations(paths_m, 2))
-    if not pairs:
+    if len(paths_m) < 2:
         return None
-    return float(np.mean([_distance(a, b) for a, b in pairs]))
+    every = np.full((len(paths_m), max(map(len, paths_m)), 2), np.nan)
+    for row, path in zip(every, paths_m, strict=True):
+        row[: len(path)] = path
+    return float(
+        np.concatenate([_to_later(every, number) for number in range(len(every) - 1)]).mean()
+    )
 
 
 def mean_distance_within_m(scenes: Iterable[Sequence[Floats]]) -> float | None:
@@ -42,6 +45,8 @@ def effective_kinds(values: Iterable[Hashable | None]) -> float:
     return float(np.exp(-(share * np.log(share)).sum()))
 
 
-def _distance(a: Floats, b: Floats) -> float:
-    steps = min(len(a), len(b))
-    return float(np.hypot(*(np.asarray(a)[:steps] - np.asarray(b)[:steps]).T).mean())
+def _to_later(every: Floats, number: int) -> Floats:
+    """Mean distances of a trajectory to those after it; NaN where a trajectory has ended."""
+    away = every[number + 1 :] - every[number]
+    distances: Floats = np.nanmean(np.hypot(away[..., 0], away[..., 1]), axis=1)
+    return distances
