@@ -39,6 +39,8 @@ from deepmf_sumo.policies.factorization.tracking import Start, track
 if TYPE_CHECKING:
     from deepmf_sumo.adversaries.gradients.art_descent import Bounds, Descent
 
+FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent, where it begins"
+
 
 class Settings(AimedSettings):
     """How the perturbation is made.

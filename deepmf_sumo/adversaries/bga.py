@@ -12,8 +12,10 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.search.search import Search, SearchSettings
+from deepmf_sumo.adversaries.search.search import TRIALS_FORESIGHT, Search, SearchSettings
 from deepmf_sumo.datatypes import Floats, Ints
+
+FORESIGHT = TRIALS_FORESIGHT
 
 
 class Settings(SearchSettings):

@@ -11,8 +11,10 @@ that the paper gives; none of it is for learning, so more of them only draw more
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.search.search import Search, SearchSettings
+from deepmf_sumo.adversaries.search.search import TRIALS_FORESIGHT, Search, SearchSettings
 from deepmf_sumo.datatypes import Floats
+
+FORESIGHT = TRIALS_FORESIGHT
 
 _BATCH = 16
 

@@ -35,6 +35,8 @@ from deepmf_sumo.policies.factorization.goals import goal_paths
 from deepmf_sumo.policies.factorization.tracking import Start, track
 from deepmf_sumo.predictors.base import MarginalPredictor
 
+FORESIGHT = "the AV's un-attacked motion"
+
 
 class DensePredictor(MarginalPredictor, candidates.Density, Protocol):
     """A marginal predictor that also knows the density of futures that it did not propose."""

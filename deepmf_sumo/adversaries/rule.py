@@ -24,6 +24,8 @@ from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, Floats, Ints
 from deepmf_sumo.policies.factorization.tracking import Start, track
 
+FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent"
+
 _FIRST_S, _EVERY_S = 1.5, 0.5  # meetings that are tried where limits count
 
 

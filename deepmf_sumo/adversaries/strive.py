@@ -13,7 +13,8 @@ they do un-attacked, and are obstacles to it as such.
 
 Budget: ``match_iterations`` + ``iterations`` + ``solution_iterations`` steps of Adam, at most
 ``seconds``; and ``rounds`` + 1 simulations. The last trial says whether the AV could be saved:
-``solvable`` 1 where a motion of the AV was found that touches nobody, 0 where none was.
+``solvable`` 1 where a motion of the AV was found that touches nobody, 0 where none was in all of
+its steps; there is no such trial where time ran out before.
 """
 
 import time
@@ -36,6 +37,10 @@ if TYPE_CHECKING:
     from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 
 ANY = "any"
+
+FORESIGHT = (
+    "the un-attacked motion of all agents, where it begins, and the AV's answer to every round"
+)
 
 
 class Settings(OpponentSettings):
@@ -100,7 +105,7 @@ class STRIVE:
         solved = stages.solution(attack)
         return replace(
             attack,
-            trials=(*attack.trials, solved),
+            trials=(*attack.trials, *solved),
             generation_s=attack.generation_s + time.perf_counter() - begin,
         )
 
@@ -135,8 +140,8 @@ class _Stages:
             },
         )
 
-    def solution(self, attack: Attack) -> Trial:
-        """The third stage against the best attack; its objective is that attack's."""
+    def solution(self, attack: Attack) -> list[Trial]:
+        """The third stage against the best attack, whose objective it has; none out of time."""
         from deepmf_sumo.adversaries.gradients.strive_stages import Costs
 
         assert self._search is not None
@@ -154,8 +159,10 @@ class _Stages:
             chosen.solution_iterations,
             Costs(others=chosen.others, road=chosen.road, prior=chosen.prior / 4, init=0.0),
         )
+        if saved is None:
+            return []
         best = max(trial.objective for trial in attack.trials)
-        return Trial(parameters={"solvable": float(saved)}, objective=best)
+        return [Trial(parameters={"solvable": float(saved)}, objective=best)]
 
     def _begin(self, scouted: Scouted) -> None:
         from deepmf_sumo.adversaries.gradients import strive_scene, strive_stages

@@ -62,7 +62,7 @@ def read(file: Path) -> Document:
     places: dict[KeyPath, str] = {}
     values = _Loader(text, str(file), places, ()).read()
     if not isinstance(values, dict):
-        raise SpecError(f"{file}:1: a spec is a mapping that begins with 'version: 1'.")
+        raise SpecError(f"{file}:1: a spec or a plan is a mapping that begins with 'version: 1'.")
     return Document(file=file, values=values, places=places)
 
 

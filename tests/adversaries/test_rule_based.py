@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from driven_world import NOW, World, driven_limits
 from predictor_doubles import Doubles
-from rollout_doubles import case_of
+from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries.aiming.bezier import curve_into
+from deepmf_sumo.adversaries.search.cost import nearest_m
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.predictors import shared
@@ -110,6 +111,15 @@ def test_time_of_the_only_attack_is_no_search():
 
     assert attack(Slow()).generation_s < 0.25
     assert attack(Slow(av_y_m=(0.0, -10.0)), {"rounds": 2}).generation_s > 0.6
+    # It hits at once, which is known from the episode alone.
+    assert attack(Slow(), {"rounds": 2}).generation_s > 0.3
+
+
+def test_a_gap_is_that_after_the_attack_began():
+    own = straight(0.0, 3.5, 10.0)
+    own[NOW + 1 :, 1] = 32.0
+    rollout = rollout_of({"av": straight(0.0, 0.0, 10.0), "b": own})
+    assert nearest_m(rollout) == pytest.approx(30.0)
 
 
 def test_nobody_to_attack(monkeypatch):

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries import bbo, bga, brs
+from deepmf_sumo.adversaries.search import optuna_process, spending
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners import idm
@@ -85,6 +87,33 @@ def test_the_best_trial_is_returned(name):
     )
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_a_hit_is_better_than_any_miss(name):
+    # Leaving out the distance, every hit costs more than the best miss.
+    dear_hits = {"cost": {"late": -50.0}}
+    found, world = attack(name, dear_hits, Budget(simulations=40), World(contact_below_m=2.5))
+    costs = [-trial.objective for trial in found.trials]
+    assert found.rollout.first("av_opponent") is not None
+    chosen = found.rollout.tracks.position_m[1, 11:]
+    row = next(
+        row for row, plan in enumerate(world.plans) if np.array_equal(plan.position_m, chosen)
+    )
+    assert costs[row] > min(costs)
+
+
+@pytest.mark.parametrize(("simulations", "counted"), [(4, 4), (2, 1)])
+@pytest.mark.parametrize("name", METHODS)
+def test_the_time_holds_every_episode_that_something_depends_on(
+    name, simulations, counted, monkeypatch
+):
+    world = World()
+    clock = SimpleNamespace(perf_counter=lambda: world.episodes)
+    monkeypatch.setattr(spending, "time", clock)
+    found, _ = attack(name, budget=Budget(simulations=simulations), world=world)
+    # The only attack of two simulations is what it is, however it ends.
+    assert found.generation_s == counted
+
+
 @pytest.mark.parametrize(("name", "simulations"), [("brs", 14), ("bga", 40), ("bbo", 6)])
 def test_same_seed_same_attack(name, simulations):
     values = {"drawn": 3} if name == "bbo" else {}
@@ -151,6 +180,21 @@ class TestOptimisers:
         rng = np.random.default_rng(0)
         assert self.minimum(bbo.BayesianSearch(bbo.Settings(drawn=6), 2, rng), 12) < 0.02
 
+    def test_optuna_does_it_too(self):
+        rng = np.random.default_rng(0)
+        assert self.minimum(optuna_process.OptunaSearch(6, 2, rng), 12) < 0.02
+
+    def test_bayesian_search_learns_more_of_a_trial_than_the_others(self):
+        rng = np.random.default_rng(0)
+        bred = self.minimum(bga.GeneticSearch(bga.Settings(), 10, rng), 60)
+        assert self.minimum(bbo.BayesianSearch(bbo.Settings(), 10, rng), 60) < bred / 3
+
+    def test_costs_that_are_all_the_same_teach_nothing_and_break_nothing(self):
+        search = bbo.BayesianSearch(bbo.Settings(drawn=2), 3, np.random.default_rng(0))
+        for _ in range(6):
+            assert np.isfinite(search.ask()).all()
+            search.tell(np.array([100.0]))
+
     def test_the_elite_lives_on(self):
         search = bga.GeneticSearch(bga.Settings(population=4, elite=2), 2, np.random.default_rng(0))
         assert len(search.ask()) == 4
@@ -162,7 +206,8 @@ class TestOptimisers:
 def test_without_the_extra_it_is_said_how_to_install_it(monkeypatch):
     monkeypatch.setattr(bbo, "find_spec", lambda name: None if name == "optuna" else sys)
     with pytest.raises(PluginError, match=r"needs optuna.*pip install \"deepmf-sumo\[search\]\""):
-        bbo.build(bbo.Settings(), "open")
+        bbo.build(bbo.Settings(optimiser="optuna"), "open")
+    assert bbo.build(bbo.Settings(), "open")
 
 
 @pytest.mark.parametrize("name", METHODS)

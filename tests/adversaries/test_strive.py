@@ -139,6 +139,12 @@ def test_the_av_is_saved_where_nobody_comes_and_not_from_one_upon_it(net, scoute
     assert not search.save({"b": Path(wall, torch.zeros(80), away.there)}, 2, weights)
 
 
+def test_out_of_time_it_is_not_said_that_nothing_saves_the_av(net, scouted):
+    situation, search = search_of(net, scouted, seconds=-1.0)
+    wall = situation.paths[1]._replace(position=torch.tensor([7.0, 0.0]).expand(80, 2))
+    assert search.save({"b": wall}, 2, Costs(40.0, 4.0, 0.005, 0.0)) is None
+
+
 def test_the_adversary_spends_what_it_may_and_says_so(case):
     simulate = Simulation(case)
     settings = strive.Settings(opponent="b", match_iterations=2, iterations=4, rounds=2,

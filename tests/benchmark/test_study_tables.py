@@ -154,7 +154,8 @@ def folder(tmp_path):
         scenes=list("abc"), baseline="fast", versions=["fast"], compared=["fast", "slow_&_old"],
         equal_seconds=part, curves=part, runs={one["run_id"]: "key" for one in runs},
         plan={"seeds": [0], "duration_s": 8.0, "weights": "open",
-              "methods": {"fast": own, "slow_&_old": own}},
+              "methods": {"fast": own | {"adversary": "S1"},
+                          "slow_&_old": own | {"adversary": {"name": "brs"}}}},
     ).write(tmp_path)  # fmt: skip
     lines = ["run_id"]
     for one in runs:
@@ -199,7 +200,8 @@ def test_readable_tables_hold_the_papers_columns_and_say_what_is_missing(folder)
         "Table I.",
         "Table II.",
         "Table III.",
-        "Beyond the paper",
+        "Beyond the paper: fairness",
+        "Beyond the paper: naturalness, variety, cost",
         "Equal time",
         "Paired",
     ):
@@ -208,10 +210,12 @@ def test_readable_tables_hold_the_papers_columns_and_say_what_is_missing(folder)
     assert "slow_&_old on lane: of 3 runs 1 failed." in text
     assert "kl [nat]: mean over attacked runs of acceleration_kl: " in text
     assert "20 bins" in text
+    assert "slow_&_old: looked up: the opponent's un-attacked motion" in text
+    assert "fast: looked up" not in text
     assert "Not measured, or defined in no run: " in text
     tex = (folder / "table.tex").read_text()
     assert r"slow\_\&\_old" in tex
-    assert tex.count(r"\begin{tabular}") == tex.count(r"\end{tabular}") == 6
+    assert tex.count(r"\begin{tabular}") == tex.count(r"\end{tabular}") == 7
     for tabular in tex.split(r"\begin{tabular}")[1:]:
         lines = [line for line in tabular.splitlines() if line.endswith(r"\\")]
         cells = {line.count(" & ") for line in lines if "multicolumn" not in line}

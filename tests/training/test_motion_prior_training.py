@@ -92,6 +92,12 @@ def test_all_of_the_divergence_counts_in_evaluation(batch):
     assert early < late
 
 
+def test_a_batch_that_knows_nobody_among_the_nearest_teaches_nothing(batch):
+    blind = {**batch, "future": torch.zeros_like(batch["future"])}
+    value = loss.loss_of(MotionPrior(LIGHT))(blind, torch.Generator().manual_seed(0))
+    assert torch.isfinite(value)
+
+
 def test_nobody_moves():
     assert evaluation.errors(MotionPrior(LIGHT), [], torch.Generator()) == {}
 

@@ -123,8 +123,11 @@ class Search:
             _detached(motions), self._situation.ids[self._rows[best]], gap, self.iterations
         )
 
-    def save(self, attacks: dict[AgentId, Path], iterations: int, weights: Costs) -> bool:
-        """Third stage: whether a motion of the AV is found that touches nobody."""
+    def save(self, attacks: dict[AgentId, Path], iterations: int, weights: Costs) -> bool | None:
+        """Third stage: whether a motion of the AV is found that touches nobody.
+
+        None where time ran out before one was found.
+        """
         situation = self._situation
         obstacles = situation.obstacles([situation.ids[_AV]], attacks)
         if obstacles is None:
@@ -135,8 +138,10 @@ class Search:
             motions = self._decode(self._with([_AV], own))
             if not self._touches(motions, attacks):
                 return True
-            if turn == iterations or time.perf_counter() > self._deadline:
+            if turn == iterations:
                 return False
+            if time.perf_counter() > self._deadline:
+                return None
             loss = self._plausible(motions, [_AV], obstacles, own, weights)
             self._step(moments, loss, own)
         return False

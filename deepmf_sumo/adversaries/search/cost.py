@@ -55,14 +55,14 @@ def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
     It is judged up to the end of the episode, which is the contact where there is one.
     """
     tracks, first = rollout.tracks, rollout.now + 1
-    av, opponent = tracks.row(rollout.av_id), tracks.row(str(rollout.opponent_id))
+    opponent = tracks.row(str(rollout.opponent_id))
     there = tracks.valid[opponent, first:]
     path = tracks.position_m[opponent, first:][there]
     hit = rollout.first("av_opponent")
     late = 1.0 if hit is None else (hit.step - rollout.now) / FUTURE_STEPS
     off_road = 1 - road.on_road(case.road, path).mean() if len(path) else 0.0
     return Cost(
-        distance=0.0 if hit else _distance(rollout, av, opponent),
+        distance=nearest_m(rollout),
         late=weights.late * late,
         off_road=weights.off_road * float(off_road),
         third_party=weights.third_party * (rollout.first("opponent_other") is not None),
@@ -70,9 +70,15 @@ def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
     )
 
 
-def _distance(rollout: Rollout, av: int, opponent: int) -> float:
-    """Smallest distance between the boxes, metres."""
+def nearest_m(rollout: Rollout) -> float:
+    """Smallest distance between the boxes of AV and opponent after now, metres; 0 at a contact.
+
+    100 m where one of them was gone before the first step.
+    """
+    if rollout.first("av_opponent") is not None:
+        return 0.0
     tracks, after = rollout.tracks, slice(rollout.now + 1, None)
+    av, opponent = tracks.row(rollout.av_id), tracks.row(str(rollout.opponent_id))
     both = tracks.valid[av, after] & tracks.valid[opponent, after]
     if not both.any():
         return _FAR_M

@@ -20,6 +20,11 @@ from deepmf_sumo.adversaries.search.spending import Spending
 from deepmf_sumo.datatypes import Attack, Budget, Case, Floats, Rollout, Trial
 from deepmf_sumo.policies.factorization.tracking import Limits
 
+TRIALS_FORESIGHT = (
+    "the opponent's un-attacked motion, where the search begins, and the AV's answer to every trial"
+)
+"""What the searches learn of a scene before their attack, for those who compare methods."""
+
 
 class Optimiser(Protocol):
     """Minimises an unknown function of points in [-1, 1]^D."""
@@ -86,16 +91,17 @@ class Search:
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
-        """The attack of least cost that the budget finds.
+        """The attack of least cost that the budget finds, among those that hit if any does.
 
-        ``generation_s`` is everything but loading weights: candidates, rollouts, the optimiser. At
-        least one attack is tried, whatever the budget; with nobody to attack none is.
+        ``generation_s`` is everything but loading weights: candidates, rollouts, the optimiser; see
+        `Spending.generation_s`. At least one attack is tried, whatever the budget; with nobody to
+        attack none is.
         """
         choose = self._choice.of(case)
         spending = Spending(simulate, budget, self._settings.simulations)
         scouted = scout(case, spending.simulate, choose)
         if scouted is None:
-            rollout, trials = spending.simulate(None), []
+            rollout, trials = spending.unattacked(), []
         else:
             best = self._search(case, scouted, spending, rng)
             assert best.rollout is not None
@@ -104,7 +110,7 @@ class Search:
             rollout=rollout,
             trials=tuple(trials),
             simulations=spending.simulations,
-            generation_s=spending.seconds,
+            generation_s=spending.generation_s,
         )
 
     def _search(
@@ -127,26 +133,32 @@ class Search:
 
 
 class _Best:
-    """Judges rollouts and keeps the best one."""
+    """Judges rollouts and keeps the best one.
+
+    One that hits is better than any that does not, whatever it costs: a cost that a near miss on
+    the road can beat would count hits that were found as none.
+    """
 
     def __init__(self, case: Case, weights: Weights, names: tuple[str, ...]) -> None:
         self._case = case
         self._weights = weights
         self._names = names
-        self._cost = np.inf
+        self._rank = (True, np.inf)
         self.trials: list[Trial] = []
         self.rollout: Rollout | None = None
 
     @property
     def hits(self) -> bool:
         """Whether the best one hits the AV."""
-        return self.rollout is not None and self.rollout.first("av_opponent") is not None
+        misses, _ = self._rank
+        return not misses
 
     def judge(self, rollout: Rollout, point: Floats) -> float:
         """The cost of a rollout under a point."""
         cost = cost_of(rollout, self._case, self._weights).total
-        if cost < self._cost:
-            self._cost, self.rollout = cost, rollout
+        rank = (rollout.first("av_opponent") is None, cost)
+        if rank < self._rank:
+            self._rank, self.rollout = rank, rollout
         parameters = dict(zip(self._names, point.tolist(), strict=True))
         self.trials.append(Trial(parameters=parameters, objective=-cost))
         return cost

@@ -6,6 +6,8 @@ from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Budget, Rollout
 from deepmf_sumo.policies.base import Policy
 
+_ONE_ATTACK = 2  # simulations: scouting, and the attack
+
 
 class Spending:
     """Counts simulations and wall time from its making on.
@@ -22,18 +24,37 @@ class Spending:
         self._most = simulations if unlimited else budget.simulations
         self._most_s = budget.seconds
         self._begin = time.perf_counter()
+        self._decided_s: float | None = None
         self.simulations = 0
 
     def simulate(self, policy: Policy | None) -> Rollout:
         """One episode, counted."""
+        if self.simulations == 1 and self._most is not None and self._most <= _ONE_ATTACK:
+            self._decided_s = self.seconds
         self.simulations += 1
         return self._simulate(policy)
+
+    def unattacked(self) -> Rollout:
+        """The episode of a case with nobody to attack, counted: nothing depends on it."""
+        self._decided_s = self.seconds
+        self.simulations += 1
+        return self._simulate(None)
 
     @property
     def over(self) -> bool:
         """Whether no simulation may be begun any more."""
         late = self._most_s is not None and self.seconds >= self._most_s
         return late or (self._most is not None and self.simulations >= self._most)
+
+    @property
+    def generation_s(self) -> float:
+        """Wall time until the attack was known.
+
+        Every episode that something depends on is part of it: what is aimed at, scored, compared,
+        or looked at for whether to go on. Nothing depends on `unattacked`, nor on the only attack
+        that a budget of two simulations allows.
+        """
+        return self.seconds if self._decided_s is None else self._decided_s
 
     @property
     def seconds(self) -> float:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,6 +40,7 @@ class Layout:
         equal_seconds, curves: None where the plan has none.
         runs: run id -> key, in the plan's order; all of them, whatever shard this is.
         plan: as written, with all paths absolute.
+        weights: digest of the files of each set of weights that is not part of the program.
     """
 
     name: str
@@ -54,14 +55,16 @@ class Layout:
     curves: Budgeted | None
     runs: dict[str, str]
     plan: dict[str, Any]
+    weights: dict[str, str] = field(default_factory=dict)
 
-    def planned(self, method: str, planner: str) -> int:
-        """Runs of a method on a planner, with its own budget."""
+    def planned(self, method: str, planner: str, most_scenes: int | None = None) -> int:
+        """Runs of a method on a planner, with its own budget, on the first scenes of the plan."""
         wanted = self.plan["methods"][method]
         if wanted["planners"] and planner not in wanted["planners"]:
             return 0
         scenes = wanted["scenes"]
         some = len(self.scenes) if scenes == "all" else min(scenes["first"], len(self.scenes))
+        some = some if most_scenes is None else min(some, most_scenes)
         return some * len(self.plan["seeds"])
 
     def write(self, folder: Path) -> None:

@@ -50,7 +50,8 @@ def _difference(
     by_scene: dict[str, list[float]] = defaultdict(list)
     for scene, seed in both:
         by_scene[scene].append(ours[scene, seed] - theirs[scene, seed])
-    low, high = interval(list(by_scene.values())) if both else (None, None)
+    # from one scene nothing is known of how scenes differ
+    low, high = interval(list(by_scene.values())) if len(by_scene) > 1 else (None, None)
     row = {
         "planner": planner,
         "quantity": column.name,

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.benchmark.tasks import slug
@@ -16,7 +23,21 @@ from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import First, Source, Strict
 
-Names = Annotated[tuple[str, ...], Field(strict=False)]
+
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What stands twice would be counted twice."""
+    for value in values:
+        if values.count(value) > 1:
+            rule = f"'{value}' stands twice; leave one of them out"
+            raise PydanticCustomError("rule", "{rule}", {"rule": rule})
+    return values
+
+
+Distinct = AfterValidator(_distinct)
+Names = Annotated[tuple[str, ...], Field(strict=False), Distinct]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Simulations = Annotated[int, Field(ge=1)]
+Seconds = Annotated[float, Field(gt=0)]
 
 
 class Subset(Strict):
@@ -46,15 +67,15 @@ class Method(Subset):
 class EqualSeconds(Subset):
     """Methods that search, again with the same time; the others stand beside them as they are."""
 
-    seconds: float = Field(gt=0)
-    methods: Annotated[tuple[str, ...], Field(strict=False, min_length=1)]
+    seconds: Seconds
+    methods: Annotated[Names, Field(min_length=1)]
 
 
 class Points(Strict):
     """Budgets of a curve."""
 
-    simulations: Annotated[tuple[int, ...], Field(strict=False)] = ()
-    seconds: Annotated[tuple[float, ...], Field(strict=False)] = ()
+    simulations: Annotated[tuple[Simulations, ...], Field(strict=False), Distinct] = ()
+    seconds: Annotated[tuple[Seconds, ...], Field(strict=False), Distinct] = ()
 
     @property
     def budgets(self) -> tuple[SearchBudget, ...]:
@@ -104,7 +125,7 @@ class Plan(Strict):
         default=None, description="log for recordings, sumo for networks"
     )
     weights: str = "open"
-    seeds: Annotated[tuple[int, ...], Field(strict=False, min_length=1)] = (0,)
+    seeds: Annotated[tuple[Seed, ...], Field(strict=False, min_length=1), Distinct] = (0,)
     planners: dict[str, str | dict[str, Any]]
     methods: dict[str, Annotated[Method, BeforeValidator(_method)]]
     tables: Tables = Tables()
@@ -147,6 +168,23 @@ class Plan(Strict):
                     raise _wrong(key, rule)
         return self
 
+    @model_validator(mode="after")
+    def _tables_have_rows(self) -> Self:
+        shown = [label for label, method in self.methods.items() if not method.figures_only]
+        if not shown:
+            raise _wrong("methods", "all are run for figures alone; tables need one at least")
+        tables, equal = self.tables, self.equal_seconds
+        for key, labels in (
+            ("tables.baseline", [tables.baseline] if tables.baseline else []),
+            ("tables.versions", tables.versions or []),
+            ("tables.compared", tables.compared or []),
+            ("equal_seconds.methods", equal.methods if equal else []),
+        ):
+            for label in labels:
+                if label not in shown:
+                    raise _wrong(key, f"'{label}' is run for figures alone (figures_only)")
+        return self
+
 
 @dataclass(frozen=True)
 class Loaded:
@@ -182,9 +220,12 @@ def _leave_out(document: Document, without: Sequence[str]) -> None:
         del known[label]
         for key in ("tables", "equal_seconds", "curves"):
             part = document.values.get(key)
-            for values in part.values() if isinstance(part, dict) else ():
-                if isinstance(values, list | dict) and label in values:
-                    values.remove(label) if isinstance(values, list) else values.pop(label)
+            for name, values in list(part.items()) if isinstance(part, dict) else ():
+                if not isinstance(values, list | dict) or label not in values:
+                    continue
+                values.remove(label) if isinstance(values, list) else values.pop(label)
+                if name == "methods" and not values:  # all that it was about is left out
+                    del document.values[key]
 
 
 def _wrong(key: str, rule: str) -> PydanticCustomError:

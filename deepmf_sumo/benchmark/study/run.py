@@ -13,6 +13,7 @@ from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import open_folder
 from deepmf_sumo.benchmark.study import entries, layout, outline, tables
 from deepmf_sumo.benchmark.study.entries import Entry
+from deepmf_sumo.benchmark.study.layout import Layout
 from deepmf_sumo.benchmark.study.plan import Loaded
 from deepmf_sumo.benchmark.tasks import Part, Task
 from deepmf_sumo.errors import UsageError
@@ -54,19 +55,30 @@ def run(
     plan = loaded.plan
     rows = entries.entries_of(loaded, cache_folder())
     planned = entries.tasks_of(rows, plan.seeds)
+    outlined = outline.layout_of(plan, rows, planned)
     if options.resume and (options.out / layout.FILE).is_file():
-        layout.read(options.out)  # refuses what another version made
+        _check_weights(layout.read(options.out), outlined, options.out)
     chosen = shard.choose(planned) if shard else planned
     if not chosen:
         raise UsageError(f"The plan has {len(planned)} runs: this shard of it is empty.")
     open_folder(options.out, resume=options.resume).begin(chosen, {"jobs": options.jobs})
-    outline.layout_of(plan, rows, planned).write(options.out)
+    outlined.write(options.out)
     kept = replace(options, resume=True)  # what is not to be kept has been removed above
     try:
         return batch.run_tasks(chosen, kept, report, queue=_scene_by_scene(rows, plan.seeds))
     finally:
         if (options.out / "runs.csv").is_file():
             tables.write(options.out)
+
+
+def _check_weights(before: Layout, now: Layout, out: Path) -> None:
+    """Raise UsageError where weights have been made anew since the runs of a folder."""
+    for name, digest in now.weights.items():
+        if before.weights.get(name, digest) != digest:
+            raise UsageError(
+                f"The weights '{name}' have changed since the runs in {out} were made; choose"
+                " another folder, or leave --resume out to begin anew."
+            )
 
 
 def expected(out: Path, shard: Shard | None = None) -> int:

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, Final
 
 from deepmf_sumo.benchmark import files
 from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.benchmark.study import layout, paired
 from deepmf_sumo.benchmark.study.columns import accident, attacked, hit, sector
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
@@ -35,10 +35,14 @@ def write(folder: Path) -> None:
     write_csv(folder / MAIN, main_rows(plan, runs))
     write_csv(folder / DIFFERENCES, _differences(plan, runs))
     write_csv(folder / ACCIDENTS, _accidents(plan, runs))
-    if plan.equal_seconds:
-        write_csv(folder / EQUAL_SECONDS, _equal_seconds(plan, plan.equal_seconds, runs))
-    if plan.curves:
-        write_csv(folder / CURVES, _curves(plan, plan.curves, runs))
+    for name, part, rows_of in (
+        (EQUAL_SECONDS, plan.equal_seconds, _equal_seconds),
+        (CURVES, plan.curves, _curves),
+    ):
+        if part:
+            write_csv(folder / name, rows_of(plan, part, runs))
+        else:  # that of an earlier plan, where the folder is resumed
+            (folder / name).unlink(missing_ok=True)
 
 
 def results_of(folder: Path) -> list[Result]:
@@ -46,10 +50,9 @@ def results_of(folder: Path) -> list[Result]:
     try:
         with (folder / "runs.csv").open(newline="", encoding="utf-8") as file:
             run_ids = [row["run_id"] for row in csv.DictReader(file)]
-        paths = [folder / "runs" / run_id / "result.json" for run_id in run_ids]
-        return [json.loads(path.read_text("utf-8")) for path in paths]
     except OSError as error:
         raise UsageError(f"{error.filename} cannot be read: {error.strerror}.") from None
+    return [Store(folder).read_run(run_id) for run_id in run_ids]
 
 
 def main_rows(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
@@ -92,7 +95,9 @@ def _accidents(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
     """Hits by impact sector on the AV, and by the name of the accident."""
     rows = []
     for planner in plan.planners:
-        for method in plan.plan["methods"]:
+        for method in dict.fromkeys([*plan.methods, *plan.plan["methods"]]):
+            if not plan.planned(method, planner):
+                continue
             found = runs.get((method, planner, None, None), ())
             hits = [one for one in found if attacked(one) and hit(one)]
             for kind, names, of in (
@@ -121,6 +126,7 @@ def _equal_seconds(plan: Layout, part: Budgeted, runs: Mapping[Key, Sequence[Res
         _point(plan, part, method, planner, budget, runs)
         for planner in part.planners
         for method in plan.methods
+        if plan.planned(method, planner) or method in part.budgets
         for budget in part.budgets.get(method, [{}])
     ]
 
@@ -131,7 +137,7 @@ def _curves(plan: Layout, part: Budgeted, runs: Mapping[Key, Sequence[Result]]) 
         _point(plan, part, method, planner, budget, runs)
         for planner in part.planners
         for method in part.budgets
-        for budget in [{}, *part.budgets[method]]
+        for budget in [*([{}] if plan.planned(method, planner) else []), *part.budgets[method]]
     ]
 
 
@@ -147,8 +153,10 @@ def _point(
     own = plan.plan["methods"][method]["budget"]
     asked = {"simulations": None, "seconds": None, **budget}
     key: Key = (method, planner, asked["simulations"], asked["seconds"])
-    if asked == own:
+    planned = len(part.scenes) * len(plan.plan["seeds"])
+    if not budget or asked == own:
         key = (method, planner, None, None)
+        planned = plan.planned(method, planner, len(part.scenes))
     found = [one for one in runs.get(key, ()) if one["scene"] in part.scenes]
     shown = budget or own
     head = {
@@ -156,7 +164,6 @@ def _point(
         "budget_simulations": shown["simulations"],
         "budget_seconds": shown["seconds"],
     }
-    planned = len(part.scenes) * len(plan.plan["seeds"])
     return head | row_of(method, planner, found, planned)
 
 

@@ -21,6 +21,9 @@ _SHOWN: Final = {
     "generation_time_s": "gen. s",
 }
 
+_FAILURES: Final = 10
+"""That are shown with their reason."""
+
 
 def show(out: Path, results: Sequence[dict[str, Any]], expected: int, made: Sequence[Path]) -> None:
     """A line a method and planner, what did not go through, and the files."""
@@ -39,8 +42,11 @@ def show(out: Path, results: Sequence[dict[str, Any]], expected: int, made: Sequ
     left = expected - len(results)
     unfinished = f"; {left} not begun: --resume makes them" if left else ""
     console.print(escape(f"{len(results)} runs: {told}{unfinished}"), soft_wrap=True)
-    for one in [one for one in results if one["status"] not in {"ok", "skipped"}][:10]:
+    wrong = [one for one in results if one["status"] != "ok"]
+    for one in wrong[:_FAILURES]:
         console.print(escape(f"  {one['run_id']}: {one['error']}"), style="red", soft_wrap=True)
+    if len(wrong) > _FAILURES:
+        console.print(f"  and {len(wrong) - _FAILURES} more, see runs.csv", style="red")
     files = ", ".join(str(path.relative_to(out)) for path in made if path.suffix != ".svg")
     console.print(escape(f"{out}: runs.csv, table.csv, differences.csv, {files}"), soft_wrap=True)
 

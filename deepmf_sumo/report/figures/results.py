@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -175,13 +176,14 @@ def read(out: Path) -> Results:
     steered = [row for row in every if row.get("part") == "figures" and row["status"] == "ok"]
     return Results(
         out=out,
-        runs=tuple(_run(out, row) for row in done),
+        runs=tuple(run_of(out, row) for row in done),
         planned=len(main),
-        steered=tuple(_run(out, row) for row in steered),
+        steered=tuple(run_of(out, row) for row in steered),
     )
 
 
-def _run(out: Path, row: dict[str, str]) -> Run:
+def run_of(out: Path, row: Mapping[str, str]) -> Run:
+    """The run of a row of ``runs.csv``."""
     return Run(
         run_id=row["run_id"],
         folder=out / "runs" / row["run_id"],

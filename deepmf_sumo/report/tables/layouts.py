@@ -50,7 +50,7 @@ _NATURAL: Final = (
     Head(text="SSP (m)", column="sspd_m"),
     Head(text="Hausdorff (m)", column="hausdorff_m"),
 )
-_BEYOND: Final = (
+_FAIRNESS: Final = (
     Head(text="Rate, 95 % (%)", column="collision_rate", digits=0, percent=True, interval=True),
     Head(text="Valid (%)", column="valid_collision_rate", digits=0, percent=True, interval=True),
     Head(text="Feasible (%)", column="feasible_rate", digits=0, percent=True),
@@ -60,6 +60,8 @@ _BEYOND: Final = (
     Head(text="AV at fault (% of hits)", column="av_at_fault_rate", digits=0, percent=True),
     Head(text="AV hit others (%)", column="av_other_rate", digits=0, percent=True),
     Head(text="Planner saw OV", column="planner_saw_opponent"),
+)
+_VARIETY: Final = (
     Head(text="Pooled JSD (nat)", column="pooled_jsd"),
     Head(text="Pooled W (m/s2)", column="pooled_wasserstein"),
     Head(text="RMS a (m/s2)", column="rms_acceleration_mps2"),
@@ -89,7 +91,11 @@ def tables_of(content: Content) -> list[Table]:
             _table("Table II. Efficiency", efficiency, content.main, layout.compared),
             _table("Table III. Naturalness", _NATURAL, content.main, layout.compared),
         ]
-    found.append(_table("Beyond the paper", _BEYOND, content.main, layout.methods))
+    beyond = {"fairness": _FAIRNESS, "naturalness, variety, cost": _VARIETY}
+    found += [
+        _table(f"Beyond the paper: {title}", columns, content.main, layout.methods)
+        for title, columns in beyond.items()
+    ]
     if layout.equal_seconds:
         scenes = len(layout.equal_seconds.scenes)
         limits = {
@@ -110,7 +116,8 @@ def _table(title: str, heads: Sequence[Head], rows: Sequence[Row], methods: Sequ
     planners = dict.fromkeys(row["planner"] for row in rows)
     blocks = []
     for planner in planners:
-        shown = [row for row in rows if row["planner"] == planner and row["method"] in methods]
+        by_method = {row["method"]: row for row in rows if row["planner"] == planner}
+        shown = [by_method[method] for method in methods if method in by_method]
         best = {head.column: _best(head.column, shown) for head in heads}
         blocks.append((planner, [(row["method"], _cells(row, heads, best)) for row in shown]))
     texts = ["Methods", "Hits / attacked", *(head.text for head in heads)]

@@ -5,15 +5,20 @@ from collections.abc import Sequence
 from typing import Final
 
 from deepmf_sumo import plugins
+from deepmf_sumo.benchmark.study import Layout
 from deepmf_sumo.benchmark.study.columns import COLUMNS, Column
 from deepmf_sumo.benchmark.study.rows import STATUSES
 from deepmf_sumo.metrics.statistics.pooled import BINS
+from deepmf_sumo.report.tables import foresight
 from deepmf_sumo.report.tables.content import Content, Row
 
 _RATES: Final = (
     "Rates are of attacked runs: those that went through and had somebody to attack with. Intervals"
     " of rates are Wilson's, of differences bootstrapped over scenes, both 95 %."
 )
+
+_FEW_SCENES: Final = 10
+"""Fewer scenes than that say too little of others to be drawn from."""
 
 _POOLED: Final = (
     "pooled_kl, pooled_jsd [nat], pooled_wasserstein [m/s2]: smoothed accelerations of all runs at"
@@ -40,6 +45,8 @@ def of(content: Content) -> list[str]:
     lines = [
         run_on,
         _RATES,
+        *_cautions(layout),
+        *foresight.of(layout),
         *_runs(content.main),
         *(_definition(column, content.main) for column in COLUMNS),
         _POOLED,
@@ -47,6 +54,22 @@ def of(content: Content) -> list[str]:
         *_unmeasured(content.main),
     ]
     return [line for line in lines if line]
+
+
+def _cautions(layout: Layout) -> list[str]:
+    """Where the intervals promise more than they hold."""
+    lines = []
+    if len(layout.plan["seeds"]) > 1:
+        lines.append(
+            "Intervals of rates take all runs as independent: with several seeds a scene they are"
+            " too narrow; those of differences draw all seeds of a scene together."
+        )
+    if len(layout.scenes) < _FEW_SCENES:
+        lines.append(
+            f"Bootstrapped from {len(layout.scenes)} scenes, intervals of differences are too"
+            " narrow; of one scene there are none."
+        )
+    return lines
 
 
 def _runs(rows: Sequence[Row]) -> list[str]:
@@ -57,7 +80,8 @@ def _runs(rows: Sequence[Row]) -> list[str]:
         told = ", ".join(f"{count} {name}" for name, count in parts.items() if count)
         if told:
             name = f"{row['method']} on {row['planner']}"
-            lines.append(f"{name}: of {row['runs']} runs {told.replace('_', ' ')}.")
+            told = told.replace("nobody_to_attack", "with nobody to attack")
+            lines.append(f"{name}: of {row['runs']} runs {told}.")
     return lines
 
 

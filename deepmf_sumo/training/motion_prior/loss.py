@@ -39,8 +39,10 @@ def loss_of(net: MotionPrior) -> Loss:
         noise = torch.randn(posterior.mean.shape, generator=generator).to(posterior.mean.device)
         motions = net.decode(batch, context, posterior.draw(noise)).knots()
         known, weight = _known(batch)
-        error = (_error(motions, batch["future"], known) * weight).sum() / weight.sum()
-        divergence = (posterior.divergence(context.prior) * weight).sum() / weight.sum()
+        # A sample's only known futures may be those of vehicles beyond the members.
+        count = weight.sum().clamp_min(_STANDING)
+        error = (_error(motions, batch["future"], known) * weight).sum() / count
+        divergence = (posterior.divergence(context.prior) * weight).sum() / count
         imagined = _plausibility(net, batch, context, generator)
         total: Tensor = error + DIVERGENCE * _annealed(net) * divergence + imagined
         return total
