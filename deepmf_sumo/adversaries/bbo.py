@@ -20,7 +20,7 @@ from pydantic import Field
 from deepmf_sumo.adversaries.search.gaussian_process import GaussianProcess, fitted_scales
 from deepmf_sumo.adversaries.search.optuna_process import OptunaSearch
 from deepmf_sumo.adversaries.search.search import TRIALS_FORESIGHT, Search, SearchSettings
-from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.datatypes import Floats, Ints
 from deepmf_sumo.errors import PluginError
 
 FORESIGHT = TRIALS_FORESIGHT
@@ -30,6 +30,7 @@ _BEST = 4
 _NEAR = (0.03, 0.1, 0.3)  # at these standard deviations
 _KEPT, _CHILDREN = 8, 12  # those of most improvement, and points around each of them,
 _REFINED = (0.2, 0.1, 0.05, 0.02)  # nearer in every round
+_REMEMBERED, _LATEST = 300, 100  # of many points the best and the latest: time grows cubically
 _erfc = np.vectorize(math.erfc, otypes=[float])
 
 
@@ -74,13 +75,15 @@ class BayesianSearch:
 
     def _most_promising(self) -> Floats:
         """(1, D) the point of the largest expected improvement that is found."""
-        costs = self._costs - self._costs.mean()
+        rows = self._remembered()
+        known, costs = self._points[rows], self._costs[rows] - self._costs[rows].mean()
         values = costs / max(float(costs.std()), 1e-9)
-        if not self._fitted or len(values) - self._fitted >= self._settings.fit_every:
-            self._scales = fitted_scales(self._points, values, self._scales)
-            self._fitted = len(values)
-        process = GaussianProcess(self._points, values, self._scales)
-        points = self._beginnings(values)
+        tried = len(self._costs)
+        if not self._fitted or tried - self._fitted >= self._settings.fit_every:
+            self._scales = fitted_scales(known, values, self._scales)
+            self._fitted = tried
+        process = GaussianProcess(known, values, self._scales)
+        points = self._beginnings(known, values)
         gain = _expected_improvement(process, points, float(values.min()))
         for reach in _REFINED:
             order = np.argsort(-gain, kind="stable")[:_KEPT]
@@ -90,9 +93,17 @@ class BayesianSearch:
             points, gain = np.concatenate([points, around]), np.concatenate([gain, more])
         return points[[gain.argmax()]]
 
-    def _beginnings(self, values: Floats) -> Floats:
+    def _remembered(self) -> Ints:
+        """Rows of the points that the process is fitted to, in order."""
+        tried = len(self._costs)
+        if tried <= _REMEMBERED:
+            return np.arange(tried)
+        early = np.argsort(self._costs[:-_LATEST], kind="stable")[: _REMEMBERED - _LATEST]
+        return np.sort(np.concatenate([early, np.arange(tried - _LATEST, tried)]))
+
+    def _beginnings(self, known: Floats, values: Floats) -> Floats:
         """(800, D) points everywhere, and around the best ones."""
-        best = self._points[np.argsort(values, kind="stable")[:_BEST]]
+        best = known[np.argsort(values, kind="stable")[:_BEST]]
         near = best[self._rng.integers(len(best), size=_DRAWN)]
         reach = self._rng.choice(_NEAR, size=(_DRAWN, 1))
         everywhere = self._rng.uniform(-1.0, 1.0, near.shape)

@@ -189,6 +189,17 @@ class TestOptimisers:
         bred = self.minimum(bga.GeneticSearch(bga.Settings(), 10, rng), 60)
         assert self.minimum(bbo.BayesianSearch(bbo.Settings(), 10, rng), 60) < bred / 3
 
+    def test_of_many_points_the_best_and_the_latest_are_remembered(self):
+        search = bbo.BayesianSearch(bbo.Settings(), 2, np.random.default_rng(0))
+        search._points = np.random.default_rng(1).uniform(-1, 1, (500, 2))
+        search._costs = np.abs(search._points).sum(-1)
+        rows = search._remembered()
+        assert len(rows) == 300
+        assert set(range(400, 500)) <= set(rows.tolist())
+        assert int(search._costs.argmin()) in rows
+        asked = search.ask()
+        assert np.abs(asked).max() < 0.2
+
     def test_costs_that_are_all_the_same_teach_nothing_and_break_nothing(self):
         search = bbo.BayesianSearch(bbo.Settings(drawn=2), 3, np.random.default_rng(0))
         for _ in range(6):
