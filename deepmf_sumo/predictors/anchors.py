@@ -3,6 +3,7 @@
 All tensors; the same code serves training and prediction. P paths, R profiles, S times.
 """
 
+from functools import cache
 from typing import Final
 
 import torch
@@ -57,18 +58,26 @@ def look_up(paths: Tensor, along_m: Tensor) -> tuple[Tensor, Tensor]:
 
     Straight on past the last node. Tangents change linearly between nodes.
     """
-    last = paths.shape[2] - 2
+    numbers = torch.arange(paths.shape[0] * paths.shape[1], device=paths.device)
+    return look_up_on(paths.flatten(0, 1), numbers.view(*paths.shape[:2], 1), along_m)
+
+
+def look_up_on(paths: Tensor, path: Tensor, along_m: Tensor) -> tuple[Tensor, Tensor]:
+    """As `look_up`, (..., 2) on the path (...) of paths (P, 121, 2) at each distance (...)."""
+    line = paths.movedim(-1, 0)  # x and y apart, which is twice as fast
+    step = torch.diff(line, dim=2)
+    after = torch.cat([step[:, :, 1:], step[:, :, -1:]], 2)
+    segments = torch.cat([line[:, :, :-1], step, after]).flatten(1)  # (6, P * 120)
     place = along_m / NODE_SPACING_M
-    base = place.floor().clamp(0, last)
-    share = (place - base).unsqueeze(-1)
-    index = base.long().unsqueeze(-1).expand(*along_m.shape, 2)
-    start = paths.gather(2, index)
-    step = paths[:, :, 1:] - paths[:, :, :-1]
-    here = step.gather(2, index)
-    after = step.gather(2, (index + 1).clamp_max(last))
+    base = place.floor().clamp(0, step.shape[2] - 1)
+    share = place - base
+    row = base.long() + path * step.shape[2]
+    found = segments.index_select(1, row.flatten()).view(-1, *along_m.shape)
+    start, here, after = found[0:2], found[2:4], found[4:6]
     tangent = torch.lerp(here, after, (share - 0.5).clamp(0.0, 0.5))
-    tangent = tangent / tangent.norm(dim=-1, keepdim=True).clamp_min(1e-6)
-    return start + share * here, tangent
+    square = tangent[0] ** 2 + tangent[1] ** 2
+    tangent = tangent / square.clamp_min(1e-12).sqrt()  # differentiable where it is zero
+    return (start + share * here).movedim(0, -1), tangent.movedim(0, -1)
 
 
 def curvature(paths: Tensor) -> Tensor:
@@ -80,13 +89,23 @@ def curvature(paths: Tensor) -> Tensor:
 
 def placed(paths: Tensor, along_m: Tensor, left_m: Tensor) -> tuple[Tensor, Tensor]:
     """Positions (B, P, ..., 2) at path coordinates (B, P, ...), and the path's tangents there."""
-    flat = along_m.flatten(2)
-    point, tangent = look_up(paths, flat)
-    normal = torch.stack([-tangent[..., 1], tangent[..., 0]], -1)
-    point = point + left_m.flatten(2).unsqueeze(-1) * normal
-    return point.view(*along_m.shape, 2), tangent.view(*along_m.shape, 2)
+    size = paths.shape[:2]
+    numbers = torch.arange(size.numel(), device=paths.device)
+    path = numbers.view(*size, *[1] * (along_m.ndim - 2))
+    return placed_on(paths.flatten(0, 1), path, along_m, left_m)
 
 
+def placed_on(
+    paths: Tensor, path: Tensor, along_m: Tensor, left_m: Tensor
+) -> tuple[Tensor, Tensor]:
+    """As `placed`, (..., 2) on the path (...) of paths (P, 121, 2), with coordinates (...)."""
+    point, tangent = look_up_on(paths, path, along_m)
+    normal = torch.stack([-tangent[..., 1], tangent[..., 0]]).movedim(0, -1)
+    return point + left_m.unsqueeze(-1) * normal, tangent
+
+
+@cache
+@torch.inference_mode(False)  # it is kept, and others differentiate what they do with it
 def knot_matrix() -> Tensor:
     """(5, 80) maps values at the knots to all steps: Hermite, from 0 with slope 0 at time 0."""
     times = torch.tensor((0.0, *KNOTS_S), dtype=torch.float64)
@@ -115,7 +134,6 @@ def knot_matrix() -> Tensor:
 def headings(position: Tensor, tangent: Tensor) -> Tensor:
     """(..., 80) headings: of the motion where it is faster than 1 m/s, else of the path."""
     origin = torch.zeros_like(position[..., :1, :])
-    step = torch.diff(torch.cat([origin, position], -2), dim=-2)
-    moving = (step.norm(dim=-1, keepdim=True) > DT_S).float()
-    direction = moving * step + (1 - moving) * tangent
-    return torch.atan2(direction[..., 1], direction[..., 0])
+    step = torch.diff(torch.cat([origin, position], -2), dim=-2).movedim(-1, 0)
+    direction = torch.where(torch.hypot(step[0], step[1]) > DT_S, step, tangent.movedim(-1, 0))
+    return torch.atan2(direction[1], direction[0])

@@ -62,14 +62,15 @@ def forecasts(
     warm = (logits / temperature).softmax(-1)
     mass = selection.mass(warm, ends, ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2)))
     mass, order = mass.sort(dim=1, descending=True, stable=True)
-    position, heading = complete(goals, chosen.gather(1, order))
+    futures = to_scene(pose, *complete(goals, chosen.gather(1, order)))
+    probability = (mass / mass.sum(1, keepdim=True)).double().numpy()
     return [
         Forecast(
-            futures=to_scene(pose, position[row], heading[row]),
-            probability=(mass[row] / mass[row].sum()).double().numpy(),
+            futures=Futures(agent_id=pose.agent_id, position_m=position, heading_rad=heading),
+            probability=share,
             temperature=temperature,
         )
-        for row in range(len(logits))
+        for position, heading, share in zip(*futures, probability, strict=True)
     ]
 
 
@@ -89,26 +90,23 @@ def end_density(goals: Goals, pose: Pose, ends_m: Floats, kernel_m: float) -> Fl
 
 def complete(goals: Goals, chosen: Tensor) -> tuple[Tensor, Tensor]:
     """Positions (K, M, 80, 2) and headings (K, M, 80) of goals (K, M), in the pose's frame."""
-    futures, modes = chosen.shape
     profiles = goals.along_m.shape[2]
     path, profile = chosen // profiles, chosen % profiles
-    future = torch.arange(futures)[:, None]
+    future = torch.arange(len(chosen))[:, None]
     residual = goals.knots[0][future, path, profile].transpose(2, 3) @ anchors.knot_matrix()
     along = goals.along_m[0][path, profile] + residual[..., 0, :]
-    along = along.clamp_min(0.0).cummax(-1).values.flatten(0, 1)[None]  # (1, K*M, 80)
-    left = residual[..., 1, :].flatten(0, 1)[None]
-    lines = goals.paths[0][path.flatten()][None]  # (1, K*M, 121, 2)
-    position, tangent = anchors.placed(lines, along, left)
-    heading = anchors.headings(position, tangent)
-    return position.view(futures, modes, -1, 2), heading.view(futures, modes, -1)
+    along = along.clamp_min(0.0).cummax(-1).values  # (K, M, 80)
+    position, tangent = anchors.placed_on(
+        goals.paths[0], path.unsqueeze(-1), along, residual[..., 1, :]
+    )
+    return position, anchors.headings(position, tangent)
 
 
-def to_scene(pose: Pose, position: Tensor, heading: Tensor) -> Futures:
-    """Trajectories of the pose's frame in the scene's."""
-    return Futures(
-        agent_id=pose.agent_id,
-        position_m=frames.to_scene(position.double().numpy(), pose.position_m, pose.heading_rad),
-        heading_rad=angles.wrap(heading.double().numpy() + pose.heading_rad),
+def to_scene(pose: Pose, position: Tensor, heading: Tensor) -> tuple[Floats, Floats]:
+    """Positions (..., 2) and headings (...) of the pose's frame in the scene's."""
+    return (
+        frames.to_scene(position.double().numpy(), pose.position_m, pose.heading_rad),
+        angles.wrap(heading.double().numpy() + pose.heading_rad),
     )
 
 

@@ -95,7 +95,7 @@ def relations(paths: Tensor, along_m: Tensor, position_m: Tensor) -> tuple[Tenso
     goal = _same_time(paths, along_m, other)
     spread = where[..., None, None]  # (B, K, P, 1, 1)
     reached = along_m.unsqueeze(1) >= spread - 3.0  # (B, K, P, R, 16)
-    arrival = (~reached).sum(-1) * 0.5  # (B, K, P, R) s
+    arrival = 8.0 - reached.sum(-1) * 0.5  # (B, K, P, R) s
     beyond = along_m[:, None, :, :, -1] - where.unsqueeze(-1)
     order = torch.stack(
         [
@@ -103,19 +103,19 @@ def relations(paths: Tensor, along_m: Tensor, position_m: Tensor) -> tuple[Tenso
             torch.tanh(arrival - leave.unsqueeze(-1)),
             reached[..., -1].float(),
             (beyond / 20.0).clamp(-2.0, 2.0),
-        ],
-        -1,
+        ]
     )
-    lead = _lead(along_m, *ahead)
-    return path, torch.cat([goal, order * met[..., None, None], lead], -1)
+    columns = torch.cat([goal, order * met.unsqueeze(-1), _lead(along_m, *ahead)])
+    return path, columns.movedim(0, -1)
 
 
 def _lead(along_m: Tensor, where_m: Tensor, close: Tensor) -> Tensor:
-    """(B, K, P, R, 4) signed distance to the other along the path, where it is on the path."""
+    """(4, B, K, P, R) signed distance to the other along the path, where it is on the path."""
     rows = slice(3, None, 4)  # 2, 4, 6, 8 s
-    place = where_m[:, :, rows].permute(0, 1, 3, 2).unsqueeze(3)  # (B, K, P, 1, 4)
-    there = close[:, :, rows].permute(0, 1, 3, 2).unsqueeze(3)
-    return ((place - along_m[:, None, :, :, rows]) / 20.0).clamp(-2.0, 2.0) * there
+    place = where_m[:, :, rows].movedim(2, 0).unsqueeze(4)  # (4, B, K, P, 1)
+    there = close[:, :, rows].movedim(2, 0).unsqueeze(4)
+    along = along_m[..., rows].movedim(3, 0).unsqueeze(2)  # (4, B, 1, P, R)
+    return ((place - along) / 20.0).clamp(-2.0, 2.0) * there
 
 
 def _on_paths(
@@ -127,12 +127,14 @@ def _on_paths(
     """
     batch, futures, steps, _ = other.shape
     count, nodes = paths.shape[1], paths.shape[2]
-    apart = torch.cdist(other.flatten(1, 2), paths.flatten(1, 2))
-    distance, node = apart.view(batch, futures, steps, count, nodes).min(-1)  # (B, K, 16, P)
+    square = _squares(other.flatten(1, 2), paths.flatten(1, 2))
+    least, node = square.view(batch, futures, steps, count, nodes).min(-1)  # (B, K, 16, P)
+    distance = least.clamp_min(0.0).sqrt()
     close = distance < _CLOSE_M
     met = close.any(2).float()  # (B, K, P)
-    first = close.float().argmax(2)
-    last = steps - 1 - close.flip(2).float().argmax(2)
+    time = torch.arange(steps, device=other.device).view(-1, 1)
+    first = torch.where(close, time, steps).amin(2)  # of no meaning where they do not meet
+    last = torch.where(close, time, -1).amax(2)
     nearest = distance.min(2)
     step = torch.where(met > 0, first, nearest.indices)  # (B, K, P)
     place = node.gather(2, step.unsqueeze(2)).squeeze(2)
@@ -158,20 +160,26 @@ def _on_paths(
     return met, enter, leave, where, path, (node * NODE_SPACING_M, close)
 
 
+def _squares(one: Tensor, other: Tensor) -> Tensor:
+    """(B, N, M) squared distances of points (B, N, 2) and (B, M, 2), by a product as `torch.cdist`.
+
+    Rounding may leave them below zero. The root of the least is cheaper than that of all.
+    """
+    norm, other_norm = (points.square().sum(-1, keepdim=True) for points in (one, other))
+    left = torch.cat([-2.0 * one, norm, torch.ones_like(norm)], -1)
+    right = torch.cat([other, torch.ones_like(other_norm), other_norm], -1)
+    return left @ right.mT
+
+
 def _same_time(paths: Tensor, along_m: Tensor, other: Tensor) -> Tensor:
-    """(B, K, P, R, 7) distances between goals and futures at the same times."""
+    """(7, B, K, P, R) distances between goals and futures at the same times."""
     point, _ = look_up(paths, along_m.flatten(2))
-    point = point.view(*along_m.shape, 2).unsqueeze(1)  # (B, 1, P, R, 16, 2)
-    apart = point - other[:, :, None, None]
-    distance = (apart * apart).sum(-1).sqrt()
-    least = distance.min(-1)
-    at = distance[..., 3::4]  # 2, 4, 6, 8 s
-    return torch.cat(
-        [
-            torch.exp(-at / 12.0),
-            (least.values / 10.0).clamp_max(3.0).unsqueeze(-1),
-            torch.exp(-least.values / 3.0).unsqueeze(-1),
-            (least.indices / 16.0).unsqueeze(-1),
-        ],
-        -1,
-    )
+    point = point.view(*along_m.shape, 2)  # (B, P, R, 16, 2)
+    x, y = point.movedim((4, 3), (0, 1)).unsqueeze(3).contiguous()  # (16, B, 1, P, R) each
+    other_x, other_y = other.movedim((3, 2), (0, 1))[..., None, None]  # (16, B, K, 1, 1) each
+    square = (x - other_x) ** 2 + (y - other_y) ** 2
+    nearest = square.min(0)
+    least = nearest.values.sqrt()
+    at = square[3::4].sqrt()  # 2, 4, 6, 8 s
+    last = [(least / 10.0).clamp_max(3.0), torch.exp(-least / 3.0), nearest.indices / 16.0]
+    return torch.cat([torch.exp(-at / 12.0), torch.stack(last)])

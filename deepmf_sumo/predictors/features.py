@@ -128,17 +128,18 @@ def lane_arrays(
 
 def path_feet(points_m: Floats, query_m: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Queries (Q, 2) on paths (R, 121, 2): along, left (R, Q) m and the paths' tangents there."""
-    nodes = points_m[:, ::_PATH_STRIDE]
-    offset = query_m[None, :, None] - nodes[:, None]
-    best = (offset * offset).sum(-1).argmin(-1)
-    step = np.diff(nodes, axis=1)
-    tangent = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
-    row = np.arange(len(nodes))[:, None]
-    direction = tangent[row, np.minimum(best, nodes.shape[1] - 2)]
-    away = query_m[None] - nodes[row, best]
-    along = best * (NODE_SPACING_M * _PATH_STRIDE) + (away * direction).sum(-1)
-    left = direction[..., 0] * away[..., 1] - direction[..., 1] * away[..., 0]
-    return along, left, direction[..., 0], direction[..., 1]
+    x, y = np.ascontiguousarray(np.moveaxis(points_m[:, ::_PATH_STRIDE], -1, 0))  # (R, 61) each
+    query_x, query_y = query_m.T
+    square = (query_x[:, None] - x[:, None]) ** 2 + (query_y[:, None] - y[:, None]) ** 2
+    best = square.argmin(-1)  # (R, Q)
+    row = np.arange(len(x))[:, None]
+    start = np.minimum(best, x.shape[1] - 2)
+    step_x, step_y = x[row, start + 1] - x[row, start], y[row, start + 1] - y[row, start]
+    length = np.maximum(np.sqrt(step_x**2 + step_y**2), 1e-9)
+    cos, sin = step_x / length, step_y / length
+    away_x, away_y = query_x - x[row, best], query_y - y[row, best]
+    along = best * (NODE_SPACING_M * _PATH_STRIDE) + away_x * cos + away_y * sin
+    return along, cos * away_y - sin * away_x, cos, sin
 
 
 def _path_agents(paths: PathSet, agents: Floats, info: Floats) -> Floats:

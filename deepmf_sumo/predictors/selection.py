@@ -61,9 +61,11 @@ def _medoids(weight: Tensor, distance: Tensor, modes: int) -> Tensor:
     """(K, M): each mode lowers the expected distance to the nearest mode as much as one can."""
     least = torch.full_like(weight, CAP_M)
     free = torch.ones_like(weight)
+    saved = torch.empty_like(distance)
     picked = []
     for _ in range(modes):
-        gain = (weight.unsqueeze(1) * (least.unsqueeze(1) - distance).clamp_min(0.0)).sum(-1)
+        torch.sub(least.unsqueeze(1), distance, out=saved)
+        gain = saved.clamp_min_(0.0).mul_(weight.unsqueeze(1)).sum(-1)
         best = ((gain + 1e-9) * free).argmax(1, keepdim=True)
         free.scatter_(1, best, 0.0)
         row = distance.gather(1, best.unsqueeze(-1).expand(-1, -1, distance.shape[2])).squeeze(1)

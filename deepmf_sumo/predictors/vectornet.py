@@ -9,6 +9,8 @@ AGENT_VECTOR = 18
 LANE_VECTOR = 16
 POSITION_SCALE_M = 30.0
 SPEED_SCALE_MPS = 15.0
+_UNSEEN = -1e4
+"""Score of what is not there: its share is zero, and stays defined where nothing is there."""
 
 
 class SubGraph(nn.Module):
@@ -46,16 +48,39 @@ class Attention(nn.Module):
 
     def forward(self, queries: Tensor, elements: Tensor, there: Tensor) -> Tensor:
         """(B, Q, H) on elements (B, E, H) with mask (B, E), True where there -> (B, Q, H)."""
-        batch, count, hidden = queries.shape
-        split = (batch, -1, self.heads, hidden // self.heads)
-        query = self.query(queries).view(split).transpose(1, 2)  # (B, heads, Q, D)
-        key, value = (
-            part.reshape(split).transpose(1, 2) for part in self.keys(elements).chunk(2, -1)
-        )
-        scores = query @ key.transpose(2, 3) / (hidden // self.heads) ** 0.5
-        scores = scores.masked_fill(~there[:, None, None], -1e4)
-        mixed = (scores.softmax(-1) @ value).transpose(1, 2).reshape(batch, count, hidden)
-        out: Tensor = self.norm(queries + self.out(mixed))
+        query = self._heads(self.query(queries))
+        key, value = map(self._heads, self.keys(elements).chunk(2, -1))
+        scores = (query @ key.transpose(2, 3)).masked_fill(~there[:, None, None], _UNSEEN)
+        return self._mixed(queries, self._share(scores) @ value)
+
+    def with_own(
+        self, query: Tensor, elements: Tensor, there: Tensor, own: Tensor, own_there: Tensor
+    ) -> Tensor:
+        """One query (B, 1, H) in K situations: each adds an element of its own to the shared ones.
+
+        ``own`` (B, K, H) with mask (B, K) -> (B, K, H): as attending to (B*K, E + 1, H), but the
+        keys of the shared elements are made once.
+        """
+        asked = self._heads(self.query(query))  # (B, heads, 1, D)
+        key, value = map(self._heads, self.keys(elements).chunk(2, -1))
+        own_key, own_value = map(self._heads, self.keys(own).chunk(2, -1))  # (B, heads, K, D)
+        shared = (asked @ key.transpose(2, 3)).masked_fill(~there[:, None, None], _UNSEEN)
+        alone = (asked @ own_key.transpose(2, 3)).masked_fill(~own_there[:, None, None], _UNSEEN)
+        shared = shared.expand(-1, -1, own.shape[1], -1)  # (B, heads, K, E)
+        share = self._share(torch.cat([shared, alone.transpose(2, 3)], -1))
+        return self._mixed(query, share[..., :-1] @ value + share[..., -1:] * own_value)
+
+    def _heads(self, vectors: Tensor) -> Tensor:
+        """(B, N, H) -> (B, heads, N, D)."""
+        return vectors.reshape(*vectors.shape[:2], self.heads, -1).transpose(1, 2)
+
+    def _share(self, scores: Tensor) -> Tensor:
+        share: Tensor = (scores / (self.query.out_features // self.heads) ** 0.5).softmax(-1)
+        return share
+
+    def _mixed(self, queries: Tensor, seen: Tensor) -> Tensor:
+        """Queries (B, Q or 1, H) and what their heads saw (B, heads, Q, D) -> (B, Q, H)."""
+        out: Tensor = self.norm(queries + self.out(seen.transpose(1, 2).flatten(2)))
         return out
 
 

@@ -55,11 +55,25 @@ class VGG16(nn.Module):
 
     def forward(self, shared: Tensor, future: Tensor | None = None) -> Tensor:
         """What `shared` gives, and channels of K futures (B*K, D, S', S') -> (B, H) or (B*K, H)."""
-        image = shared
-        if future is not None:
-            each = shared.repeat_interleave(len(future) // len(shared), 0)
-            image = torch.cat([each, future], 1)
-        for block in self.blocks[self.stage :]:
+        first, *rest = self.blocks[self.stage :]
+        assert isinstance(first, nn.Sequential)
+        assert isinstance(first[0], nn.Conv2d)
+        image = first(shared) if future is None else first[1:](_convolved(first[0], shared, future))
+        for block in rest:
             image = block(image)
         feature: Tensor = self.out(image.mean((2, 3)))
         return feature
+
+
+def _convolved(layer: nn.Conv2d, shared: Tensor, future: Tensor) -> Tensor:
+    """The convolution of each future's channels behind those of its scene (B*K, C, S', S').
+
+    It is a sum over channels, so that the scene's part is made once for all K futures.
+    """
+    width = shared.shape[1]
+    scene, other = layer.weight[:, :width], layer.weight[:, width:]
+    future = future.contiguous(memory_format=torch.channels_last)
+    seen = torch.nn.functional.conv2d(future, other, padding=1)
+    own = torch.nn.functional.conv2d(shared, scene, padding=1)
+    both = seen.view(len(shared), -1, *seen.shape[1:]) + own.unsqueeze(1)
+    return both.flatten(0, 1)

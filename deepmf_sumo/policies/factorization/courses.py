@@ -23,14 +23,22 @@ _SLOWEST_MPS = 1.5
 class Courses:
     """M paths (M, G) sampled every 0.5 m, and where each reference is on its path (M, F + 1).
 
-    Points are complex numbers, x + iy: the tracking loop runs 80 times, and this halves its cost.
+    Points are complex numbers, x + iy, and what is asked for at each step is prepared: the tracking
+    loop runs 80 times, and this is a third of its cost.
+
+    Attributes:
+        path_m: (M, G) points. ahead_m: (M, G) from each point to the next, 0 at the end.
+        fastest_mps: (M, G) from which the curves ahead can still be driven.
+        due_m, speed_mps, accel_mps2: (M, F + 1) of the references. row: (M) flat index of points 0.
     """
 
     path_m: Complexes
-    fastest_m2s2: Floats
+    ahead_m: Complexes
+    fastest_mps: Floats
     due_m: Floats
     speed_mps: Floats
     accel_mps2: Floats
+    row: Ints
 
     @classmethod
     def along(
@@ -44,13 +52,16 @@ class Courses:
         step[step < _STANDING_M] = 0.0
         length = np.concatenate([np.zeros((len(step), 1)), np.cumsum(step, axis=1)], axis=1)
         path = _resampled(points, length, course_rad)
+        ahead = np.diff(path, axis=1, append=path[:, -1:])
         speed = _smooth_speed(length)
         return cls(
             path_m=path,
-            fastest_m2s2=_curve_limit(path, limits),
+            ahead_m=ahead,
+            fastest_mps=np.sqrt(_curve_limit(path, limits)),
             due_m=length,
             speed_mps=speed,
             accel_mps2=np.gradient(speed, DT_S, axis=1),
+            row=np.arange(len(path)) * path.shape[1],
         )
 
     def timing(self, step: int) -> tuple[Floats, Floats, Floats]:
@@ -59,31 +70,36 @@ class Courses:
 
     def point(self, along_m: Floats) -> Complexes:
         """Points at arc lengths (M), one a path."""
-        rows, cell, share = self._cell(along_m)
-        behind = self.path_m[rows, cell]
-        where: Complexes = behind + share * (self.path_m[rows, cell + 1] - behind)
+        cell, share = self._cell(along_m)
+        where: Complexes = self.path_m.take(cell) + share * self.ahead_m.take(cell)
         return where
 
     def progress(self, guess_m: Floats, least_m: Floats, position_m: Complexes) -> Floats:
         """Arc lengths (M) of the feet of points near ``guess_m``; never behind ``least_m``."""
-        rows, cell, share = self._cell(guess_m)
-        behind = self.path_m[rows, cell]
-        delta = self.path_m[rows, cell + 1] - behind
-        foot = ((position_m - behind) * delta.conj()).real / np.maximum(np.abs(delta) ** 2, 1e-9)
+        cell, share = self._cell(guess_m)
+        off, ahead = position_m - self.path_m.take(cell), self.ahead_m.take(cell)
+        product = off * ahead.conj()
+        foot = product.real / np.maximum(square(ahead), 1e-9)
         correction = np.minimum(np.maximum((foot - share) * _SPACING_M, -0.5), 0.5)
         place: Floats = np.maximum(guess_m + correction, least_m)
         return place
 
     def speed_limit(self, along_m: Floats) -> Floats:
         """Highest speed (M) from which the curves ahead can still be driven."""
-        rows, cell, _ = self._cell(along_m)
-        limit: Floats = np.sqrt(self.fastest_m2s2[rows, cell])
+        limit: Floats = self.fastest_mps.take(self._cell(along_m)[0])
         return limit
 
-    def _cell(self, along_m: Floats) -> tuple[Ints, Ints, Floats]:
+    def _cell(self, along_m: Floats) -> tuple[Ints, Floats]:
+        """Places (M) in the flat arrays, and shares of the way to the next point."""
         place = np.minimum(along_m / _SPACING_M, self.path_m.shape[1] - 1.001)
         cell = place.astype(np.int64)
-        return np.arange(len(cell)), cell, place - cell
+        return self.row + cell, place - cell
+
+
+def square(number: Complexes) -> Floats:
+    """Squares of the lengths of complex numbers."""
+    squares: Floats = number.real**2 + number.imag**2
+    return squares
 
 
 def _resampled(points: Complexes, length: Floats, course_rad: float) -> Complexes:

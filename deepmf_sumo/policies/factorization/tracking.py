@@ -15,7 +15,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats, View
 from deepmf_sumo.geometry import angles
-from deepmf_sumo.policies.factorization.courses import Courses
+from deepmf_sumo.policies.factorization.courses import Complexes, Courses, square
 
 _JOIN_STEPS = 15  # an initial mismatch of the prediction fades out over 1.5 s
 _LOOKAHEAD_S, _LOOKAHEAD_M = 0.6, 2.0
@@ -112,11 +112,12 @@ def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
     candidates, steps = reference.shape[:2]
     courses = Courses.along(joined(reference, start), start.position_m, start.course_rad, limits)
     state = _State(candidates, start, limits)
-    position = np.empty((candidates, steps, 2))
+    place = np.empty((candidates, steps), dtype=np.complex128)
     heading, speed = np.empty((candidates, steps)), np.empty((candidates, steps))
     for step in range(steps):
         state.advance(courses, step)
-        position[:, step], heading[:, step], speed[:, step] = state.pose()
+        place[:, step], heading[:, step], speed[:, step] = state.pose()
+    position = np.stack([place.real, place.imag], -1)
     bent = np.hypot(*np.moveaxis(position - reference, -1, 0)).max(axis=1)
     return Tracked(
         position_m=position, heading_rad=angles.wrap(heading), speed_mps=speed, bent_m=bent
@@ -136,10 +137,9 @@ class _State:
         self._curvature = np.sin(_STEERING_SLIP) / self._rear_m
         self._accel, self._brake, self._lateral = np.asarray(limits, float).T
 
-    def pose(self) -> tuple[Floats, Floats, Floats]:
-        """Position (M, 2), heading (M), speed (M)."""
-        position = np.stack([self._place.real, self._place.imag], -1)
-        return position, self._course - self._slip, self._speed
+    def pose(self) -> tuple[Complexes, Floats, Floats]:
+        """Position x + iy, heading, speed, (M) each."""
+        return self._place, self._course - self._slip, self._speed
 
     def advance(self, courses: Courses, step: int) -> None:
         """One step of DT_S towards where the references are at ``step`` (0: one step from now)."""
@@ -171,7 +171,7 @@ class _State:
         ahead = np.maximum(_LOOKAHEAD_M, _LOOKAHEAD_S * self._speed)
         target = courses.point(self._along + ahead) - self._place
         left = (target * np.exp(-1j * self._course)).imag
-        wanted = 2 * left / np.maximum(np.abs(target) ** 2, 1e-6)
+        wanted = 2 * left / np.maximum(square(target), 1e-6)
         bound = np.minimum(self._curvature, self._lateral / np.maximum(fastest**2, 1e-6))
         curvature: Floats = np.minimum(np.maximum(wanted, -bound), bound)
         return curvature
