@@ -12,6 +12,7 @@
         +-- ReaderError         3   a recorded file or record that cannot be used
         +-- ConversionError     3   a scene whose network cannot be built
         +-- SimulationError     3   SUMO refused, or the AV never appeared
+        +-- PlannerError        3   the planner under test raised, was late, or answered nonsense
         +-- RunTimeoutError          3
 
 A message is one sentence that names the file, the field and the value, and says what to do.
@@ -62,6 +63,13 @@ class SimulationError(RunError):
     """SUMO refused something, or the AV never appeared."""
 
 
+class PlannerError(RunError):
+    """The planner under test raised, ended, was late, or answered what cannot be driven."""
+
+    def __str__(self) -> str:
+        return f"planner_error: {super().__str__()}"
+
+
 class RunTimeoutError(RunError):
     """A run took longer than its time limit."""
 
@@ -70,6 +78,7 @@ __all__ = [
     "ConversionError",
     "DeepmfError",
     "OutputError",
+    "PlannerError",
     "PluginError",
     "ReaderError",
     "RunError",

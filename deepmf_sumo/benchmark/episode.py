@@ -21,7 +21,8 @@ from deepmf_sumo.benchmark import artifacts, expectations, files, result
 from deepmf_sumo.benchmark.rollout_scene import scene_of
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, MetricValue, Rollout, Scene, SumoNet
-from deepmf_sumo.errors import DeepmfError, ReaderError, RunError, UsageError
+from deepmf_sumo.errors import DeepmfError, PlannerError, ReaderError, RunError, UsageError
+from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.readers import npz
 from deepmf_sumo.spec import FromNetwork
@@ -65,8 +66,10 @@ class Episode:
                 found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
                 found["refused"] = True
             except DeepmfError as error:
+                if isinstance(error, PlannerError) and error.__cause__:
+                    traceback.print_exc()  # where in the planner it was
                 found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
-            except Exception as error:  # noqa: BLE001 - a planner under test may raise anything
+            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
                 traceback.print_exc()
                 reason = f"{type(error).__name__}: {error} (see log.txt)"
                 found = result.unfinished(task, "failed", reason, time.perf_counter() - begin)
@@ -100,7 +103,13 @@ def make_case(task: Task, cache: Path) -> Case:
     steps = round(spec.duration_s / DT_S)
     if isinstance(source, FromNetwork):
         return simulation.network_case(
-            source.network, source.start_s, source.av.vehicle, steps, spec.seed, task.run_id
+            source.network,
+            source.start_s,
+            source.av.vehicle,
+            steps,
+            spec.seed,
+            task.run_id,
+            source.sumo_options,
         )
     scene, net = _recorded(source.recording, task.scene, cache)
     return Case(
@@ -124,20 +133,32 @@ def _recorded(recording: Path, scene_id: str, cache: Path) -> tuple[Scene, SumoN
     return scene, network.cached(scene, cache / "nets")
 
 
-def attack_case(task: Task, case: Case, *, gui: bool = False) -> Attack:
-    """The adversary's attack; every episode of a search begins with the same random numbers."""
-    spec = task.spec
+def attack_case(
+    task: Task, case: Case, *, gui: bool = False, planner: Planner | None = None
+) -> Attack:
+    """The adversary's attack; every episode of a search begins with the same random numbers.
+
+    ``planner`` drives the AV; without it a new one as the spec says does in every episode.
+    """
 
     def simulate(policy: Policy | None) -> Rollout:
-        planner_settings = plugins.settings("planners", spec.planner.name, spec.planner.settings)
-        planner = plugins.load("planners", spec.planner.name).build(planner_settings)
+        driver = planner or planner_of(task)
         rng = np.random.default_rng([*task.entropy(), 1])
-        return simulation.simulate(case, planner, policy, rng=rng, gui=gui)
+        return simulation.simulate(case, driver, policy, rng=rng, gui=gui)
 
     rng = np.random.default_rng(task.entropy())
-    budget = Budget(simulations=spec.budget.simulations, seconds=spec.budget.seconds)
+    spent = task.spec.budget
+    budget = Budget(simulations=spent.simulations, seconds=spent.seconds)
     attack: Attack = _adversary_of(task).attack(case, simulate, budget, rng)
     return attack
+
+
+def planner_of(task: Task) -> Planner:
+    """A new planner as the spec says."""
+    choice = task.spec.planner
+    settings = plugins.settings("planners", choice.name, choice.settings)
+    planner: Planner = plugins.load("planners", choice.name).build(settings)
+    return planner
 
 
 def _adversary_of(task: Task) -> Any:

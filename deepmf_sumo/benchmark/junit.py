@@ -28,17 +28,17 @@ def write(path: Path, results: Sequence[Result]) -> None:
 
 def _case(suite: ET.Element, result: Result) -> None:
     attributes = {
-        "classname": _clean(result["spec"]),
+        "classname": clean(result["spec"]),
         "name": result["run_id"],
         "time": f"{result['timings']['wall_s']:.3f}",
     }
     case = ET.SubElement(suite, "testcase", attributes)
     for sentence in result["expectations_broken"]:
-        ET.SubElement(case, "failure", message=_clean(sentence))
+        ET.SubElement(case, "failure", message=clean(sentence))
     if result["status"] in {"failed", "timeout"}:
-        ET.SubElement(case, "error", type=result["status"], message=_clean(result["error"]))
+        ET.SubElement(case, "error", type=result["status"], message=clean(result["error"]))
     elif result["status"] == "skipped":
-        ET.SubElement(case, "skipped", message=_clean(result["error"]))
+        ET.SubElement(case, "skipped", message=clean(result["error"]))
     out = ET.SubElement(case, "system-out")
     out.text = f"outcome: {result.get('outcome', '-')}; files: runs/{result['run_id']}"
 
@@ -46,7 +46,7 @@ def _case(suite: ET.Element, result: Result) -> None:
 def _counts(name: str, results: Sequence[Result]) -> dict[str, Any]:
     statuses = [result["status"] for result in results]
     return {
-        "name": _clean(name),
+        "name": clean(name),
         "tests": str(len(results)),
         "failures": str(sum(bool(result["expectations_broken"]) for result in results)),
         "errors": str(statuses.count("failed") + statuses.count("timeout")),
@@ -55,6 +55,6 @@ def _counts(name: str, results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def _clean(text: str) -> str:
+def clean(text: str) -> str:
     """Without the characters that XML forbids."""
     return _FORBIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)

@@ -16,8 +16,8 @@ def watched() -> bool:
 
 
 def resident_mb(pid: int) -> float:
-    """MB in memory of a process and its children; 0 for one that is gone."""
-    return sum(_of_one(one) for one in [pid, *_children(pid)])
+    """MB in memory of a process and all that it started; 0 for one that is gone."""
+    return _of_one(pid) + sum(resident_mb(child) for child in _children(pid))
 
 
 def _of_one(pid: int) -> float:

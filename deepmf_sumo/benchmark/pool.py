@@ -30,6 +30,10 @@ SINGLE_THREAD: Final = dict.fromkeys(
 )
 """Sums are the same to the last bit only for the same number of threads; workers are parallel."""
 
+_RENEW_AFTER: Final = 50
+"""Tasks after which a worker that holds half of its limit is replaced: what many tasks have left
+behind must not be held against the next one."""
+
 _LOOK_S: Final = 0.2
 """Between two looks at the memory of the workers."""
 
@@ -77,8 +81,11 @@ def run(
         while pending or any(worker.index is not None for worker in workers):
             if time.monotonic() >= stop:
                 pending.clear()
-            for worker in workers:
-                if pending and worker.free:
+            for place, worker in enumerate(workers):
+                if pending and worker.free and worker.worn:
+                    worker.kill()
+                    workers[place] = _Worker(work, timeout_s, memory_mb)
+                elif pending and worker.free:
                     worker.give(*pending.popleft())
             _wait(workers, stop if pending else float("inf"))
             for place, worker in enumerate(workers):
@@ -110,6 +117,7 @@ class _Worker:
     ready: bool = False
     alive: bool = True
     index: int | None = None
+    given: int = 0
     began: float = 0.0
     deadline: float = field(default_factory=lambda: time.monotonic() + START_LIMIT_S)
 
@@ -128,7 +136,13 @@ class _Worker:
         """Whether it waits for a task."""
         return self.ready and self.index is None
 
+    @property
+    def worn(self) -> bool:
+        """Whether many tasks have left it with much memory."""
+        return self.given >= _RENEW_AFTER and self._holds_more_than(0.5)
+
     def give(self, index: int, task: object) -> None:
+        self.given += 1
         self.index, self.began = index, time.monotonic()
         self.deadline = self.began + self.timeout_s if self.timeout_s else float("inf")
         with contextlib.suppress(BrokenPipeError):  # it died while idle: `look` finds out
@@ -147,15 +161,16 @@ class _Worker:
                 raise RunError(f"A worker did not start within {START_LIMIT_S:g} s.")
             self.kill()
             return self._finish("timeout", f"longer than {self.deadline - self.began:g} s")
-        if self.index is not None and self._eats_too_much():
+        if self.index is not None and self._holds_more_than(1.0):
             self.kill()
             return self._finish("memory", f"more than {self.memory_mb:g} MB of memory")
         return None
 
-    def _eats_too_much(self) -> bool:
+    def _holds_more_than(self, share: float) -> bool:
+        """Of the limit."""
         if not self.memory_mb or not self.process.pid:
             return False
-        return memory.resident_mb(self.process.pid) > self.memory_mb
+        return memory.resident_mb(self.process.pid) > share * self.memory_mb
 
     def kill(self) -> None:
         """End the process and its children."""

@@ -15,7 +15,7 @@ from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, MetricValue, Rollout
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics.episode import accelerations
-from deepmf_sumo.spec import VERSIONS
+from deepmf_sumo.spec import VERSIONS, FromNetwork
 
 Status = Literal["ok", "failed", "timeout", "skipped"]
 Result = dict[str, Any]
@@ -135,12 +135,13 @@ def _identity(task: Task) -> dict[str, Any]:
     adversary = plugins.settings("adversaries", spec.adversary.name, spec.adversary.settings)
     perception = getattr(planner, "perception", None)
     driver = f"{spec.planner.name} {perception}" if perception else spec.planner.name
-    label = task.label or Label(method=spec.name, planner=driver)
+    label, source = task.label or Label(method=spec.name, planner=driver), spec.source
     return {
         "run_id": task.run_id,
         "key": task.key,
         "spec": spec.name,
         "scene": task.scene,
+        "network": source.network.stem if isinstance(source, FromNetwork) else None,
         "planner": spec.planner.name,
         "perception": perception,
         "parameters": getattr(planner, "parameters", None),

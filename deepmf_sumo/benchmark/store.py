@@ -20,16 +20,20 @@ import deepmf_sumo
 from deepmf_sumo.benchmark import files, junit, result
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.errors import OutputError
+from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.metrics.statistics.wilson import wilson
 
 FORMAT_VERSION: Final = 1
 _MADE: Final = (
     "runs", "runs.csv", "summary.json", "junit.xml", "report.html", "study.json", "table.csv",
     "table.md", "table.tex", "differences.csv", "equal_seconds.csv", "curves.csv", "accidents.csv",
-    "figures",
+    "figures", "moments.csv",
 )  # fmt: skip
 """What an earlier batch or benchmark leaves in its folder."""
+_NUMBERED: Final = {"accident_type", "avoidance_grade"}
+"""Metrics that number names: they are counted, for a mean of them says nothing."""
+_DIRECTIONS: Final = {"pdof"}
+"""A mean of directions on both sides of the seam is none of theirs."""
 _PACKAGES: Final = ("libsumo", "eclipse-sumo", "torch", "numpy", "pydantic", "shapely")
 
 
@@ -57,8 +61,16 @@ class Store:
         return self.read_run(task.run_id)
 
     def read_run(self, run_id: str) -> Result:
-        """The result of a run that is there."""
-        found: Result = json.loads((self.runs / run_id / "result.json").read_text("utf-8"))
+        """The result of a run that is there. Raises UsageError where it cannot be read."""
+        file = self.runs / run_id / "result.json"
+        try:
+            found: Result = json.loads(file.read_text("utf-8"))
+        except OSError as error:
+            raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
+        except ValueError as error:
+            raise UsageError(
+                f"{file} is damaged ({error}); remove the run's folder and go on with --resume."
+            ) from None
         return found
 
     def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
@@ -149,13 +161,17 @@ def _over_runs(done: Sequence[Result]) -> dict[str, Any]:
     for name in names:
         found = [one["metrics"][name] for one in done if name in one["metrics"]]
         values = [value["value"] for value in found if value["value"] is not None]
+        averaged = values if name not in _NUMBERED | _DIRECTIONS else []
         table[name] = {
             "unit": found[0]["unit"],
             "better": found[0]["better"],
             "runs": len(values),
-            "mean": fmean(values) if values else None,
-            "median": median(values) if values else None,
+            "mean": fmean(averaged) if averaged else None,
+            "median": median(averaged) if averaged else None,
         }
+        if name in _NUMBERED:
+            counts = Counter(f"{value:g}" for value in values)
+            table[name]["counts"] = dict(sorted(counts.items()))
     return table
 
 

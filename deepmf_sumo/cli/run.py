@@ -22,6 +22,7 @@ import click
 @click.option("--junit", is_flag=True, help="Write junit.xml.")
 @click.option("--no-pictures", is_flag=True, help="Draw no picture.png.")
 @click.option("--scenes", is_flag=True, help="Also write each run as a scene, scene.npz.")
+@click.option("--report", is_flag=True, help="Write report.html: all runs, each with a replay.")
 @click.option("--resume", is_flag=True, help="Keep equal runs that are in the folder already.")
 @click.pass_context
 def command(
@@ -37,6 +38,7 @@ def command(
     junit: bool,
     no_pictures: bool,
     scenes: bool,
+    report: bool,
     resume: bool,
 ) -> None:
     """Run every SPEC and write a result folder: tables, and a folder a run with its picture."""
@@ -63,7 +65,11 @@ def command(
         resume=resume,
     )
     loaded = [load(path, over) for path in specs]
-    with progress() as report:
-        results = batch.run(loaded, options, report)
+    with progress() as show:
+        results = batch.run(loaded, options, show)
     table(results, summary(results), out)
+    if report:
+        from deepmf_sumo.report import page
+
+        click.echo(page.write(out))
     ctx.exit(batch.exit_code(results))

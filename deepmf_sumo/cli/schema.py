@@ -1,4 +1,4 @@
-"""``deepmf-sumo schema``: the JSON Schema of specs."""
+"""``deepmf-sumo schema``: the JSON Schema of specs, and of messages to planners."""
 
 from pathlib import Path
 
@@ -11,7 +11,10 @@ import click
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write to this file instead of the screen.",
 )
-def command(out: Path | None) -> None:
+@click.option(
+    "--planner", is_flag=True, help="Of the messages between a simulation and a planner program."
+)
+def command(out: Path | None, planner: bool) -> None:
     """Print the JSON Schema of specs, for completion and checks in an editor.
 
     Name the file in a spec's first line: # yaml-language-server: $schema=spec.schema.json
@@ -20,8 +23,10 @@ def command(out: Path | None) -> None:
 
     from deepmf_sumo import spec
     from deepmf_sumo.errors import OutputError
+    from deepmf_sumo.planners.doors import messages
 
-    text = json.dumps(spec.schema(), indent=2, ensure_ascii=False) + "\n"
+    schema = messages.schema() if planner else spec.schema()
+    text = json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
     if out is None:
         click.echo(text, nl=False)
         return

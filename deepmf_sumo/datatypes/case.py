@@ -18,11 +18,13 @@ class NetworkSource:
 
     Attributes:
         net: the network that the configuration names.
+        sumo_options: beside the configuration, as on SUMO's command line.
     """
 
     config: Path
     start_s: float
     net: Path | None = None
+    sumo_options: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

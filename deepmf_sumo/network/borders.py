@@ -22,27 +22,29 @@ def borders(
     """Lines and road edges.
 
     Between the lanes of an edge a broken white line; to its left a double yellow one where the
-    opposite direction adjoins, else a road edge; to its right a road edge; around junctions their
-    outline without the mouths of the roads.
+    opposite direction adjoins, else a road edge; to its right a road edge (where traffic keeps
+    left, the other way round); around junctions their outline without the mouths of the roads.
     """
     drivable = set(lane_ids)
     roads = [edge for edge in net.edges.values() if not edge.function]
+    half = -0.5 if net.left_hand else 0.5  # of a lane's width, towards the opposite direction
     pairs = {(edge.start, edge.end) for edge in roads}
     lines: list[Polyline] = []
     edges: list[Polyline] = []
     for edge in roads:
         lanes = [lane for lane in edge.lanes if lane.id in drivable]
         lines += [
-            _beside(lane.id, BROKEN_WHITE, lane.shape_m, lane.width_m / 2) for lane in lanes[:-1]
+            _beside(lane.id, BROKEN_WHITE, lane.shape_m, half * lane.width_m) for lane in lanes[:-1]
         ]
         if lanes:
-            left = _beside(f"{edge.id}:left", 0, lanes[-1].shape_m, lanes[-1].width_m / 2)
-            right = _beside(f"{edge.id}:right", BOUNDARY, lanes[0].shape_m, -lanes[0].width_m / 2)
-            edges.append(right)
+            sides = ("right", "left") if net.left_hand else ("left", "right")
+            inner, outer = (f"{edge.id}:{side}" for side in sides)
+            middle = _beside(inner, 0, lanes[-1].shape_m, half * lanes[-1].width_m)
+            edges.append(_beside(outer, BOUNDARY, lanes[0].shape_m, -half * lanes[0].width_m))
             if (edge.end, edge.start) in pairs:
-                lines.append(_of_kind(left, SOLID_DOUBLE_YELLOW))
+                lines.append(_of_kind(middle, SOLID_DOUBLE_YELLOW))
             else:
-                edges.append(_of_kind(left, BOUNDARY))
+                edges.append(_of_kind(middle, BOUNDARY))
     edges += _junction_edges(net, roads)
     return tuple(lines), tuple(edges)
 

@@ -84,11 +84,16 @@ class NetJunction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetFile:
-    """Everything read, in the file's order."""
+    """Everything read, in the file's order.
+
+    Attributes:
+        left_hand: traffic keeps left, and lane 0 is the leftmost.
+    """
 
     edges: dict[str, NetEdge]
     links: tuple[NetLink, ...]
     junctions: tuple[NetJunction, ...]
+    left_hand: bool = False
 
 
 def read_net(file: Path) -> NetFile:
@@ -113,7 +118,19 @@ def read_net(file: Path) -> NetFile:
                     shape_m=points(element.get("shape", ""))[:, :2],
                 )
             )
-    return NetFile(edges=edges, links=tuple(links), junctions=tuple(junctions))
+    return NetFile(
+        edges=edges,
+        links=tuple(links),
+        junctions=tuple(junctions),
+        left_hand=_keeps_left(file),
+    )
+
+
+def _keeps_left(file: Path) -> bool:
+    """Of a file that has been read: what its first element says."""
+    with _opened(file) as stream:
+        _, top = next(ET.iterparse(stream, events=("start",)))  # noqa: S314 (the user's own)
+        return top.get("lefthand", "") in {"true", "1", "yes", "on", "x", "t"}
 
 
 def read_once(file: Path) -> NetFile:

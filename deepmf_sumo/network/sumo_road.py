@@ -58,7 +58,7 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
     lines, edges = borders(net, lanes)
     return RoadMap(
         lanes={
-            lane.id: _lane(edge, lane, lanes, after[lane.id], before[lane.id])
+            lane.id: _lane(net, edge, lane, lanes, after[lane.id], before[lane.id])
             for edge in net.edges.values()
             for lane in edge.lanes
             if lane.id in lanes
@@ -94,9 +94,15 @@ def _kind(edge: NetEdge, lane: NetLane) -> LaneKind | None:
 
 
 def _lane(
-    edge: NetEdge, lane: NetLane, kinds: dict[str, LaneKind], after: list[str], before: list[str]
+    net: NetFile,
+    edge: NetEdge,
+    lane: NetLane,
+    kinds: dict[str, LaneKind],
+    after: list[str],
+    before: list[str],
 ) -> Lane:
     beside = {other.index: other for other in edge.lanes if other.id in kinds}
+    left = -1 if net.left_hand else 1  # lane 0 is the outermost
     return Lane(
         id=lane.id,
         kind=kinds[lane.id],
@@ -107,8 +113,8 @@ def _lane(
         speed_limit_mps=lane.speed_mps,
         next=tuple(dict.fromkeys(after)),
         previous=tuple(dict.fromkeys(before)),
-        left=_neighbour(lane, beside.get(lane.index + 1)),
-        right=_neighbour(lane, beside.get(lane.index - 1)),
+        left=_neighbour(lane, beside.get(lane.index + left)),
+        right=_neighbour(lane, beside.get(lane.index - left)),
     )
 
 

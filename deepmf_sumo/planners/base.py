@@ -39,3 +39,12 @@ class FixedPlanner(Planner, Protocol):
     def fixed_poses(self, steps: int) -> Floats:
         """(steps, 4) x, y, heading, speed (signed) after now: what `act` commands, as poses."""
         ...
+
+
+@runtime_checkable
+class ClosingPlanner(Planner, Protocol):
+    """A planner that holds something beyond its memory, e.g. a process."""
+
+    def close(self) -> None:
+        """End of an episode, also of one that failed; `reset` may follow."""
+        ...

@@ -14,13 +14,16 @@ def network_case(
     duration_steps: int = 80,
     seed: int = 0,
     name: str = "",
+    sumo_options: tuple[str, ...] = (),
 ) -> Case:
     """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
+
+    ``sumo_options``: beside the configuration, as on SUMO's command line.
 
     Raises SimulationError where the configuration or its network is missing. Whether the vehicle is
     there at the start shows only in the simulation.
     """
-    configuration = read_configuration(config)
+    configuration = read_configuration(config, sumo_options)
     return Case(
         name=name or f"{config.stem}-{av}-{start_s:g}s",
         road=road_of_net(configuration.net, configuration.additional),
@@ -28,5 +31,7 @@ def network_case(
         duration_steps=duration_steps,
         traffic="sumo",
         seed=seed,
-        network=NetworkSource(config=config, start_s=start_s, net=configuration.net),
+        network=NetworkSource(
+            config=config, start_s=start_s, net=configuration.net, sumo_options=sumo_options
+        ),
     )

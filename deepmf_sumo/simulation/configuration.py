@@ -1,15 +1,27 @@
 """A user's .sumocfg: what has to be known of it before SUMO is started with it."""
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 from xml.sax import SAXException
 
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.simulation import command_line
+
+SUMO_SEED: Final = 23423
+"""SUMO's own where nobody names one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Configuration:
-    """Options of a configuration file; paths are absolute."""
+    """A configuration file with the options that are given beside it; paths are absolute.
+
+    Attributes:
+        seed: what the configuration would be run with by itself.
+        options: those beside it, as SUMO takes them, without additional files.
+    """
 
     file: Path
     net: Path
@@ -17,19 +29,23 @@ class Configuration:
     step_s: float
     begin_s: float
     end_s: float | None
+    seed: int = SUMO_SEED
+    options: tuple[str, ...] = ()
 
 
 _SYNONYMS = {"net": "net-file", "n": "net-file", "additional": "additional-files"} | {
     "a": "additional-files",
     "b": "begin",
     "e": "end",
+    "srand": "seed",
 }
 
 
-def read_configuration(file: Path) -> Configuration:
-    """Read a .sumocfg.
+def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
+    """Read a .sumocfg, with SUMO's options ``beside`` it.
 
-    Raises SimulationError where the file is missing, is no XML, or names no network.
+    Raises SimulationError where the file is missing, is no XML, or names no network, UsageError
+    for options that cannot be given.
     """
     import sumolib
 
@@ -42,6 +58,8 @@ def read_configuration(file: Path) -> Configuration:
         }
     except (SAXException, OSError, UnicodeError) as error:
         raise SimulationError(f"'{file}' cannot be read as a SUMO configuration: {error}") from None
+    given = command_line.parse(beside)
+    options |= given
     if "net-file" not in options:
         raise SimulationError(f"'{file}' names no network: it needs <net-file value=\"...\"/>.")
     net = _beside(file, options["net-file"])
@@ -55,11 +73,22 @@ def read_configuration(file: Path) -> Configuration:
         step_s=_seconds(file, "step-length", options.get("step-length", "1")),
         begin_s=_seconds(file, "begin", options.get("begin", "0")),
         end_s=_end(file, options.get("end")),
+        seed=_seed(options.get("seed", "")),
+        options=tuple(
+            word
+            for name, value in given.items()
+            if name != "additional-files"
+            for word in (f"--{name}", value)
+        ),
     )
 
 
+def _seed(text: str) -> int:
+    return int(text) if text.isdecimal() and int(text) < 2**31 else SUMO_SEED
+
+
 def _beside(file: Path, name: str) -> Path:
-    path = Path(name)
+    path = Path(os.path.expandvars(name))  # SUMO knows ${VARIABLES}, too
     return path if path.is_absolute() else (file.parent / path).resolve()
 
 

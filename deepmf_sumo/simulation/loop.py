@@ -3,12 +3,13 @@
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, Case, Floats, Rollout, View
 from deepmf_sumo.planners.base import FixedPlanner, Planner
+from deepmf_sumo.planners.doors.guard import Guard
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation import replayed
 from deepmf_sumo.simulation import stage as stages
@@ -39,18 +40,20 @@ def simulate(
         backend: how SUMO is run; by default libsumo, or sumo-gui where ``gui``, or not at all where
             nothing would react to the opponent (`replayed`).
 
-    Raises SimulationError where SUMO refuses something or the AV is not there.
+    Raises SimulationError where SUMO refuses something or the AV is not there, PlannerError where
+    the planner does not do its part.
     """
-    planner.reset(case, rng)
-    if (
-        backend is None
-        and not gui
-        and isinstance(planner, FixedPlanner)
-        and replayed.suffices(case)
-    ):
-        return replayed.episode(case, planner, policy, rng)
-    with stages.opened(case, planner.model, backend or ("gui" if gui else "libsumo")) as stage:
-        return _episode(case, stage, planner, policy, rng)
+    with closing(Guard(planner)) as guarded:
+        guarded.reset(case, rng)
+        if (
+            backend is None
+            and not gui
+            and isinstance(planner, FixedPlanner)
+            and replayed.suffices(case)
+        ):
+            return replayed.episode(case, planner, policy, rng)
+        with stages.opened(case, guarded.model, backend or ("gui" if gui else "libsumo")) as stage:
+            return _episode(case, stage, guarded, policy, rng)
 
 
 def _episode(

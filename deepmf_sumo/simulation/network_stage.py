@@ -30,6 +30,8 @@ from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi
 from deepmf_sumo.simulation.takeover import Takeover
 from deepmf_sumo.simulation.vehicle_types import AV_TYPE, write_types
 
+_TO_ROOT = "../" * 64
+"""SUMO puts its prefix between an output's folder and its name; there are no folders above /."""
 _LOOK_FURTHER_S = 300.0
 """How far beyond the start a missing AV is looked for, for the message."""
 
@@ -40,17 +42,33 @@ def opening(
 ) -> Iterator[tuple[list[str], Callable[[SumoApi], Stage]]]:
     """Arguments for SUMO, and what makes the stage of it once it runs."""
     assert case.network is not None
-    configuration = read_configuration(case.network.config)
+    source = case.network
+    configuration = read_configuration(source.config, source.sumo_options)
+    with started(configuration, case.seed, model) as arguments:
+        yield arguments, lambda api: NetworkStage(api, case, configuration, model)
+
+
+@contextmanager
+def started(
+    configuration: Configuration, seed: int, model: VehicleModel | None = None
+) -> Iterator[list[str]]:
+    """Arguments for SUMO: the same traffic up to the start, whoever looks at it and why.
+
+    What the configuration wants to have written goes to a temporary folder: parallel runs would
+    write into one another's files, and over the user's.
+    """
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         types = write_types(Path(folder) / "types.add.xml", model)
         additional = ",".join(str(path) for path in (*configuration.additional, types))
-        arguments = [
+        yield [
             *("-c", str(configuration.file)),
+            *configuration.options,
             *("--additional-files", additional),
-            *("--seed", str(case.seed)),
+            *("--seed", str(seed)),
+            *("--random", "false"),
+            *("--output-prefix", f"{_TO_ROOT}{folder.lstrip('/')}/"),
             *STEP_OPTIONS,
         ]
-        yield arguments, lambda api: NetworkStage(api, case, configuration, model)
 
 
 class NetworkStage:
@@ -149,10 +167,12 @@ def _check_start(source: NetworkSource, configuration: Configuration) -> None:
 
 
 def _set_model(api: SumoApi, av: AgentId) -> None:
-    """Give the AV our car-following model, and leave its size as it was."""
+    """Give the AV our car-following model, and leave its size and permissions as they were."""
     vehicle = api.vehicle
     size = (vehicle.getLength(av), vehicle.getWidth(av), vehicle.getHeight(av))
+    permitted = vehicle.getVehicleClass(av)
     vehicle.setType(av, AV_TYPE)
+    vehicle.setVehicleClass(av, permitted)  # a bus may be where a car may not
     vehicle.setLength(av, size[0])
     vehicle.setWidth(av, size[1])
     vehicle.setHeight(av, size[2])

@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Final, Literal, Protocol, cast
 
 from deepmf_sumo.errors import SimulationError
 
@@ -24,6 +24,9 @@ STEP_OPTIONS = (
     *("--xml-validation", "never"),
 )
 """Options of every simulation."""
+
+_NO_PORT: Final = ("--remote-port", "0")
+"""A configuration may ask for a port, where SUMO would wait for somebody to come."""
 
 
 class SumoApi(Protocol):
@@ -62,7 +65,7 @@ def running(arguments: Sequence[str], backend: Backend = "libsumo") -> Iterator[
     """SUMO from start to end; what SUMO raises inside comes out as SimulationError."""
     api = _api(backend)
     refusals = (api.TraCIException, api.FatalTraCIError)
-    command = [_binary(backend), *arguments, *_window(backend)]
+    command = [_binary(backend), *arguments, *_of_backend(backend)]
     started = False
     try:
         api.start(command)
@@ -84,7 +87,12 @@ def _what(arguments: Sequence[str]) -> str:
 
 def _why_not(arguments: Sequence[str], error: str) -> str:
     """Why SUMO did not start: libsumo says `Process Error`, the program says more."""
-    program = [_binary("libsumo"), *arguments, "--end", "0", "--begin", "0"]
+    program = [_binary("libsumo"), *arguments, *_NO_PORT]
+    for option in ("--begin", "--end"):
+        if option in program:
+            program[program.index(option) + 1] = "0"
+        else:
+            program += [option, "0"]
     try:
         run = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
     except (OSError, subprocess.TimeoutExpired):
@@ -112,8 +120,10 @@ def _binary(backend: Backend) -> str:
     return str(home / "bin" / name)
 
 
-def _window(backend: Backend) -> tuple[str, ...]:
-    if backend != "gui":
+def _of_backend(backend: Backend) -> tuple[str, ...]:
+    if backend == "libsumo":
+        return _NO_PORT
+    if backend == "traci":
         return ()
     # no delay on the way to the start; from there on `window` keeps time
     shown = ("--window-size", "1200,800", "--start", "true", "--quit-on-end", "true")

@@ -78,6 +78,9 @@ class FromNetwork(Strict):
     network: ExistingPath = Field(description="a .sumocfg")
     start_s: float = Field(default=0.0, ge=0, description="seconds that SUMO drives alone")
     av: Av
+    sumo_options: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        default=(), description="beside the .sumocfg, as on SUMO's command line"
+    )
 
 
 class First(Strict):

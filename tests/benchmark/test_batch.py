@@ -64,7 +64,8 @@ def test_bad_runs_are_rows_and_cost_nobody_else(tiny, tmp_path, monkeypatch):
     assert found["fine"] == ("ok", "")
     assert found["crash"] == ("failed", "the worker died: SIGSEGV")
     assert found["hang"] == ("timeout", "longer than 8 s")
-    assert found["bug"] == ("failed", "ZeroDivisionError: a bug of the planner (see log.txt)")
+    bug = "planner_error: ZeroDivisionError: a bug of the planner (see log.txt)"
+    assert found["bug"] == ("failed", bug)
     assert found["broken"][0] == found["nobody"][0] == "failed"
     assert "broken.sumocfg" in found["broken"][1]
     assert "nobody" in found["nobody"][1]

@@ -10,6 +10,8 @@ import pytest
 from deepmf_sumo.benchmark import pool
 from deepmf_sumo.errors import RunError
 
+KEPT = []
+
 
 def do(task):
     """What a test's task says."""
@@ -26,6 +28,10 @@ def do(task):
         held = bytearray(value * 2**20)
         time.sleep(60)
         del held
+    elif kind == "keep":
+        KEPT.append(b"x" * (value * 2**20))
+    elif kind == "rest":
+        time.sleep(value)
     elif kind == "child":
         child = subprocess.Popen(["sleep", "60"])
         Path(value).write_text(str(child.pid))
@@ -76,6 +82,13 @@ def test_memory_limit_costs_one_task(tmp_path):
     assert [one.status for one in endings] == ["memory", "done"]
     assert endings[0].reason == "more than 300 MB of memory"
     assert time.monotonic() - begin < 30
+
+
+def test_what_many_tasks_left_behind_is_not_held_against_the_next():
+    tasks = [("keep", 3)] * 149 + [("rest", 0.5)]  # 450 MB in one worker, long enough to be seen
+    endings = list(pool.run(do, tasks, jobs=1, timeout_s=60, memory_mb=400))
+    assert [one.index for one in endings] == list(range(150))
+    assert {one.status for one in endings} == {"done"}
 
 
 def test_no_task_is_begun_after_the_last_minute(tmp_path):

@@ -66,7 +66,7 @@ def read_scores(folder: Path) -> OpponentScores | None:
 
 
 def _plans(file: Path) -> tuple[Plan, ...]:
-    with np.load(file) as arrays:
+    with file.open("rb") as stream, np.load(stream) as arrays:  # closed where it is damaged
         return tuple(
             Plan(
                 agent_id=str(arrays[f"{number:02d}/agent_id"]),

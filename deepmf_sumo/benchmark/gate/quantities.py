@@ -1,0 +1,100 @@
+"""What a gate measures of each run: numbers, each with the direction that is worse for the AV."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.study.columns import BY_NAME, Value, attacked, counted, metric
+
+TTC_CEILING_S: Final = 10.0
+"""What an attacked run counts with whose AV and opponent were never on a collision course."""
+
+_NEGLIGIBLE: Final = 0.05
+"""s, m and m/s: rounding on another machine moves all runs a little, and all in one direction."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """A number a run.
+
+    Attributes:
+        worse: the direction that is bad for the AV.
+        value: of a run that went through; None where it is not defined.
+        rate: of zeros and ones. hits_only: defined for hits alone.
+        negligible: a difference that nobody minds, however sure it is; in ``unit``.
+    """
+
+    name: str
+    unit: str
+    worse: Literal["higher", "lower"]
+    value: Value
+    definition: str
+    rate: bool = False
+    hits_only: bool = False
+    negligible: float = 0.0
+
+
+def judged(result: Result) -> bool:
+    """Whether a run says something about the AV: it was attacked, or meant to go without attack."""
+    return attacked(result) or bool(result["status"] == "ok" and result["adversary"] == "none")
+
+
+def _av_collision(result: Result) -> float | None:
+    if not judged(result):
+        return None
+    kinds = {contact["kind"] for contact in result["contacts"]}
+    return float(bool(kinds & {"av_opponent", "av_other"}))
+
+
+def _ttc(result: Result) -> float | None:
+    if not attacked(result) or "ttc_min" not in result["metrics"]:
+        return None
+    found = metric(result, "ttc_min")
+    return TTC_CEILING_S if found is None else min(found, TTC_CEILING_S)
+
+
+def _of_table(
+    name: str, worse: Literal["higher", "lower"], definition: str = "", *, hits_only: bool = False
+) -> Quantity:
+    """A quantity that ``table.csv`` of benchmarks has too."""
+    column = BY_NAME[name]
+    return Quantity(
+        name=name,
+        unit=column.unit,
+        worse=worse,
+        value=lambda result: column.value(result) if counted(column, result) else None,
+        definition=definition or column.definition,
+        rate=column.rate,
+        hits_only=hits_only,
+        negligible=0.0 if column.rate else _NEGLIGIBLE,
+    )
+
+
+QUANTITIES: Final = (
+    Quantity(
+        name="av_collision_rate", unit="1", worse="higher", value=_av_collision, rate=True,
+        definition="share of the judged runs in which the AV touched anybody",
+    ),
+    _of_table("collision_rate", "higher"),
+    _of_table(
+        "valid_collision_rate", "higher",
+        "share of the attacked runs with a collision that is possible, lawful in space, avoidable",
+    ),
+    _of_table(
+        "avoidable_rate", "higher", "share of the hits that a reference driver would have avoided",
+        hits_only=True,
+    ),
+    _of_table(
+        "av_at_fault_rate", "higher", "share of the hits that are the AV's fault", hits_only=True
+    ),
+    Quantity(
+        name="ttc_s", unit="s", worse="lower", value=_ttc, negligible=_NEGLIGIBLE,
+        definition="least time to collision of AV and opponent in an attacked run, at most"
+        f" {TTC_CEILING_S:g} s",
+    ),
+    _of_table("min_gap_m", "lower", "least gap of AV and opponent in an attacked run"),
+    _of_table("collision_speed_mps", "higher", "relative speed at a hit", hits_only=True),
+    _of_table("delta_v_mps", "higher", "change of the AV's velocity by a hit", hits_only=True),
+)  # fmt: skip
+
+BY_QUANTITY: Final = {quantity.name: quantity for quantity in QUANTITIES}

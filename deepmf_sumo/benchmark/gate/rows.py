@@ -1,0 +1,186 @@
+"""Result folder -> what a gate has to know of each run; and the small file that keeps it.
+
+The file (`results.json`) is what a later job compares with: a result folder is too large to keep.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark.gate.quantities import QUANTITIES, judged
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.store import FORMAT_VERSION as FOLDER_VERSION
+from deepmf_sumo.benchmark.store import Store
+from deepmf_sumo.errors import OutputError, UsageError
+
+FORMAT_VERSION: Final = 1
+_KIND: Final = "deepmf-sumo results"
+_DIGITS: Final = 6
+
+Status = Literal["ok", "failed", "timeout", "skipped", "missing"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One run.
+
+    Attributes:
+        network: the .sumocfg without its suffix, or the recording's scene.
+        scene: the situation: of a recording, or a moment of a network's traffic.
+        planner: its label in tables, e.g. ``idm corridor``.
+        attack: digest of the adversary, its settings and weights.
+        status: ``missing`` for a run of the manifest that has no result.
+        judged: whether it says something about the AV, see `quantities.judged`.
+        reason: why there is no result. broken: expectations of the spec that do not hold.
+        values: by quantity, those that are defined.
+    """
+
+    run_id: str
+    spec: str
+    network: str
+    scene: str
+    seed: int
+    method: str = ""
+    planner: str = ""
+    attack: str = ""
+    status: Status
+    judged: bool = False
+    reason: str = ""
+    broken: tuple[str, ...] = ()
+    wall_s: float = 0.0
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Results:
+    """All runs of a batch or benchmark, by id, and the version of the program that made them."""
+
+    source: Path
+    version: str
+    rows: dict[str, Row]
+
+
+def read(path: Path) -> Results:
+    """The results of a result folder, or of a file of `write`.
+
+    Raises UsageError where it is neither, is damaged, or is of another format.
+    """
+    return _of_folder(path) if path.is_dir() else _of_file(path)
+
+
+def write(path: Path, results: Results) -> None:
+    """Write the file that a later job compares with. Raises OutputError."""
+    rows = [asdict(row) for row in results.rows.values()]
+    for row in rows:
+        del row["wall_s"]  # so that equal results are equal files
+    values = {
+        "kind": _KIND,
+        "format_version": FORMAT_VERSION,
+        "version": results.version,
+        "runs": rows,
+    }
+    try:
+        files.write_json(path, values)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror}.") from None
+
+
+def _of_folder(out: Path) -> Results:
+    manifest = _json(out / "manifest.json", f"{out} is no result folder: it has no manifest.json.")
+    if not isinstance(manifest, dict) or manifest.get("tool") != "deepmf-sumo":
+        raise UsageError(f"{out / 'manifest.json'} is not a manifest of deepmf-sumo.")
+    if manifest.get("format_version") != FOLDER_VERSION:
+        raise UsageError(
+            f"{out} has format {manifest.get('format_version')}, this version of deepmf-sumo reads"
+            f" format {FOLDER_VERSION}; run it anew."
+        )
+    keys = manifest.get("runs")
+    if not isinstance(keys, dict):
+        raise UsageError(f"{out / 'manifest.json'} is damaged: it names no runs; run it anew.")
+    store, rows = Store(out), {}
+    for run_id, key in keys.items():
+        row = _row_of(store, run_id, key)
+        if row is not None:
+            rows[run_id] = row
+    return Results(source=out, version=str(manifest.get("version")), rows=rows)
+
+
+def _row_of(store: Store, run_id: str, key: str) -> Row | None:
+    """None for a run that is in no table (made for figures, or with another budget)."""
+    file = store.runs / run_id / "result.json"
+    found = store.read_run(run_id) if file.is_file() else None
+    try:
+        if found is None or found["key"] != key:  # of an earlier batch, not yet made anew
+            spec, scene, seed = run_id.rsplit("--", 2)
+            return Row(
+                run_id=run_id, spec=spec, network=scene, scene=scene, seed=int(seed),
+                status="missing", reason="the run has no result: it was not begun, or interrupted",
+            )  # fmt: skip
+        return _row(found) if found.get("part", "main") == "main" else None
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise UsageError(
+            f"{file} is no result of this version of deepmf-sumo ({type(error).__name__}:"
+            f" {error}); run it anew."
+        ) from None
+
+
+def _row(result: Result) -> Row:
+    went = result["status"] == "ok"
+    found = {one.name: one.value(result) for one in QUANTITIES} if went else {}
+    attack = [result["adversary"], result["settings"]["adversary"], result["weights"]]
+    return Row(
+        run_id=result["run_id"],
+        spec=result["spec"],
+        network=str(result.get("network") or result["scene"]),
+        scene=result["scene"],
+        seed=result["seed"],
+        method=str(result.get("method", result["spec"])),
+        planner=str(result.get("planner_label", result["planner"])),
+        attack=hashlib.sha256(json.dumps(attack, sort_keys=True).encode()).hexdigest()[:16],
+        status=result["status"],
+        judged=judged(result),
+        reason=result["error"] if not went or judged(result) else "nobody to attack",
+        broken=tuple(result["expectations_broken"]),
+        wall_s=float(result["timings"]["wall_s"]),
+        values={name: round(value, _DIGITS) for name, value in found.items() if value is not None},
+    )
+
+
+def _of_file(file: Path) -> Results:
+    values = _json(file, f"{file}: no such file or folder; write it with --write-baseline.")
+    if not isinstance(values, dict) or values.get("kind") != _KIND:
+        raise UsageError(f"{file} is no results file; write it with --write-baseline.")
+    if values.get("format_version") != FORMAT_VERSION:
+        raise UsageError(
+            f"{file} has format {values.get('format_version')}, this version of deepmf-sumo reads"
+            f" format {FORMAT_VERSION}; write it anew with --write-baseline."
+        )
+    try:
+        rows = [_kept(row) for row in values["runs"]]
+        version = str(values["version"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise UsageError(f"{file} is damaged ({error}); write it with --write-baseline.") from None
+    return Results(source=file, version=version, rows={row.run_id: row for row in rows})
+
+
+def _kept(values: dict[str, Any]) -> Row:
+    """A row of a results file. Raises KeyError or TypeError for what is none."""
+    numbers = values["values"]
+    if not all(isinstance(number, int | float) for number in dict(numbers).values()):
+        raise TypeError("a value is no number")
+    return Row(**{**values, "broken": tuple(values["broken"])})
+
+
+def _json(file: Path, missing: str) -> Any:
+    try:
+        return json.loads(file.read_text("utf-8"))
+    except FileNotFoundError:
+        raise UsageError(missing) from None
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
+    except ValueError as error:
+        raise UsageError(f"{file} is damaged ({error}).") from None

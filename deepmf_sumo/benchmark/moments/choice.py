@@ -1,0 +1,190 @@
+"""Sightings -> moments, spread over edges, junction movements and time."""
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
+from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable
+from deepmf_sumo.datatypes import Bools
+from deepmf_sumo.network.net_file import NetFile
+from deepmf_sumo.simulation.scouting import Ints, Sightings
+
+ALONG: Final = "along"
+_TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"} | {
+    "t": "turnaround"
+}
+_SLOWEST_MPS: Final = 3.0
+"""Who stands now may be at the junction in a moment."""
+
+Place = tuple[int, int]
+"""An edge, and the next one if the vehicle gets there, else -1."""
+Turns = Mapping[tuple[str, str], str]
+
+
+def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
+    """Draw moments; the same for the same sightings, wish and seed.
+
+    Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
+    """
+    rows, reason = suitable(sightings, wish)
+    moments: list[Moment] = []
+    if len(rows):
+        spread = _Spread(sightings, turns, wish, rows)
+        moments = spread.draw()
+        if len(moments) < wish.count:
+            reason = (
+                f"no {'other ' if moments else ''}vehicle that could be the AV has another vehicle"
+                f" within {REACH_M:g} m"
+            )
+    return Found(
+        moments=tuple(sorted(moments, key=lambda one: (one.start_s, one.av))),
+        suitable=len(rows),
+        vehicles=len(sightings.bodies),
+        begin_s=sightings.begin_s,
+        until_s=sightings.until_s,
+        complete=sightings.complete,
+        reason=reason,
+    )
+
+
+def turns_of(net: NetFile) -> dict[tuple[str, str], str]:
+    """What it is to drive from an edge to another."""
+    return {
+        (link.origin.rpartition("_")[0], link.target.rpartition("_")[0]): _TURNS[link.direction]
+        for link in net.links
+        if link.direction in _TURNS
+    }
+
+
+@dataclass
+class _Used:
+    """How often something has been chosen already."""
+
+    edges: Counter[int] = field(default_factory=Counter)
+    turns: Counter[str] = field(default_factory=Counter)
+    places: Counter[Place] = field(default_factory=Counter)
+    vehicles: dict[int, list[float]] = field(default_factory=lambda: defaultdict(list))
+
+
+class _Spread:
+    """The edge that was chosen least often is next, and of its places one at a rare time."""
+
+    def __init__(self, sightings: Sightings, turns: Turns, wish: Wish, rows: Ints) -> None:
+        rng = np.random.default_rng([wish.seed, 0x5EED])
+        self._sightings, self._turns, self._wish = sightings, turns, wish
+        self._able = opponents(sightings)
+        self._used = _Used()
+        self._span = _spans(sightings, wish, rows)
+        self._taken = np.zeros(wish.count + len(wish.at_s), int)
+        self._leaves = _leave(sightings, wish.duration_s)
+        self._left: dict[Place, Ints] = {}
+        self._spans: dict[Place, Ints] = {}
+        shuffled = rng.permutation(rows)
+        near = _gets_there(sightings, wish.duration_s)[shuffled]
+        following = np.where(near, sightings.following[shuffled], -1)
+        places = np.column_stack([sightings.edge[shuffled], following])
+        found, group = np.unique(places, axis=0, return_inverse=True)
+        for rank in rng.permutation(len(found)):
+            edge, after = found[rank]
+            mine = shuffled[group.ravel() == rank]
+            self._left[int(edge), int(after)] = mine
+            self._spans[int(edge), int(after)] = np.unique(self._span[mine])
+
+    def draw(self) -> list[Moment]:
+        """As many moments as asked for, if there are."""
+        moments: list[Moment] = []
+        while self._left and len(moments) < self._wish.count:
+            place = min(self._left, key=self._order)
+            moment = self._take(place)
+            if moment is not None:
+                moments.append(moment)
+        return moments
+
+    def _order(self, place: Place) -> tuple[int, int, int, int]:
+        used = self._used
+        rarest = int(self._taken[self._spans[place]].min())
+        return used.edges[place[0]], rarest, used.turns[self._turn(place)], used.places[place]
+
+    def _take(self, place: Place) -> Moment | None:
+        """The next moment of a place; None where it was none, which is left out from now on."""
+        rows = self._left[place]
+        vehicle = self._sightings.vehicle[rows]
+        cost = self._taken[self._span[rows]] + self._leaves[rows].astype(float)
+        cost += [len(self._used.vehicles.get(int(one), ())) for one in vehicle]
+        best = int(cost.argmin())
+        row = int(rows[best])
+        self._left[place] = np.delete(rows, best)
+        if not len(self._left[place]):
+            del self._left[place]
+        count = 0 if self._too_soon(row) else around(self._sightings, self._able, row)
+        if not count:
+            return None
+        self._note(row, place)
+        return self._moment(row, place, count)
+
+    def _too_soon(self, row: int) -> bool:
+        """Whether the same vehicle is under attack at that time already."""
+        starts = self._used.vehicles.get(int(self._sightings.vehicle[row]), ())
+        now = self._sightings.time_s[row]
+        return any(abs(now - start) < self._wish.duration_s for start in starts)
+
+    def _note(self, row: int, place: Place) -> None:
+        used, sightings = self._used, self._sightings
+        used.edges[place[0]] += 1
+        used.turns[self._turn(place)] += 1
+        used.places[place] += 1
+        used.vehicles[int(sightings.vehicle[row])].append(float(sightings.time_s[row]))
+        self._taken[self._span[row]] += 1
+
+    def _moment(self, row: int, place: Place, count: int) -> Moment:
+        sightings = self._sightings
+        body = sightings.bodies[sightings.vehicle[row]]
+        following = int(sightings.following[row])
+        return Moment(
+            av=body.id,
+            av_type=body.type,
+            start_s=round(float(sightings.time_s[row]), 1),
+            edge=sightings.edges[place[0]],
+            following=sightings.edges[following] if following >= 0 else "",
+            turn=self._turn(place),
+            speed_mps=round(float(sightings.speed_mps[row]), 2),
+            around=count,
+        )
+
+    def _turn(self, place: Place) -> str:
+        if place[1] < 0:
+            return ALONG
+        names = self._sightings.edges
+        return self._turns.get((names[place[0]], names[place[1]]), "straight")
+
+
+def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
+    """(K) which part of the time it is, of as many as moments are asked for."""
+    time_s = sightings.time_s
+    if wish.at_s:
+        nearest: Ints = np.abs(time_s[:, None] - np.array(wish.at_s)).argmin(axis=1)
+        return nearest
+    first, last = time_s[rows].min(), time_s[rows].max()
+    share = (time_s - first) / max(last - first, 1.0)
+    part: Ints = np.clip((share * wish.count).astype(np.int64), 0, wish.count - 1)
+    return part
+
+
+def _gets_there(sightings: Sightings, duration_s: float) -> Bools:
+    """(K) who comes to the next junction in the time of an attack, at the speed of now."""
+    way_m = duration_s * np.maximum(sightings.speed_mps, _SLOWEST_MPS)
+    gets_there: Bools = sightings.to_end_m <= way_m
+    return gets_there
+
+
+def _leave(sightings: Sightings, duration_s: float) -> Bools:
+    """(K) who arrives before the attack is over."""
+    last = np.zeros(len(sightings.bodies))
+    np.maximum.at(last, sightings.vehicle, sightings.time_s)
+    until = np.minimum(sightings.time_s + duration_s, sightings.until_s - 1.0)
+    leaves: Bools = last[sightings.vehicle] < until
+    return leaves

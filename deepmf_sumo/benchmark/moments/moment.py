@@ -1,0 +1,67 @@
+"""Where and when somebody is attacked, what was asked for, and what was found."""
+
+from dataclasses import dataclass
+
+from deepmf_sumo.datatypes import AgentId
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wish:
+    """What the moments shall be like.
+
+    Attributes:
+        count: how many, at most.
+        av, av_type: only this vehicle, only vehicles of this type.
+        at_s: only these moments of the simulation's time; empty leaves them open.
+        duration_s: of each attack.
+        seed: of the choice.
+    """
+
+    count: int
+    av: AgentId | None = None
+    av_type: str | None = None
+    at_s: tuple[float, ...] = ()
+    duration_s: float = 8.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """A vehicle that can be attacked at a time.
+
+    Attributes:
+        edge: where it is, or, inside a junction, where it comes from.
+        following: the next edge on its route; empty at its end.
+        turn: what it does at the next junction, where it gets that far in the time of an attack:
+            straight, left, right, turnaround; else ``along``.
+        around: vehicles within reach of it.
+    """
+
+    av: AgentId
+    av_type: str
+    start_s: float
+    edge: str
+    following: str
+    turn: str
+    speed_mps: float
+    around: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Moments in the order of time, and where they come from.
+
+    Attributes:
+        suitable: sightings, a second apart, that the moments were drawn from.
+        vehicles: in the traffic. begin_s, until_s: what was looked at.
+        complete: nothing comes after it.
+        reason: why there are fewer moments than asked for; empty if there are as many.
+    """
+
+    moments: tuple[Moment, ...]
+    suitable: int
+    vehicles: int
+    begin_s: float
+    until_s: float
+    complete: bool
+    reason: str = ""

@@ -1,0 +1,87 @@
+"""Moments -> tasks, as if each had been a spec."""
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, Final
+
+from deepmf_sumo.benchmark import batch, files
+from deepmf_sumo.benchmark.moments.moment import Moment
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.tasks import Task, slug
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.spec import Av, Spec, of_document
+from deepmf_sumo.spec.document import Document
+
+TABLE: Final = "moments.csv"
+
+
+def base_spec(
+    config: Path, options: dict[str, Any], sets: Sequence[str], sumo_options: Sequence[str]
+) -> Spec:
+    """What all runs have in common; its AV and start are to be replaced.
+
+    Args:
+        config: the .sumocfg.
+        options: keys of a spec and their values, as of the command line's options.
+        sets: ``key=value`` over them.
+        sumo_options: beside the configuration.
+
+    Raises SpecError as `spec.load`.
+    """
+    source = {
+        "network": str(config.absolute()),
+        "av": {"vehicle": "chosen"},
+        "sumo_options": list(sumo_options),
+    }
+    values = {"version": 1, "name": config.stem, "source": source, **options}
+    places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in options}
+    document = Document(file=Path("deepmf-sumo attack"), values=values, places=places)
+    for assignment in sets:
+        key = assignment.partition("=")[0].strip().partition(".")[0]
+        if key == "source":
+            raise UsageError(f"--set {assignment}: the source is chosen by the other options.")
+        document.assign(assignment)
+        places.setdefault((key,), f"--set {assignment}")
+    return of_document(document)
+
+
+def attack(
+    spec: Spec,
+    moments: Sequence[Moment],
+    options: batch.Options,
+    report: Callable[[batch.Progress], None],
+) -> list[Result]:
+    """Attack each moment, and write the result folder; ``moments.csv`` says where they are.
+
+    Raises OutputError before anything runs.
+    """
+    tasks = [_task(spec, one) for one in moments]
+
+    def tell(progress: batch.Progress) -> None:
+        if progress.last is None:  # the folder is there by now, and empty
+            files.write(options.out / TABLE, _table(tasks, moments))
+        report(progress)
+
+    return batch.run_tasks(tasks, options, tell)
+
+
+def _task(spec: Spec, moment: Moment) -> Task:
+    chosen = {"start_s": moment.start_s, "av": Av(vehicle=moment.av)}
+    source = spec.source.model_copy(update=chosen)
+    own = spec.model_copy(update={"source": source})
+    scene = f"{moment.av}-{moment.start_s:g}s"
+    run_id = "--".join([slug(spec.name), slug(scene), str(spec.seed)])
+    return Task(run_id=run_id, spec=own, scene=scene)
+
+
+def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:
+    table = io.StringIO()
+    names = ["run_id", *(field.name for field in fields(Moment))]
+    writer = csv.DictWriter(table, names, lineterminator="\n")
+    writer.writeheader()
+    for task, moment in zip(tasks, moments, strict=True):
+        writer.writerow({"run_id": task.run_id, **asdict(moment)})
+    return table.getvalue()

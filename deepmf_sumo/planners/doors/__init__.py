@@ -1,0 +1,1 @@
+"""Planners that are not a Python class: how views go out, commands come in, and what is refused."""

@@ -1,0 +1,222 @@
+"""The protocol between a simulation and a planner outside it: one JSON object a message.
+
+::
+
+    simulation                            planner
+    {"type": "reset", "protocol": 1, ...} ->
+                                          <- {"type": "ready", "protocol": 1}
+    {"type": "view", "step": 10, ...}     ->
+                                          <- {"type": "command", "step": 10, "kind": "speed", ...}
+    {"type": "view", "step": 11, ...}     ->  ...
+
+Metres, seconds, radians counter-clockwise from +x, box centres. Numbers are finite; floats are
+written so that they are read back bit for bit.
+"""
+
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, TypeAdapter
+from pydantic.json_schema import models_json_schema
+
+PROTOCOL: Final = 1
+FASTEST_MPS: Final = 150.0
+"""Beyond any road vehicle: a command above it is an error of the planner, not a wish."""
+
+
+class Message(BaseModel):
+    """Base of all messages: no unknown keys, strict types, finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Model(Message):
+    """Parameters of SUMO's IDM for the AV, for planners that leave the AV to SUMO."""
+
+    accel_mps2: float = Field(gt=0)
+    decel_mps2: float = Field(gt=0)
+    emergency_mps2: float = Field(gt=0)
+    headway_s: float = Field(gt=0)
+    gap_m: float = Field(ge=0)
+    exponent: float = Field(gt=0)
+    desired_mps: float | None = Field(default=None, gt=0, le=FASTEST_MPS)
+
+
+class Ready(Message):
+    """Answer to `Reset`. Without a model the vehicle type of the network stays."""
+
+    type: Literal["ready"]
+    protocol: Literal[1]
+    model: Model | None = None
+
+
+class _Answer(Message):
+    """``step``: of the view that it answers. ``leader_id``: whom the planner reacts to, if any."""
+
+    type: Literal["command"]
+    step: int
+    leader_id: str | None = None
+
+
+class SumoAnswer(_Answer):
+    """SUMO's own model drives this step."""
+
+    kind: Literal["sumo"]
+
+
+class SpeedAnswer(_Answer):
+    """Drive along the route at this speed after the step."""
+
+    kind: Literal["speed"]
+    speed_mps: float = Field(ge=0, le=FASTEST_MPS)
+
+
+class LeaderAnswer(_Answer):
+    """SUMO's model drives behind this leader: gap from bumper to box, its speed along the path."""
+
+    kind: Literal["leader"]
+    gap_m: float
+    leader_mps: float = Field(ge=-FASTEST_MPS, le=FASTEST_MPS)
+
+
+class PoseAnswer(_Answer):
+    """The AV's box centre, heading and speed (signed) after the step."""
+
+    kind: Literal["pose"]
+    x_m: float
+    y_m: float
+    heading_rad: float
+    speed_mps: float = Field(ge=-FASTEST_MPS, le=FASTEST_MPS)
+
+
+CommandAnswer = SumoAnswer | SpeedAnswer | LeaderAnswer | PoseAnswer
+ANSWERS: Final[dict[str, type[CommandAnswer]]] = {
+    "sumo": SumoAnswer,
+    "speed": SpeedAnswer,
+    "leader": LeaderAnswer,
+    "pose": PoseAnswer,
+}
+
+Points = list[list[float]]
+
+
+class LaneMessage(Message):
+    """A lane: (P, 2) centre line in driving direction, ids of lanes after, before and beside it."""
+
+    id: str
+    kind: Literal["unknown", "freeway", "street", "bike"]
+    centre_m: Points
+    width_m: float | None
+    speed_limit_mps: float | None
+    next: list[str]
+    previous: list[str]
+    left: list[str]
+    right: list[str]
+
+
+class LineMessage(Message):
+    """A painted line or road edge; ``kind`` numbered as in the Waymo Open Motion Dataset."""
+
+    id: str
+    kind: int
+    points_m: Points
+
+
+class AreaMessage(Message):
+    """A crosswalk, speed bump or driveway."""
+
+    id: str
+    kind: Literal["crosswalk", "speed_bump", "driveway"]
+    points_m: Points
+
+
+class StopSignMessage(Message):
+    """A stop sign and the lanes that it governs."""
+
+    id: str
+    position_m: list[float]
+    lane_ids: list[str]
+
+
+class RoadMessage(Message):
+    """The map."""
+
+    lanes: list[LaneMessage]
+    lines: list[LineMessage]
+    edges: list[LineMessage]
+    areas: list[AreaMessage]
+    stop_signs: list[StopSignMessage]
+
+
+class Reset(Message):
+    """Start of an episode, answered by `Ready`.
+
+    Attributes:
+        episode: which one; the same in all of its messages. A server may drive several at a time.
+        first_step: step of the first view. steps: how many follow.
+        own_lane: the AV drives on a lane of its own, from which SUMO's model sees nobody.
+    """
+
+    type: Literal["reset"]
+    protocol: Literal[1]
+    episode: str
+    case: str
+    seed: int
+    av_id: str
+    dt_s: float
+    steps: int
+    own_lane: bool
+    road: RoadMessage | None
+
+
+class AgentMessage(Message):
+    """An agent that is there now: H steps of history, the last of them is now.
+
+    Where ``valid`` is false the other numbers of a step mean nothing.
+    """
+
+    id: str
+    kind: Literal["vehicle", "pedestrian", "cyclist", "other"]
+    size_m: list[float] = Field(description="length, width, height")
+    x_m: list[float]
+    y_m: list[float]
+    z_m: list[float]
+    heading_rad: list[float]
+    vx_mps: list[float]
+    vy_mps: list[float]
+    valid: list[bool]
+
+
+class ViewMessage(Message):
+    """What the planner sees at a step, answered by a command.
+
+    Attributes:
+        signals: lane id -> name of its light's state.
+        av_path_m: (P, 2) centre line ahead of the AV's front bumper; null off every lane.
+    """
+
+    type: Literal["view"]
+    episode: str
+    step: int
+    dt_s: float
+    steps_left: int
+    av_id: str
+    agents: list[AgentMessage]
+    signals: dict[str, str]
+    av_path_m: Points | None
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of all messages, under ``$defs``."""
+    models: list[type[BaseModel]] = [Reset, Ready, ViewMessage, *ANSWERS.values()]
+    _, document = models_json_schema([(model, "validation") for model in models])
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"Planner doors of deepmf-sumo, protocol {PROTOCOL}",
+        **document,
+    }
+
+
+ASKED: Final[TypeAdapter[Reset | ViewMessage]] = TypeAdapter(
+    Annotated[Reset | ViewMessage, Discriminator("type")]
+)
+"""Reads what a planner is asked."""

@@ -1,0 +1,53 @@
+"""A program of the user's drives the AV: it reads views and writes commands, a line of JSON each.
+
+The protocol is in `doors.messages`. What the program writes to stderr goes to the run's
+``log.txt``. A program that is late, ends, or answers what cannot be driven fails the run
+(`PlannerError`): nobody drives in its place, so that no result is that of a planner nobody asked
+for.
+"""
+
+import os
+import shutil
+from pathlib import Path
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from deepmf_sumo.planners.doors.process import command_of
+from deepmf_sumo.planners.doors.program import ProgramPlanner
+from deepmf_sumo.planners.doors.settings import DoorSettings
+
+
+class Settings(DoorSettings):
+    """``file`` or ``command`` is needed.
+
+    Attributes:
+        file: the program, relative to the spec; a ``.py`` file is run by the Python that runs
+            this, unless ``command`` says by what.
+        command: what runs the file, e.g. ``[node]``, or all there is to start.
+        arguments: further ones.
+    """
+
+    file: str | None = None
+    command: tuple[str, ...] = Field(default=(), strict=False)
+    arguments: tuple[str, ...] = Field(default=(), strict=False)
+
+    @model_validator(mode="after")
+    def _can_be_started(self) -> Self:
+        if self.file is None and not self.command:
+            raise ValueError("needs 'file' or 'command'")
+        if self.file is not None and not Path(self.file).is_file():
+            raise ValueError(f"there is no file '{self.file}'")
+        first = command_of(self.file, self.command, self.arguments)[0]
+        if shutil.which(first) is None:
+            known = Path(first).is_file() and not os.access(first, os.X_OK)
+            why = "is not executable" if known else "is no program on the path"
+            raise ValueError(f"'{first}' {why}")
+        return self
+
+
+def build(settings: Settings) -> ProgramPlanner:
+    """The planner."""
+    command = command_of(settings.file, settings.command, settings.arguments)
+    name = f"program '{Path(settings.file or command[0]).name}'"
+    return ProgramPlanner(name, command, settings)

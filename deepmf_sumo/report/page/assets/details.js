@@ -1,0 +1,93 @@
+// An opened run.
+
+const opened = { player: null, number: null };
+
+/** Show a run by its number; what it needs is unpacked only now. */
+async function openRun(number, content) {
+  closeRun();
+  opened.number = number;
+  const row = runs.all[number],
+    page = byId("details");
+  byId("overview").hidden = true;
+  page.hidden = false;
+  page.replaceChildren(make("p", {}, "Loading …"));
+  const details = await unpacked(stored(`run-${number}`));
+  const road =
+    typeof details.road === "number" ? await unpacked(stored(`road-${details.road}`)) : null;
+  if (opened.number !== number) return; // another one was opened meanwhile
+  const scene = details.replay ? sceneOf(details, road) : null;
+  opened.player = scene ? new Player(scene) : null;
+  page.replaceChildren(...pageElements(row, details, content));
+  window.scrollTo(0, 0);
+  page.focus({ preventScroll: true });
+  opened.player?.draw();
+}
+
+function pageElements(row, details, content) {
+  const { player } = opened;
+  const notes = [row.note, details.road_note]
+    .filter(Boolean)
+    .map((note) => make("p", { class: "notice" }, note));
+  const speed =
+    row.speed_mps === null
+      ? ""
+      : ` after ${fixed(row.time_s, 1)} s at ${fixed(row.speed_mps, 1)} m/s relative`;
+  const kind = [row.sector, row.accident, row.element].filter(Boolean).join(", ");
+  return [
+    navigation(row),
+    make("h2", {}, row.run),
+    make(
+      "p",
+      {},
+      `${row.status === "ok" ? row.outcome : row.status}${speed}${kind ? ` (${kind})` : ""}`,
+    ),
+    ...notes,
+    ...(player ? [player.stage, make("h2", {}, "Over time"), player.charts.element] : []),
+    commandsOf(row, details),
+    factsOf(row, details, content),
+    ...[metricsOf(details), eventsOf(details), ...textsOf(details)].filter(Boolean),
+  ];
+}
+
+/** Back, and the runs before and behind it in the table as it is filtered. */
+function navigation(row) {
+  const listed = filteredRuns(),
+    place = listed.indexOf(row);
+  const link = (other, text) =>
+    other ? make("a", { href: runAddress(other) }, text) : make("span", { class: "hint" }, text);
+  return make(
+    "nav",
+    { "aria-label": "Runs" },
+    make("a", { href: "#" }, "← All runs"),
+    link(listed[place - 1], "previous"),
+    link(place < 0 ? null : listed[place + 1], "next"),
+    make(
+      "span",
+      { class: "hint" },
+      place < 0 ? "not among the filtered runs" : `${place + 1} of ${listed.length}`,
+    ),
+  );
+}
+
+function runAddress(row) {
+  return `#run=${encodeURIComponent(row.run)}`;
+}
+
+function closeRun() {
+  opened.player?.stop();
+  opened.player = null;
+  opened.number = null;
+}
+
+/** Back to the table, to the run that was open. */
+function showOverview() {
+  const last = opened.number === null ? null : runs.all[opened.number];
+  closeRun();
+  byId("details").hidden = true;
+  byId("details").replaceChildren();
+  byId("overview").hidden = false;
+  if (last)
+    byId("runs")
+      .querySelector(`a[href="${CSS.escape ? runAddress(last).replaceAll('"', "%22") : ""}"]`)
+      ?.focus();
+}

@@ -1,0 +1,72 @@
+// Which layers are drawn, and the key.
+
+const LAYERS = {
+  map: "road",
+  driven: "ways driven",
+  candidates: "candidates",
+  reactions: "predicted reactions of the AV",
+  scores: "opponent scores",
+};
+
+function layers(scene, draw) {
+  const boxes = Object.entries(LAYERS).map(([name, label]) =>
+    layer(label, playing.shown[name], (on) => {
+      playing.shown[name] = on;
+      draw();
+    }),
+  );
+  boxes.push(
+    layer("keep the AV in the middle", playing.follow, (on) => {
+      playing.follow = on;
+      draw();
+    }),
+  );
+  const key = (colour, label, look = "") =>
+    make(
+      "p",
+      {},
+      make("span", {
+        class: `key ${look}`,
+        style: look ? `border-top-color:var(--${colour})` : `background:var(--${colour})`,
+      }),
+      label,
+    );
+  const ramp = [0, 0.25, 0.5, 0.75, 1].map(scoreColour).join(",");
+  return make(
+    "section",
+    { "aria-label": "Layers and key" },
+    ...boxes,
+    key("av", `AV (${scene.av.id})`),
+    scene.opponent ? key("opponent", `opponent (${scene.opponent.id}), with a star`) : null,
+    key("opponent", "its plan", "stroke dashed"),
+    key("candidate", "candidates, the stronger the better", "stroke"),
+    key("reaction", "reactions; full: this one collides", "stroke"),
+    make(
+      "p",
+      {},
+      make("span", { class: "key", style: `background:linear-gradient(90deg,${ramp})` }),
+      "others by score, 0 to 1; grey: none",
+    ),
+    make("p", {}, "× contact"),
+    scene.hidden
+      ? make(
+          "p",
+          { class: "hint" },
+          `${scene.hidden} others that never come within 100 m are not drawn.`,
+        )
+      : null,
+  );
+}
+
+function layer(label, checked, onchange) {
+  return make(
+    "label",
+    {},
+    make("input", {
+      type: "checkbox",
+      checked,
+      onchange: (event) => onchange(event.target.checked),
+    }),
+    ` ${label}`,
+  );
+}

@@ -1,0 +1,95 @@
+// Totals of the filtered runs, by method, planner and so on.
+
+// Not by what only a contact has: every share of it would be 100 %.
+const TOTALS_BY = ["all runs", "method", "planner", "scene", "part", "edge", "turn"];
+const totals = { by: "all runs" };
+
+function showTotalsChoice() {
+  const known = TOTALS_BY.filter(
+    (column) => column === "all runs" || runs.all.some((row) => row[column] !== null),
+  );
+  const select = choice(
+    known,
+    totals.by,
+    (value) => {
+      totals.by = value;
+      showTotals(filteredRuns());
+    },
+    (value) => FILTERS[value] ?? value,
+  );
+  select.id = "totals-by";
+  byId("totals-by").replaceWith(select);
+}
+
+function showTotals(rows) {
+  const by = totals.by;
+  const groups = [...grouped(rows, (row) => (by === "all runs" ? by : (row[by] ?? "–")))];
+  const lines = groups.map(([name, group]) => totalsLine(String(name), group));
+  byId("totals").replaceChildren(
+    ...tableOf(
+      [
+        FILTERS[by] ?? "",
+        "runs",
+        "went through",
+        "AV hit by opponent",
+        "interval",
+        "",
+        "avoidable hits",
+        "contact speed, m/s",
+        "min TTC, s",
+      ],
+      lines,
+      [1, 2, 3, 4, 6, 7, 8],
+    ),
+  );
+}
+
+function totalsLine(name, group) {
+  const done = group.filter((row) => row.status === "ok");
+  const hits = done.filter((row) => row.outcome === "AV hit by opponent");
+  const judged = hits.filter((row) => row.avoidable !== null);
+  const rate = wilson(hits.length, done.length);
+  const avoidable = judged.filter((row) => row.avoidable >= 1).length;
+  return [
+    name,
+    String(group.length),
+    String(done.length),
+    rate ? `${hits.length}/${done.length} = ${percent(rate.rate)}` : "–",
+    rate ? `${percent(rate.low)} to ${percent(rate.high)}` : "–",
+    rate ? intervalBar(rate) : "",
+    judged.length ? `${avoidable}/${judged.length} = ${percent(avoidable / judged.length)}` : "–",
+    averaged(hits.map((row) => row.speed_mps)),
+    averaged(done.map((row) => row.min_ttc_s)),
+  ];
+}
+
+function percent(share) {
+  return `${(100 * share).toFixed(0)} %`;
+}
+
+function averaged(values) {
+  const found = mean(values.filter((value) => value !== null));
+  if (!found) return "–";
+  return found.error === null
+    ? found.mean.toFixed(1)
+    : `${found.mean.toFixed(1)} ± ${found.error.toFixed(1)}`;
+}
+
+/** The interval on a scale from 0 to 1, decoration beside its numbers. */
+function intervalBar({ rate, low, high }) {
+  const x = (share) => 2 + 116 * share;
+  return drawn(
+    "svg",
+    { width: 120, height: 14, "aria-hidden": "true" },
+    drawn("line", { x1: x(0), x2: x(1), y1: 7, y2: 7, stroke: "var(--rule)" }),
+    drawn("line", {
+      x1: x(low),
+      x2: x(high),
+      y1: 7,
+      y2: 7,
+      stroke: "var(--bar)",
+      "stroke-width": 5,
+    }),
+    drawn("circle", { cx: x(rate), cy: 7, r: 4, fill: "var(--ink)" }),
+  );
+}

@@ -1,0 +1,130 @@
+"""A run of a result folder -> its row in the table and what is shown when it is opened."""
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.datatypes import Floats, RoadMap
+from deepmf_sumo.report.figures.results import Run, run_of
+from deepmf_sumo.report.page.packing import packed
+from deepmf_sumo.report.page.places import element
+from deepmf_sumo.report.page.reasons import reasons
+from deepmf_sumo.report.page.replay import main_places, replay
+from deepmf_sumo.report.page.roads import Roads
+from deepmf_sumo.report.page.rows import row
+
+_LOG_LINES: Final = 40
+_FACTS: Final = (
+    "weights", "seed", "version", "adversary", "settings", "budget", "plans", "rules", "ended",
+    "error", "expectations_broken",
+)  # fmt: skip
+"""Of ``result.json``, as it is."""
+_DAMAGE: Final = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error)
+"""What files raise that were cut off, or hold something else."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPage:
+    """One run of the page.
+
+    Attributes:
+        row: in the order of `rows.COLUMNS`.
+        details: `packing.packed`.
+        weights: name of the weights that it used, if known.
+        missing: why it cannot be replayed; empty where it can, or where it has no result at all.
+    """
+
+    row: list[Any]
+    details: str
+    weights: str | None
+    missing: str
+
+
+def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
+    """Read a run; what cannot be read is left out, and the page says so."""
+    run = run_of(out, table)
+    result, missing = _result(run.folder, table["status"])
+    shown: dict[str, Any] = {}
+    place = ""
+    if result and table["status"] == "ok":
+        try:
+            shown, place = _shown(run, roads)
+        except _DAMAGE as error:
+            missing = f"cannot be replayed: {type(error).__name__}: {error}"
+    note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
+    return RunPage(
+        row=row(table, result, place, note),
+        details=packed({**_facts(run.folder, result), **shown, "missing": missing}),
+        weights=result.get("weights") if result else None,
+        missing=missing,
+    )
+
+
+def _result(folder: Path, status: str) -> tuple[Result | None, str]:
+    try:
+        found: Result = json.loads((folder / "result.json").read_text("utf-8"))
+    except FileNotFoundError:
+        return None, "" if status == "skipped" else "result.json is missing"
+    except (OSError, ValueError) as error:
+        return None, f"result.json cannot be read: {error}"
+    return found, ""
+
+
+def _broken(result: Result | None) -> list[str]:
+    return [f"expectation broken: {one}" for one in (result or {}).get("expectations_broken", [])]
+
+
+def _shown(run: Run, roads: Roads) -> tuple[dict[str, Any], str]:
+    """What is drawn of a run, and the element of the road on which the AV was hit."""
+    rollout = run.rollout
+    places = main_places(rollout)
+    number, road, note = roads.add(run, places)
+    origin = np.rint(places[0])
+    shown = {
+        "replay": replay(rollout, origin),
+        "reasons": reasons(run.folder / "plans.npz", origin),
+        "road": number,
+        "road_note": note,
+        "gui": (run.folder / "sumo" / "replay.sumocfg").is_file(),
+    }
+    return shown, _element(run, road)
+
+
+def _element(run: Run, road: RoadMap | None) -> str:
+    if run.contact is None or road is None:
+        return ""
+    pose: Floats = run.contact.pose_first
+    return element(road, pose[:2], float(pose[2]))
+
+
+def _facts(folder: Path, result: Result | None) -> dict[str, Any]:
+    found = result or {}
+    metrics = found.get("metrics", {})
+    return {
+        **{name: found[name] for name in _FACTS if name in found},
+        "metrics": {
+            name: [value["value"], value["unit"], value.get("reason", "")]
+            for name, value in metrics.items()
+        },
+        "events": [
+            [event["step"], event["agent_id"], event["kind"], event.get("detail", "")]
+            for event in found.get("events", [])
+        ],
+        "repairs": found.get("repairs", []),
+        "spec": _text(folder / "spec.yaml"),
+        "log": _text(folder / "log.txt", last=_LOG_LINES),
+    }
+
+
+def _text(file: Path, last: int | None = None) -> str:
+    if not file.is_file():
+        return ""
+    lines = file.read_text("utf-8", errors="replace").splitlines()
+    return "\n".join(lines[-last:] if last else lines)

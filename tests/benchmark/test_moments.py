@@ -1,0 +1,127 @@
+"""Moments chosen from made-up traffic."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepmf_sumo.benchmark.moments import Wish
+from deepmf_sumo.benchmark.moments.choice import choose
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.simulation.scouting import Body, Sightings
+
+EDGES = ("in", "left", "right", "out")
+TURNS = {("in", "left"): "left", ("in", "right"): "right"}
+SECONDS = 60
+
+
+def traffic(*, pairs=6, permission="passenger", speed=5.0, apart=10.0, parked=False):
+    """Pairs of vehicles that follow each other for a minute, each pair on its own road."""
+    rows = []
+    for pair in range(pairs):
+        for member in (0, 1):
+            for second in range(1, SECONDS + 1):
+                x = speed * second + apart * member
+                rows.append((float(second), 2 * pair + member, pair, x, 1000.0 * pair))
+    rows.sort()
+    time_s, vehicle, pair, x, y = map(np.array, zip(*rows, strict=True))
+    return Sightings(
+        begin_s=0.0,
+        until_s=float(SECONDS),
+        complete=True,
+        persons=False,
+        waiting=0,
+        bodies=tuple(
+            Body(id=f"v{number}", type=f"t{number % 2}", permission=permission, departed_s=0.5)
+            for number in range(2 * pairs)
+        ),
+        edges=EDGES,
+        time_s=time_s,
+        vehicle=vehicle,
+        edge=np.where(pair < 4, 0, 3),
+        following=np.where(pair < 4, 1 + pair % 2, -1),
+        position_m=np.column_stack([x, y]),
+        to_end_m=np.where(time_s > 40, 10.0, 500.0),
+        speed_mps=np.full(len(rows), speed),
+        parked=np.full(len(rows), parked),
+    )
+
+
+def test_moments_are_spread_over_edges_movements_vehicles_and_time():
+    found = choose(traffic(), TURNS, Wish(count=8))
+    assert (len(found.moments), found.reason, found.vehicles) == (8, "", 12)
+    moments = found.moments
+    assert sorted(one.edge for one in moments) == ["in"] * 4 + ["out"] * 4
+    assert {one.turn for one in moments if one.edge == "in"} == {"left", "right", "along"}
+    assert len({one.av for one in moments}) == 8
+    starts = np.array([one.start_s for one in moments])
+    assert (np.diff(starts) >= 0).all()
+    assert len(set((starts // 20).tolist())) == 3
+    assert {one.around for one in moments} == {1}
+
+
+def test_the_choice_is_that_of_the_seed():
+    wish = Wish(count=5, seed=3)
+    assert choose(traffic(), TURNS, wish) == choose(traffic(), TURNS, wish)
+    assert choose(traffic(), TURNS, wish) != choose(traffic(), TURNS, replace(wish, seed=4))
+
+
+def test_attacks_on_one_vehicle_do_not_overlap():
+    found = choose(traffic(), TURNS, Wish(count=50, av="v3", duration_s=10.0))
+    starts = [one.start_s for one in found.moments]
+    assert {one.av for one in found.moments} == {"v3"}
+    assert 2 < len(starts) < 7
+    assert min(np.diff(starts)) >= 10.0
+    assert "no other vehicle that could be the AV" in found.reason
+
+
+def test_times_and_types_can_be_asked_for():
+    found = choose(traffic(), TURNS, Wish(count=4, at_s=(20.0, 50.0), av_type="t1"))
+    assert sorted(one.start_s for one in found.moments) == [20.0, 20.0, 50.0, 50.0]
+    assert {one.av_type for one in found.moments} == {"t1"}
+
+
+def test_nobody_new_or_about_to_leave_is_attacked():
+    sightings = traffic(pairs=1)
+    kept = sightings.time_s < 30
+    columns = ("time_s", "vehicle", "edge", "following", "to_end_m", "speed_mps", "parked")
+    short = {name: getattr(sightings, name)[kept] for name in columns}
+    gone = replace(sightings, position_m=sightings.position_m[kept], **short)
+    starts = {one.start_s for one in choose(gone, TURNS, Wish(count=500, duration_s=0.1)).moments}
+    assert (min(starts), max(starts)) == (2.0, 28.0)
+    starts = {one.start_s for one in choose(gone, TURNS, Wish(count=500, duration_s=3.0)).moments}
+    assert max(starts) <= 26.0
+
+
+@pytest.mark.parametrize(
+    ("sightings", "wish", "reason"),
+    [
+        (traffic(apart=60.0), {}, "no vehicle that could be the AV has another vehicle within 50"),
+        (traffic(permission="bicycle"), {}, "no car, truck or bus.*classes: bicycle"),
+        (traffic(speed=0.0), {}, "must move, and none does"),
+        (traffic(parked=True), {}, "must not be parked"),
+        (replace(traffic(), bodies=()), {}, "there is no vehicle from 0 to 60 s$"),
+        (replace(traffic(), bodies=(), persons=True), {}, "only persons"),
+        (replace(traffic(), bodies=(), waiting=3), {}, "3 vehicles wait to be inserted"),
+        (traffic(), {"at_s": (20.5,), "av": "v1"}, "'v1' is there from 1 to 60 s, not at 20.5 s"),
+    ],
+)
+def test_nobody_to_attack_has_a_reason(sightings, wish, reason):
+    found = choose(sightings, TURNS, Wish(count=3, **wish))
+    assert found.moments == ()
+    assert re.search(reason, found.reason)
+
+
+@pytest.mark.parametrize(
+    ("wish", "message"),
+    [
+        ({"av": "v33"}, "no such vehicle is on the road from 0 to 60 s; there are v3"),
+        ({"av_type": "t7"}, "no such type .* there are t"),
+        ({"at_s": (61.0,)}, "there is traffic from 0 to 60 s only"),
+        ({"at_s": (0.5,)}, "the simulation begins at 0 s"),
+    ],
+)
+def test_what_is_not_in_the_traffic_is_the_users_mistake(wish, message):
+    with pytest.raises(UsageError, match=message):
+        choose(traffic(), TURNS, Wish(count=1, **wish))

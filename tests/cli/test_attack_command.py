@@ -1,0 +1,71 @@
+"""``deepmf-sumo attack`` on a tiny network."""
+
+import csv
+import json
+
+import pytest
+
+from deepmf_sumo.cli import main
+
+
+def attack(tiny, out, *more):
+    first = ["attack", tiny / "tiny.sumocfg", "--out", out, "--no-pictures"]
+    return main._run([str(one) for one in [*first, "--set", "adversary=none", *more]])
+
+
+def test_attacks_moments_of_its_own_choice_and_keeps_them(tiny, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert attack(tiny, out, "--moments", 2, "--duration", 1, "--", "--scale", 1) == 0
+    shown = capsys.readouterr()
+    assert "asks for steps of 1 s; it is run with 0.1 s" in shown.err
+    assert "tiny.sumocfg: 2 vehicles from 0 to" in shown.err
+    assert "2 runs: 2 ok" in shown.out
+    with (out / "moments.csv").open() as table:
+        moments = list(csv.DictReader(table))
+    assert [one["edge"] for one in moments] == ["ab", "ab"]
+    with (out / "runs.csv").open() as table:
+        runs = list(csv.DictReader(table))
+    assert [one["run_id"] for one in runs] == [one["run_id"] for one in moments]
+    assert {one["seed"] for one in runs} == {"23423"}
+    file = out / "runs" / runs[0]["run_id"] / "result.json"
+    kept, written = json.loads(file.read_text()), file.stat().st_mtime_ns
+    assert [event["kind"] for event in kept["events"]] == ["step_length_changed"]
+    again = ("--resume", "--moments", 2, "--duration", 1, "--", "--scale", 1)
+    assert attack(tiny, out, *again) == 0
+    assert "2 runs: 2 ok" in capsys.readouterr().out
+    assert file.stat().st_mtime_ns == written
+
+
+def test_times_are_kept_and_nothing_later_is_looked_at(tiny, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert attack(tiny, out, "--at", 2.5, "--av", "leader", "--duration", 0.5) == 0
+    assert "tiny.sumocfg: 2 vehicles from 0 to 4 s" in capsys.readouterr().err
+    assert (out / "runs" / "tiny--leader-2-5s--23423" / "tracks.csv.gz").exists()
+
+
+def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert attack(tiny, out, "--", "--end", "0.5") == 0
+    line = "nobody to attack in tiny.sumocfg: there is no vehicle from 0 to 0 s"
+    assert capsys.readouterr().out.strip() == line
+    assert json.loads((out / "summary.json").read_text())["runs"] == 0
+    assert (out / "moments.csv").read_text().startswith("run_id,av,")
+
+
+@pytest.mark.parametrize(
+    ("more", "message", "code"),
+    [
+        (["--av", "laeder"], "--av laeder: no such vehicle is on the road", 2),
+        (["--", "--nonsense", "1"], "No option with the name 'nonsense' exists", 3),
+        (["--", "--seed", "1"], "SUMO's option --seed cannot be given", 2),
+        (["--set", "source.start_s=1"], "the source is chosen by the other options", 2),
+        (["--set", "planer.x=1"], "--set planer.x=1: key 'planer': unknown key", 2),
+        (["--planner", "imd"], "--planner: key 'planner.name': No plug-in 'imd'", 2),
+    ],
+)
+def test_refusals_are_one_line(tiny, tmp_path, capsys, more, message, code):
+    assert attack(tiny, tmp_path / "out", *more) == code
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert message in errors[0]
+    assert not (tmp_path / "out").exists()

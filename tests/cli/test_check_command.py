@@ -1,0 +1,60 @@
+import gate_doubles
+import pytest
+
+from deepmf_sumo.cli import main
+
+
+@pytest.fixture
+def out(tmp_path):
+    runs = [gate_doubles.result("a", seed, hit=seed < 2) for seed in range(5)]
+    return gate_doubles.write_folder(tmp_path / "out", runs)
+
+
+def check(tmp_path, out, text, *more):
+    file = tmp_path / "t.yaml"
+    file.write_text(f"version: 1\n{text}\n")
+    return main._run(["check", str(out), "-t", str(file), *map(str, more)])
+
+
+def test_all_files_are_written(tmp_path, out, capsys):
+    junit, page, base = (tmp_path / name for name in ("gate.xml", "page.md", "base.json"))
+    code = check(
+        tmp_path, out, "max_av_collision_rate: 0.1",
+        "--junit", junit, "--summary", page, "--write-baseline", base,
+    )  # fmt: skip
+    assert code == 1
+    assert all(file.stat().st_size for file in (junit, page, base))
+    shown = capsys.readouterr().out
+    assert "5 runs: 5 judged" in shown
+    assert "max_av_collision_rate is 0.4 (0.12 to 0.77, 5 runs), allowed at most 0.1" in shown
+    assert check(tmp_path, out, "", "--baseline", base) == 0
+    assert "too few" in capsys.readouterr().out
+
+
+def test_names_with_brackets_and_stars_are_shown(tmp_path, out, capsys):
+    assert check(tmp_path, out, "planners: {'idm*': {max_failed_runs: 0}}") == 0
+    assert "planner idm*" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("max_colision_rate: 0.1", "Did you mean 'max_collision_rate'?"),
+        ("specs: {mad up: {min_judged_runs: 1}}", "did you mean 'made up'?"),
+        ("baseline: nowhere.json", "nowhere.json: no such file or folder"),
+    ],
+)
+def test_bad_input_is_a_line(tmp_path, out, capsys, text, told):
+    assert check(tmp_path, out, text) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
+
+
+def test_half_a_folder_is_no_verdict(tmp_path, capsys):
+    out = gate_doubles.write_folder(tmp_path / "half", [gate_doubles.result()], ["m--later--0"])
+    assert check(tmp_path, out, "") == 3
+    assert "max_failed_runs is 1 (2 runs), allowed at most 0" in capsys.readouterr().out
+    (out / "manifest.json").unlink()
+    assert check(tmp_path, out, "") == 2
+    assert "is no result folder" in capsys.readouterr().err

@@ -1,0 +1,90 @@
+"""The example workflows of docs/ci: what they run works, and what they name is made."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tiny_network
+import yaml
+
+from deepmf_sumo.benchmark import gate
+
+CI = Path(__file__).resolve().parents[2] / "docs" / "ci"
+
+
+def commands(job):
+    """The shell lines of a GitHub or GitLab job, without installation."""
+    lines = job.get("script") or [step["run"] for step in job["steps"] if "run" in step]
+    return [line for line in lines if not line.startswith("pip ")]
+
+
+GITHUB = yaml.safe_load((CI / "github.yml").read_text())["jobs"]["attack"]
+GITLAB = yaml.safe_load((CI / "gitlab.yml").read_text())["av"]
+
+
+@pytest.fixture
+def repository(tmp_path, tiny):
+    """A repository as the workflows expect it, and this program on its path."""
+    scenarios = tmp_path / "av" / "scenarios"
+    shutil.copytree(tiny, scenarios, ignore=shutil.ignore_patterns("*.yaml"))  # others' specs
+    tiny_network.spec(scenarios, "quiet", seed="1")
+    shutil.copy(CI / "thresholds.yaml", tmp_path / "av")
+    program = tmp_path / "bin" / "deepmf-sumo"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m deepmf_sumo.cli.main "$@"\n')
+    program.chmod(0o755)
+    return tmp_path
+
+
+def run(repository, line):
+    path = f"{repository / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    added = {"PATH": path, "GITHUB_STEP_SUMMARY": str(repository / "page.md")}
+    return subprocess.run(
+        ["bash", "-e", "-o", "pipefail", "-c", line], cwd=repository, check=False,
+        capture_output=True, text=True, env={**os.environ, **added},
+    )  # fmt: skip
+
+
+def test_the_workflow_works(repository):
+    """As by hand: attack and make the baseline; then the job, line by line."""
+    _, attack, check = commands(GITHUB)
+    done = run(repository, attack)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert run(repository, check).returncode == 2  # there is no baseline yet
+    shutil.move(repository / "results" / "gate.json", repository / "av" / "baseline.json")
+    done = run(repository, check)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "against" in done.stdout
+    assert "## deepmf-sumo: passed" in (repository / "page.md").read_text()
+    for file in (GITLAB["artifacts"]["reports"]["junit"], "results/gate.json"):
+        assert (repository / file).is_file()
+
+
+@pytest.mark.slow
+def test_the_workflow_begins_with_a_look_at_the_machine(repository):
+    done = run(repository, commands(GITHUB)[0])
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert {line.split()[0] for line in done.stdout.splitlines()[1:]} <= {"ok", "warn"}
+
+
+def test_failed_runs_reach_the_check(repository):
+    """`run` ends with 1 or 3: the job goes on; with 2, a wrong spec, it ends."""
+    attack = commands(GITHUB)[1]
+    for code, passed in ((0, 0), (1, 0), (3, 0), (2, 1), (130, 1)):
+        program = repository / "bin" / "deepmf-sumo"
+        program.write_text(f"#!/bin/sh\nexit {code}\n")
+        assert run(repository, attack).returncode == passed
+
+
+def test_both_services_run_the_same():
+    page = '"$GITHUB_STEP_SUMMARY"'
+    assert [line.replace(page, "results/gate.md") for line in commands(GITHUB)] == commands(GITLAB)
+
+
+def test_the_example_thresholds_are_read():
+    found = gate.load(CI / "thresholds.yaml")
+    assert found.max_av_collision_rate == 0.5
+    assert found.baseline.results.endswith("docs/ci/baseline.json")

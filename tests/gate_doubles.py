@@ -1,0 +1,70 @@
+"""Made-up result folders, and rows as a gate reads them."""
+
+import json
+
+from deepmf_sumo.benchmark.gate.rows import Results, Row
+
+
+def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):
+    """A run in which somebody was attacked, as far as a gate looks at it."""
+    metrics = {"min_gap": 0.0 if hit else 2.0, "ttc_min": 0.0 if hit else None}
+    if hit:
+        metrics |= {"avoidable": 1.0, "av_at_fault": 0.0, "delta_v": 4.0, "collision_speed": 6.0}
+    return {
+        "run_id": f"{spec.replace(' ', '-')}--{scene}--{seed}",
+        "key": f"key of {scene} {seed}",
+        "spec": spec,
+        "scene": scene,
+        "network": "crossing",
+        "seed": seed,
+        "planner": "idm",
+        "planner_label": "idm lane",
+        "adversary": "deepmf",
+        "settings": {"planner": {}, "adversary": {"period_s": 1.0}},
+        "weights": "open",
+        "status": "ok",
+        "error": "",
+        "opponent": "b",
+        "outcome": "av_opponent" if hit else "none",
+        "contacts": [{"kind": "av_opponent", "sector": 0}] if hit else [],
+        "metrics": {name: {"value": value} for name, value in metrics.items()},
+        "expectations_broken": [],
+        "timings": {"wall_s": 1.5},
+        **changes,
+    }
+
+
+def failed(scene="a", seed=0, status="failed"):
+    """A run that has no result."""
+    left = ("opponent", "outcome", "contacts", "metrics")
+    values = result(scene, seed, status=status, error="SUMO refused")
+    return {key: value for key, value in values.items() if key not in left}
+
+
+def write_folder(out, results, missing=(), version="0.1.0"):
+    """A result folder of these runs; ``missing`` are ids of runs that were never begun."""
+    out.mkdir()
+    for one in results:
+        folder = out / "runs" / one["run_id"]
+        folder.mkdir(parents=True)
+        (folder / "result.json").write_text(json.dumps(one))
+    manifest = {
+        "tool": "deepmf-sumo",
+        "format_version": 1,
+        "version": version,
+        "runs": {**{one["run_id"]: one["key"] for one in results}, **dict.fromkeys(missing, "x")},
+    }
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    return out
+
+
+def row(scene="a", seed=0, *, spec="made up", **values):
+    """A judged run with these values."""
+    return Row(
+        run_id=f"{spec}--{scene}--{seed}", spec=spec, network=scene, scene=scene, seed=seed,
+        method=spec, planner="idm lane", status="ok", judged=True, values=values,
+    )  # fmt: skip
+
+
+def results_of(rows, source, version="0.1.0"):
+    return Results(source=source, version=version, rows={one.run_id: one for one in rows})

@@ -1,0 +1,166 @@
+"""A server as the planner: equal tracks, and servers that misbehave."""
+
+import contextlib
+import json
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from tiny_network import build
+
+from deepmf_sumo import plugins
+from deepmf_sumo.errors import PlannerError, PluginError
+from deepmf_sumo.planners import http, idm
+from deepmf_sumo.planners.doors import serve
+from deepmf_sumo.simulation import network_case, simulate
+
+READY = b'{"type": "ready", "protocol": 1}'
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("tiny"))
+
+
+def drive(config, planner, steps=60):
+    case = network_case(config, 3.0, "av", steps, seed=0)
+    return simulate(case, planner, None, rng=np.random.default_rng(0))
+
+
+@contextlib.contextmanager
+def serving(values):
+    server = serve.on_port(serve.Answerer("idm", values), 0)
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def test_the_same_idm_through_the_door_drives_the_same(config):
+    values = {"perception": "corridor"}
+    direct = drive(config, idm.build(idm.Settings(**values)))
+    with serving(values) as url:
+        planner = http.build(http.Settings(url=url, step_budget_s=10.0))
+        for _ in range(2):  # the server goes on after an episode
+            through = drive(config, planner)
+            assert direct.tracks.position_m.tobytes() == through.tracks.position_m.tobytes()
+            assert direct.leaders == through.leaders
+
+
+def test_a_server_that_does_not_know_the_episode_says_so(config):
+    with serving({}) as url:
+        server = http.Server("it", url)
+        view = {
+            "type": "view", "episode": "other", "step": 3, "dt_s": 0.1, "steps_left": 1,
+            "av_id": "av", "agents": [], "signals": {}, "av_path_m": None,
+        }  # fmt: skip
+        with pytest.raises(PlannerError, match=r"status 400: .*'other' before its reset"):
+            server.ask("act", json.dumps(view).encode(), 5.0, "step 3")
+        server.close()
+
+
+def response(body: bytes, status: str = "200 OK") -> bytes:
+    return f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n\r\n".encode() + body
+
+
+def command(**changes) -> bytes:
+    good = {"type": "command", "step": 10, "kind": "speed", "speed_mps": 5.0}
+    return response(json.dumps(good | changes).encode())
+
+
+def drip(connection):
+    connection.sendall(b"HTTP/1.1 200 OK\r\n")
+    with contextlib.suppress(OSError):
+        while True:  # a byte at a time is no progress
+            connection.sendall(b"X")
+            time.sleep(0.05)
+
+
+def gigabyte(connection):
+    connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 1000000000\r\n\r\n")
+    with contextlib.suppress(OSError):
+        for _ in range(1000):
+            connection.sendall(b"x" * 1_000_000)
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda connection: time.sleep(1.5), "did not answer step 10 within 0.8 s"),
+        (drip, "did not answer step 10 within 0.8 s"),
+        (gigabyte, "answered step 10 with more than 65536 bytes"),
+        (lambda connection: connection.close(), "cannot be asked for step 10"),
+        (response(b"a bug", "500 Internal Server Error"), "with status 500: b'a bug'"),
+        (response(b"hello"), "answered 'hello', which is not JSON"),
+        (b"hello\r\n\r\n", "cannot be asked for step 10: "),
+        (command(speed_mps=1e9), "less than or equal to 150"),
+        (command(speed_mps=float("nan")), "finite number"),
+        (command(step=9), "answered for step 9 when asked for step 10"),
+        (response(b"[1, 2]"), "is not a JSON object"),
+        (response(b"", "302 Found"), "with status 302"),
+    ],
+)
+def test_a_hostile_server_is_a_clear_error(config, act, message):
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=_misbehave, args=(listening, act))
+        thread.start()
+        url = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        planner = http.build(http.Settings(url=url, step_budget_s=0.8))
+        begin = time.monotonic()
+        with pytest.raises(PlannerError, match=r"^planner_error: server http://127") as found:
+            drive(config, planner, 5)
+        thread.join()
+    assert message in str(found.value)
+    assert time.monotonic() - begin < 10.0
+
+
+def _misbehave(listening, act):
+    connection, _ = listening.accept()
+    with connection:
+        _question(connection)
+        connection.sendall(response(READY))
+        _question(connection)
+        if callable(act):
+            act(connection)
+        else:
+            connection.sendall(act)
+
+
+def _question(connection):
+    """Read one whole request."""
+    text = b""
+    while b"\r\n\r\n" not in text:
+        text += connection.recv(65536)
+    head, _, body = text.partition(b"\r\n\r\n")
+    length = int(head.lower().partition(b"content-length: ")[2].split(b"\r\n")[0])
+    while len(body) < length:
+        body += connection.recv(65536)
+
+
+def test_nobody_listens(config):
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+    planner = http.build(http.Settings(url=f"http://127.0.0.1:{port}"))
+    with pytest.raises(PlannerError, match=r"cannot be asked for the reset: .*refused"):
+        drive(config, planner)
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("127.0.0.1:80", "must be like http"),
+        ("http://127.0.0.1", "must be like http"),
+        ("http://127.0.0.1:99999", "must be like http"),
+        ("https://127.0.0.1:80", "must be like http"),
+        ("http://10.0.0.1:80", "is not on this machine"),
+    ],
+)
+def test_addresses_that_are_refused(url, message):
+    with pytest.raises(PluginError, match=message):
+        plugins.settings("planners", "http", {"url": url})

@@ -1,0 +1,109 @@
+"""Python planners that misbehave, and what the guard lets pass."""
+
+import os
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tiny_network import build
+
+from deepmf_sumo.datatypes import Command
+from deepmf_sumo.errors import PlannerError
+from deepmf_sumo.planners.doors.guard import Guard, check
+from deepmf_sumo.simulation import network_case, simulate
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("tiny"))
+
+
+class Planner:
+    model = None
+
+    def __init__(self, act):
+        self._act = act
+
+    def reset(self, case, rng):
+        self.steps = 0
+
+    def act(self, view):
+        self.steps += 1
+        return self._act(view) if self.steps == 3 else Command(kind="sumo")
+
+
+def fork(view):
+    os.fork()
+    raise RuntimeError("forked")
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda view: 1 / 0, "ZeroDivisionError: division by zero (see log.txt)"),
+        (lambda view: sys.exit(3), "SystemExit: 3"),
+        (lambda view: None, "the planner's answer at step 12 is no Command: None"),
+        (lambda view: [1.0, 2.0], "is no Command: [1.0, 2.0]"),
+        (lambda view: Command(kind="fly"), "kind at step 12 is 'fly'; known: pose, speed"),
+        (
+            lambda view: Command(kind="speed", speed_mps=float("nan")),
+            "speed_mps at step 12 is nan, not a finite number",
+        ),
+        (
+            lambda view: Command(kind="speed", speed_mps=np.zeros(3)),
+            "not a finite number",
+        ),
+        (lambda view: Command(kind="speed", speed_mps="fast"), "is 'fast', not a finite"),
+        (lambda view: Command(kind="speed", speed_mps=1e9), "no vehicle drives faster"),
+        (lambda view: Command(kind="leader", leader_mps=-1e9), "leader_mps at step 12 is -1e+09"),
+        (lambda view: Command(kind="pose", x_m=1e6), "farther than it gets in 0.1 s"),
+        (fork, "RuntimeError: forked"),
+    ],
+)
+def test_a_hostile_class_is_a_planner_error(config, act, message):
+    case = network_case(config, 3.0, "av", 6, seed=0)
+    me = os.getpid()
+    with pytest.raises(PlannerError) as found:
+        simulate(case, Planner(act), None, rng=np.random.default_rng(0))
+    assert os.getpid() == me
+    assert str(found.value).startswith("planner_error: ")
+    assert message in str(found.value)
+
+
+def test_a_planner_is_closed_however_the_episode_ends(config):
+    closed = []
+
+    class Closing(Planner):
+        def close(self):
+            closed.append(self.steps)
+
+    case = network_case(config, 3.0, "av", 4, seed=0)
+    simulate(case, Closing(lambda view: Command(kind="sumo")), None, rng=np.random.default_rng(0))
+    with pytest.raises(PlannerError):
+        simulate(case, Closing(lambda view: 1 / 0), None, rng=np.random.default_rng(0))
+    assert closed == [4, 3]
+
+
+def test_an_interrupt_is_nobodys_error():
+    def interrupt(view):
+        raise KeyboardInterrupt
+
+    guard = Guard(Planner(interrupt))
+    guard.reset(None, np.random.default_rng(0))
+    view = SimpleNamespace(step=3)
+    for _ in range(2):
+        guard.act(view)
+    with pytest.raises(KeyboardInterrupt):
+        guard.act(view)
+
+
+def test_what_was_fixed_before_may_jump():
+    position = np.zeros((1, 1, 2))
+    history = SimpleNamespace(position_m=position, row=lambda agent: 0)
+    view = SimpleNamespace(step=3, dt_s=0.1, av_id="av", history=history)
+    far = Command(kind="pose", x_m=15.1)
+    check(far, view, may_jump=True)
+    check(Command(kind="pose", x_m=14.9), view, may_jump=False)
+    with pytest.raises(PlannerError, match=r"15.1 m from the AV"):
+        check(far, view, may_jump=False)

@@ -1,0 +1,61 @@
+"""An episode that waits for another thread's commands."""
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from deepmf_sumo.datatypes import Command
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.planners.doors.turns import Ended, Turns
+
+GO = Command(kind="sumo")
+
+
+def views(steps):
+    return [SimpleNamespace(step=step) for step in range(steps)]
+
+
+def test_views_and_commands_take_turns_until_the_end():
+    heard = []
+
+    def episode(planner):
+        planner.reset(None, None)
+        heard.extend(planner.act(view) for view in views(3))
+        return "over"
+
+    turns = Turns(episode, None)
+    came = [turns.next()]
+    while not isinstance(came[-1], Ended):
+        came.append(turns.next(GO))
+    assert [view.step for view in came[:-1]] == [0, 1, 2]
+    assert came[-1].result == "over"
+    assert heard == [GO, GO, GO]
+
+
+def test_leaving_unwinds_the_simulation():
+    closed = threading.Event()
+
+    def episode(planner):
+        planner.reset(None, None)
+        try:
+            planner.act(views(1)[0])
+        finally:
+            closed.set()
+
+    turns = Turns(episode, None)
+    turns.next()
+    turns.leave()
+    assert closed.is_set()
+
+
+def test_a_search_over_episodes_is_refused():
+    def episode(planner):
+        for _ in range(2):
+            planner.reset(None, None)
+            planner.act(views(1)[0])
+
+    turns = Turns(episode, None)
+    turns.next()
+    with pytest.raises(UsageError, match="simulates an attack more than once"):
+        turns.next(GO)

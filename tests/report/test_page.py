@@ -1,0 +1,400 @@
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from importlib import resources
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from result_folders import Folder
+
+from deepmf_sumo.cli import main
+from deepmf_sumo.datatypes import Lane, RoadMap
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.report import page
+from deepmf_sumo.report.page import packing, places, rows
+
+ASSETS = resources.files("deepmf_sumo.report.page") / "assets"
+NODE = shutil.which("node")
+BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
+
+
+class Parsed(HTMLParser):
+    """Elements with their attributes, and the text of each script."""
+
+    def __init__(self, file):
+        super().__init__()
+        self.elements, self.scripts, self.inside = [], {}, None
+        self.feed(file.read_text("utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag == "script":
+            self.inside = dict(attrs).get("id", "run")
+            self.scripts[self.inside] = ""
+
+    def handle_endtag(self, tag):
+        if tag == "script":
+            self.inside = None
+
+    def handle_data(self, data):
+        if self.inside:
+            self.scripts[self.inside] += data
+
+    @property
+    def rows(self):
+        content = json.loads(self.scripts["content"])
+        return [dict(zip(content["columns"], row, strict=True)) for row in content["rows"]]
+
+    @property
+    def content(self):
+        return json.loads(self.scripts["content"])
+
+    def details(self, number):
+        return unpacked(self.scripts[f"run-{number}"])
+
+
+def unpacked(text):
+    import base64
+    import zlib
+
+    return json.loads(zlib.decompress(base64.b64decode(text)))
+
+
+def restored(differences, unit):
+    return np.cumsum(np.cumsum(differences)) * unit
+
+
+def javascript(names, expression):
+    """Value of an expression over some of the page's scripts."""
+    if NODE is None:
+        pytest.skip("no node to run JavaScript with")
+    code = "\n".join((ASSETS / f"{name}.js").read_text("utf-8") for name in names)
+    code += f"\n;(async () => console.log(JSON.stringify({expression})))();"
+    done = subprocess.run([NODE, "-e", code], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return Folder(tmp_path)
+
+
+def test_one_page_with_every_run_and_without_a_network(folder):
+    folder.add("s1", scores={"b": 0.9, "c": 0.2}, metrics={"accident_type": 2.0, "ttc_min": 0.25})
+    folder.add("s2", hit=False)
+    folder.fail("s3")
+    parsed = Parsed(page.write(folder.out))
+    first, second, third = parsed.rows
+    assert (first["outcome"], first["sector"]) == ("AV hit by opponent", "front")
+    assert (first["accident"], first["speed"]) == ("T-bone", "2 to 5 m/s")
+    assert (first["time_s"], first["min_ttc_s"]) == (3.0, 0.25)
+    assert (second["outcome"], second["sector"]) == ("no contact", None)
+    assert (third["status"], third["note"]) == ("failed", "no reason; result.json is missing")
+    used = [
+        value
+        for _, attrs in parsed.elements
+        for key, value in attrs.items()
+        if key in {"src", "href"}
+    ]
+    assert all(value.startswith("#") for value in used)
+    policy = next(a["content"] for t, a in parsed.elements if a.get("http-equiv"))
+    assert policy.startswith("default-src 'none'")
+    assert "http" not in parsed.scripts["run"].replace("http://www.w3.org/2000/svg", "")
+
+
+def test_ids_are_unique_and_controls_have_names(folder):
+    folder.add("s1")
+    parsed = Parsed(page.write(folder.out))
+    ids = [attrs["id"] for _, attrs in parsed.elements if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    named = {attrs["aria-labelledby"] for _, attrs in parsed.elements if "aria-labelledby" in attrs}
+    assert named <= set(ids)
+
+
+def test_poses_are_those_of_the_tracks(folder):
+    rollout = folder.add("s1", turn=0.0)
+    replay = Parsed(page.write(folder.out)).details(0)["replay"]
+    tracks = rollout.tracks
+    assert {agent["id"] for agent in replay["agents"]} == set(tracks.ids)
+    for agent in replay["agents"]:
+        [[first, x, y, heading]] = agent["parts"]
+        steps = first + agent["every"] * np.arange(len(x))
+        assert steps[-1] == tracks.steps - 1
+        row = tracks.row(agent["id"])
+        found = np.stack([restored(x, agent["unit"]), restored(y, agent["unit"])], axis=-1)
+        apart = np.abs(found + replay["origin"] - tracks.position_m[row, steps])
+        assert apart.max() <= agent["unit"] / 2 + 1e-9
+        turned = restored(heading, 2 * np.pi / replay["turn"]) - tracks.heading_rad[row, steps]
+        assert np.abs(turned).max() < 0.01
+
+
+def test_who_drives_is_said_at_each_change(folder):
+    folder.add("s1")
+    agents = Parsed(page.write(folder.out)).details(0)["replay"]["agents"]
+    drivers = {agent["id"]: agent.get("drivers") for agent in agents}
+    assert drivers["av"] == [[0, "log"], [11, "planner"]]
+    assert drivers["b"] == [[0, "log"], [11, "policy"]]
+    assert drivers["c"] is None
+    found = javascript(["scene"], f"driverAt({json.dumps({'drivers': drivers['av']})}, 10.6)")
+    assert found == "planner"
+
+
+def test_agents_far_away_are_left_out_and_counted(folder, monkeypatch):
+    monkeypatch.setattr("deepmf_sumo.report.page.replay.REACH_M", 10.0)
+    folder.add("s1", speed=10.0, hit=False)
+    replay = Parsed(page.write(folder.out)).details(0)["replay"]
+    assert replay["hidden"] == 3
+    assert {agent["id"] for agent in replay["agents"]} == {"av", "b", "c"}
+
+
+def test_the_same_runs_give_the_same_page(folder):
+    folder.add("s1", scores={"b": 0.9})
+    first = page.write(folder.out).read_bytes()
+    assert page.write(folder.out).read_bytes() == first
+
+
+def test_one_road_for_all_runs_of_a_scene(folder):
+    folder.add("s1")
+    folder.add("s1", method="S2")
+    folder.add("s2")
+    parsed = Parsed(page.write(folder.out))
+    assert [parsed.details(number)["road"] for number in range(3)] == [0, 0, 1]
+    assert unpacked(parsed.scripts["road-1"])["shapes"]
+    assert "road-2" not in parsed.scripts
+
+
+def test_a_damaged_run_is_shown_with_its_reason(folder):
+    folder.add("s1")
+    folder.add("s2")
+    folder.add("s3")
+    runs = sorted((folder.out / "runs").iterdir())
+    (runs[0] / "tracks.csv.gz").unlink()
+    (runs[1] / "result.json").write_text("{")
+    (runs[2] / "plans.npz").write_bytes(b"no archive")
+    parsed = Parsed(page.write(folder.out))
+    notes = [row["note"] for row in parsed.rows]
+    assert "tracks.csv.gz" in notes[0]
+    assert notes[1].startswith("result.json cannot be read")
+    assert notes[2].startswith("cannot be replayed")
+    assert parsed.content["missing"] == 3
+    assert "replay" not in parsed.details(0)
+
+
+@pytest.mark.parametrize("name", ["tracks.csv.gz", "plans.npz", "result.json"])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.95])
+def test_files_that_were_cut_off(folder, name, share):
+    folder.add("s1")
+    file = folder.out / "runs" / "00-s1" / name
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    parsed = Parsed(page.write(folder.out))
+    assert parsed.content["missing"] == 1
+    assert "cannot be" in parsed.rows[0]["note"]
+
+
+def test_a_lost_recording_is_said_and_the_rest_is_shown(folder):
+    folder.add("s1")
+    (folder.root / "s1.npz").unlink()
+    details = Parsed(page.write(folder.out)).details(0)
+    assert details["road"] is None
+    assert details["road_note"].startswith("no road: ")
+    assert details["replay"]["agents"]
+
+
+def test_places_of_chosen_moments_come_from_their_table(folder):
+    folder.add("s1")
+    folder.add("s2")
+    (folder.out / "moments.csv").write_text("run_id,edge,turn\n01-s2,north,left\n")
+    found = Parsed(page.write(folder.out)).rows
+    assert [(row["edge"], row["turn"]) for row in found] == [(None, None), ("north", "left")]
+
+
+def test_texts_cannot_become_elements(folder):
+    folder.fail("s1")
+    folder.rows[0]["error"] = "</script><script>alert(1)</script>"
+    folder.write()
+    parsed = Parsed(page.write(folder.out))
+    assert parsed.rows[0]["note"].startswith("</script>")
+    running = [attrs for tag, attrs in parsed.elements if tag == "script" and "type" not in attrs]
+    assert len(running) == 1
+
+
+def test_candidates_that_are_kept_hold_the_chosen_one(folder, monkeypatch):
+    monkeypatch.setattr("deepmf_sumo.report.page.reasons.MOST_A_PLAN", 1)
+    monkeypatch.setattr("deepmf_sumo.report.page.reasons.FEWEST_A_PLAN", 1)
+    folder.add("s1", scores={"b": 0.9, "c": 0.25})
+    [plan] = Parsed(page.write(folder.out)).details(0)["reasons"]
+    assert (plan["of"], plan["chosen"], len(plan["candidates"])) == (2, 0, 1)
+    assert plan["scores"] == {"b": 0.9, "c": 0.25}
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [((), "give the --out of an earlier command"), (("manifest.json",), "finish it with --resume")],
+)
+def test_no_result_folder(tmp_path, files, message):
+    for name in files:
+        (tmp_path / name).write_text("{}")
+    with pytest.raises(UsageError, match=message):
+        page.write(tmp_path)
+
+
+def test_the_command_writes_the_page(folder, capsys):
+    folder.add("s1")
+    assert main._run(["report", str(folder.out)]) == 0
+    assert "report.html" in capsys.readouterr().out
+    assert (folder.out / "report.html").is_file()
+    assert main._run(["report", str(folder.out / "nowhere")]) == 2
+
+
+@pytest.mark.parametrize(
+    ("speed", "kind"),
+    [
+        (None, None),
+        (0.0, "0 to 2 m/s"),
+        (2.0, "2 to 5 m/s"),
+        (9.99, "5 to 10 m/s"),
+        (10.0, "10 m/s and more"),
+    ],
+)
+def test_kinds_of_speed(speed, kind):
+    assert rows.speed_kind(speed) == kind
+
+
+@given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=50))
+def test_numbers_come_back_within_half_a_unit(values):
+    assert np.abs(restored(packing.steady(values, 0.05), 0.05) - values).max() <= 0.0251
+    assert np.abs(np.cumsum(packing.stepwise(values, 0.1)) * 0.1 - values).max() <= 0.0501
+
+
+def lane(name, points, **kwargs):
+    points = np.array(points, float)
+    return Lane(
+        id=name,
+        kind="street",
+        centre_m=points,
+        z_m=np.full(len(points), kwargs.pop("z", 0.0)),
+        **kwargs,
+    )
+
+
+@pytest.mark.parametrize(
+    ("place", "heading", "element"),
+    [
+        ((5, 0.5), 0.0, "road with one lane"),
+        ((100, 1), 0.0, "junction"),
+        ((80, 0), 0.0, "junction approach"),
+        ((5, 9), 0.0, "off the lanes"),
+        ((190, 0), 0.0, "merge or split"),
+        ((100, 30), np.pi / 2, "road with one lane"),
+    ],
+)
+def test_elements_of_the_road(place, heading, element):
+    road = RoadMap(
+        lanes={
+            "a": lane("a", [(0, 0), (200, 0)], next=("c",)),
+            "b": lane("b", [(100, -50), (100, 50)]),
+            "c": lane("c", [(200, 0), (250, 0)], previous=("a", "d")),
+            "above": lane("above", [(50, -50), (50, 50)], z=8.0),
+        }
+    )
+    assert places.element(road, np.array(place, float), heading) == element
+
+
+def test_lanes_made_up_to_join_others_are_junctions():
+    joins = lane("j", [(0, 0), (10, 0)], interpolating=True)
+    before = lane("b", [(-30, 0), (0, 0)], next=("j",))
+    road = RoadMap(lanes={"j": joins, "b": before})
+    assert places.element(road, np.array([5.0, 0.0]), 0.0) == "junction"
+    assert places.element(road, np.array([-10.0, 0.0]), 0.0) == "junction approach"
+    assert places.element(road, np.array([-25.0, 0.0]), 0.0) == "road with one lane"
+
+
+def luminance(colour):
+    parts = np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+def test_texts_stand_out_in_both_themes():
+    style = (ASSETS / "page.css").read_text("utf-8")
+    themes = [
+        dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
+        for block in re.findall(r"\{([^{}]*--paper:[^{}]*)\}", style)
+    ]
+    assert len(themes) == 3
+    assert themes[1] == themes[2]
+    for theme in themes:
+        for ink in ("ink", "soft", "link", "opponent"):
+            for ground in ("paper", "panel"):
+                pair = sorted((luminance(theme[ink]), luminance(theme[ground])))
+                assert (pair[1] + 0.05) / (pair[0] + 0.05) >= 4.5, (ink, ground)
+
+
+def test_the_scripts_unpack_what_was_packed():
+    values = {"a": [1, 2, 3], "text": "é</script>"}
+    found = javascript(["packing"], f"await unpacked({json.dumps(packing.packed(values))})")
+    assert found == values
+    path = [0.0, 1.0, 2.1, 3.3, 3.3]
+    assert javascript(["packing"], f"restored({packing.steady(path, 0.1)}, 0.1)") == pytest.approx(
+        path
+    )
+    assert javascript(["packing"], f"summed({packing.stepwise(path, 0.1)}, 0.1)") == pytest.approx(
+        path
+    )
+
+
+def test_intervals_of_the_page_are_those_of_the_tables():
+    for hits, runs in ((0, 7), (3, 10), (10, 10)):
+        found = javascript(["statistics"], f"wilson({hits}, {runs})")
+        assert found == pytest.approx(wilson(hits, runs)._asdict())
+    assert javascript(["statistics"], "[wilson(0, 0), mean([])]") == [None, None]
+    assert javascript(["statistics"], "mean([1])") == {"mean": 1, "error": None}
+    assert javascript(["statistics"], "mean([1, 3])") == pytest.approx(
+        {"mean": 2, "error": 1.959964}
+    )
+
+
+def test_poses_between_steps_and_where_nobody_is():
+    agent = {
+        "every": 2,
+        "parts": [{"first": 4, "x": [0, 2, 6], "y": [0, 0, 0], "heading": [0, 0, 1]}],
+    }
+    poses = f"[3.9, 4, 5, 7, 8, 8.1].map((step) => poseAt({json.dumps(agent)}, step))"
+    found = javascript(["packing", "scene"], poses)
+    assert [pose and pose["x"] for pose in found] == [None, 0, 1, 4, 6, None]
+
+
+def test_a_browser_shows_table_and_replay(folder):
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    folder.add("s1", scores={"b": 0.9, "c": 0.2})
+    written = page.write(folder.out)
+    text = shown(f"file://{written}")
+    assert "1/1 = 100 %" in text
+    assert "AV hit by opponent" in text
+    text = shown(f"file://{written}#run=00-s1")
+    assert "<canvas" in text
+    assert "Plan at 0.0 s" in text
+    assert "deepmf-sumo run runs/00-s1/spec.yaml" in text
+    assert "cannot be shown" not in text
+
+
+def shown(address):
+    """The page's elements once its scripts have run."""
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--virtual-time-budget=4000",
+        "--dump-dom",
+    ]
+    done = subprocess.run(
+        [BROWSER, *options, address], capture_output=True, text=True, check=True, timeout=60
+    )
+    return re.sub(r"<script.*?</script>", "", done.stdout, flags=re.DOTALL)

@@ -1,0 +1,78 @@
+"""Who is where when, while nobody attacks."""
+
+import numpy as np
+import pytest
+from tiny_network import build
+
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.planners import idm
+from deepmf_sumo.simulation import network_case, scouting, simulate
+from deepmf_sumo.simulation.scouting import Scouting, scout
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tiny")
+    file = build(folder)
+    outputs = '<output><fcd-output value="fcd.xml"/></output>'
+    random = '<random_number><random value="true"/></random_number>'
+    detector = '<additional><edgeData id="e" file="edges.xml"/></additional>'
+    (folder / "out.add.xml").write_text(detector)
+    additional = '<additional-files value="out.add.xml"/></input>'
+    text = file.read_text().replace("</input>", additional)
+    file.write_text(text.replace("</conf", f"{outputs}{random}</conf"))
+    return file
+
+
+def look(config, *options, **more):
+    return scout(Scouting(config=config, sumo_options=options, seed=0, **more))
+
+
+def test_everybody_is_seen_once_a_second_and_when_asked(config):
+    seen = look(config, at_s=(2.5,))
+    assert [body.id for body in seen.bodies] == ["av", "leader"]
+    assert {body.type for body in seen.bodies} == {"DEFAULT_VEHTYPE"}
+    assert seen.time_s[:10:2] == pytest.approx([1.0, 2.0, 2.5, 3.0, 4.0])
+    assert seen.complete
+    assert not seen.persons
+    assert seen.edges == ("ab",)
+    assert (seen.following == -1).all()
+    assert not seen.parked.any()
+    av = seen.vehicle == 0
+    assert (np.diff(seen.position_m[av, 0]) > 0).all()
+    assert seen.to_end_m[av] == pytest.approx(400 - seen.position_m[av, 0] - 2.5, abs=0.01)
+
+
+def test_a_run_finds_the_traffic_that_was_seen(config):
+    seen = look(config)
+    rollout = simulate(
+        network_case(config, 5.0, "av", 2), idm.build(idm.Settings()), None,
+        rng=np.random.default_rng(0),
+    )  # fmt: skip
+    at = (seen.time_s == 5.0) & (seen.vehicle == 1)
+    tracks = rollout.tracks
+    there = tracks.position_m[tracks.row("leader"), rollout.now]
+    assert there == pytest.approx(seen.position_m[at][0], abs=1e-9)
+
+
+def test_outputs_of_the_configuration_are_not_written_over(config):
+    look(config)
+    assert not [path.name for path in config.parent.rglob("*") if path.name.startswith("fcd")]
+    assert not (config.parent / "edges.xml").exists()
+
+
+def test_it_ends_with_the_configuration_as_told_or_where_it_gets_too_long(config, monkeypatch):
+    ended = look(config, "--end", "4")
+    assert (ended.until_s, ended.complete) == (4.0, True)
+    ended = look(config, "--end", "4", until_s=9.0)
+    assert (ended.until_s, ended.complete) == (4.0, True)
+    told = look(config, until_s=3.0)
+    assert (told.until_s, told.complete) == (3.0, False)
+    monkeypatch.setattr(scouting, "MOST_VEHICLE_STEPS", 400)
+    short = look(config)
+    assert (short.until_s, short.complete) == (2.0, False)
+
+
+def test_a_missing_file_is_named_in_sumos_words(config, tmp_path):
+    with pytest.raises(SimulationError, match=r"missing\.rou\.xml' is not accessible"):
+        look(config, "-r", str(tmp_path / "missing.rou.xml"), "--begin", "1")
