@@ -180,7 +180,8 @@ def _differences(content: Content) -> Table:
 def _difference(row: Row) -> str:
     if not row["difference"]:
         return "-"
-    middle, low, high = (
-        f"{float(row[name]):+.2f}" for name in ("difference", "difference_lo", "difference_hi")
-    )
+    middle = f"{float(row['difference']):+.2f}"
+    if not row["difference_lo"]:  # one scene: there is nothing to resample
+        return middle
+    low, high = (f"{float(row[name]):+.2f}" for name in ("difference_lo", "difference_hi"))
     return f"{middle} ({low} to {high})"
