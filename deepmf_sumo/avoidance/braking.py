@@ -8,8 +8,8 @@ import numpy as np
 from deepmf_sumo.avoidance.approach import Approach
 from deepmf_sumo.avoidance.drivers import Driver
 from deepmf_sumo.avoidance.path import Path
-from deepmf_sumo.avoidance.touching import touching
 from deepmf_sumo.datatypes import Bools, Floats
+from deepmf_sumo.geometry.touching import touching
 
 STANDING_MPS: Final = 0.1
 """Slower counts as standing: recorded velocities of vehicles that stand are not 0."""

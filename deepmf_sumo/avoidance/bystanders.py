@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmf_sumo.avoidance.manoeuvres import GRID, Driven
-from deepmf_sumo.avoidance.touching import touching
 from deepmf_sumo.datatypes import Bools, Case, Floats, Rollout
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.touching import touching
 
 
 class Bystanders(NamedTuple):

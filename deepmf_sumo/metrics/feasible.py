@@ -29,12 +29,10 @@ _NOISE_M = (
 
 def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
-    row = parts.opponent_row(rollout)
-    if row is None:
-        return _QUANTITY.missing(parts.NO_OPPONENT)
-    steps = parts.driven(rollout, row)
-    if not steps.any():
-        return _QUANTITY.missing(parts.NEVER_DRIVEN)
+    found = parts.driving(rollout)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    row, steps = found
     if not _follows(rollout, row, steps).all():
         return _QUANTITY.value(0.0)
     tracks = rollout.tracks

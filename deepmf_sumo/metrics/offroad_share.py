@@ -5,7 +5,8 @@ no lanes.
 """
 
 from deepmf_sumo.datatypes import Case, MetricValue, Rollout
-from deepmf_sumo.metrics.episode import parts, road
+from deepmf_sumo.geometry import road
+from deepmf_sumo.metrics.episode import parts
 from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
@@ -19,11 +20,8 @@ _QUANTITY = Quantity("offroad_share", UNIT, BETTER)
 
 def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
-    row = parts.opponent_row(rollout)
-    if row is None:
-        return _QUANTITY.missing(parts.NO_OPPONENT)
-    steps = parts.driven(rollout, row)
-    if not steps.any():
-        return _QUANTITY.missing(parts.NEVER_DRIVEN)
-    inside = road.on_road(case.road, rollout.tracks.position_m[row, steps])
+    found = parts.driving(rollout)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    inside = road.on_road(case.road, rollout.tracks.position_m[found])
     return _QUANTITY.value(1.0 - inside.mean())

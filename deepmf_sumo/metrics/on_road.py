@@ -5,7 +5,8 @@ for cars. Human drivers do not reach 1 everywhere: driveways and car parks have 
 """
 
 from deepmf_sumo.datatypes import Case, MetricValue, Rollout
-from deepmf_sumo.metrics.episode import parts, road
+from deepmf_sumo.geometry import road
+from deepmf_sumo.metrics.episode import parts
 from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
@@ -19,11 +20,7 @@ _QUANTITY = Quantity("on_road", UNIT, BETTER)
 
 def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
-    row = parts.opponent_row(rollout)
-    if row is None:
-        return _QUANTITY.missing(parts.NO_OPPONENT)
-    steps = parts.driven(rollout, row)
-    if not steps.any():
-        return _QUANTITY.missing(parts.NEVER_DRIVEN)
-    inside = road.on_road(case.road, rollout.tracks.position_m[row, steps])
-    return _QUANTITY.value(inside.mean())
+    found = parts.driving(rollout)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    return _QUANTITY.value(road.on_road(case.road, rollout.tracks.position_m[found]).mean())

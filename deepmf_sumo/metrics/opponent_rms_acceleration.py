@@ -17,12 +17,10 @@ _QUANTITY = Quantity("opponent_rms_acceleration", UNIT, BETTER)
 
 def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
-    row = parts.opponent_row(rollout)
-    if row is None:
-        return _QUANTITY.missing(parts.NO_OPPONENT)
-    steps = parts.driven(rollout, row)
-    if not steps.any():
-        return _QUANTITY.missing(parts.NEVER_DRIVEN)
+    found = parts.driving(rollout)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    row, steps = found
     position, heading = rollout.tracks.position_m[row], rollout.tracks.heading_rad[row]
     along = np.concatenate(
         [

@@ -19,12 +19,10 @@ _QUANTITY = Quantity("red_light", UNIT, BETTER)
 
 def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
-    row = parts.opponent_row(rollout)
-    if row is None:
-        return _QUANTITY.missing(parts.NO_OPPONENT)
-    steps = parts.driven(rollout, row)
-    if not steps.any():
-        return _QUANTITY.missing(parts.NEVER_DRIVEN)
+    found = parts.driving(rollout)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    row, steps = found
     if not rollout.signals:
         return _QUANTITY.missing("the rollout does not hold the states of the lights")
     return _QUANTITY.value(lights.passed_on_red(rollout, case, row, steps))

@@ -9,8 +9,9 @@ collide: the mean is a rate over attacked scenes, like that of `collision`.
 import numpy as np
 
 from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.geometry import road
 from deepmf_sumo.metrics import collision_clean, feasible
-from deepmf_sumo.metrics.episode import parts, road
+from deepmf_sumo.metrics.episode import parts
 from deepmf_sumo.metrics.episode.judgement import judgement
 from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from deepmf_sumo.datatypes import Case, MetricValue, Rollout
-from deepmf_sumo.metrics.episode import parts, road
+from deepmf_sumo.geometry import road
+from deepmf_sumo.metrics.episode import parts
 from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 
 UNIT = "1"
@@ -19,12 +20,10 @@ _MOVING_MPS = 1.0
 
 def measure(rollout: Rollout, case: Case) -> MetricValue:
     """The metric of one rollout."""
-    row = parts.opponent_row(rollout)
-    if row is None:
-        return _QUANTITY.missing(parts.NO_OPPONENT)
-    steps = parts.driven(rollout, row)
-    if not steps.any():
-        return _QUANTITY.missing(parts.NEVER_DRIVEN)
+    found = parts.driving(rollout)
+    if isinstance(found, str):
+        return _QUANTITY.missing(found)
+    row, steps = found
     velocity = rollout.tracks.velocity_mps[row, steps]
     course = np.arctan2(velocity[:, 1], velocity[:, 0])
     against = road.against_traffic(case.road, rollout.tracks.position_m[row, steps], course)

@@ -7,8 +7,8 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.geometry.road import on_road
 from deepmf_sumo.metrics.episode.conflict import Moving, time_to_collision
-from deepmf_sumo.metrics.episode.road import on_road
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)}
 

@@ -8,7 +8,7 @@ from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Case, Lane, NetworkSource, RoadMap, Signals, SignalState
-from deepmf_sumo.metrics.episode.road import against_traffic, on_road
+from deepmf_sumo.geometry.road import against_traffic, on_road
 
 AV = straight(0, -30, 10)
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Case, Floats, Rollout
-from deepmf_sumo.geometry import boxes
-from deepmf_sumo.metrics.episode import road
+from deepmf_sumo.geometry import boxes, road
 
 _FAR_M = 100.0
 """Distance to an AV or an opponent that was gone before the first step."""

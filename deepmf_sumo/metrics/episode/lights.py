@@ -6,7 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Case, Floats, Rollout, SignalState
 from deepmf_sumo.geometry import angles, frames, polylines
-from deepmf_sumo.metrics.episode.road import WIDTH_M
+from deepmf_sumo.geometry.road import WIDTH_M
 
 _RED = {SignalState.STOP, SignalState.ARROW_STOP}
 _SAME_WAY = 0.5  # cosine: within 60 degrees of the lane

@@ -1,5 +1,7 @@
 """Parts of a rollout: steps after the current one, steps driven by the policy."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Case, Driver, Floats, Rollout
@@ -23,6 +25,22 @@ def driven(rollout: Rollout, row: int) -> Bools:
     """(T) steps after the current one at which the policy drove the agent."""
     mask: Bools = (rollout.driver[row] == Driver.POLICY) & rollout.tracks.valid[row]
     return mask & (np.arange(rollout.tracks.steps) > rollout.now)
+
+
+class Driving(NamedTuple):
+    """Row of the opponent, and (T) steps after the current one at which the policy drove it."""
+
+    row: int
+    steps: Bools
+
+
+def driving(rollout: Rollout) -> Driving | str:
+    """Where the policy drove the opponent, or the reason why it never did."""
+    row = opponent_row(rollout)
+    if row is None:
+        return NO_OPPONENT
+    steps = driven(rollout, row)
+    return Driving(row, steps) if steps.any() else NEVER_DRIVEN
 
 
 def together(rollout: Rollout, row: int) -> tuple[int, Bools]:

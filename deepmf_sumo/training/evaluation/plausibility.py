@@ -5,8 +5,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import FUTURE_STEPS, Bools, Floats, Ints
-from deepmf_sumo.geometry import boxes
-from deepmf_sumo.metrics.episode import road
+from deepmf_sumo.geometry import boxes, road
 from deepmf_sumo.training.evaluation.targets import Target
 
 _EVERY: Final = 5

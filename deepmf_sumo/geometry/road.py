@@ -10,13 +10,17 @@ from deepmf_sumo.datatypes import Bools, Floats, RoadMap
 WIDTH_M = 3.7
 """Of a lane whose source says nothing."""
 MARGIN_M = 0.5
+"""A point is on the road half a lane's width and so much from a centre line."""
 _AGAINST_RAD = 2 * np.pi / 3
+_BLOCK = 44  # points tested together: neighbours in the list are neighbours on the road
 
 
 def on_road(road: RoadMap, points_m: Floats) -> Bools:
     """(N) points (N, 2) within half a lane's width and 0.5 m of its centre line; no cycle lanes."""
     points = np.asarray(points_m, float)
-    return np.asarray(_covering(_near(road, points), points).any(axis=1))
+    near = pieces_near(road, points)
+    blocks = np.array_split(points, max(1, len(points) // _BLOCK))
+    return np.concatenate([covering(_reaching(near, one), one).any(axis=1) for one in blocks])
 
 
 def against_traffic(road: RoadMap, points_m: Floats, course_rad: Floats) -> Bools:
@@ -25,15 +29,15 @@ def against_traffic(road: RoadMap, points_m: Floats, course_rad: Floats) -> Bool
     A point on no lane is not against any: False.
     """
     points = np.asarray(points_m, float)
-    near = _near(road, points)
-    covering = _covering(near, points)
+    near = pieces_near(road, points)
+    on_it = covering(near, points)
     turn = np.cos(np.asarray(course_rad, float)[:, None] - near.heading_rad)
-    along = covering & (turn > np.cos(_AGAINST_RAD))
-    against: Bools = covering.any(axis=1) & ~along.any(axis=1)
+    along = on_it & (turn > np.cos(_AGAINST_RAD))
+    against: Bools = on_it.any(axis=1) & ~along.any(axis=1)
     return against
 
 
-class _Segments(NamedTuple):
+class Pieces(NamedTuple):
     """Pieces of centre lines: start and vector (S, 2), reach and direction (S)."""
 
     start_m: Floats
@@ -43,13 +47,13 @@ class _Segments(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4)
-def _segments(road: RoadMap) -> _Segments:
+def _pieces(road: RoadMap) -> Pieces:
     """All pieces of a road's lanes for cars; kept, for several metrics ask about one road."""
     lanes = [one for one in road.lanes.values() if one.kind != "bike" and len(one.centre_m) > 1]
     start = np.concatenate([np.empty((0, 2)), *(one.centre_m[:-1] for one in lanes)])
     vector = np.concatenate([np.empty((0, 2)), *(np.diff(one.centre_m, axis=0) for one in lanes)])
     reach = [(one.width_m or WIDTH_M) / 2 + MARGIN_M for one in lanes]
-    return _Segments(
+    return Pieces(
         start_m=start,
         vector_m=vector,
         reach_m=np.repeat(reach, [len(one.centre_m) - 1 for one in lanes]),
@@ -57,23 +61,26 @@ def _segments(road: RoadMap) -> _Segments:
     )
 
 
-def _near(road: RoadMap, points: Floats) -> _Segments:
+def pieces_near(road: RoadMap, points: Floats) -> Pieces:
     """The pieces that reach into the bounding box of points (N, 2)."""
-    every = _segments(road)
+    return _reaching(_pieces(road), points)
+
+
+def _reaching(pieces: Pieces, points: Floats) -> Pieces:
     if len(points) == 0:
-        return _Segments(*(part[:0] for part in every))
-    end, reach = every.start_m + every.vector_m, every.reach_m[:, None]
-    low, high = np.minimum(every.start_m, end) - reach, np.maximum(every.start_m, end) + reach
+        return Pieces(*(part[:0] for part in pieces))
+    end, reach = pieces.start_m + pieces.vector_m, pieces.reach_m[:, None]
+    low, high = np.minimum(pieces.start_m, end) - reach, np.maximum(pieces.start_m, end) + reach
     meets = ((high >= points.min(axis=0)) & (low <= points.max(axis=0))).all(axis=1)
-    return _Segments(*(part[meets] for part in every))
+    return Pieces(*(part[meets] for part in pieces))
 
 
-def _covering(segments: _Segments, points: Floats) -> Bools:
+def covering(pieces: Pieces, points: Floats) -> Bools:
     """(N, S) whether a point lies within a piece's reach."""
-    offset = points[:, None] - segments.start_m
-    vector = segments.vector_m
+    offset = points[:, None] - pieces.start_m
+    vector = pieces.vector_m
     square = np.maximum((vector**2).sum(axis=1), 1e-12)
     share = np.clip((offset * vector).sum(axis=-1) / square, 0.0, 1.0)
     away = offset - share[..., None] * vector
-    covers: Bools = (away**2).sum(axis=-1) <= segments.reach_m**2
+    covers: Bools = (away**2).sum(axis=-1) <= pieces.reach_m**2
     return covers
