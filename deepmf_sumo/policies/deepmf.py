@@ -19,15 +19,10 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     View,
 )
-from deepmf_sumo.policies.factorization import candidates, opponent, steering
+from deepmf_sumo.policies.factorization import candidates, opponent, pairing, steering
 from deepmf_sumo.policies.factorization.aims import aimed_paths
 from deepmf_sumo.policies.factorization.candidates import Candidates, References
-from deepmf_sumo.policies.factorization.collision import (
-    collisions,
-    delta_v,
-    footprint,
-    impact_sectors,
-)
+from deepmf_sumo.policies.factorization.collision import footprint
 from deepmf_sumo.policies.factorization.goals import goal_paths
 from deepmf_sumo.policies.factorization.selection import Choice
 from deepmf_sumo.policies.factorization.settings import Settings
@@ -212,7 +207,7 @@ class DeepMF:
     ) -> Plan:
         """Collide all pairs within the time that is left, choose, and say why."""
         futures = own.forecast.futures
-        pairs = self._pairs(view, own, reactions, alone, watch)
+        pairs = pairing.pairs(view, own, reactions, alone, self._settings, self._committed, watch)
         pairs, choice, unmet = self._choose(view, own, reactions, pairs)
         self._committed = pairs.fair is not None and bool(
             (pairs.fair & pairs.collides.any(axis=1))[choice.index]
@@ -273,41 +268,6 @@ class DeepMF:
             sector=pairs.sector,
             fair=pairs.fair,
             unmet=unmet,
-        )
-
-    def _pairs(
-        self,
-        view: View,
-        own: Candidates,
-        reactions: list[Forecast],
-        alone: Forecast | None,
-        watch: Stopwatch,
-    ) -> steering.Pairs:
-        """How candidates and reactions collide, and what the settings want to know about it."""
-        settings, futures = self._settings, own.forecast.futures
-        sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
-        horizon = min(FUTURE_STEPS, view.steps_left)
-        collides, step = collisions(futures, reactions, *sizes, horizon)
-        sector = fair = severity = None
-        if settings.wanted_sector is not None:
-            sector = impact_sectors(futures, reactions, *sizes, step)
-        if settings.aggressiveness is not None:
-            severity = delta_v(futures, reactions, *sizes, step)
-        watch.lap("collision")
-        if settings.fair:
-            assert alone is not None
-            # What was avoidable when the opponent set out stays so while it goes through with it.
-            kept = np.array([origin == "tail" for origin in own.origin]) & self._committed
-            fair = kept | steering.fair(view, futures, alone)
-            watch.lap("fair")
-        return steering.Pairs(
-            probability=own.forecast.probability,
-            reaction_probability=np.stack([reaction.probability for reaction in reactions]),
-            collides=collides,
-            collision_step=step,
-            sector=sector,
-            fair=fair,
-            severity=severity,
         )
 
 

@@ -108,14 +108,15 @@ def open_or_make(
 
 
 def digest_of(kind: str, data: Data, settings: str) -> str:
-    """Of settings, and names, sizes and times of the files: contents are not read twice.
+    """Of settings, and the files' names and contents: a copy of the recordings is the same data.
 
     Raises UsageError where the path does not exist.
     """
     hasher = hashlib.sha256(f"{VERSION} {kind} {settings}".encode())
-    for file in readers.find([data.path]):
-        stat = file.stat()
-        hasher.update(f"{file.name} {stat.st_size} {stat.st_mtime_ns}".encode())
+    for path in readers.find([data.path]):
+        with path.open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        hasher.update(f"{path.name} {content}".encode())
     return hasher.hexdigest()
 
 

@@ -1,4 +1,5 @@
 import errno
+import os
 import sys
 from pathlib import Path
 
@@ -117,6 +118,18 @@ def test_changed_recordings_are_read_again_and_the_old_cache_is_mentioned(folder
     lines = []
     assert len(make(folder, tmp_path, lines=lines).scenes) == 7
     assert "holds features of scenes as it was before" in lines[0]
+    make(folder, tmp_path, lines=lines)
+    assert len(list((tmp_path / "c").iterdir())) == 2
+
+
+def test_a_copy_of_the_recordings_is_the_same_data(folder, tmp_path):
+    make(folder, tmp_path)
+    for file in folder.iterdir():
+        os.utime(file, (1.0, 1.0))
+    lines = []
+    make(folder, tmp_path, lines=lines)
+    assert lines == []
+    (folder / "0.npz").write_bytes((folder / "1.npz").read_bytes())
     make(folder, tmp_path, lines=lines)
     assert len(list((tmp_path / "c").iterdir())) == 2
 
