@@ -1,4 +1,4 @@
-"""From hundreds of weighted dense goals to a few modes: greedy k-medoids, or suppression (NMS).
+"""From hundreds of weighted dense goals to a few modes: k-medoids, or suppression (NMS).
 
 K independent sets at once, N goals each.
 """
@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 Selection = Literal["medoids", "nms"]
-CAP_M: Final = 15.0
+CAP_M: Final = 25.0
 """Being farther away than this from all modes costs no more."""
+_SWAPS = 4
+"""Rounds in which the modes move to the medians of what is nearest to them."""
 NMS_RADIUS_M: Final = 7.2
 
 
@@ -58,7 +60,10 @@ def speed_factor(speed_mps: float) -> float:
 
 
 def _medoids(weight: Tensor, distance: Tensor, modes: int) -> Tensor:
-    """(K, M): each mode lowers the expected distance to the nearest mode as much as one can."""
+    """(K, M): each mode lowers the expected distance to the nearest mode as much as one can.
+
+    Chosen greedily, and then moved together.
+    """
     least = torch.full_like(weight, CAP_M)
     free = torch.ones_like(weight)
     saved = torch.empty_like(distance)
@@ -71,7 +76,26 @@ def _medoids(weight: Tensor, distance: Tensor, modes: int) -> Tensor:
         row = distance.gather(1, best.unsqueeze(-1).expand(-1, -1, distance.shape[2])).squeeze(1)
         least = torch.minimum(least, row)
         picked.append(best)
-    return torch.cat(picked, 1)
+    chosen = torch.cat(picked, 1)
+    for _ in range(_SWAPS):
+        before, chosen = chosen, _medians(weight, distance, chosen)
+        if torch.equal(before, chosen):
+            break
+    return chosen
+
+
+def _medians(weight: Tensor, distance: Tensor, chosen: Tensor) -> Tensor:
+    """(K, M): for each chosen goal the one with the least distance to all that are nearest to it.
+
+    A goal that two have chosen is the nearest of the first: the second stays where it is.
+    """
+    modes, goals = chosen.shape[1], weight.shape[1]
+    nearest = distance.gather(2, chosen.unsqueeze(1).expand(-1, goals, -1)).argmin(2)
+    mine = nearest.unsqueeze(1) == torch.arange(modes, device=weight.device)[:, None]
+    cost = torch.bmm(mine * weight.unsqueeze(1), distance)
+    cost = cost.masked_fill(~mine, float("inf"))
+    best = cost.argmin(-1)
+    return torch.where(mine.any(-1), best, chosen)
 
 
 def _nms(weight: Tensor, distance: Tensor, modes: int, radius_m: float) -> Tensor:

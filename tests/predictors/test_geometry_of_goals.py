@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -59,6 +61,29 @@ def test_medoids_cover_and_masses_sum_to_one():
     chosen, mass = selection.select(weight, ends, 3)
     assert chosen.tolist() == [[0, 2, 4]]
     assert mass.flatten().tolist() == pytest.approx([0.55, 0.35, 0.1])
+
+
+def expected(weight, ends, chosen):
+    apart = torch.cdist(ends, ends).clamp_max(selection.CAP_M)
+    return float((weight * apart[chosen].min(0).values).sum())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_medoids_are_nearly_the_best_of_all_choices(seed):
+    generator = torch.Generator().manual_seed(seed)
+    ends = torch.rand(14, 2, generator=generator) * 60
+    weight = torch.rand(14, generator=generator).softmax(0)
+    chosen, _ = selection.select(weight[None], ends[None], 3)
+    found = expected(weight, ends, chosen[0])
+    every = [list(rows) for rows in itertools.combinations(range(14), 3)]
+    assert found < 1.05 * min(expected(weight, ends, rows) for rows in every)
+
+
+def test_a_first_medoid_between_two_groups_moves_into_one():
+    ends = torch.tensor([[[0.0, 0], [10, 0], [20, 0]]])
+    chosen, mass = selection.select(torch.tensor([[0.35, 0.3, 0.35]]), ends, 2)
+    assert sorted(chosen[0].tolist()) == [0, 2]
+    assert mass.sum() == pytest.approx(1.0)
 
 
 def test_nms_takes_the_likeliest_that_are_apart_and_then_fills_up():
