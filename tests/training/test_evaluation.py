@@ -305,6 +305,6 @@ def test_real_networks_and_clusters_go_through(monkeypatch, given, tmp_path):
     assert set(at_8["baselines"]["clusters"]["min_fde"]) == {"6", "16", "32"}
     assert found["marginal"]["clusters"] == "fitted on 40 trajectories"
     errors = list(at_8["min_fde"].values())
-    assert errors == sorted(errors, reverse=True)
+    assert errors[0] == max(errors)  # of 6 modes; 16 and 32 are not nested
     assert np.isfinite(found["conditional"]["8.0"]["log_likelihood_gain_true"])
     assert 0 <= at_8["ece"] <= 1
