@@ -144,12 +144,20 @@ class Opponent:
     Args:
         net: in evaluation mode.
         temperature, partner_temperature: divide the logits, so that their sigmoid is calibrated.
+        offset: added to those of the first head thereafter.
     """
 
-    def __init__(self, net: OpponentNet, temperature: float, partner_temperature: float) -> None:
+    def __init__(
+        self,
+        net: OpponentNet,
+        temperature: float,
+        partner_temperature: float,
+        offset: float = 0.0,
+    ) -> None:
         self.net = net.eval()
         self.temperature = temperature
         self.partner_temperature = partner_temperature
+        self.offset = offset
 
     @torch.inference_mode()
     def score(self, view: View, *, everyone: bool = False) -> OpponentScores:
@@ -163,6 +171,6 @@ class Opponent:
         ids = around.ids(view)
         return OpponentScores(
             ids=tuple(ids[row] for row in keep),
-            logits=logits[:, 0] / self.temperature,
+            logits=logits[:, 0] / self.temperature + self.offset,
             partner_logits=logits[:, 1] / self.partner_temperature,
         )

@@ -8,6 +8,7 @@ is asked for.
 """
 
 import json
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,7 +71,10 @@ def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
         name=str(name),
         folder=folder,
         opponent=Opponent(
-            opponent, opponent_card["temperature"], opponent_card["partner_temperature"]
+            opponent,
+            opponent_card["temperature"],
+            opponent_card["partner_temperature"],
+            opponent_card.get("offset", 0.0),
         ),
         marginal=Marginal(marginal, marginal_card["temperature"], selection),
         conditional=Conditional(conditional, conditional_card["temperature"], selection),
@@ -190,6 +194,12 @@ def _network(folder: Path, network: Network) -> tuple[nn.Module, dict[str, Any]]
                 f"{folder / network}.json has {key} {value!r}; it must be a number above 0; "
                 f"{_again(folder, network)}."
             )
+    offset = card.get("offset", 0.0)
+    if not (isinstance(offset, int | float) and math.isfinite(offset)):
+        raise WeightsError(
+            f"{folder / network}.json has offset {offset!r}; it must be a number; "
+            f"{_again(folder, network)}."
+        )
     try:
         preset = Preset.from_record(card.get("sizes"))
     except WeightsError as error:

@@ -1,15 +1,21 @@
 """Training of the opponent network."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepmf_sumo.predictors.opponent import OpponentNet
+from deepmf_sumo.predictors.opponent_features import KNOWN_SHARE, PARKED, STANDS_IN
 from deepmf_sumo.training import losses
 from deepmf_sumo.training.cache import Cache
 from deepmf_sumo.training.schedule import Loss, tensors
 
 _TEMPERATURES = np.round(np.arange(0.3, 3.01, 0.05), 2)
+_OFFSETS = np.round(np.arange(-3.0, 3.01, 0.1), 1)
+_WHOLE = 0.99
+"""Share of the next 8 s that is known, but for rounding: all."""
 _SCALE = 10.0
 """Of the focal losses, which are small."""
 _CHOICE = 0.1
@@ -41,29 +47,83 @@ def loss_of(net: OpponentNet) -> Loss:
     return loss
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """What makes sigmoids of logits frequencies: ``sigmoid(logit / temperature + offset)``.
+
+    Attributes:
+        temperature, offset: of the first head.
+        partner_temperature: of the second head, which only ranks.
+    """
+
+    temperature: float = 1.0
+    offset: float = 0.0
+    partner_temperature: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOut:
+    """N vehicles of held-out scenes.
+
+    Attributes:
+        logits, labels: (N, 2). known: (N) whether the scene names a partner.
+        asked: (N) whether an attack would ask for it: not parked, seen by the AV itself, and the
+            label knows the next 8 s. A shorter rest of the recording has fewer positives.
+    """
+
+    logits: Tensor
+    labels: Tensor
+    known: Tensor
+    asked: Tensor
+
+
 @torch.inference_mode()
-def held_out_logits(net: OpponentNet, cache: Cache) -> tuple[Tensor, Tensor, Tensor]:
-    """Of held-out scenes: logits and labels (N, 2) of vehicles, and whether a partner is named."""
+def held_out(net: OpponentNet, cache: Cache) -> HeldOut:
+    """Of all held-out samples."""
     net.eval().cpu()
     parts = []
     rows = cache.rows(held_out=True)
     for begin in range(0, len(rows), 64):
         batch = tensors(cache.batch(rows[begin : begin + 64]))
         there = batch["vehicle"] > 0
-        known = batch["partner_known"].unsqueeze(1).expand_as(there)
+        known = batch["partner_known"].unsqueeze(1).expand_as(there) > 0
         labels = torch.stack([batch["interacts"], batch["partner"]], -1)
-        parts.append((net(batch).mean(0)[there], labels[there], known[there] > 0))
-    logits, labels, known = (torch.cat(column) for column in zip(*parts, strict=True))
-    return logits, labels, known
+        pair = batch["pair"]
+        asked = (pair[..., PARKED] == 0) & (pair[..., STANDS_IN] == 0)
+        asked &= pair[..., KNOWN_SHARE] > _WHOLE
+        of_all = net(batch).mean(0), labels, known, asked
+        parts.append(tuple(each[there] for each in of_all))
+    logits, labels, known, asked = (torch.cat(column) for column in zip(*parts, strict=True))
+    return HeldOut(logits=logits, labels=labels, known=known, asked=asked)
 
 
-def fit_temperatures(net: OpponentNet, cache: Cache) -> tuple[float, float]:
-    """Temperatures of both heads with the least held-out cross-entropy."""
+def calibrate(net: OpponentNet, cache: Cache) -> Calibration:
+    """What has the least held-out cross-entropy (Platt 1999 for the first head)."""
     if len(cache.rows(held_out=True)) == 0:
-        return 1.0, 1.0
-    logits, labels, known = held_out_logits(net, cache)
-    first = _fitted(logits[:, 0], labels[:, 0])
-    return first, _fitted(logits[known, 1], labels[known, 1])
+        return Calibration()
+    found = held_out(net, cache)
+    asked = found.asked
+    positives = float(found.labels[asked, 0].sum())
+    if positives in (0.0, float(asked.sum())):  # says nothing: better all that there is
+        asked = torch.ones_like(asked)
+    temperature, offset = _platt(found.logits[asked, 0], found.labels[asked, 0])
+    return Calibration(
+        temperature=temperature,
+        offset=offset,
+        partner_temperature=_fitted(found.logits[found.known, 1], found.labels[found.known, 1]),
+    )
+
+
+def _platt(logits: Tensor, labels: Tensor) -> tuple[float, float]:
+    """Temperature within 0.3 to 3, and offset within 3 nats: few positives say little."""
+    best, least = (1.0, 0.0), float("inf")
+    entropy = torch.nn.functional.binary_cross_entropy_with_logits
+    for temperature in _TEMPERATURES:
+        for offset in _OFFSETS:
+            cost = float(entropy(logits / temperature + offset, labels))
+            if cost < least:
+                best, least = (float(temperature), float(offset)), cost
+    return best
 
 
 def _fitted(logits: Tensor, labels: Tensor) -> float:

@@ -290,5 +290,4 @@ def _measured(network: Network, net: nn.Module, cache: Cache) -> dict[str, Any]:
     if isinstance(net, DenseTNT):
         return {"temperature": trajectory.fit_temperature(net, cache, _MODES[network])}
     assert isinstance(net, OpponentNet)
-    first, second = opponent.fit_temperatures(net, cache)
-    return {"temperature": first, "partner_temperature": second}
+    return asdict(opponent.calibrate(net, cache))

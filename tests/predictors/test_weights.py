@@ -1,3 +1,6 @@
+import json
+import math
+
 import pytest
 from synthetic import view
 
@@ -66,6 +69,17 @@ def test_a_damaged_file_is_named(folder):
 def test_tensors_of_another_network_are_refused(folder):
     (folder / "marginal.safetensors").write_bytes((folder / "opponent.safetensors").read_bytes())
     with pytest.raises(WeightsError, match="does not fit the marginal network"):
+        weights.load(folder)
+
+
+def test_an_offset_that_is_no_number_is_named(folder):
+    card = json.loads((folder / "opponent.json").read_text(encoding="utf-8"))
+    for offset in (-1.5, math.inf):
+        text = json.dumps({**card, "offset": offset})
+        (folder / "opponent.json").write_text(text, encoding="utf-8")
+        if offset == -1.5:
+            assert weights.load(folder).opponent.offset == -1.5
+    with pytest.raises(WeightsError, match=r"opponent\.json has offset inf; it must be a number"):
         weights.load(folder)
 
 

@@ -53,6 +53,7 @@ def density(off_m):
 @dataclass
 class Opponent:
     temperature = 2.0
+    offset = 0.0
 
     def score(self, view, *, everyone=False):
         return OpponentScores(

@@ -39,6 +39,7 @@ class OpponentFigures:
     logits: list[Floats] = field(default_factory=list)
     positives: list[Bools] = field(default_factory=list)
     temperature: float = 1.0
+    offset: float = 0.0
     scenes: int = 0
     with_positive: int = 0
     parked: int = 0
@@ -66,7 +67,7 @@ class OpponentFigures:
         self._add_partner(scene, ids, scores, attackable)
         self.logits.append(scores["label_head"][attackable])
         self.positives.append(positive[attackable])
-        self.temperature = opponent.temperature
+        self.temperature, self.offset = opponent.temperature, opponent.offset
         self.scenes += 1
         self.with_positive += bool(positive.any())
         self.parked += int((~attackable).sum())
@@ -113,12 +114,13 @@ class OpponentFigures:
         }
 
     def _calibration(self) -> dict[str, Any]:
-        """ECE of the first head's sigmoid over attackable candidates, at the temperature and 1."""
+        """ECE of the first head's sigmoid over attackable candidates, calibrated and as trained."""
         logits = np.concatenate(self.logits) if self.logits else np.zeros(0)
         happened = np.concatenate(self.positives) if self.positives else np.zeros(0, bool)
+        trained = (logits - self.offset) * self.temperature
         return {
             "ece": expected_error(_sigmoid(logits), happened),
-            "ece_uncalibrated": expected_error(_sigmoid(logits * self.temperature), happened),
+            "ece_uncalibrated": expected_error(_sigmoid(trained), happened),
             "mean_score": mean(_sigmoid(logits).tolist()),
         }
 
