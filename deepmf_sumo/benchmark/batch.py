@@ -1,13 +1,16 @@
 """Specs -> result folder."""
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from deepmf_sumo.benchmark import episode, pool, result, tasks
+from deepmf_sumo.benchmark import episode, executors, result, shards, tasks
+from deepmf_sumo.benchmark.executors import Limits
 from deepmf_sumo.benchmark.home import cache_folder
+from deepmf_sumo.benchmark.pool import Finished
 from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.shards import Shard
 from deepmf_sumo.benchmark.store import Store, open_folder
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.spec import Expect, Spec
@@ -20,6 +23,7 @@ class Options:
     Attributes:
         out: the result folder.
         name_filter: only runs whose id holds it.
+        executor, jobs: what does the runs, and how many at a time, see `executors.chosen`.
         timeout_s: for one run; None is no limit.
         draw: makes the pictures, by name importable in a worker; None makes none.
         scenes: also write each rollout as a recording.
@@ -27,11 +31,13 @@ class Options:
         resume: keep the runs that an earlier, equal batch finished.
         memory_mb: for one worker; None is no limit.
         minutes: no run is begun after so many; None is no limit.
+        shard: only this part of the runs.
     """
 
     out: Path
     name_filter: str = ""
-    jobs: int = 1
+    executor: str = "local"
+    jobs: int | None = None
     timeout_s: float | None = 600.0
     draw: episode.Draw | None = None
     gui: bool = False
@@ -41,15 +47,21 @@ class Options:
     resume: bool = False
     memory_mb: float | None = None
     minutes: float | None = None
+    shard: Shard | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """A run has ended (``last``), or none has yet."""
+    """A run has ended (``last``), or none has yet.
+
+    Attributes:
+        kept: of those done, from before. lost: that are done again, their machine was lost.
+    """
 
     done: int
     of: int
     kept: int
+    lost: int = 0
     last: Result | None = None
 
 
@@ -75,20 +87,26 @@ def run_tasks(
     queue: Callable[[Task], Any] | None = None,
 ) -> list[Result]:
     """As `run`; tables are in the order of ``planned``, runs begin in that of the key ``queue``."""
+    executors.chosen(options.executor, options.jobs)  # what is wrong shows before anything is done
+    every = planned
+    if options.shard:
+        planned = options.shard.choose(every)
     store = open_folder(options.out, resume=options.resume)
-    store.begin(planned, {"jobs": options.jobs, "timeout_s": options.timeout_s})
+    _begin(store, planned, options)
+    shards.note(options.out, every if options.shard else None)
     found = {task.run_id: kept for task in planned if (kept := store.result(task))}
     left = [task for task in planned if task.run_id not in found]
     if queue:
         left.sort(key=queue)
-    kept_runs, interrupted = len(found), True
-    report(Progress(done=kept_runs, of=len(planned), kept=kept_runs))
-    endings = _endings(store, left, options)
+    now = Progress(done=len(found), of=len(planned), kept=len(found))
+    report(now)
+    endings, interrupted = _endings(store, left, options), True
     try:
         for ending in endings:
-            task = left[ending.index]
-            found[task.run_id] = last = _result(store, task, ending)
-            report(Progress(done=len(found), of=len(planned), kept=kept_runs, last=last))
+            now = _heard(now, store, left[ending.index], ending)
+            if now.last:
+                found[now.last["run_id"]] = now.last
+            report(now)
         interrupted = len(found) < len(planned)
     finally:
         endings.close()
@@ -98,9 +116,26 @@ def run_tasks(
     return results
 
 
+def _begin(store: Store, planned: Sequence[Task], options: Options) -> None:
+    """The manifest; what may differ between equal batches is apart in it."""
+    machine = {
+        "executor": options.executor,
+        "jobs": options.jobs,
+        "timeout_s": options.timeout_s,
+    }
+    store.begin(planned, machine)
+
+
+def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Progress:
+    """A task has ended, or is to be done again."""
+    if ending.status == "lost":
+        return replace(before, lost=before.lost + 1, last=None)
+    return replace(before, done=before.done + 1, last=_result(store, task, ending))
+
+
 def _endings(
     store: Store, left: Sequence[Task], options: Options
-) -> Generator[pool.Finished, None, None]:
+) -> Generator[Finished, None, None]:
     work = episode.Episode(
         runs=store.runs,
         cache=cache_folder(),
@@ -109,17 +144,13 @@ def _endings(
         scenes=options.scenes,
         sumo=options.sumo,
     )
-    return pool.run(
-        work,
-        left,
-        jobs=options.jobs,
-        timeout_s=options.timeout_s,
-        memory_mb=options.memory_mb,
-        minutes=options.minutes,
+    limits = Limits(
+        timeout_s=options.timeout_s, memory_mb=options.memory_mb, minutes=options.minutes
     )
+    return executors.chosen(options.executor, options.jobs).run(work, left, limits)
 
 
-def _result(store: Store, task: Task, ending: pool.Finished) -> Result:
+def _result(store: Store, task: Task, ending: Finished) -> Result:
     """What the worker wrote, or why it could not."""
     if ending.status != "done":
         status: result.Status = "timeout" if ending.status == "timeout" else "failed"

@@ -17,10 +17,20 @@ import numpy as np
 import yaml
 
 from deepmf_sumo import network, plugins, readers, simulation
-from deepmf_sumo.benchmark import artifacts, expectations, files, result
+from deepmf_sumo.benchmark import artifacts, expectations, files, result, turns
 from deepmf_sumo.benchmark.rollout_scene import scene_of
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, MetricValue, Rollout, Scene, SumoNet
+from deepmf_sumo.datatypes import (
+    DT_S,
+    Attack,
+    Budget,
+    Case,
+    MetricValue,
+    Rollout,
+    Scene,
+    SumoNet,
+    TurnRules,
+)
 from deepmf_sumo.errors import DeepmfError, PlannerError, ReaderError, RunError, UsageError
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
@@ -81,7 +91,9 @@ class Episode:
         case = make_case(task, self.cache)
         attack = attack_case(task, case, gui=self.gui)
         rollout = attack.rollout
-        metrics = measure(rollout, case)
+        decisive = turns.decisive_part(rollout, case)
+        metrics = measure(*decisive)
+        by_turn = turns.judged(rollout, case, measure)
         artifacts.write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
         if self.sumo or isinstance(task.spec.source, FromNetwork):
@@ -89,8 +101,9 @@ class Episode:
         if self.scenes:
             npz.write(scene_of(rollout, case), folder / "scene.npz")
         if self.draw:
-            self.draw(rollout, case, folder / "picture.png")
-        found = result.finished(task, case, attack, metrics, time.perf_counter() - begin)
+            self.draw(*decisive, folder / "picture.png")
+        wall_s = time.perf_counter() - begin
+        found = result.finished(task, case, attack, metrics, wall_s, by_turn)
         wrong = result.not_finite(found)
         if wrong:
             raise RunError(f"{wrong} is not a finite number; the run is not used.")
@@ -110,6 +123,7 @@ def make_case(task: Task, cache: Path) -> Case:
             spec.seed,
             task.run_id,
             source.sumo_options,
+            TurnRules(**spec.turns.model_dump()) if spec.opponents == "in_turn" else None,
         )
     scene, net = _recorded(source.recording, task.scene, cache)
     return Case(

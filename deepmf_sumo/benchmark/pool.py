@@ -39,13 +39,16 @@ _LOOK_S: Final = 0.2
 
 _PR_SET_PDEATHSIG: Final = 1
 
-Status = Literal["done", "raised", "crashed", "timeout", "memory"]
+Status = Literal["done", "raised", "crashed", "timeout", "memory", "lost"]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finished:
-    """How a task ended; all but ``done`` with a reason."""
+    """How a task ended; all but ``done`` with a reason.
+
+    ``lost`` is no end: the machine that did it is gone, and another will do it (`executors`).
+    """
 
     index: int
     status: Status
@@ -76,7 +79,7 @@ def run(
     """
     pending = deque(enumerate(tasks))
     stop = time.monotonic() + 60.0 * minutes if minutes else float("inf")
-    workers = [_Worker(work, timeout_s, memory_mb) for _ in range(min(jobs, len(tasks)))]
+    workers = [Worker(work, timeout_s, memory_mb) for _ in range(min(jobs, len(tasks)))]
     try:
         while pending or any(worker.index is not None for worker in workers):
             if time.monotonic() >= stop:
@@ -84,7 +87,7 @@ def run(
             for place, worker in enumerate(workers):
                 if pending and worker.free and worker.worn:
                     worker.kill()
-                    workers[place] = _Worker(work, timeout_s, memory_mb)
+                    workers[place] = Worker(work, timeout_s, memory_mb)
                 elif pending and worker.free:
                     worker.give(*pending.popleft())
             _wait(workers, stop if pending else float("inf"))
@@ -92,14 +95,14 @@ def run(
                 if finished := worker.look():
                     yield finished
                 if not worker.alive and pending:
-                    workers[place] = _Worker(work, timeout_s, memory_mb)
+                    workers[place] = Worker(work, timeout_s, memory_mb)
             workers = [worker for worker in workers if worker.alive]
     finally:
         for worker in workers:
             worker.kill()
 
 
-def _wait(workers: Sequence["_Worker"], stop: float) -> None:
+def _wait(workers: Sequence["Worker"], stop: float) -> None:
     """Sleep until a worker says something, one is out of time, or its memory is to be looked at."""
     due = min(stop, *(worker.deadline for worker in workers))
     most = _LOOK_S if any(worker.memory_mb for worker in workers) else 60.0
@@ -108,8 +111,17 @@ def _wait(workers: Sequence["_Worker"], stop: float) -> None:
 
 
 @dataclass
-class _Worker:
-    """The parent's side of a worker process."""
+class Worker:
+    """The parent's side of a worker process; raises RunError where that does not even start.
+
+    Attributes:
+        work: importable by name in a new process.
+        timeout_s: for one task. memory_mb: of the process and its children.
+        ready: it has loaded its libraries.
+        alive: it has not been ended, nor found dead.
+        index: of its task, None without one. given: tasks so far.
+        began, deadline: of what it does, on the monotonic clock.
+    """
 
     work: Callable[[Any], None]
     timeout_s: float | None
@@ -142,6 +154,7 @@ class _Worker:
         return self.given >= _RENEW_AFTER and self._holds_more_than(0.5)
 
     def give(self, index: int, task: object) -> None:
+        """Let it do a task; only while it is `free`."""
         self.given += 1
         self.index, self.began = index, time.monotonic()
         self.deadline = self.began + self.timeout_s if self.timeout_s else float("inf")

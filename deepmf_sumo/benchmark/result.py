@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from deepmf_sumo import plugins
+from deepmf_sumo.benchmark import turns
 from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, MetricValue, Rollout
 from deepmf_sumo.geometry import frames
@@ -49,6 +50,8 @@ COLUMNS: Final = (
     "budget_simulations",
     "budget_seconds",
     "simulations",
+    "turns",
+    "turn_hits",
 )
 TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
 """Columns that differ between equal runs."""
@@ -65,10 +68,19 @@ def unfinished(task: Task, status: Status, error: str, wall_s: float = 0.0) -> R
 
 
 def finished(
-    task: Task, case: Case, attack: Attack, metrics: list[MetricValue], wall_s: float
+    task: Task,
+    case: Case,
+    attack: Attack,
+    metrics: list[MetricValue],
+    wall_s: float,
+    by_turn: list[dict[str, Any]] | None = None,
 ) -> Result:
-    """The result of a run that went through."""
+    """The result of a run that went through.
+
+    ``metrics`` are of the decisive turn where opponents attack in turn, ``by_turn`` all turns.
+    """
     rollout = attack.rollout
+    decisive = turns.decisive_part(rollout, case)
     return {
         **_identity(task),
         "status": "ok",
@@ -78,11 +90,11 @@ def finished(
         "steps": rollout.tracks.steps - 1 - rollout.now,
         "duration_steps": case.duration_steps,
         "opponent": rollout.opponent_id,
-        "opponent_score": _opponent_score(rollout, task.spec.adversary.settings),
+        "opponent_score": _opponent_score(decisive[0], task.spec.adversary.settings),
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
         "events": [asdict(event) for event in rollout.events],
         "metrics": {value.name: _metric(value) for value in metrics},
-        "samples": _samples(rollout, case),
+        "samples": _samples(*decisive),
         "plans": len(rollout.plans),
         "rules": [plan.reason.rule for plan in rollout.plans if plan.reason],
         "search": {
@@ -92,6 +104,7 @@ def finished(
         "conversion": _conversion(case.net.report if case.net else None),
         "repairs": list(case.scene.repairs) if case.scene else [],
         "timings": _timings(attack, case, wall_s),
+        **({} if by_turn is None else {"turns": by_turn}),
     }
 
 
@@ -99,6 +112,7 @@ def row(result: Result) -> dict[str, str]:
     """The run's row in ``runs.csv``; what is not known is empty."""
     contact = first_contact(result) or {}
     metrics, timings = result.get("metrics", {}), result["timings"]
+    by_turn = result.get("turns")
     known = {
         **{key: result.get(key) for key in COLUMNS},
         "contact_time_s": contact.get("time_s"),
@@ -108,6 +122,8 @@ def row(result: Result) -> dict[str, str]:
         **{f"budget_{name}": value for name, value in result["budget"].items()},
         "simulations": result.get("search", {}).get("simulations"),
         **{key: timings.get(key) for key in TIMINGS},
+        "turns": None if by_turn is None else len(by_turn),
+        "turn_hits": None if by_turn is None else turns.hits(by_turn),
     }
     return {key: _text(known[key]) for key in COLUMNS}
 

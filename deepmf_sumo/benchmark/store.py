@@ -17,7 +17,7 @@ from statistics import fmean, median
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, junit, result
+from deepmf_sumo.benchmark import files, junit, result, turns
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import OutputError, UsageError
@@ -27,7 +27,7 @@ FORMAT_VERSION: Final = 1
 _MADE: Final = (
     "runs", "runs.csv", "summary.json", "junit.xml", "report.html", "study.json", "table.csv",
     "table.md", "table.tex", "differences.csv", "equal_seconds.csv", "curves.csv", "accidents.csv",
-    "figures", "moments.csv",
+    "figures", "moments.csv", "shard.json", "turns.csv", "risk",
 )  # fmt: skip
 """What an earlier batch or benchmark leaves in its folder."""
 _NUMBERED: Final = {"accident_type", "avoidance_grade"}
@@ -73,6 +73,10 @@ class Store:
             ) from None
         return found
 
+    def planned(self) -> int:
+        """How many runs the batch of the manifest has, ended or not."""
+        return len(json.loads((self.out / "manifest.json").read_text("utf-8"))["runs"])
+
     def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
         """Write the manifest of a batch; ``machine`` is what may differ between equal ones."""
         self.manifest({task.run_id: task.key for task in tasks}, machine)
@@ -103,6 +107,9 @@ class Store:
         writer.writeheader()
         writer.writerows(result.row(one) for one in results)
         files.write(self.out / "runs.csv", table.getvalue())
+        by_turn = turns.table(results)
+        if by_turn is not None:
+            files.write(self.out / turns.TABLE, by_turn)
         files.write_json(self.out / "summary.json", summary(results, interrupted=interrupted))
         if junit_too:
             junit.write(self.out / "junit.xml", results)

@@ -1,6 +1,7 @@
-"""``deepmf-sumo merge``: folders of a benchmark's shards -> one folder."""
+"""``deepmf-sumo merge``: folders of shards -> one folder."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -14,16 +15,37 @@ import click
     required=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
 )
-@click.option("--figures/--no-figures", default=True, show_default=True)
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Of a benchmark.")
 @click.pass_context
 def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bool) -> None:
-    """Join the folders SHARD... of `benchmark --shard` in OUT, as if run in one piece."""
-    from deepmf_sumo.benchmark import batch, study
+    """Join the folders SHARD... of runs with --shard in OUT, as if run in one piece.
+
+    They are those of one command: run, attack, benchmark or reproduce.
+    """
+    from deepmf_sumo.benchmark import batch
+    from deepmf_sumo.benchmark import shards as parts
+    from deepmf_sumo.benchmark.store import summary
     from deepmf_sumo.cli.main import INTERRUPTED
+    from deepmf_sumo.cli.screen import runs as screen
+
+    if parts.of_benchmark(shards[0]):
+        results, missing = _benchmark(out, shards, figures=figures)
+    else:
+        results, missing = parts.merge(out, shards)
+        screen.table(results, summary(results), out)
+        if missing:
+            click.echo(f"{len(missing)} runs not begun: --resume makes them")
+    ctx.exit(INTERRUPTED if missing else batch.exit_code(results))
+
+
+def _benchmark(
+    out: Path, shards: tuple[Path, ...], *, figures: bool
+) -> tuple[list[dict[str, Any]], list[str]]:
+    from deepmf_sumo.benchmark import study
     from deepmf_sumo.cli.screen import benchmark as screen
     from deepmf_sumo.report import benchmark as report
 
     results, missing = study.merge(out, shards)
     made = report.finish(out, figures=figures)
     screen.show(out, results, len(results) + len(missing), made)
-    ctx.exit(INTERRUPTED if missing else batch.exit_code(results))
+    return results, missing

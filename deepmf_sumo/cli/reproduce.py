@@ -5,14 +5,15 @@ from typing import Any
 
 import click
 
-from deepmf_sumo.cli.sweep import execute, options
+from deepmf_sumo.cli.sweep import Sweep, execute, options, plan_options
 
 
 @click.command(name="reproduce")
 @click.argument("scenes", type=click.Path(exists=True, path_type=Path))
 @click.option("--weights", help="Name or folder of the networks' weights, else the plan's.")
 @click.option("--first", metavar="N", type=click.IntRange(min=1), help="Only the first N scenes.")
-@options
+@plan_options
+@options(out="benchmark", pictures=False)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -21,6 +22,7 @@ def command(
     weights: str | None,
     first: int | None,
     sets: tuple[str, ...],
+    sweep: Sweep,
     **wanted: Any,
 ) -> None:
     """Run the paper's plan on the recordings in SCENES: Tables I to III, Figures 3 to 6.
@@ -36,4 +38,4 @@ def command(
     if weights:
         place = str(Path(weights).resolve()) if "/" in weights else weights
         over.append(f"weights={json.dumps(place)}")
-    ctx.exit(execute(paper_plan(), sets=(*over, *sets), **wanted))
+    ctx.exit(execute(paper_plan(), sweep, sets=(*over, *sets), **wanted))

@@ -37,6 +37,7 @@ from deepmf_sumo.datatypes.scene import (
     Source,
     Tracks,
 )
+from deepmf_sumo.datatypes.turn import Turn, TurnRules
 from deepmf_sumo.datatypes.view import View
 
 __all__ = [
@@ -85,6 +86,8 @@ __all__ = [
     "Tracks",
     "Traffic",
     "Trial",
+    "Turn",
+    "TurnRules",
     "VehicleModel",
     "View",
     "frozen",

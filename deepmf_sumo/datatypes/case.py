@@ -7,6 +7,7 @@ from typing import Literal
 from deepmf_sumo.datatypes.net import SumoNet
 from deepmf_sumo.datatypes.road import RoadMap
 from deepmf_sumo.datatypes.scene import AgentId, Scene
+from deepmf_sumo.datatypes.turn import TurnRules
 
 Traffic = Literal["log", "sumo"]
 AvDriver = Literal["planner", "human"]
@@ -40,6 +41,8 @@ class Case:
         duration_steps: steps after the current one.
         partner_id: the labelled opponent, if the recording names one (``opponent: labelled``).
         av_driver: ``human`` where the AV does what a person did in a recording.
+        turns: opponents attack one after another until the duration is over; None: one attacks,
+            and its contact with the AV ends the episode.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Case:
     network: NetworkSource | None = None
     partner_id: AgentId | None = None
     av_driver: AvDriver = "planner"
+    turns: TurnRules | None = None
 
     def __post_init__(self) -> None:
         if (self.scene is None) == (self.network is None):

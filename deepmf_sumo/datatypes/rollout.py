@@ -1,13 +1,17 @@
 """What happened in one simulated episode."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Literal
+
+import numpy as np
 
 from deepmf_sumo.datatypes.arrays import Bytes, Floats, frozen
 from deepmf_sumo.datatypes.plan import Plan
 from deepmf_sumo.datatypes.road import SignalState
-from deepmf_sumo.datatypes.scene import AgentId, Tracks
+from deepmf_sumo.datatypes.scene import HISTORY_STEPS, AgentId, Tracks
+from deepmf_sumo.datatypes.turn import Turn
 
 ContactKind = Literal["av_opponent", "av_other", "opponent_other"]
 
@@ -73,12 +77,13 @@ class Rollout:
         tracks: (A, T) from the first history step to the last simulated one.
         driver: (A, T) Driver numbers.
         now: index of the current step, at which the simulation took over.
-        opponent_id: None if there was nobody to attack.
-        ended: ``contact`` (AV and opponent), ``time``, ``av_gone``.
+        opponent_id: None if there was nobody to attack; of several turns the decisive one's.
+        ended: ``contact`` (AV and opponent), ``time``, ``av_gone``; of a turn `Turn.ended`.
         seconds: wall time by part (``simulation``, ``policy``, ``planner``).
         leaders: for each simulated step whom the AV's planner named, or SUMO's model followed on
             its lanes, when it chose the step; None where nobody looked (poses, plain speeds).
         signals: for each simulated step the lights as they were before it, by lane id.
+        turns: opponents one after another, where the case asks for that; else empty.
     """
 
     tracks: Tracks
@@ -94,6 +99,7 @@ class Rollout:
     seconds: dict[str, float] = field(default_factory=dict)
     leaders: tuple[tuple[AgentId, ...] | None, ...] = ()
     signals: tuple[dict[str, SignalState], ...] = ()
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "driver", frozen(self.driver, "uint8"))
@@ -109,3 +115,34 @@ class Rollout:
             return "av_opponent"
         others = sorted(self.contacts, key=lambda contact: contact.step)
         return others[0].kind if others else "none"
+
+    def of_turn(self, turn: Turn) -> "Rollout":
+        """One turn as the rollout of an attack of its own; steps keep their numbers.
+
+        Its agents are those that are there in the turn or the second before it.
+        """
+        stop = turn.last_step + 1
+        seen = self.tracks.valid[:, max(0, turn.first_step + 1 - HISTORY_STEPS) : stop].any(axis=1)
+        rows = np.flatnonzero(seen).tolist()
+        simulated = slice(turn.first_step - self.now, turn.last_step - self.now)
+        steps = range(turn.first_step + 1, stop)
+        return replace(
+            self,
+            tracks=self.tracks.window(0, stop).select(rows),
+            driver=self.driver[rows, :stop],
+            now=turn.first_step,
+            opponent_id=turn.opponent_id,
+            contacts=tuple(contact for contact in self.contacts if contact.step in steps),
+            events=tuple(event for event in self.events if event.step in steps),
+            plans=tuple(plan for plan in self.plans if plan.first_step in steps),
+            ended=turn.ended,
+            leaders=self.leaders[simulated],
+            signals=self.signals[simulated],
+            turns=(turn,),
+        )
+
+
+def decisive(turns: Sequence[Turn]) -> Turn | None:
+    """The first that hits, else the one that came nearest; None of none."""
+    hits = [turn for turn in turns if turn.ended == "contact"]
+    return next(iter(hits), None) or min(turns, key=lambda turn: turn.gap_m, default=None)

@@ -135,7 +135,7 @@ def _keeps_left(file: Path) -> bool:
 
 def read_once(file: Path) -> NetFile:
     """As ``read_net``; the last nets read are kept as long as their files stay as they are."""
-    return _read_stamped(file, file.stat().st_mtime_ns if file.exists() else 0)
+    return _read_stamped(file, file.stat().st_mtime_ns if file.exists() else -1)
 
 
 @lru_cache(maxsize=4)
@@ -143,19 +143,19 @@ def _read_stamped(file: Path, _stamp: int) -> NetFile:
     return read_net(file)
 
 
-def elements(file: Path, root: str) -> Iterator[ET.Element]:
+def elements(file: Path, kind: str) -> Iterator[ET.Element]:
     """Children of an XML file's root, one at a time.
 
-    Raises SimulationError where the file cannot be read or its root has another name.
+    Networks begin with ``<net>``; of additional files SUMO does not mind how the root is called.
+
+    Raises SimulationError where the file cannot be read, or is no network where it should be one.
     """
     try:
         with _opened(file) as stream:
             parser = ET.iterparse(stream, events=("start", "end"))  # noqa: S314 (the user's own)
             _, top = next(parser)
-            if top.tag != root:
-                raise SimulationError(
-                    f"{file} holds <{top.tag}>, not <{root}>: it is no SUMO {root} file."
-                )
+            if kind == "net" and top.tag != kind:
+                raise SimulationError(f"{file} holds <{top.tag}>, not <net>: it is no network.")
             depth = 0
             for event, element in parser:
                 depth += 1 if event == "start" else -1
@@ -163,7 +163,7 @@ def elements(file: Path, root: str) -> Iterator[ET.Element]:
                     yield element
                     top.clear()
     except (OSError, ET.ParseError, StopIteration, EOFError, zlib.error) as error:
-        raise SimulationError(f"{file} cannot be read as a SUMO {root} file: {error}.") from None
+        raise SimulationError(f"{file} cannot be read as a SUMO {kind} file: {error}.") from None
 
 
 def points(text: str) -> Floats:

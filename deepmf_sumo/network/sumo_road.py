@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, cast
 
@@ -68,6 +69,21 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         polygons=(*_crossings(net), *(shape for file in additional for shape in _polygons(file))),
         stop_signs=_stop_signs(net, set(lanes)),
     )
+
+
+def road_once(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
+    """As `road_of_net`; the last roads are kept as long as their files stay as they are.
+
+    Attacks on one network follow one another, and what is derived of a road is kept with it.
+    """
+    files = (net_file, *additional)
+    stamps = tuple(file.stat().st_mtime_ns if file.exists() else -1 for file in files)
+    return _road_stamped(files, stamps)
+
+
+@lru_cache(maxsize=4)
+def _road_stamped(files: tuple[Path, ...], _stamps: tuple[int, ...]) -> RoadMap:
+    return road_of_net(files[0], files[1:])
 
 
 def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:

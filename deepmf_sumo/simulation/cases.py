@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from deepmf_sumo.datatypes import AgentId, Case, NetworkSource
-from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.datatypes import AgentId, Case, NetworkSource, TurnRules
+from deepmf_sumo.network.sumo_road import road_once
 from deepmf_sumo.simulation.configuration import read_configuration
 
 
@@ -15,10 +15,12 @@ def network_case(
     seed: int = 0,
     name: str = "",
     sumo_options: tuple[str, ...] = (),
+    turns: TurnRules | None = None,
 ) -> Case:
     """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
 
-    ``sumo_options``: beside the configuration, as on SUMO's command line.
+    ``sumo_options``: beside the configuration, as on SUMO's command line. ``turns``: opponents
+    attack one after another.
 
     Raises SimulationError where the configuration or its network is missing. Whether the vehicle is
     there at the start shows only in the simulation.
@@ -26,7 +28,7 @@ def network_case(
     configuration = read_configuration(config, sumo_options)
     return Case(
         name=name or f"{config.stem}-{av}-{start_s:g}s",
-        road=road_of_net(configuration.net, configuration.additional),
+        road=road_once(configuration.net, configuration.additional),
         av_id=av,
         duration_steps=duration_steps,
         traffic="sumo",
@@ -34,4 +36,5 @@ def network_case(
         network=NetworkSource(
             config=config, start_s=start_s, net=configuration.net, sumo_options=sumo_options
         ),
+        turns=turns,
     )

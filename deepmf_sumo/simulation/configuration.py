@@ -39,13 +39,14 @@ _SYNONYMS = {"net": "net-file", "n": "net-file", "additional": "additional-files
     "e": "end",
     "srand": "seed",
 }
+_NO = {"false", "0", "no", "off", "f", "-"}
 
 
 def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
     """Read a .sumocfg, with SUMO's options ``beside`` it.
 
-    Raises SimulationError where the file is missing, is no XML, or names no network, UsageError
-    for options that cannot be given.
+    Raises SimulationError where the file is missing, is no XML, names no network, or asks for the
+    mesoscopic model; UsageError for options that cannot be given.
     """
     import sumolib
 
@@ -65,6 +66,11 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
     net = _beside(file, options["net-file"])
     if not net.is_file():
         raise SimulationError(f"'{file}' names the network '{net}', which does not exist.")
+    if options.get("mesosim", "false").lower() not in _NO:
+        raise SimulationError(
+            f"'{file}' asks for SUMO's mesoscopic model (mesosim), in which vehicles have no place"
+            " on the road that somebody could hit; run it without, e.g. '-- --mesosim false'."
+        )
     names = options.get("additional-files", "").replace(",", " ").split()
     return Configuration(
         file=file,

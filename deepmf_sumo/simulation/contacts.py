@@ -1,5 +1,7 @@
 """Contacts: which boxes overlap for the first time, who struck whom, and how hard."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Contact, Event, Floats
@@ -19,12 +21,37 @@ class Judge:
         self.contacts: list[Contact] = []
         self.events: list[Event] = []
         self._drivers: list[AgentId] = [av_id] if opponent_id is None else [av_id, opponent_id]
-        self._av, self._opponent = av_id, opponent_id
+        self._av, self.opponent_id = av_id, opponent_id
         self._settled: set[frozenset[AgentId]] = set()
         self._before: Frame | None = None
 
     def look(self, step: int, frame: Frame, size_m: Floats) -> None:
         """Judge one frame; ``size_m`` (N, 2) are the lengths and widths of its agents."""
+        for me, other, pair in self._overlapping(frame, size_m):
+            if pair not in self._settled:
+                self._settled.add(pair)
+                self._settle(step, frame, size_m, me, other)
+        self._before = frame
+
+    def hit(self, step: int) -> bool:
+        """Whether the AV and the opponent came into contact at a step."""
+        return any(one.kind == "av_opponent" and one.step == step for one in self.contacts)
+
+    def turn_to(self, opponent_id: AgentId | None, step: int, frame: Frame, size_m: Floats) -> None:
+        """Judge for another opponent from here on, as if the episode began with this frame.
+
+        Who is apart by now may come into contact anew.
+        """
+        self.opponent_id = opponent_id
+        self._drivers = [self._av] if opponent_id is None else [self._av, opponent_id]
+        self._settled &= {pair for _, _, pair in self._overlapping(frame, size_m)}
+        self._before = None
+        self.look(step, frame, size_m)
+
+    def _overlapping(
+        self, frame: Frame, size_m: Floats
+    ) -> Iterator[tuple[int, int, frozenset[AgentId]]]:
+        """Rows and ids of the AV or the opponent and whom it overlaps."""
         for mine in self._drivers:
             if mine not in frame.ids:
                 continue
@@ -38,11 +65,8 @@ class Judge:
                 size_m,
             )
             for other in np.flatnonzero(hit):
-                pair = frozenset((mine, frame.ids[other]))
-                if len(pair) == 2 and pair not in self._settled:
-                    self._settled.add(pair)
-                    self._settle(step, frame, size_m, me, int(other))
-        self._before = frame
+                if other != me:
+                    yield me, int(other), frozenset((mine, frame.ids[other]))
 
     def _settle(self, step: int, frame: Frame, size_m: Floats, me: int, other: int) -> None:
         mine, theirs = frame.ids[me], frame.ids[other]
@@ -57,7 +81,7 @@ class Judge:
     def _kind(self, mine: AgentId, theirs: AgentId) -> ContactKind:
         if mine != self._av:
             return "opponent_other"
-        return "av_opponent" if theirs == self._opponent else "av_other"
+        return "av_opponent" if theirs == self.opponent_id else "av_other"
 
     def _contact(
         self, step: int, frame: Frame, before: Frame, size_m: Floats, me: int, other: int

@@ -4,6 +4,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from typing import Literal
 
 import numpy as np
 
@@ -14,10 +15,10 @@ from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation import replayed
 from deepmf_sumo.simulation import stage as stages
 from deepmf_sumo.simulation.contacts import Judge
-from deepmf_sumo.simulation.opponent import Opponent
 from deepmf_sumo.simulation.recorder import Recorder
 from deepmf_sumo.simulation.stage import Stage
 from deepmf_sumo.simulation.sumo_api import Backend
+from deepmf_sumo.simulation.turns import Turns
 
 
 def simulate(
@@ -34,7 +35,7 @@ def simulate(
     Args:
         case: who is the AV, from when, for how long, who drives the others.
         planner: drives the AV.
-        policy: drives one opponent of its choice; None attacks nobody.
+        policy: drives one opponent of its choice, or one after another; None attacks nobody.
         rng: for planner and policy; SUMO's own seed is the case's.
         gui: show the episode in sumo-gui.
         backend: how SUMO is run; by default libsumo, or sumo-gui where ``gui``, or not at all where
@@ -48,6 +49,7 @@ def simulate(
         if (
             backend is None
             and not gui
+            and case.turns is None
             and isinstance(planner, FixedPlanner)
             and replayed.suffices(case)
         ):
@@ -72,47 +74,52 @@ def _episode(
         return recorder.view(case.av_id, case.road, stage.signals(), left, path)
 
     with _timed(seconds, "policy"):
-        opponent = Opponent(policy, look(), rng)
-    judge = Judge(case.av_id, opponent.id)
+        attack = Turns(policy, look(), rng, case.turns)
+    judge = Judge(case.av_id, attack.attacker)
     judge.look(now, frame, recorder.sizes_m(frame.ids))
-    ended = "time"
+    ended: Literal["time", "contact", "av_gone"] = "time"
     leaders, lights = [], []
     while recorder.step < end:
-        if opponent.due(recorder.step):
+        if attack.due(recorder.step):
             with _timed(seconds, "policy"):
-                opponent.replan(look())
+                attack.replan(look())
+        if attack.attacker != judge.opponent_id:
+            judge.turn_to(attack.attacker, recorder.step, frame, recorder.sizes_m(frame.ids))
         with _timed(seconds, "planner"):
             view = look(stage.av_path())
             command = planner.act(view)
         with _timed(seconds, "simulation"):
-            pose = opponent.pose(recorder.step + 1)
-            frame = stage.advance(command, opponent.id, pose)
+            pose = attack.pose(recorder.step + 1)
+            frame = stage.advance(command, attack.id, pose)
             recorder.add(frame)
-            judge.look(recorder.step, frame, recorder.sizes_m(frame.ids))
+            size_m = recorder.sizes_m(frame.ids)
+            judge.look(recorder.step, frame, size_m)
         leaders.append(stage.av_leaders())
         lights.append(view.signals)
-        if any(contact.kind == "av_opponent" for contact in judge.contacts):
+        if attack.after_step(recorder.step, frame, size_m, hit=judge.hit(recorder.step)):
             ended = "contact"
             break
         if not stage.av_present():
             ended = "av_gone"
             break
+    attack.finish(recorder.step, ended)
     tracks, driver = recorder.tracks()
-    events = [*stage.events, *opponent.events, *judge.events]
+    events = [*stage.events, *attack.events, *judge.events]
     return Rollout(
         tracks=tracks,
         driver=driver,
         now=now,
         dt_s=DT_S,
         av_id=case.av_id,
-        opponent_id=opponent.id,
+        opponent_id=attack.opponent_id,
         contacts=tuple(judge.contacts),
         events=tuple(sorted(events, key=lambda event: event.step)),
-        plans=tuple(opponent.plans),
+        plans=tuple(attack.plans),
         ended=ended,
         seconds=dict(seconds),
         leaders=tuple(leaders),
         signals=tuple(lights),
+        turns=attack.closed,
     )
 
 

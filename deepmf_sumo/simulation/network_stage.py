@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from deepmf_sumo.datatypes import (
     DT_S,
     HISTORY_STEPS,
@@ -23,11 +25,12 @@ from deepmf_sumo.network.sumo_road import signal_links
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.configuration import Configuration, read_configuration
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.simulation.places import Places
 from deepmf_sumo.simulation.reading import TrafficReader
 from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.stage import Stage
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi
-from deepmf_sumo.simulation.takeover import Takeover
+from deepmf_sumo.simulation.takeover import Crowd, Takeover
 from deepmf_sumo.simulation.vehicle_types import AV_TYPE, write_types
 
 _TO_ROOT = "../" * 64
@@ -85,13 +88,14 @@ class NetworkStage:
         self._note_step_length(configuration)
         _check_start(case.network, configuration)
         self._frames = self._run_to(case.network.start_s)
+        self._frame = self._frames[-1]
         if case.av_id not in api.vehicle.getIDList():
             raise SimulationError(_absent(api, case.av_id, case.network))
         if model is not None:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
         self._av = Av(api, case.av_id, length, read_pose(api, case.av_id, length))
-        self._opponent = Takeover(api, self.events)
+        self._opponent = Takeover(api, self.events, Places(api, case.road))
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
     def history(self) -> list[Frame]:
@@ -126,19 +130,25 @@ class NetworkStage:
         if opponent is not None and pose is not None:
             length = self.body(opponent).size_m[0]
             self._opponent.place(self._step, opponent, pose, length)
-        elif opponent is not None:
-            self._opponent.hand_back(self._step, opponent)
+        elif opponent is not None and self._opponent.placed() is not None:
+            self._opponent.hand_back(self._step, opponent, self._crowd())
         self._api.simulationStep()
         if self._av.present:
             self._av.after_step()
-        self._opponent.after_step()
+        self._opponent.after_step(self._step)
         poses = self._reader.read()
         if self._av.id in poses:
             poses[self._av.id] = (self._av.pose(), Driver.PLANNER)
         placed = self._opponent.placed()
         if placed is not None and placed[0] in poses:
             poses[placed[0]] = (placed[1], Driver.POLICY)
-        return Frame.of_poses(poses)
+        self._frame = Frame.of_poses(poses)
+        return self._frame
+
+    def _crowd(self) -> Crowd:
+        """Who was where at the end of the last step."""
+        size_m = np.array([self.body(agent).size_m[:2] for agent in self._frame.ids])
+        return Crowd(frame=self._frame, size_m=size_m, av_id=self._av.id)
 
     def _run_to(self, start_s: float) -> list[Frame]:
         """Run SUMO up to the start; the frames of the last second."""

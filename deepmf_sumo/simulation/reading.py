@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from deepmf_sumo.datatypes import AgentId, AgentKind, Driver
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.frame import Body, Pose
@@ -21,18 +23,15 @@ class TrafficReader:
 
     def read(self) -> dict[AgentId, tuple[Pose, Driver]]:
         """Everybody who is there, vehicles before persons, sorted by id."""
-        poses = {}
-        for name, (x_m, y_m, angle_deg, speed_mps) in self.states().items():
-            length = self._bodies[name].size_m[0]
-            centre, heading = sumo_frame.from_sumo((x_m, y_m), angle_deg, length)
-            pose = Pose(
-                x_m=float(centre[0]),
-                y_m=float(centre[1]),
-                heading_rad=float(heading),
-                speed_mps=speed_mps,
-            )
-            poses[name] = (pose, Driver.SUMO)
-        return poses
+        states = self.states()
+        table = np.array(list(states.values())).reshape(-1, 4)
+        lengths = np.array([self._bodies[name].size_m[0] for name in states])
+        centres, headings = sumo_frame.from_sumo(table[:, :2], table[:, 2], lengths)
+        rows = zip(states, centres.tolist(), headings.tolist(), table[:, 3].tolist(), strict=True)
+        return {
+            name: (Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed), Driver.SUMO)
+            for name, (x, y), heading, speed in rows
+        }
 
     def states(self) -> dict[AgentId, tuple[float, float, float, float]]:
         """As ``read``, in SUMO's terms: front bumper (m), angle (degrees), speed (m/s).

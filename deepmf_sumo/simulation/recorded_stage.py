@@ -137,7 +137,7 @@ class RecordedStage:
         self._api.simulationStep()
         self._placed.after_step()
         self._free.after_step(step)
-        self._takeover.after_step()
+        self._takeover.after_step(step)
         extra: dict[AgentId, tuple[Pose, Driver]] = {}
         if self._av.present:
             self._av.after_step()

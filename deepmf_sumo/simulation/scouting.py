@@ -22,9 +22,14 @@ Ints = NDArray[np.int64]
 
 EVERY_S: Final = 1.0
 MOST_VEHICLE_STEPS: Final = 1_000_000
-"""Ten seconds of SUMO on a slow core; counted, so that it ends at the same moment everywhere."""
+"""Ten seconds of SUMO on a slow core; counted, so that it ends at the same moment everywhere.
+
+A person costs as much as a vehicle.
+"""
 _EMPTY_STEP: Final = 20
 """What a step without vehicles costs, in vehicles."""
+_MADE_ON_THE_WAY: Final = "!"
+"""What names of routes begin with that SUMO computed itself."""
 _PARKED: Final = 2
 """Bit of SUMO's stop states."""
 
@@ -109,9 +114,10 @@ def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Si
             complete = until == ends
             break
         api.simulationStep(moment)
-        spent += round((moment - now) / DT_S) * (_EMPTY_STEP + notes.look(moment))
+        walking = int(api.person.getIDCount())
+        spent += round((moment - now) / DT_S) * (_EMPTY_STEP + walking + notes.look(moment))
         now = moment
-        persons = persons or bool(api.person.getIDCount())
+        persons = persons or walking > 0
         complete = api.simulation.getMinExpectedNumber() == 0
         if complete or (scouting.until_s is None and spent > MOST_VEHICLE_STEPS):
             break
@@ -203,7 +209,8 @@ class _Notes:
 
     def _route(self, name: str) -> tuple[str, ...]:
         key = self.api.vehicle.getRouteID(name)
-        if key not in self.routes:
+        # rerouters give the name of a route that is no longer driven to the next one
+        if key not in self.routes or key.startswith(_MADE_ON_THE_WAY):
             self.routes[key] = tuple(self.api.vehicle.getRoute(name))
         return self.routes[key]
 

@@ -10,6 +10,7 @@ from deepmf_sumo.simulation.sumo_api import SumoApi
 
 _AV_COLOUR: Final = (200, 30, 30, 255)
 _OPPONENT_COLOUR: Final = (240, 140, 0, 255)
+_SPENT_COLOUR: Final = (250, 215, 160, 255)
 _RADIUS_M: Final = 40.0
 """Of what is seen around the AV."""
 _LAST_LOOK_S: Final = 2.0
@@ -26,6 +27,7 @@ class WatchedStage:
         self._av = av
         self._due = time.monotonic()
         self._followed = False
+        self._opponent: AgentId | None = None
 
     def history(self) -> list[Frame]:
         """The stage's."""
@@ -67,6 +69,9 @@ class WatchedStage:
     def _show(self, opponent: AgentId | None) -> None:
         vehicle, gui = self._api.vehicle, self._api.gui
         there = set(vehicle.getIDList())
+        if opponent != self._opponent and self._opponent in there:
+            vehicle.setColor(self._opponent, _SPENT_COLOUR)
+        self._opponent = opponent
         if opponent in there:
             vehicle.setColor(opponent, _OPPONENT_COLOUR)
         if self._av not in there:

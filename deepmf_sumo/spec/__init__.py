@@ -4,7 +4,7 @@ A wrong spec stops the run before it starts, in one line with file, line, key, v
 nearest name. Paths are relative to the spec. `schema` describes specs to editors.
 """
 
-from deepmf_sumo.spec.loading import VERSIONS, load, of_document
+from deepmf_sumo.spec.loading import VERSIONS, load, of_document, takes_turns
 from deepmf_sumo.spec.model import (
     Av,
     Bound,
@@ -32,4 +32,5 @@ __all__ = [
     "load",
     "of_document",
     "schema",
+    "takes_turns",
 ]

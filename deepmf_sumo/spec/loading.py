@@ -38,7 +38,18 @@ def of_document(document: Document) -> Spec:
     spec: Spec = checked(Spec, document.values, (), document, context)
     _check_plugin("planners", "planner", spec.planner, document)
     _check_plugin("adversaries", "adversary", spec.adversary, document)
+    if spec.opponents == "in_turn" and not takes_turns(spec):
+        raise SpecError(
+            f"{document.place(('opponents',))}: key 'opponents': in_turn is for an adversary that"
+            f" chooses opponents as it goes (deepmf, none); {spec.adversary.name} looks for one"
+            " attack. Leave it at one."
+        )
     return spec
+
+
+def takes_turns(spec: Spec) -> bool:
+    """Whether the spec's adversary can choose one opponent after another."""
+    return bool(getattr(plugins.load("adversaries", spec.adversary.name), "IN_TURN", False))
 
 
 def _expand(document: Document, *, override: bool = False) -> None:

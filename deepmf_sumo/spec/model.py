@@ -148,6 +148,22 @@ class SearchBudget(Strict):
     seconds: float | None = Field(default=None, gt=0)
 
 
+class Turns(Strict):
+    """With ``opponents: in_turn``: when an opponent is spent, and who may be the next."""
+
+    longest_s: float = Field(default=15.0, ge=3.0, description="an opponent is tried for so long")
+    reach_m: float = Field(default=80.0, gt=0, description="farther from the AV is out of reach")
+    harmless_s: float = Field(
+        default=4.0, gt=0, description="so long without a plan that meets a predicted AV"
+    )
+    again_after_s: float = Field(
+        default=30.0, ge=0, description="before its next turn, unless nobody else is there"
+    )
+    clear_s: float = Field(
+        default=10.0, ge=0, description="so long the AV is given to be clear of everybody"
+    )
+
+
 class Bound(Strict):
     """A metric's value must lie in [min, max]; a metric without a value does not hold."""
 
@@ -179,6 +195,11 @@ class Spec(Strict):
     traffic: Literal["log", "sumo"] = Field(description="who drives the others")
     planner: Plugin = Plugin(name="idm")
     adversary: Plugin = Plugin(name="deepmf")
+    opponents: Literal["one", "in_turn"] = Field(
+        default="one",
+        description="one, whose hit ends the episode; or one after another until it is over",
+    )
+    turns: Turns = Turns()
     budget: SearchBudget = SearchBudget()
     weights: Annotated[str, AfterValidator(_weights)] = "open"
     seed: int = Field(default=0, ge=0, lt=2**31)
@@ -200,6 +221,17 @@ class Spec(Strict):
             )
         return self
 
+    @model_validator(mode="after")
+    def _turns_need_time(self) -> "Spec":
+        if self.opponents == "in_turn" and isinstance(self.source, FromRecording):
+            rule = "in_turn is for networks; a recording is too short for several opponents"
+            raise PydanticCustomError("rule", "{rule}", {"rule": rule, "key": "opponents"})
+        return self
+
     def resolved(self) -> dict[str, Any]:
-        """Plain values with absolute paths, as they are written to a result folder."""
-        return self.model_dump(mode="json")
+        """Plain values with absolute paths, as they are written to a result folder.
+
+        What says nothing is left out: specs of one opponent stay equal to those of earlier runs.
+        """
+        without = {"opponents", "turns"} if self.opponents == "one" else None
+        return self.model_dump(mode="json", exclude=without)

@@ -114,6 +114,8 @@ def test_row(found):
         "budget_simulations": "",
         "budget_seconds": "",
         "simulations": "1",
+        "turns": "",
+        "turn_hits": "",
     }
     assert tuple(row) == result.COLUMNS
     json.dumps(found, allow_nan=False)

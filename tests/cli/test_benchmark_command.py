@@ -45,7 +45,7 @@ def test_wrong_calls_run_nothing(tiny, tmp_path, monkeypatch):
     for wrong in (["--shard", "9/2"], ["--without", "nobody"], ["--set", "methods={}"]):
         with pytest.raises(UsageError):
             call(benchmark.command, plan, "--out", out, *wrong)
-    with pytest.raises(UsageError, match="this shard of it is empty"):
+    with pytest.raises(UsageError, match="this shard of them is empty"):
         call(benchmark.command, plan, "--out", out, "--shard", "9/9")
     with pytest.raises(SpecError, match="holds no recorded scene"):
         call(reproduce.command, tmp_path, "--out", out)

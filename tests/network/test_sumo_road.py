@@ -1,4 +1,5 @@
 import gzip
+import os
 
 import numpy as np
 import pytest
@@ -6,7 +7,7 @@ import pytest
 from deepmf_sumo import network
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network import programs
-from deepmf_sumo.network.sumo_road import road_of_net, signal_links
+from deepmf_sumo.network.sumo_road import road_of_net, road_once, signal_links
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +124,28 @@ def test_what_is_no_net_is_an_error_that_names_the_file(tmp_path, content):
     file.write_bytes(content)
     with pytest.raises(SimulationError, match=r"bad\.net\.xml"):
         road_of_net(file)
+
+
+@pytest.mark.parametrize("root", ["additional", "add", "configuration"])
+def test_the_root_of_an_additional_file_may_be_called_anything(grid, tmp_path, root):
+    shape = '<poly id="p" type="crosswalk" shape="0,0 4,0 4,4 0,4"/>'
+    (tmp_path / "a.add.xml").write_text(f"<{root}>{shape}</{root}>")
+    plain = road_of_net(grid).polygons
+    names = [shape.id for shape in road_of_net(grid, [tmp_path / "a.add.xml"]).polygons]
+    assert names == [*(shape.id for shape in plain), "p"]
+
+
+def test_a_road_is_read_again_where_its_file_has_changed(grid, tmp_path):
+    file = tmp_path / "own.net.xml"
+    file.write_bytes(grid.read_bytes())
+    road = road_once(file)
+    assert road_once(file) is road
+    os.utime(file, ns=(0, 0))
+    assert road_once(file) is not road
+    assert road_once(file).lanes.keys() == road.lanes.keys()
+    file.unlink()
+    with pytest.raises(SimulationError, match=r"own\.net\.xml"):
+        road_once(file)
 
 
 def test_a_missing_net_is_an_error_that_names_the_file(tmp_path):

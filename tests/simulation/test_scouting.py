@@ -5,6 +5,7 @@ import pytest
 from tiny_network import build
 
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.network import programs
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, scouting, simulate
 from deepmf_sumo.simulation.scouting import Scouting, scout
@@ -73,6 +74,52 @@ def test_it_ends_with_the_configuration_as_told_or_where_it_gets_too_long(config
     assert (short.until_s, short.complete) == (2.0, False)
 
 
+def test_persons_count_like_vehicles(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(scouting, "MOST_VEHICLE_STEPS", 1300)
+    alone = look(config)
+    people = '<personFlow id="p" begin="0" end="9" number="99"><walk edges="ab"/></personFlow>'
+    (tmp_path / "p.rou.xml").write_text(f"<routes>{people}</routes>")
+    crowded = look(config, "-r", f"{config.parent / 'tiny.rou.xml'},{tmp_path / 'p.rou.xml'}")
+    assert crowded.persons
+    assert crowded.until_s < alone.until_s
+
+
 def test_a_missing_file_is_named_in_sumos_words(config, tmp_path):
     with pytest.raises(SimulationError, match=r"missing\.rou\.xml' is not accessible"):
         look(config, "-r", str(tmp_path / "missing.rou.xml"), "--begin", "1")
+
+
+def test_who_is_sent_elsewhere_again_and_again_is_followed(tmp_path):
+    """SUMO gives the name of a route that is no longer driven to a longer one."""
+    ring = 'numLanes="1" speed="14"'
+    (tmp_path / "n.nod.xml").write_text(
+        '<nodes><node id="a" x="0" y="0"/><node id="b" x="60" y="0"/><node id="c" x="0" y="60"/>'
+        "</nodes>"
+    )
+    (tmp_path / "e.edg.xml").write_text(
+        f'<edges><edge id="ab" from="a" to="b" {ring}/><edge id="bc" from="b" to="c" {ring}/>'
+        f'<edge id="ca" from="c" to="a" {ring}/></edges>'
+    )
+    programs.run(
+        *("netconvert", "-n", str(tmp_path / "n.nod.xml"), "-e", str(tmp_path / "e.edg.xml")),
+        *("-o", str(tmp_path / "r.net.xml")),
+    )
+    rerouters = "".join(
+        f'<rerouter id="{at}" edges="{at}"><interval begin="0" end="999">'
+        f'<destProbReroute id="{to}"/></interval></rerouter>'
+        for at, to in (("ab", "ca"), ("ca", "ab"))
+    )
+    (tmp_path / "r.add.xml").write_text(f"<additional>{rerouters}</additional>")
+    trips = "".join(f'<trip id="v{n}" depart="{n}" from="ab" to="ca"/>' for n in (0, 3))
+    (tmp_path / "r.rou.xml").write_text(f"<routes>{trips}</routes>")
+    config = tmp_path / "r.sumocfg"
+    config.write_text(
+        '<configuration><input><net-file value="r.net.xml"/><route-files value="r.rou.xml"/>'
+        '<additional-files value="r.add.xml"/></input><time><end value="100"/></time>'
+        "</configuration>"
+    )
+    seen = look(config)
+    assert seen.until_s == 100.0
+    assert set(seen.edges) == {"ab", "bc", "ca"}
+    mine = seen.vehicle == 0
+    assert len(np.unique(seen.edge[mine][-20:])) == 3

@@ -53,6 +53,10 @@ def _ttc(result: Result) -> float | None:
     return TTC_CEILING_S if found is None else min(found, TTC_CEILING_S)
 
 
+def _required_braking(result: Result) -> float | None:
+    return metric(result, "required_deceleration") if attacked(result) else None
+
+
 def _of_table(
     name: str, worse: Literal["higher", "lower"], definition: str = "", *, hits_only: bool = False
 ) -> Quantity:
@@ -93,6 +97,11 @@ QUANTITIES: Final = (
         f" {TTC_CEILING_S:g} s",
     ),
     _of_table("min_gap_m", "lower", "least gap of AV and opponent in an attacked run"),
+    Quantity(
+        name="required_braking_mps2", unit="m/s2", worse="higher", value=_required_braking,
+        negligible=_NEGLIGIBLE,
+        definition="hardest braking that the opponent asks of the AV, up to 1 s before a contact",
+    ),
     _of_table("collision_speed_mps", "higher", "relative speed at a hit", hits_only=True),
     _of_table("delta_v_mps", "higher", "change of the AV's velocity by a hit", hits_only=True),
 )  # fmt: skip

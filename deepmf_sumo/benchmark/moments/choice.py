@@ -9,7 +9,7 @@ import numpy as np
 
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
 from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable
-from deepmf_sumo.datatypes import Bools
+from deepmf_sumo.datatypes import Bools, Floats
 from deepmf_sumo.network.net_file import NetFile
 from deepmf_sumo.simulation.scouting import Ints, Sightings
 
@@ -17,6 +17,8 @@ ALONG: Final = "along"
 _TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"} | {
     "t": "turnaround"
 }
+LONG_S: Final = 15.0
+"""An attack on one opponent is decided by then."""
 _SLOWEST_MPS: Final = 3.0
 """Who stands now may be at the junction in a moment."""
 
@@ -31,6 +33,7 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
     rows, reason = suitable(sightings, wish)
+    rows = _staying(sightings, wish, rows)
     moments: list[Moment] = []
     if len(rows):
         spread = _Spread(sightings, turns, wish, rows)
@@ -181,10 +184,35 @@ def _gets_there(sightings: Sightings, duration_s: float) -> Bools:
     return gets_there
 
 
-def _leave(sightings: Sightings, duration_s: float) -> Bools:
-    """(K) who arrives before the attack is over."""
+def _staying(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
+    """Of the rows for a long attack those that stay half as long as the one that stays longest.
+
+    In a scenario of minutes most others would be gone before the second opponent's turn.
+    """
+    if wish.duration_s <= LONG_S or not len(rows):
+        return rows
+    last = _last_seen_s(sightings)
+    stays_s = np.minimum(last[sightings.vehicle] - sightings.time_s, wish.duration_s)[rows]
+    # of those at each moment that is asked for, so that a late one keeps somebody
+    times, group = np.unique(sightings.time_s[rows], return_inverse=True)
+    if not wish.at_s:
+        group = np.zeros(len(rows), np.int64)
+    longest_s = np.zeros(len(times))
+    np.maximum.at(longest_s, group, stays_s)
+    long: Ints = rows[stays_s >= longest_s[group] / 2]
+    return long
+
+
+def _last_seen_s(sightings: Sightings) -> Floats:
+    """(V) of each vehicle."""
     last = np.zeros(len(sightings.bodies))
     np.maximum.at(last, sightings.vehicle, sightings.time_s)
+    return last
+
+
+def _leave(sightings: Sightings, duration_s: float) -> Bools:
+    """(K) who arrives before the attack is over."""
+    last = _last_seen_s(sightings)
     until = np.minimum(sightings.time_s + duration_s, sightings.until_s - 1.0)
     leaves: Bools = last[sightings.vehicle] < until
     return leaves

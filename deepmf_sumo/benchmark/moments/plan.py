@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo.benchmark import batch, files
+from deepmf_sumo.benchmark.moments.choice import LONG_S
 from deepmf_sumo.benchmark.moments.moment import Moment
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task, slug
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.spec import Av, Spec, of_document
+from deepmf_sumo.spec import Av, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
 
 TABLE: Final = "moments.csv"
@@ -29,7 +30,8 @@ def base_spec(
         sets: ``key=value`` over them.
         sumo_options: beside the configuration.
 
-    Raises SpecError as `spec.load`.
+    In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
+    adversary looks for one attack. Raises SpecError as `spec.load`.
     """
     source = {
         "network": str(config.absolute()),
@@ -45,7 +47,10 @@ def base_spec(
             raise UsageError(f"--set {assignment}: the source is chosen by the other options.")
         document.assign(assignment)
         places.setdefault((key,), f"--set {assignment}")
-    return of_document(document)
+    spec = of_document(document)
+    if spec.duration_s > LONG_S and "opponents" not in document.values and takes_turns(spec):
+        return spec.model_copy(update={"opponents": "in_turn"})
+    return spec
 
 
 def attack(

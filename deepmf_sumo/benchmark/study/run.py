@@ -1,15 +1,15 @@
 """A plan -> a result folder with the tables of its methods."""
 
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Any, get_args
 
 from deepmf_sumo.benchmark import batch
 from deepmf_sumo.benchmark.batch import Progress
 from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.shards import Shard
 from deepmf_sumo.benchmark.store import open_folder
 from deepmf_sumo.benchmark.study import entries, layout, outline, tables
 from deepmf_sumo.benchmark.study.entries import Entry
@@ -17,26 +17,6 @@ from deepmf_sumo.benchmark.study.layout import Layout
 from deepmf_sumo.benchmark.study.plan import Loaded
 from deepmf_sumo.benchmark.tasks import Part, Task
 from deepmf_sumo.errors import UsageError
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shard:
-    """Every ``of``-th run of a plan, from the ``number``-th on (1 is the first)."""
-
-    number: int
-    of: int
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """``2/8``. Raises UsageError."""
-        match = re.fullmatch(r"(\d+)/(\d+)", text)
-        if match and 1 <= int(match[1]) <= int(match[2]):
-            return cls(number=int(match[1]), of=int(match[2]))
-        raise UsageError(f"--shard {text}: must be i/n with 1 <= i <= n, e.g. 2/8.")
-
-    def choose(self, tasks: Sequence[Task]) -> list[Task]:
-        """Its tasks. In the plan's order these are scenes: every shard has every method."""
-        return list(tasks[self.number - 1 :: self.of])
 
 
 def run(
@@ -59,8 +39,6 @@ def run(
     if options.resume and (options.out / layout.FILE).is_file():
         _check_weights(layout.read(options.out), outlined, options.out)
     chosen = shard.choose(planned) if shard else planned
-    if not chosen:
-        raise UsageError(f"The plan has {len(planned)} runs: this shard of it is empty.")
     open_folder(options.out, resume=options.resume).begin(chosen, {"jobs": options.jobs})
     outlined.write(options.out)
     kept = replace(options, resume=True)  # what is not to be kept has been removed above

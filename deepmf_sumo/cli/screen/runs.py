@@ -24,8 +24,9 @@ def progress() -> Iterator[Callable[[Progress], None]]:
         def report(now: Progress) -> None:
             last = f"; last: {now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
             kept = f" ({now.kept} kept from before)" if now.kept else ""
+            lost = f", {now.lost} done again (machine lost)" if now.lost else ""
             left = _left(now, time.monotonic() - begin)
-            line = escape(f"{now.done} of {now.of} runs{kept}{left}{last}")
+            line = escape(f"{now.done} of {now.of} runs{kept}{lost}{left}{last}")
             status.update(line)
             if now.last and not console.is_terminal:
                 console.print(line, soft_wrap=True)

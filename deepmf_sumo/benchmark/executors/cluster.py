@@ -1,0 +1,268 @@
+"""The machines of a Ray cluster (extra `cluster`); what a machine does is in `place`."""
+
+import importlib
+import os
+import signal
+import socket
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import deepmf_sumo
+from deepmf_sumo.benchmark.executors import place
+from deepmf_sumo.benchmark.executors.base import Limits, Work
+from deepmf_sumo.benchmark.executors.inputs import inputs_of
+from deepmf_sumo.benchmark.executors.place import Answer, Home, Place
+from deepmf_sumo.benchmark.pool import START_LIMIT_S, Finished
+from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.errors import DeepmfError, PluginError, RunError, UsageError
+
+_KNOCK_S: Final = 5.0
+"""Ray itself tries for half a minute to reach an address where nobody is."""
+
+_TRIES: Final = 3
+"""A task that was running whenever its machine was lost may be why."""
+
+_ENVIRONMENT: Final = ("DEEPMF_SUMO_HOME", "XDG_DATA_HOME")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cluster:
+    """All processors of a cluster, or ``jobs`` of them.
+
+    Attributes:
+        host, port: of its server for programs outside it; without a host it is the cluster that
+            this machine is part of, or a new one of this machine alone.
+    """
+
+    host: str | None = None
+    port: int = 0
+    jobs: int | None = None
+
+    @property
+    def name(self) -> str:
+        """As on the command line."""
+        return f"ray://{_bracketed(self.host)}:{self.port}" if self.host else "ray"
+
+    def check(self) -> None:
+        """As `Executor.check`: PluginError without Ray, UsageError where nobody listens."""
+        _ray()
+        if self.host:
+            self._knock(self.host)
+
+    def run(
+        self, work: Work, tasks: Sequence[Task], limits: Limits
+    ) -> Generator[Finished, None, None]:
+        """As `Executor.run`.
+
+        Raises PluginError where Ray is not installed, UsageError where nobody answers or a machine
+        lacks what the tasks need, RunError where no machine takes them.
+        """
+        stop = time.monotonic() + 60.0 * limits.minutes if limits.minutes else float("inf")
+        if not tasks:
+            return
+        ray = self._connected()
+        try:
+            seats = min(self.jobs or int(ray.cluster_resources().get("CPU", 1)), len(tasks))
+            crew = _Crew(ray=ray, work=work, tasks=tasks, limits=limits, seats=max(seats, 1))
+            try:
+                yield from crew.all_done(stop)
+            finally:
+                crew.dismiss()
+        finally:
+            ray.shutdown()
+
+    def _connected(self) -> Any:
+        """The module, connected to the cluster."""
+        self.check()
+        ray = _ray()
+        kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            ray.init(address=self.name if self.host else None, **_quiet(new=not self.host))
+        except Exception as error:  # noqa: BLE001 - Ray's own, and what it is made of
+            said = " ".join(str(error).split())[:300]
+            raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {said}") from None
+        finally:
+            for number, handler in kept.items():  # Ray's own for SIGTERM loses the tables
+                signal.signal(number, handler)
+        return ray
+
+    def _knock(self, host: str) -> None:
+        try:
+            socket.create_connection((host, self.port), timeout=_KNOCK_S).close()
+        except OSError as error:
+            raise UsageError(
+                f"No Ray cluster answers at {self.name} ({error.strerror or error}): start its"
+                f" head with `ray start --head --ray-client-server-port={self.port}`, or name"
+                " another address."
+            ) from None
+
+
+@dataclass(kw_only=True)
+class _Seat:
+    """An actor, whether it has a worker, and the task that it does."""
+
+    actor: Any
+    settled: bool = False
+    index: int | None = None
+
+
+@dataclass(kw_only=True)
+class _Crew:
+    """All actors of a batch.
+
+    Attributes:
+        calls: what they have been asked and have not answered yet.
+        idle: those without a task.
+        pending: tasks not begun, by index. tries: of tasks whose machine was lost.
+        stillborn: actors in a row that were lost before they could do anything.
+        heard: when an actor last answered, on the monotonic clock.
+    """
+
+    ray: Any
+    work: Work
+    tasks: Sequence[Task]
+    limits: Limits
+    seats: int
+    calls: dict[Any, _Seat] = field(default_factory=dict)
+    idle: list[_Seat] = field(default_factory=list)
+    tries: Counter[int] = field(default_factory=Counter)
+    stillborn: int = 0
+    heard: float = field(default_factory=time.monotonic)
+
+    def __post_init__(self) -> None:
+        self.pending = deque(range(len(self.tasks)))
+        self._actor = self.ray.remote(Place).options(
+            num_cpus=1, scheduling_strategy="SPREAD", max_restarts=0, max_task_retries=0
+        )
+        home = Home(
+            version=deepmf_sumo.__version__,
+            folder=Path.cwd(),
+            modules=tuple(one for one in sys.path if one and not one.startswith(sys.prefix)),
+            environment={key: os.environ[key] for key in _ENVIRONMENT if key in os.environ},
+            inputs=inputs_of(self.tasks),
+        )
+        self._home = self.ray.put(home)
+
+    def all_done(self, stop: float) -> Generator[Finished, None, None]:
+        """Do all tasks; none is begun after ``stop``."""
+        for _ in range(self.seats):
+            self._hire()
+        while self.pending or self._working():
+            if time.monotonic() >= stop:
+                self.pending.clear()
+            self._occupy()
+            done, _ = self.ray.wait(list(self.calls), num_returns=1, timeout=1.0)
+            for call in done:
+                self.heard = time.monotonic()
+                yield from self._hear(call, self.calls.pop(call))
+            if time.monotonic() - self.heard > START_LIMIT_S:
+                raise RunError(
+                    f"No machine of the cluster has answered for {START_LIMIT_S:g} s: none has a"
+                    " processor free, or all are gone; see `ray status`."
+                )
+
+    def dismiss(self) -> None:
+        """End all that still runs: a moment to do it in order, then by force."""
+        seats = [*self.calls.values(), *self.idle]
+        leaving = [seat.actor.leave.remote() for seat in seats]
+        if leaving:
+            self.ray.wait(leaving, num_returns=len(leaving), timeout=3 * place.TURN_S)
+        for seat in seats:
+            self.ray.kill(seat.actor)
+
+    def _working(self) -> bool:
+        return any(seat.index is not None for seat in self.calls.values())
+
+    def _hire(self) -> None:
+        """A new actor, where the cluster has room for it."""
+        seat = _Seat(actor=self._actor.remote(self._home, self.work, self.limits))
+        self.calls[seat.actor.settle.remote()] = seat
+
+    def _occupy(self) -> None:
+        """Give tasks to the idle."""
+        while self.pending and self.idle:
+            seat = self.idle.pop()
+            seat.index = self.pending.popleft()
+            self.calls[seat.actor.turn.remote((seat.index, self.tasks[seat.index]))] = seat
+
+    def _hear(self, call: Any, seat: _Seat) -> Generator[Finished, None, None]:
+        try:
+            answer: Answer = self.ray.get(call)
+        except DeepmfError:
+            raise
+        except self.ray.exceptions.RayTaskError as error:
+            raise RunError(f"A machine of the cluster cannot work: {_cause(error)}") from None
+        except self.ray.exceptions.RayError as error:
+            yield from self._lost(seat, _cause(error))
+            return
+        if answer.refusal:
+            raise UsageError(
+                f"{answer.refusal}: all machines of the cluster need the same files at the same"
+                " places, e.g. on a file system that they share."
+            )
+        seat.settled, self.stillborn = True, 0
+        if not answer.finished and seat.index is not None:
+            self.calls[seat.actor.turn.remote()] = seat
+            return
+        seat.index = None
+        self.idle.append(seat)  # before the iterator may be closed: whoever is here is dismissed
+        if answer.finished:
+            if answer.files:
+                place.unpack(answer.files, self.work.runs)
+            yield answer.finished
+
+    def _lost(self, seat: _Seat, why: str) -> Generator[Finished, None, None]:
+        """The actor is gone, or cannot be reached: another one does its task."""
+        self.ray.kill(seat.actor)
+        self.stillborn += not seat.settled
+        if self.stillborn > _TRIES * self.seats:
+            raise RunError(
+                f"Workers do not start on the machines of the cluster: {why} (is deepmf-sumo"
+                " installed on all of them?)"
+            )
+        self._hire()
+        if seat.index is None:
+            return
+        self.tries[seat.index] += 1
+        if self.tries[seat.index] < _TRIES:
+            self.pending.appendleft(seat.index)
+            yield Finished(index=seat.index, status="lost", reason=why)
+        else:
+            reason = f"the machine was lost {_TRIES} times while it did this: {why}"
+            yield Finished(index=seat.index, status="crashed", reason=reason)
+
+
+def _ray() -> Any:
+    try:
+        return importlib.import_module("ray")
+    except ImportError:
+        raise PluginError(
+            "--executor ray needs Ray, which is not installed; install deepmf-sumo[cluster]."
+        ) from None
+
+
+def _quiet(*, new: bool) -> dict[str, Any]:
+    """Arguments of ``ray.init``: what it prints belongs to nobody's table."""
+    quiet = {"logging_level": "ERROR", "log_to_driver": False}
+    if new:
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        quiet["include_dashboard"] = False
+    return quiet
+
+
+def _cause(error: Exception) -> str:
+    """The last line that says something."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1] if lines else type(error).__name__
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+__all__ = ["Cluster"]

@@ -1,0 +1,82 @@
+"""One more client of a running SUMO."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deepmf_sumo.benchmark.live import assembly
+from deepmf_sumo.benchmark.live.record import Record
+from deepmf_sumo.simulation.live.connection import Port, connect
+from deepmf_sumo.simulation.live.lockstep import End, Lockstep, Stay
+from deepmf_sumo.simulation.live.session import Fought
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attached:
+    """What `attach` has done.
+
+    Attributes:
+        rows: the attacks. end: why it left, at ``time_s`` of the simulation.
+        nobody: why the last try to attack was none.
+        collisions: what SUMO does with them, its ``--collision.action``.
+    """
+
+    rows: list[dict[str, Any]]
+    end: End
+    time_s: float
+    nobody: str
+    collisions: str
+
+
+def attach(
+    port: Port,
+    wish: assembly.Wish,
+    stay: Stay,
+    out: Path,
+    *,
+    stopped: Callable[[], bool],
+    tell: Callable[[dict[str, Any]], None],
+) -> Attached:
+    """Join a running SUMO as one more client, attack, and leave it as it was.
+
+    Args:
+        port: where SUMO listens.
+        wish: whom to attack, when and how.
+        stay: how long.
+        out: folder for what happened.
+        stopped: whether to leave now.
+        tell: is told of each attack that is over.
+
+    Raises UsageError for what is wrong in the command, SimulationError where nobody listens, the
+    connection is lost or the AV never appears; what was attacked before that is in ``out``.
+    """
+    assembly.triggers_of(wish)  # what is wrong with the command shows before anybody waits for us
+    spec = assembly.spec_of(wish)
+    policy = assembly.policy_of(spec)
+    record = Record(out, wish.av, spec)
+
+    def add(fought: Fought) -> None:
+        record.add(fought)
+        tell(record.rows[-1])
+
+    api = connect(port)
+    end: str = "failed"
+    try:
+        own = assembly.session(api, wish, spec, add, policy)
+        collisions = str(api.simulation.getOption("collision.action"))
+    except BaseException:
+        api.close()
+        raise
+    steps = Lockstep(api, own, wish.av, stay, stopped)
+    try:
+        end = left = steps.run()
+    finally:
+        record.finish(end, steps.ended_s)
+    return Attached(
+        rows=record.rows,
+        end=left,
+        time_s=steps.ended_s,
+        nobody=own.nobody,
+        collisions=collisions,
+    )

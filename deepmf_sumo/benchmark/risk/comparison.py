@@ -1,0 +1,229 @@
+"""Two results side by side: two designs of a network, or two planners, attacked alike.
+
+Runs of one moment (vehicle and time, or recorded scene) and seed are pairs, whatever network,
+spec or planner they belong to. Tests and intervals are those of `gate.matching`: without enough
+pairs the means of moments, or all runs without pairs, are compared.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Literal
+
+from deepmf_sumo.benchmark.gate import comparison, matching, rows
+from deepmf_sumo.benchmark.gate.comparison import Comparison
+from deepmf_sumo.benchmark.gate.limits import ALL
+from deepmf_sumo.benchmark.gate.matching import Matched
+from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
+from deepmf_sumo.benchmark.gate.rows import Results, Row
+from deepmf_sumo.benchmark.gate.thresholds import Baseline
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.risk import attacks
+from deepmf_sumo.benchmark.risk.attacks import result_folders
+from deepmf_sumo.benchmark.risk.origins import Origin, Tagged, origins, tags
+from deepmf_sumo.errors import UsageError
+
+COMPARED: Final = (
+    "av_collision_rate", "collision_rate", "ttc_s", "min_gap_m", "required_braking_mps2",
+)  # fmt: skip
+CONFIDENCE: Final = 0.95
+_IDENTITY: Final = ("spec", "network", "method", "planner")
+"""What runs of the two sides may differ in on purpose."""
+Differs = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
+"""Name of what is not the same on both sides -> values of A, values of B."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """What is different in B, and where it comes from.
+
+    Attributes:
+        runs: of A and of B. pairs: moments and seeds that both have.
+        differs: e.g. ``planner``, ``network``, ``planner.headway_s``.
+        differences: B (new) against A (old), a row a quantity; all intervals hold together.
+        origins: shares of runs that end in a hit of each kind and at each place.
+        notes: sentences on what a reader should know before trusting it.
+    """
+
+    runs: tuple[int, int]
+    pairs: int
+    differs: Differs
+    differences: list[Comparison]
+    origins: list[Origin]
+    notes: list[str]
+
+
+def compare(
+    a: Path, b: Path, quantities: Sequence[str] = COMPARED, confidence: float = CONFIDENCE
+) -> Compared:
+    """Compare two result folders, or two folders that hold result folders.
+
+    Args:
+        a: what was.
+        b: what is.
+        quantities: of `gate.quantities`.
+        confidence: of all intervals of a table together.
+
+    Raises UsageError for a folder or a quantity that cannot be used, and where the sides were made
+    by different versions of the program.
+    """
+    unknown = [name for name in quantities if name not in BY_QUANTITY]
+    if unknown:
+        known = ", ".join(BY_QUANTITY)
+        raise UsageError(f"'{unknown[0]}' is no quantity to compare; there are: {known}.")
+    old, new = _side(a), _side(b)
+    if old.version != new.version:
+        raise UsageError(
+            f"{a} was made by version {old.version} of deepmf-sumo and {b} by {new.version}: their"
+            " attacks differ; make both anew with one version."
+        )
+    results = [attacks.of_runs(result_folders(side.source)) for side in (old, new)]
+    differs = _differs(old.rows, new.rows)
+    old, new = (_alike(side, set(differs)) for side in (old, new))
+    moments = [{row.run_id for row in side.rows.values() if row.judged} for side in (old, new)]
+    pairs = len(moments[0] & moments[1])
+    tagged = [_tagged(side, mine) for side, mine in zip((old, new), results, strict=True)]
+    return Compared(
+        runs=(_judged(old), _judged(new)),
+        pairs=pairs,
+        differs=differs | _settings(results[0], results[1]),
+        differences=differences(old, new, quantities, confidence),
+        origins=origins(tagged[0], tagged[1], confidence),
+        notes=list(_notes(old, new, pairs)),
+    )
+
+
+def differences(
+    old: Results, new: Results, quantities: Sequence[str], confidence: float
+) -> list[Comparison]:
+    """Of each quantity the means, and for numbers in how many pairs each side is the worse one.
+
+    A few runs with large differences hide many small ones in a mean, but not in that count.
+
+    Args:
+        old: rows with the ids of `compare`: those of pairs are equal.
+        new: the same.
+        quantities: of `gate.quantities`.
+        confidence: of all intervals together.
+    """
+    numbers = [name for name in quantities if not BY_QUANTITY[name].rate]
+    alone = (1 - confidence) / (len(quantities) + len(numbers))
+    # shared among the quantities by `comparison.compare`
+    wanted = Baseline(quantities=tuple(quantities), confidence=1 - alone * len(quantities))
+    found = comparison.compare(wanted, new, old)
+    return found + [_leaning(BY_QUANTITY[name], old, new, 1 - alone) for name in numbers]
+
+
+def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) -> Comparison:
+    """The shares of pairs in which one side is worse by more than is negligible."""
+    sign = 1.0 if quantity.worse == "higher" else -1.0
+    name, before = quantity.name, {row.run_id: row for row in old.rows.values()}
+    marked: tuple[list[Row], list[Row]] = ([], [])
+    for row in new.rows.values():
+        other = before.get(row.run_id)
+        if other is not None and name in row.values and name in other.values:
+            worse = sign * (row.values[name] - other.values[name])
+            for side, each in zip(marked, (-worse, worse), strict=True):
+                values = {name: float(each > quantity.negligible)}
+                side.append(replace(row, values=values))
+    found = matching.match(name, marked[1], marked[0], confidence)
+    return Comparison(
+        group=ALL,
+        quantity=f"pairs with worse {name}",
+        unit="1",
+        found=found,
+        tolerance=0.0,
+        state=_state(found),
+    )
+
+
+def _state(found: Matched) -> Literal["same", "worse", "better", "too few"]:
+    """Of a share that is worse the higher it is."""
+    difference = found.difference
+    if difference is None or difference.low is None or difference.high is None:
+        return "too few"
+    if difference.low > 0:
+        return "worse"
+    return "better" if difference.high < 0 else "same"
+
+
+def _side(folder: Path) -> Results:
+    """All runs of the result folders of one side; keys tell their folder."""
+    found: dict[str, Row] = {}
+    versions = set()
+    for out in result_folders(folder):
+        results = rows.read(out)
+        versions.add(results.version)
+        found |= {f"{out}/runs/{run_id}": row for run_id, row in results.rows.items()}
+    if len(versions) > 1:
+        named = " and ".join(sorted(versions))
+        raise UsageError(f"{folder} holds results of versions {named}: compare one at a time.")
+    return Results(source=folder, version=versions.pop(), rows=found)
+
+
+def _differs(old: Mapping[str, Row], new: Mapping[str, Row]) -> Differs:
+    """What the two sides do not have in common, with the values of each."""
+    values = {
+        name: tuple(
+            tuple(sorted({str(getattr(row, name)) for row in side.values()})) for side in (old, new)
+        )
+        for name in _IDENTITY
+    }
+    return {name: (was, now) for name, (was, now) in values.items() if was != now}
+
+
+def _alike(side: Results, differs: set[str]) -> Results:
+    """Rows whose ids leave out what is meant to be different: those of pairs are equal."""
+    found = {}
+    for key, row in side.rows.items():
+        kept = {name: "" if name in differs else str(getattr(row, name)) for name in _IDENTITY}
+        name = "--".join((*kept.values(), row.scene, str(row.seed)))
+        found[key] = replace(
+            row, run_id=name, spec=kept["spec"], method=kept["method"], planner=kept["planner"]
+        )
+    return replace(side, rows=found)
+
+
+def _judged(side: Results) -> int:
+    return sum(row.judged for row in side.rows.values())
+
+
+def _settings(old: Mapping[str, Result], new: Mapping[str, Result]) -> Differs:
+    """The planner's settings that are not the same on both sides."""
+    values = [[one["settings"]["planner"] for one in side.values()] for side in (old, new)]
+    names = sorted({name for side in values for settings in side for name in settings})
+    found = {
+        f"planner.{name}": tuple(
+            tuple(sorted({str(settings.get(name, "-")) for settings in side})) for side in values
+        )
+        for name in names
+    }
+    return {name: (was, now) for name, (was, now) in found.items() if was != now}
+
+
+def _tagged(side: Results, results: Mapping[str, Result]) -> list[Tagged]:
+    """The attacked runs with where and how each hit was."""
+    known = tags(results, result_folders(side.source))
+    return [
+        Tagged(row=row, tags=known.get(key, {}))
+        for key, row in side.rows.items()
+        if "collision_rate" in row.values
+    ]
+
+
+def _notes(old: Results, new: Results, pairs: int) -> Iterable[str]:
+    fewer = min(_judged(old), _judged(new))
+    if pairs < fewer:
+        yield (
+            f"{fewer - pairs} of {fewer} runs have no partner: moments that both sides were"
+            " attacked at are compared in pairs as far as they suffice"
+        )
+    changed = {row.attack for row in new.rows.values() if row.attack} != {
+        row.attack for row in old.rows.values() if row.attack
+    }
+    if changed:
+        yield "the attack is set up differently: differences may be the attack's"
+    for name, side in (("A", old), ("B", new)):
+        lost = sum(row.status != "ok" for row in side.rows.values())
+        if lost:
+            yield f"{lost} runs of {name} failed, timed out or are missing, and are not compared"

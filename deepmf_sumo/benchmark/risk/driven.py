@@ -1,0 +1,100 @@
+"""``tracks.csv.gz`` of a run -> how AV and opponents drove, and which lanes the AV was on."""
+
+import csv
+import gzip
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.geometry import boxes
+from deepmf_sumo.network import matching
+
+_NUMBERS: Final = ("step", "time_s", "x_m", "y_m", "heading_rad", "length_m", "width_m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Driven:
+    """AV (row 0) and opponents (the others) at T steps.
+
+    Attributes:
+        ids: (A) of the opponents; the AV's, before them, is empty.
+        position_m: (A, T, 2) box centres. heading_rad: (A, T). size_m: (A, 2).
+        valid: (A, T) False where one is not there. now: step at which the simulation took over.
+    """
+
+    ids: tuple[str, ...]
+    position_m: Floats
+    heading_rad: Floats
+    size_m: Floats
+    valid: Bools
+    now: int
+
+    def nearest_step(self, opponent: str, first: int, last: int) -> int | None:
+        """When the gap to an opponent was least, after one step and up to another.
+
+        None where they were never there together.
+        """
+        if opponent not in self.ids:
+            return None
+        row = self.ids.index(opponent)
+        steps: Ints = np.flatnonzero(self.valid[0] & self.valid[row])
+        steps = steps[(steps > first) & (steps <= last)]
+        if not len(steps):
+            return None
+        position, heading = self.position_m[:, steps], self.heading_rad[:, steps]
+        gap_m = boxes.gap(
+            position[0], heading[0], self.size_m[0], position[row], heading[row], self.size_m[row]
+        )
+        return int(steps[gap_m.argmin()])
+
+    def lanes(self, road: RoadMap, who: str = "") -> tuple[str | None, ...]:
+        """(T) the lane under the centre of an opponent, or the AV; None where it is on none."""
+        row = self.ids.index(who)
+        found = matching.match(road, self.position_m[row], self.heading_rad[row], self.valid[row])
+        return found.lane_ids
+
+
+def read(file: Path, opponents: Sequence[str]) -> Driven:
+    """How the AV and its opponents drove.
+
+    Raises UsageError where the file is missing or damaged.
+    """
+    rows: dict[str, list[list[float]]] = {one: [] for one in ("", *opponents)}
+    try:
+        with gzip.open(file, "rt", encoding="utf-8", newline="") as lines:
+            for row in csv.DictReader(lines):
+                one = "" if row["role"] == "av" else row["id"]
+                if one in rows:
+                    rows[one].append([float(row[name]) for name in _NUMBERS])
+        return _driven({one: np.array(found) for one, found in rows.items() if found})
+    except FileNotFoundError:
+        raise UsageError(f"{file} is missing; run it anew.") from None
+    except (OSError, EOFError, zlib.error, ValueError, LookupError, TypeError) as error:
+        raise UsageError(f"{file} is damaged ({error}); run it anew.") from None
+
+
+def _driven(tables: Mapping[str, Floats]) -> Driven:
+    """Of the rows (K, columns) of each; the AV is there at the start."""
+    steps = 1 + int(max(table[-1, 0] for table in tables.values()))
+    shape = len(tables), steps
+    position, heading = np.zeros((*shape, 2)), np.zeros(shape)
+    size, valid = np.zeros((len(tables), 2)), np.zeros(shape, bool)
+    for row, table in enumerate(tables.values()):
+        at = table[:, 0].astype(int)
+        position[row, at], heading[row, at] = table[:, 2:4], table[:, 4]
+        size[row], valid[row, at] = table[0, 5:], True
+    of_av = tables[""]
+    return Driven(
+        ids=tuple(tables),
+        position_m=position,
+        heading_rad=heading,
+        size_m=size,
+        valid=valid,
+        now=int(of_av[np.abs(of_av[:, 1]).argmin(), 0]),
+    )

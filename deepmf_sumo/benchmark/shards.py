@@ -1,0 +1,151 @@
+"""A batch in parts, each in a folder of its own; and the parts joined, as if run in one piece.
+
+Benchmarks have more to join than runs (`study.merge`); they share `Shard`.
+"""
+
+import json
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import deepmf_sumo
+from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.store import Store, open_folder
+from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.errors import OutputError, UsageError
+
+FILE: Final = "shard.json"
+_WHOLE: Final = ("moments.csv",)
+"""Tables that every part has whole."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shard:
+    """Every ``of``-th run, from the ``number``-th on (1 is the first)."""
+
+    number: int
+    of: int
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """``2/8``. Raises UsageError."""
+        match = re.fullmatch(r"(\d+)/(\d+)", text)
+        if match and 1 <= int(match[1]) <= int(match[2]):
+            return cls(number=int(match[1]), of=int(match[2]))
+        raise UsageError(f"--shard {text}: must be i/n with 1 <= i <= n, e.g. 2/8.")
+
+    def choose(self, tasks: Sequence[Task]) -> list[Task]:
+        """Its tasks. In a plan's order these are scenes: every shard has every method.
+
+        Raises UsageError where it has none, and others have.
+        """
+        chosen = list(tasks[self.number - 1 :: self.of])
+        if tasks and not chosen:
+            raise UsageError(f"There are {len(tasks)} runs: this shard of them is empty.")
+        return chosen
+
+
+def note(out: Path, every: Sequence[Task] | None) -> None:
+    """Say in a part's folder what all the runs are, in their order; None: it is no part."""
+    if every is None:
+        (out / FILE).unlink(missing_ok=True)
+        return
+    runs = [[task.run_id, task.key] for task in every]
+    files.write_json(out / FILE, {"version": deepmf_sumo.__version__, "runs": runs})
+
+
+def merge(out: Path, shards: Sequence[Path]) -> tuple[list[Result], list[str]]:
+    """Copy the runs of all parts into ``out``; returns their results and the ids of missing runs.
+
+    Raises UsageError for folders of other batches or versions, or that hold a run twice, and
+    OutputError.
+    """
+    runs = _common(shards)
+    found = found_in(shards, runs)
+    store, results = copied(out, shards, runs, found)
+    for name in _WHOLE:
+        if (shards[0] / name).is_file():
+            files.write(out / name, (shards[0] / name).read_bytes())
+    missing = [run_id for run_id in runs if run_id not in found]
+    junit_too = any((shard / "junit.xml").is_file() for shard in shards)
+    store.finish(results, junit_too=junit_too, interrupted=bool(missing))
+    return results, missing
+
+
+def of_benchmark(shard: Path) -> bool:
+    """Whether a folder is to be joined by `study.merge`."""
+    return (shard / "study.json").is_file()
+
+
+def found_in(shards: Sequence[Path], runs: Mapping[str, str]) -> dict[str, Path]:
+    """Folder of every run that is there. Raises UsageError for one that two shards have."""
+    found: dict[str, Path] = {}
+    for shard in shards:
+        for run_id, key in runs.items():
+            folder = shard / "runs" / run_id
+            if not folder.is_dir() or Store(shard).read_run(run_id)["key"] != key:
+                continue
+            if run_id in found:
+                raise UsageError(
+                    f"The run {run_id} is in {found[run_id].parents[1]} and in {shard}; "
+                    "give each shard once."
+                )
+            found[run_id] = folder
+    return found
+
+
+def copied(
+    out: Path, shards: Sequence[Path], runs: Mapping[str, str], found: Mapping[str, Path]
+) -> tuple[Store, list[Result]]:
+    """A new result folder with the runs that are there, and their results in order."""
+    if out.resolve() in {shard.resolve() for shard in shards}:
+        raise UsageError(f"{out} is one of the shards; choose another folder for OUT.")
+    store = open_folder(out, resume=False)
+    keys = {run_id: key for run_id, key in runs.items() if run_id in found}
+    try:
+        for run_id in keys:
+            beside = store.runs / f".{run_id}.partial"
+            shutil.copytree(found[run_id], beside)
+            beside.replace(store.runs / run_id)
+    except OSError as error:
+        raise OutputError(f"{out} cannot be written: {error.strerror or error}.") from None
+    store.manifest(keys, {"shards": [str(shard) for shard in shards]})
+    return store, [store.read_run(run_id) for run_id in keys]
+
+
+def _common(shards: Sequence[Path]) -> dict[str, str]:
+    """Run id -> key of all runs, of which each folder is to be a part."""
+    first = _read(shards[0])
+    for shard in shards[1:]:
+        if _read(shard) != first:
+            raise UsageError(
+                f"{shard} is a part of other runs than {shards[0]}; merge what the same command"
+                " made, with --shard alone changed."
+            )
+    return dict(first)
+
+
+def _read(shard: Path) -> list[tuple[str, str]]:
+    file = shard / FILE
+    try:
+        values: Any = json.loads(file.read_text("utf-8"))
+        version, runs = values["version"], [(str(run), str(key)) for run, key in values["runs"]]
+    except OSError:
+        raise UsageError(
+            f"{shard} is no part of anything: it has no {FILE}, which --shard writes."
+        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"{file} is damaged ({error}); run that shard again.") from None
+    if version != deepmf_sumo.__version__:
+        raise UsageError(
+            f"{shard} was made by version {version} of deepmf-sumo, and this is"
+            f" {deepmf_sumo.__version__}: run that shard again, or merge with that version."
+        )
+    return runs
+
+
+__all__ = ["Shard", "copied", "found_in", "merge", "note", "of_benchmark"]

@@ -1,0 +1,88 @@
+"""``deepmf-sumo attach``: joins a running SUMO and attacks a vehicle in it."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command(name="attach")
+@click.option(
+    "--port", "-p", required=True, type=click.IntRange(1, 65535), help="SUMO's --remote-port."
+)
+@click.option("--host", default="localhost", show_default=True)
+@click.option("--av", metavar="ID", required=True, help="The vehicle to attack.")
+@click.option(
+    "--order", type=int, default=2, show_default=True, help="This client's number at SUMO."
+)
+@click.option(
+    "--wait", "wait_s", metavar="S", type=click.FloatRange(min=0), default=10.0, show_default=True,
+    help="For somebody to listen on the port.",
+)  # fmt: skip
+@click.option(
+    "--trigger", "triggers", metavar="WHEN", multiple=True,
+    help="time=S, edge=ID or ttc=S; may be repeated.  [default: whenever somebody can attack]",
+)  # fmt: skip
+@click.option(
+    "--duration", metavar="S", type=click.FloatRange(min=3), default=15.0, show_default=True,
+    help="Of an attack, at most.",
+)  # fmt: skip
+@click.option(
+    "--pause", metavar="S", type=click.FloatRange(min=0), default=5.0, show_default=True,
+    help="After an attack.",
+)  # fmt: skip
+@click.option("--attacks", metavar="N", type=click.IntRange(min=1), help="Leave after so many.")
+@click.option(
+    "--until", "until_s", metavar="S", type=click.FloatRange(min=0),
+    help="Leave at this time of the simulation.",
+)  # fmt: skip
+@click.option(
+    "--patience", metavar="S", type=click.FloatRange(min=0), default=600.0, show_default=True,
+    help="Of the simulation's time, for the AV to appear.",
+)  # fmt: skip
+@click.option(
+    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="adversary.KEY, weights or seed."
+)
+@click.option(
+    "--net", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="The network.  [default: as SUMO names it, from this folder]",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), default=Path("live"), show_default=True)
+@click.pass_context
+def command(
+    ctx: click.Context,
+    port: int,
+    host: str,
+    av: str,
+    order: int,
+    wait_s: float,
+    triggers: tuple[str, ...],
+    duration: float,
+    pause: float,
+    attacks: int | None,
+    until_s: float | None,
+    patience: float,
+    sets: tuple[str, ...],
+    net: Path | None,
+    out: Path,
+) -> None:
+    """Join a running sumo or sumo-gui, and attack a vehicle that another client drives.
+
+    Start SUMO with --remote-port P --num-clients 2; the other client calls setOrder(1). Both step
+    together. Ends when the vehicle leaves, at --until, after --attacks, or at Ctrl-C, and hands
+    back whom it drives; a second Ctrl-C breaks off, which ends SUMO.
+    """
+    from deepmf_sumo.benchmark import live
+    from deepmf_sumo.cli.screen.live import show, tell
+    from deepmf_sumo.cli.screen.stopping import leaving
+    from deepmf_sumo.simulation.live.connection import Port
+    from deepmf_sumo.simulation.live.lockstep import Stay
+
+    wish = live.Wish(
+        av=av, triggers=triggers, duration_s=duration, pause_s=pause, sets=sets, net=net
+    )
+    place = Port(number=port, host=host, order=order, wait_s=wait_s)
+    stay = Stay(until_s=until_s, attacks=attacks, patience_s=patience)
+    with leaving() as stopped:
+        done = live.attach(place, wish, stay, out, stopped=stopped, tell=tell)
+    show(done, av, out)
+    ctx.exit(130 if done.end == "stopped" else 0)

@@ -1,0 +1,43 @@
+"""``deepmf-sumo compare``: two results side by side, and where a difference comes from."""
+
+from pathlib import Path
+
+import click
+
+_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+
+
+@click.command(name="compare")
+@click.argument("a", type=_FOLDER)
+@click.argument("b", type=_FOLDER)
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path),
+    help="Write the tables to a folder, as CSV and Markdown.",
+)  # fmt: skip
+@click.option(
+    "--quantity", "quantities", multiple=True, metavar="NAME",
+    help="Compare this instead of the usual ones; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--confidence", type=click.FloatRange(0.5, 1, max_open=True), default=0.95, show_default=True,
+    help="Of all intervals of a table together.",
+)  # fmt: skip
+def command(
+    a: Path, b: Path, out: Path | None, quantities: tuple[str, ...], confidence: float
+) -> None:
+    """Compare the results B with the results A: two designs of a network, or two planners.
+
+    A and B are folders of attack, run or benchmark, or hold such folders, e.g. one a seed. Runs of
+    the same moment and seed are pairs.
+    """
+    from deepmf_sumo.benchmark.risk import comparison
+    from deepmf_sumo.cli.screen import risk as screen
+    from deepmf_sumo.report.risk import comparison as files
+
+    wanted = quantities or comparison.COMPARED
+    compared = comparison.compare(a, b, wanted, confidence)
+    names = str(a), str(b)
+    screen.show_comparison(compared, names)
+    if out:
+        files.write(out, compared, names)
+        click.echo(f"{out}/{files.TEXT}, {files.DIFFERENCES}, {files.ORIGINS}")

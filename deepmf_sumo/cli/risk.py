@@ -1,0 +1,35 @@
+"""``deepmf-sumo risk``: result folders -> where on the network the AV is in danger."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command(name="risk")
+@click.argument(
+    "folders", metavar="OUT...", nargs=-1, required=True,
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path),
+    help="Where the map is written.  [default: OUT/risk, of the first OUT]",
+)  # fmt: skip
+@click.option("--top", type=click.IntRange(0), default=10, show_default=True, help="Places shown.")
+@click.option("--open", "show", is_flag=True, help="Show the page in the browser.")
+def command(folders: tuple[Path, ...], out: Path | None, top: int, show: bool) -> None:
+    """Map the risk of the networks that OUT..., results of attack or run, attacked on.
+
+    Per movement, edge, junction and lane: attacks, hits, how many were avoidable, least time to
+    collision, delta-v. Written as CSV, SUMO edge data, polygons for sumo-gui, and a page. OUT may
+    hold result folders, e.g. one a seed.
+    """
+    from deepmf_sumo.benchmark import risk
+    from deepmf_sumo.cli.screen import risk as screen
+    from deepmf_sumo.report import risk as files
+
+    place = out or folders[0] / "risk"
+    title = ", ".join(folder.resolve().name for folder in folders)
+    written = files.write(place, risk.read(folders), title)
+    screen.show(written, top)
+    if show:
+        click.launch(str(written[0].folder / files.PAGE))

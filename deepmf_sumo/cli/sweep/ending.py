@@ -1,0 +1,41 @@
+"""The end of a sweep: what is shown, and the exit code."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+from deepmf_sumo.cli.sweep.options import Sweep
+
+
+def end_of_runs(sweep: Sweep, results: Sequence[dict[str, Any]]) -> int:
+    """Show the table of the runs; returns the exit code."""
+    from deepmf_sumo.benchmark.store import Store, summary
+    from deepmf_sumo.cli.screen.runs import table
+
+    missing = Store(sweep.out).planned() - len(results)
+    if results:
+        table(results, summary(results), sweep.out)
+    if missing:
+        click.echo(f"{missing} runs not begun: --resume makes them")
+    return end(sweep, results, missing)
+
+
+def end(sweep: Sweep, results: Sequence[dict[str, Any]], missing: int) -> int:
+    """The exit code: 130 where runs are missing, 2 where a spec was wrong, else the verdict's.
+
+    Without thresholds the verdict is that of the runs themselves, see `batch.exit_code`.
+    """
+    from deepmf_sumo.benchmark import batch
+    from deepmf_sumo.benchmark.memory import watched
+    from deepmf_sumo.cli.main import INTERRUPTED
+    from deepmf_sumo.cli.sweep import judging
+    from deepmf_sumo.errors import UsageError
+
+    if not watched():
+        click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
+    code = batch.exit_code(results)
+    if sweep.thresholds:
+        verdict = judging.judge(sweep)
+        code = code if code == UsageError.exit_code else verdict
+    return INTERRUPTED if missing else code

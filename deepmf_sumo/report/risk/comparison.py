@@ -1,0 +1,162 @@
+"""Two results side by side -> tables of text, CSV and Markdown."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark.gate.matching import Matched
+from deepmf_sumo.benchmark.gate.verdict import change, figure
+from deepmf_sumo.benchmark.risk.comparison import Compared
+from deepmf_sumo.benchmark.risk.origins import Origin
+from deepmf_sumo.errors import OutputError
+from deepmf_sumo.report.table import SECTORS
+
+DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
+_MADE: Final = {DIFFERENCES, ORIGINS, TEXT}
+DIFFERENCE_HEADINGS: Final = ("quantity", "A", "B", "B - A", "")
+ORIGIN_HEADINGS: Final = ("where hits come from", "A", "B", "B - A of all runs", "")
+
+
+def write(out: Path, compared: Compared, names: tuple[str, str]) -> None:
+    """Write the folder: two tables, and both as Markdown. Raises OutputError."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        others = {path.name for path in out.iterdir() if not path.name.startswith(".")} - _MADE
+        if others:
+            raise OutputError(f"{out} holds '{min(others)}'; choose an empty folder for --out.")
+        files.write(out / DIFFERENCES, _csv(_difference_rows(compared)))
+        files.write(out / ORIGINS, _csv(_origin_rows(compared)))
+        files.write(out / TEXT, markdown(compared, names))
+    except OSError as error:
+        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
+
+
+def markdown(compared: Compared, names: tuple[str, str]) -> str:
+    """What was compared, both tables, and what to know before trusting them."""
+    lines = ["## deepmf-sumo compare", "", *(f"{line}  " for line in heading(compared, names)), ""]
+    lines += _table(DIFFERENCE_HEADINGS, differences(compared))
+    if compared.origins:
+        lines += ["", *_table(ORIGIN_HEADINGS, origins(compared.origins))]
+    lines += [f"\n{note}." for note in compared.notes]
+    return "\n".join(lines) + "\n"
+
+
+def heading(compared: Compared, names: tuple[str, str]) -> list[str]:
+    """Which is A, which is B, and what is different on purpose."""
+    lines = [
+        f"{letter}: {name}, {runs} runs"
+        for letter, name, runs in zip("AB", names, compared.runs, strict=True)
+    ]
+    lines.append(f"{compared.pairs} pairs of the same moment and seed")
+    lines += [
+        f"{name}: {', '.join(was)} in A, {', '.join(now)} in B"
+        for name, (was, now) in compared.differs.items()
+    ]
+    return lines
+
+
+def differences(compared: Compared) -> list[tuple[str, ...]]:
+    """Cells of the table of differences."""
+    return [
+        (
+            one.quantity,
+            *(_figure(end, one.unit) for end in (one.found.old, one.found.new)),
+            change(one),
+            one.state,
+        )
+        for one in compared.differences
+    ]
+
+
+def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
+    """Cells of the table of origins."""
+    return [
+        (
+            f"{one.dimension}: {_value(one)}",
+            *(f"{hits} of {runs}" for hits, runs in zip(one.hits, one.runs, strict=True)),
+            _shift(one.found),
+            one.state,
+        )
+        for one in table
+    ]
+
+
+def _value(one: Origin) -> str:
+    return SECTORS[int(one.value)] if one.dimension == "sector" else one.value
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "-" if value is None else figure(value, unit)
+
+
+def _shift(found: Matched) -> str:
+    if found.difference is None:
+        return "-"
+    mean, low, high = found.difference
+    if low is None or high is None:
+        return f"{mean:+.3f}"
+    return f"{mean:+.3f} ({low:+.3f} to {high:+.3f})"
+
+
+def _difference_rows(compared: Compared) -> list[dict[str, Any]]:
+    return [
+        {
+            "quantity": one.quantity,
+            "unit": one.unit,
+            "a": one.found.old,
+            "b": one.found.new,
+            **_interval(one.found),
+            "state": one.state,
+        }
+        for one in compared.differences
+    ]
+
+
+def _origin_rows(compared: Compared) -> list[dict[str, Any]]:
+    return [
+        {
+            "dimension": one.dimension,
+            "value": _value(one),
+            "a_hits": one.hits[0],
+            "a_runs": one.runs[0],
+            "b_hits": one.hits[1],
+            "b_runs": one.runs[1],
+            **_interval(one.found),
+            "state": one.state,
+        }
+        for one in compared.origins
+    ]
+
+
+def _interval(found: Matched) -> dict[str, Any]:
+    mean, low, high = found.difference or (None, None, None)
+    return {
+        "difference": mean,
+        "difference_lo": low,
+        "difference_hi": high,
+        "compared_by": found.by,
+        "count": found.count,
+    }
+
+
+def _csv(table: Sequence[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    if table:
+        writer = csv.DictWriter(text, table[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({name: _cell(value) for name, value in row.items()} for row in table)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    lines = [headings, ["---"] * len(headings), *rows]
+    return [f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines]

@@ -1,0 +1,99 @@
+"""Networks with attacks -> a folder each: CSV, edge data, polygons, a page."""
+
+import csv
+import io
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from deepmf_sumo.benchmark import files, risk
+from deepmf_sumo.benchmark.risk import Network, Row
+from deepmf_sumo.errors import OutputError
+from deepmf_sumo.report.risk import edge_data, page, polygons
+
+TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
+POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
+_MADE: Final = {
+    TABLE, PAGE, EDGES, MOVEMENTS, POLYGONS, CONFIG, CONFLICTS, "net.net.xml", "net.net.xml.gz",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Written:
+    """The files of one network, and what stands in them."""
+
+    folder: Path
+    network: Network
+    rows: list[Row]
+
+
+def write(out: Path, networks: Sequence[Network], title: str = "") -> list[Written]:
+    """Write the risk map of each network: into ``out``, or a folder each in it if several.
+
+    Args:
+        out: made if it is not there; files of an earlier map are replaced.
+        networks: of `benchmark.risk.read`.
+        title: of the page, e.g. the name of the result folder.
+
+    Raises OutputError where a folder cannot be written or holds something else.
+    """
+    written = []
+    for number, network in enumerate(networks):
+        folder = out if len(networks) == 1 else out / f"{number + 1}-{network.name}"
+        try:
+            written.append(_write(folder, network, title or network.name))
+        except OSError as error:
+            raise OutputError(f"{folder} cannot be written: {error.strerror}.") from None
+    return written
+
+
+def _write(folder: Path, network: Network, title: str) -> Written:
+    folder.mkdir(parents=True, exist_ok=True)
+    others = {path.name for path in folder.iterdir() if not path.name.startswith(".")} - _MADE
+    if others:
+        raise OutputError(f"{folder} holds '{min(others)}'; choose an empty folder for --out.")
+    rows = risk.rows(network)
+    net = "".join(["net.net.xml", ".gz" * (network.net_file.suffix == ".gz")])
+    shutil.copyfile(network.net_file, folder / net)
+    files.write(folder / TABLE, _table([risk.columns(row) for row in rows]))
+    files.write(folder / CONFLICTS, _table([asdict(one) for one in risk.conflicts(network)]))
+    files.write(folder / EDGES, edge_data.edges(network, rows))
+    files.write(folder / MOVEMENTS, edge_data.movements(network, rows))
+    files.write(folder / POLYGONS, polygons.additional(network, rows))
+    files.write(folder / CONFIG, _config(net))
+    files.write(folder / PAGE, page.html(network, rows, title))
+    return Written(folder=folder, network=network, rows=rows)
+
+
+def _table(table: Sequence[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, table[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in table)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _config(net: str) -> str:
+    """What ``sumo-gui -c`` opens: the network with the polygons, and no traffic."""
+    return f"""<configuration>
+    <input>
+        <net-file value="{net}"/>
+        <additional-files value="{POLYGONS}"/>
+    </input>
+    <time>
+        <begin value="0"/>
+        <end value="1"/>
+    </time>
+    <gui_only>
+        <edgedata-files value="{EDGES}"/>
+    </gui_only>
+</configuration>
+"""

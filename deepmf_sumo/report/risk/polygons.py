@@ -1,0 +1,91 @@
+"""Rows of a risk map -> an additional file of polygons, which sumo-gui and netedit draw.
+
+A right click on a polygon shows its numbers (*Show parameter*).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+from xml.etree import ElementTree as ET  # written, never parsed
+
+import numpy as np
+import shapely
+
+from deepmf_sumo.benchmark.risk import Network, Row
+from deepmf_sumo.benchmark.risk.places import Kind
+from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.network.net_file import NetLane
+from deepmf_sumo.report.risk.edge_data import numbers
+
+STOPS: Final = ((255, 243, 176), (244, 163, 43), (193, 18, 31))
+"""Colours from no risk over half of the worst to the worst: yellow, orange, red."""
+_LAYERS: Final[Mapping[Kind, int]] = {"junction": 150, "edge": 151, "movement": 152}
+"""Over the roads (about 100) and under the vehicles (about 400)."""
+_WAY_M: Final = 1.2
+"""Ways over a junction lie over each other: they are drawn narrower than lanes."""
+
+
+def additional(network: Network, rows: Sequence[Row]) -> bytes:
+    """``<poly>`` of the junctions, edges and movements where attacks were decided.
+
+    The colour is the risk of a hit, from yellow (none) to red (the worst place of the map).
+    """
+    drawn = [row for row in rows if row.counted == "decided" and row.kind in _LAYERS]
+    worst = max((row.risk["hit"].rate for row in drawn), default=1.0)
+    root = ET.Element("additional")
+    for row in drawn:
+        for number, corners in enumerate(_outlines(network, row)):
+            part = ET.SubElement(
+                root,
+                "poly",
+                id=f"risk.{row.kind}.{_name(network, row)}.{number}",
+                type=f"risk.{row.kind}",
+                color=colour(row.risk["hit"].rate / worst),
+                fill="1",
+                layer=str(_LAYERS[row.kind]),
+                shape=" ".join(f"{x:.2f},{y:.2f}" for x, y in corners),
+            )
+            for key, value in {"place": row.title, **numbers(row)}.items():
+                ET.SubElement(part, "param", key=key, value=value)
+    ET.indent(root, "    ")
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root) + b"\n"
+
+
+def _name(network: Network, row: Row) -> str:
+    """SUMO takes no blanks in ids."""
+    if row.kind != "movement":
+        return row.place
+    one = network.places.movements[row.place]
+    return f"{one.origin}.{one.target}"
+
+
+def colour(share: float) -> str:
+    """SUMO's text for a colour between `STOPS`, by the share (0 to 1) of the worst risk."""
+    place = 2 * min(max(share, 0.0), 1.0)
+    low = min(int(place), 1)
+    mixed = np.array(STOPS[low]) + (place - low) * np.subtract(STOPS[low + 1], STOPS[low])
+    return ",".join(str(round(float(part))) for part in mixed)
+
+
+def lanes_of(network: Network, row: Row) -> list[NetLane]:
+    """The lanes of an edge, of a movement, or the lane itself; none of a junction."""
+    places = network.places
+    if row.kind == "edge":
+        return list(places.net.edges[row.place].lanes)
+    if row.kind == "movement":
+        return [places.lanes[lane] for lane in places.movements[row.place].lanes]
+    return [places.lanes[row.place]] if row.kind == "lane" else []
+
+
+def _outlines(network: Network, row: Row) -> Iterator[Floats]:
+    """Corners (P, 2) of the areas of a place."""
+    if row.kind == "junction":
+        shape_m = network.places.junctions[row.place].shape_m
+        if len(shape_m) > 2:
+            yield shape_m
+    for lane in lanes_of(network, row):
+        width_m = _WAY_M if row.kind == "movement" else lane.width_m
+        line = shapely.LineString(lane.shape_m[:, :2])
+        if line.length > 0:
+            area = shapely.buffer(line, width_m / 2, cap_style="flat", join_style="mitre")
+            for part in shapely.get_parts(area):
+                yield shapely.get_coordinates(shapely.get_exterior_ring(part))

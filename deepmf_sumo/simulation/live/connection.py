@@ -1,0 +1,114 @@
+"""The way into a running SUMO: a port of its own, or the connection of the user's script."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol, cast
+
+from deepmf_sumo.errors import SimulationError, UsageError
+from deepmf_sumo.simulation.sumo_api import SumoApi
+
+_AGAIN_S: Final = 0.2
+"""Between two tries to connect."""
+
+
+class LiveApi(SumoApi, Protocol):
+    """What is used beside `SumoApi` in a simulation of somebody else."""
+
+    poi: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Port:
+    """Where SUMO listens. ``order``: this client's number. ``wait_s``: for somebody to listen."""
+
+    number: int
+    host: str = "localhost"
+    order: int = 2
+    wait_s: float = 10.0
+
+
+class _Shared:
+    """A connection with the exceptions of its module, which a module has anyway."""
+
+    def __init__(self, connection: Any) -> None:
+        import traci
+
+        self._connection = connection
+        self.TraCIException = traci.exceptions.TraCIException
+        self.FatalTraCIError = traci.exceptions.FatalTraCIError
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+
+def shared(connection: Any) -> LiveApi:
+    """The script's own ``libsumo``, ``traci`` or ``traci.connect(...)``.
+
+    Raises UsageError for anything else.
+    """
+    if not all(hasattr(connection, name) for name in ("vehicle", "poi", "simulationStep")):
+        raise UsageError(
+            f"A {type(connection).__name__} is no simulation; give the module libsumo or traci, or "
+            "what traci.connect returned."
+        )
+    if hasattr(connection, "TraCIException"):
+        return cast("LiveApi", connection)
+    return cast("LiveApi", _Shared(connection))
+
+
+def connect(port: Port) -> LiveApi:
+    """Join the SUMO that listens on a port.
+
+    SUMO does not step before all of its ``--num-clients`` have come, and takes none later.
+
+    Raises SimulationError where nobody listens in time, or the client's number is taken.
+    """
+    import traci
+
+    until = time.monotonic() + port.wait_s
+    while True:
+        try:
+            # without retries: it would print a line for each
+            connection = traci.connect(port.number, numRetries=0, host=port.host)
+            break
+        except (traci.exceptions.FatalTraCIError, OSError, OverflowError):
+            if time.monotonic() >= until:
+                raise SimulationError(_nobody(port)) from None
+            time.sleep(min(_AGAIN_S, max(0.0, until - time.monotonic())))
+    try:
+        connection.setOrder(port.order)
+        connection.getVersion()  # answered when all clients have come
+    except (traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError) as error:
+        raise SimulationError(
+            f"SUMO at {port.host}:{port.number} refused client {port.order} "
+            f"({str(error).strip()}); every client needs a number of its own, --order, and SUMO "
+            "one --num-clients for all of them."
+        ) from None
+    return shared(connection)
+
+
+def _nobody(port: Port) -> str:
+    return (
+        f"Nobody listens on {port.host}:{port.number} (waited {port.wait_s:g} s). Start SUMO with "
+        f"--remote-port {port.number} --num-clients 2 and join before its first step: once all its "
+        "clients have come, SUMO takes no more."
+    )
+
+
+def road_files(api: SumoApi, folder: Path) -> tuple[Path, tuple[Path, ...]]:
+    """The network and the additional files that a running SUMO was started with.
+
+    SUMO names them as it was told to find them; ``folder`` is what relative ones are relative to.
+
+    Raises UsageError where the network is not there.
+    """
+    named = str(api.simulation.getOption("net-file"))
+    net = folder / named
+    if not named or not net.is_file():
+        raise UsageError(
+            f"SUMO's network '{named}' is not in {folder.absolute()}; name it with --net, or run "
+            "in the folder in which SUMO was started."
+        )
+    more = str(api.simulation.getOption("additional-files")).replace(",", " ").split()
+    return net, tuple(path for path in (folder / one for one in more) if path.is_file())

@@ -1,0 +1,232 @@
+"""Attacks one after another on a vehicle that somebody else's script drives."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import DT_S, HISTORY_STEPS, AgentId, Floats, Rollout
+from deepmf_sumo.errors import RunError, UsageError
+from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.simulation.frame import Frame
+from deepmf_sumo.simulation.live.engagement import Engagement, Scenery
+from deepmf_sumo.simulation.live.observer import Sighting
+from deepmf_sumo.simulation.live.triggers import ByCall, Moment, Trigger
+
+_ASK_EVERY: Final = 10
+_WAKE_S: Final = 1.5
+_AGAIN_S: Final = 1.0
+"""After which somebody is looked for again where nobody could attack."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fought:
+    """An attack that is over. ``begin_s``, ``end_s``: of the simulation's time."""
+
+    number: int
+    begin_s: float
+    end_s: float
+    rollout: Rollout
+
+
+class Session:
+    """To be told before and after each step of the simulation.
+
+    Args:
+        scenery: the simulation, its AV and the rules.
+        policy: drives the opponents; chooses each of them.
+        triggers: an attack begins when one of them fires.
+        pause_s: after an attack before the next.
+        rng: for the policy.
+        finished: is told of each attack that is over.
+
+    Raises UsageError where 0.1 s is no multiple of the simulation's step.
+    """
+
+    def __init__(
+        self,
+        scenery: Scenery,
+        policy: Policy,
+        triggers: Sequence[Trigger],
+        pause_s: float,
+        rng: np.random.Generator,
+        finished: Callable[[Fought], None],
+    ) -> None:
+        self.attacks = 0
+        self.av_seen = False
+        self.av_present = False
+        self.nobody = ""
+        self._scenery = scenery
+        self._policy = policy
+        self._call = ByCall()
+        self._triggers = (self._call, *triggers)
+        self._pause_s = pause_s
+        self._rng = rng
+        self._finished = finished
+        self._parts = parts_of_a_step(float(scenery.api.simulation.getDeltaT()))
+        self._part = 0
+        self._history: deque[Sighting] = deque(maxlen=HISTORY_STEPS)
+        self._attack: Engagement | None = None
+        self._begin_s = 0.0
+        self._ended_s: dict[AgentId, float] = {}
+        self._next_s = -np.inf
+        self._frames = 0
+        self._start_s = self.time_s = float(scenery.api.simulation.getTime())
+
+    @property
+    def attacking(self) -> AgentId | None:
+        """The opponent, while an attack goes on."""
+        attack = self._attack
+        return attack.opponent_id if attack is not None and attack.turn is None else None
+
+    def attack(self) -> None:
+        """Attack as soon as somebody can, whatever the triggers say."""
+        self._call.called = True
+
+    def before_step(self) -> None:
+        """Put the opponent where it shall be at the end of the coming step."""
+        attack = self._attack
+        if attack is None or attack.turn is not None:
+            return
+        if self._part == 0:
+            attack.decide()
+        attack.place((self._part + 1) / self._parts)
+
+    def after_step(self) -> None:
+        """See what has become of the step, and begin or end an attack."""
+        if self._attack is not None:
+            self._attack.settle()
+        self._part = (self._part + 1) % self._parts
+        if self._part:
+            return
+        self._count_time()
+        self._publish()
+        if self._may_sleep():
+            self._sleep()
+            return
+        sighting = self._scenery.observer.look()
+        self.av_present = sighting is not None
+        if sighting is None:
+            self._lose_sight()
+            return
+        self.av_seen = True
+        self._history.append(sighting)
+        if self._attack is not None:
+            self._attack.look(sighting)
+            if self._attack.turn is not None:
+                self._next_s = self.time_s + self._pause_s
+        elif len(self._history) == HISTORY_STEPS and self.time_s > self._next_s - 1e-6:
+            self._begin()
+
+    def hand_back(self) -> None:
+        """End the attack, if one goes on. One more step lets the vehicle find its way."""
+        if self._attack is not None and self._attack.turn is None:
+            self._attack.stop(av_gone=False)
+            self._next_s = self.time_s + self._pause_s
+
+    def close(self) -> None:
+        """Hand back, and take away all that was put into the simulation."""
+        self.hand_back()
+        self._publish()
+        self._scenery.observer.close()
+
+    def _count_time(self) -> None:
+        """Count, and ask SUMO now and then: each question costs as much as a tenth of a step."""
+        self._frames += 1
+        self.time_s = self._start_s + self._frames * DT_S
+        if self._frames % _ASK_EVERY:
+            return
+        now = float(self._scenery.api.simulation.getTime())
+        if abs(now - self.time_s) > 1e-6:
+            raise UsageError(
+                f"The simulation is at {now:g} s and was stepped to {self.time_s:g} s here; "
+                "before_step and after_step belong around every single step."
+            )
+
+    def _may_sleep(self) -> bool:
+        """Whether no attack can begin before there is time to see a second of history."""
+        due_s = max(self._next_s, min(one.not_before_s for one in self._triggers))
+        return self._attack is None and self.time_s < due_s - _WAKE_S
+
+    def _sleep(self) -> None:
+        """Look at nothing but whether the AV is there, now and then."""
+        observer = self._scenery.observer
+        if self._history:
+            self._history.clear()
+            observer.close()
+        if self._frames % _ASK_EVERY == 0:
+            self.av_present = observer.position(self._scenery.av_id) is not None
+            self.av_seen |= self.av_present
+
+    def _lose_sight(self) -> None:
+        self._history.clear()
+        if self._attack is not None:
+            self._attack.stop(av_gone=True)
+            self._next_s = self.time_s + self._pause_s
+
+    def _begin(self) -> None:
+        moment = self._moment()
+        fired = next((one for one in self._triggers if one.fires(moment)), None)
+        if fired is None:
+            return
+        self._next_s = self.time_s + _AGAIN_S
+        if len(self._history[-1].vehicles) < 2:
+            self.nobody = "nobody is near the AV"
+            return
+        try:
+            attack = Engagement(
+                self._scenery, tuple(self._history), self._policy, self._rng, self._tired()
+            )
+        except RunError as error:
+            self.nobody = str(error)
+            return
+        if attack.opponent_id is None:
+            self.nobody = "nobody around the AV can attack"
+            return
+        fired.used()
+        self._attack, self._begin_s = attack, self.time_s
+
+    def _tired(self) -> list[AgentId]:
+        """Who attacked lately."""
+        since = self.time_s - self._scenery.rules.again_after_s
+        return [agent for agent, end_s in self._ended_s.items() if end_s > since]
+
+    def _moment(self) -> Moment:
+        observer, latest = self._scenery.observer, self._history[-1]
+
+        def may_touch(within_s: float) -> bool:
+            return observer.may_touch(latest, within_s)
+
+        def frame() -> tuple[Frame, Floats]:
+            found = observer.frame(latest, {})
+            return found, observer.sizes_m(found.ids)
+
+        api, av = self._scenery.api, self._scenery.av_id
+        return Moment(api, av, self.time_s, may_touch, frame)
+
+    def _publish(self) -> None:
+        """Tell of an attack that is over, now that its opponent is on its way again."""
+        attack = self._attack
+        if attack is None or attack.turn is None:
+            return
+        self._attack = None
+        self.attacks += 1
+        rollout = attack.rollout()
+        end_s = self._begin_s + (attack.turn.last_step - rollout.now) * DT_S
+        self._ended_s[attack.turn.opponent_id] = end_s
+        self._finished(
+            Fought(number=self.attacks, begin_s=self._begin_s, end_s=end_s, rollout=rollout)
+        )
+
+
+def parts_of_a_step(step_s: float) -> int:
+    """How many of the simulation's steps make 0.1 s. Raises UsageError where none do."""
+    parts = round(DT_S / step_s)
+    if parts < 1 or abs(parts * step_s - DT_S) > 1e-9:
+        raise UsageError(
+            f"The simulation steps by {step_s:g} s, and an attack needs 0.1 s or a whole part of "
+            "it; start SUMO with --step-length 0.1 (or 0.05, 0.02, 0.01)."
+        )
+    return parts

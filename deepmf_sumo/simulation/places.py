@@ -1,0 +1,174 @@
+"""Free places on lanes: where a vehicle can be put without anybody being in the way."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import AgentId, Bools, Floats, Lane, RoadMap
+from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.simulation.sumo_api import SumoApi
+
+_REACH_M: Final = 50.0
+_EVERY_M: Final = 2.0
+_LARGEST_TURN_RAD: Final = np.radians(100.0)
+_TURN_COSTS_M: Final = 5.0
+"""A radian of turning is as bad as being moved so far."""
+_OFF_ROUTE_COSTS_M: Final = 10.0
+_SECONDS: Final = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+"""After which nobody may be in the way, if all keep their speed: SUMO does the rest."""
+_MARGIN_M: Final = np.array([3.0, 0.4])
+"""Added to length and width."""
+_AT_ONCE: Final = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """On the middle of a lane: the front bumper, the heading there, a speed that is allowed."""
+
+    lane_id: str
+    front_m: tuple[float, float]
+    heading_rad: float
+    speed_mps: float
+    moved_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidates:
+    """(N) places in order of cost, and their lanes."""
+
+    front_m: Floats
+    heading_rad: Floats
+    moved_m: Floats
+    lanes: list[Lane]
+
+
+class Places:
+    """The lanes of a running simulation, without those inside junctions.
+
+    Args:
+        api: says who may use a lane.
+        road: the network; its lanes are called as SUMO calls them.
+    """
+
+    def __init__(self, api: SumoApi, road: RoadMap) -> None:
+        self._api = api
+        self._lanes = [
+            lane
+            for lane in road.lanes.values()
+            if not lane.interpolating and len(lane.centre_m) > 1
+        ]
+        self._by_id = {lane.id: lane for lane in self._lanes}
+        self._low = np.array([lane.centre_m.min(axis=0) for lane in self._lanes]).reshape(-1, 2)
+        self._high = np.array([lane.centre_m.max(axis=0) for lane in self._lanes]).reshape(-1, 2)
+
+    def nearest(
+        self, agent: AgentId, frame: Frame, size_m: Floats, route: Collection[str]
+    ) -> Place | None:
+        """The free place that suits an agent best, preferably on its route; None within 50 m.
+
+        Args:
+            agent: one of the N of the frame, a vehicle.
+            frame: where everybody is.
+            size_m: (N, 2) lengths and widths.
+            route: edges.
+        """
+        me = frame.ids.index(agent)
+        found = self._candidates(frame, me, float(size_m[me, 0]), route)
+        speed_mps = float(np.hypot(*frame.velocity_mps[me]))
+        permission = self._api.vehicle.getVehicleClass(agent)
+        for begin in range(0, len(found.lanes), _AT_ONCE):
+            part = slice(begin, begin + _AT_ONCE)
+            limit = [lane.speed_limit_mps or speed_mps for lane in found.lanes[part]]
+            speed = np.minimum(speed_mps, limit)
+            poses = found.front_m[part], found.heading_rad[part], speed
+            for row in np.flatnonzero(_free(poses, me, frame, size_m)):
+                lane = found.lanes[begin + row]
+                if self._permitted(lane.id, permission):
+                    x, y = found.front_m[begin + row]
+                    return Place(
+                        lane_id=lane.id,
+                        front_m=(float(x), float(y)),
+                        heading_rad=float(found.heading_rad[begin + row]),
+                        speed_mps=float(speed[row]),
+                        moved_m=float(found.moved_m[begin + row]),
+                    )
+        return None
+
+    def askew_rad(self, lane_id: str, pose: Pose) -> float:
+        """Angle between a pose's heading and a lane's direction; 0 inside junctions."""
+        lane = self._by_id.get(lane_id)
+        if lane is None:
+            return 0.0
+        along = polylines.project(lane.centre_m, np.array([pose.x_m, pose.y_m])).heading_rad
+        return abs(float(angles.difference(along, pose.heading_rad)))
+
+    def _candidates(
+        self, frame: Frame, me: int, length_m: float, route: Collection[str]
+    ) -> _Candidates:
+        heading = float(frame.heading_rad[me])
+        front = frame.position_m[me] + length_m / 2 * angles.unit(np.array(heading))
+        near = ((self._low <= front + _REACH_M) & (self._high >= front - _REACH_M)).all(axis=1)
+        points, headings, costs, lanes = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)], []
+        for index in np.flatnonzero(near):
+            lane = self._lanes[index]
+            end = polylines.arc_lengths(lane.centre_m)[-1]
+            along = np.arange(length_m, end, _EVERY_M)
+            if not len(along):
+                continue
+            point, direction = polylines.points_at(lane.centre_m, along)
+            off_route = lane.id.rpartition("_")[0] not in route
+            costs.append(np.full(len(along), off_route * _OFF_ROUTE_COSTS_M))
+            points.append(point)
+            headings.append(direction)
+            lanes += [lane] * len(along)
+        point, direction = np.concatenate(points), np.concatenate(headings)
+        moved = np.hypot(*(point - front).T)
+        turned = np.abs(angles.difference(direction, heading))
+        cost = np.concatenate(costs) + moved + _TURN_COSTS_M * turned
+        cost[(moved > _REACH_M) | (turned > _LARGEST_TURN_RAD)] = np.inf
+        order = [row for row in np.argsort(cost, kind="stable") if np.isfinite(cost[row])]
+        return _Candidates(
+            point[order], direction[order], moved[order], [lanes[row] for row in order]
+        )
+
+    def _permitted(self, lane_id: str, permission: str) -> bool:
+        lane = self._api.lane
+        allowed = lane.getAllowed(lane_id)
+        return (not allowed or permission in allowed) and (
+            permission not in lane.getDisallowed(lane_id)
+        )
+
+
+def overlapped(agent: AgentId, frame: Frame, size_m: Floats, but: AgentId) -> bool:
+    """Whether anybody's box, but one agent's, overlaps an agent's."""
+    me = frame.ids.index(agent)
+    hit = boxes.overlap(
+        frame.position_m[me],
+        frame.heading_rad[me],
+        size_m[me],
+        frame.position_m,
+        frame.heading_rad,
+        size_m,
+    )
+    return any(frame.ids[row] not in (agent, but) for row in np.flatnonzero(hit))
+
+
+def _free(poses: tuple[Floats, Floats, Floats], me: int, frame: Frame, size_m: Floats) -> Bools:
+    """(K) whether nobody is in the way at fronts (K, 2), headings (K) and speeds (K)."""
+    front, heading, speed = poses
+    others = np.arange(len(frame.ids)) != me
+    ahead = speed[:, None] * _SECONDS - size_m[me, 0] / 2
+    mine = front[:, None] + ahead[..., None] * angles.unit(heading)[:, None]
+    theirs = frame.position_m[others, None] + _SECONDS[:, None] * frame.velocity_mps[others, None]
+    hit = boxes.overlap(
+        mine[:, None],
+        heading[:, None, None],
+        size_m[me] + _MARGIN_M,
+        theirs[None],
+        frame.heading_rad[others, None],
+        size_m[others][:, None],
+    )
+    return np.asarray(~hit.any(axis=(1, 2)), bool)

@@ -1,0 +1,225 @@
+"""What attacks in somebody else's simulation cost and do to it: ``python tests/bench/live.py``.
+
+A grid with traffic is stepped by a script that drives nobody; a second client attaches. Printed:
+steps a second with a second client that only steps and with ours before any attack, and, with
+attacks, how many pairs of bystanders overlap that do not without us.
+"""
+
+import argparse
+import json
+import os
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import sumo
+
+from deepmf_sumo.geometry import boxes, sumo_frame
+
+BIN = Path(sumo.SUMO_HOME) / "bin"
+TOOLS = Path(sumo.SUMO_HOME) / "tools"
+_CAR_M = np.array([5.0, 1.8])
+PROGRAM = Path(sys.executable).with_name("deepmf-sumo")
+CLIENT = """
+import json, os, sys, time, traci
+port, order, seconds = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+for _ in range(300):
+    try:
+        api = traci.connect(port, numRetries=0)
+        break
+    except traci.exceptions.FatalTraCIError:
+        time.sleep(0.1)
+api.setOrder(order)
+def cpu():  # seconds of SUMO and of both clients
+    total = 0
+    for pid in json.load(open("pids.json")):
+        fields = open(f"/proc/{pid}/stat").read().rpartition(")")[2].split()
+        total += int(fields[11]) + int(fields[12])
+    return total / os.sysconf("SC_CLK_TCK")
+steps, begin, now = 0, 0.0, 0.0
+while now < seconds:
+    api.simulationStep()
+    steps += 1
+    now = round(0.1 * steps, 1)
+    if now == 30.0:
+        begin, spent = time.perf_counter(), cpu()
+print(json.dumps({"rate": (now - 30) * 10 / (time.perf_counter() - begin),
+                  "cpu": cpu() - spent,
+                  "steps": steps, "time": api.simulation.getTime()}))
+api.close()
+"""
+
+
+def main() -> None:
+    """Print every figure."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=600.0, help="of the simulation")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--gui", action="store_true", help="sumo-gui in place of sumo")
+    parser.add_argument("--only", choices=["rate", "lockstep"])
+    options = parser.parse_args()
+    program = "sumo-gui" if options.gui else "sumo"
+    os.environ["SUMO_HOME"] = sumo.SUMO_HOME
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        traffic(folder, options.seconds + 60)
+        if options.only != "lockstep":
+            rates(folder, program, min(options.seconds, 150.0), options.rounds)
+        if options.only != "rate":
+            lockstep(folder, program, options.seconds)
+
+
+def rates(folder: Path, program: str, seconds: float, rounds: int) -> None:
+    """Steps a second of the script, with a bare second client and with ours, by turns.
+
+    On a machine that others use, compare the processor's time: the processes wait for one another.
+    """
+    found: dict[str, list[tuple[float, float]]] = {"": [], "time=1e9": [], "ttc=0.01": []}
+    for _ in range(rounds):
+        for trigger, values in found.items():
+            client = ["--trigger", trigger] if trigger else None
+            told = together(folder, program, seconds, client)
+            values.append((told["rate"], told["cpu"]))
+    bare = found.pop("")
+    for trigger, values in found.items():
+        pairs = list(zip(values, bare, strict=True))
+        print(
+            f"{program}, no attack, --trigger {trigger}: "
+            f"{statistics.median(rate for rate, _ in values):.0f} steps/s, "
+            f"with a bare client {statistics.median(rate for rate, _ in bare):.0f}; "
+            f"share by wall {shares([a[0] / b[0] for a, b in pairs])}, "
+            f"by the processor's time {shares([b[1] / a[1] for a, b in pairs])}"
+        )
+
+
+def shares(values: list[float]) -> str:
+    """Their median, and all of them."""
+    return f"{statistics.median(values):.2f} ({', '.join(f'{one:.2f}' for one in values)})"
+
+
+def lockstep(folder: Path, program: str, seconds: float) -> None:
+    """The whole time with attacks, and what became of the bystanders."""
+    together(folder, program, seconds, None, fcd="alone.xml")
+    with_us = together(folder, program, seconds, ["--out", "live"], fcd="with_us.xml")
+    rows = (folder / "live" / "attacks.jsonl").read_text().splitlines()
+    driven = {row["opponent"] for row in map(json.loads, rows)}
+    ours = overlaps(folder / "with_us.xml", driven)
+    theirs = overlaps(folder / "alone.xml", set())
+    hits = sum(json.loads(one)["contact"] is not None for one in rows)
+    print(
+        f"{program}: {with_us['steps']} steps to {with_us['time']:.1f} s in lock-step, "
+        f"{len(rows)} attacks, {hits} contacts"
+    )
+    print(f"bystanders that overlap: without us {len(theirs)}, with us {len(ours)}: {sorted(ours)}")
+
+
+def together(
+    folder: Path, program: str, seconds: float, attach: list[str] | None, fcd: str | None = None
+) -> dict:
+    """Run SUMO with the script and a second client; what the script says."""
+    port = str(free_port())
+    shown = ["--start", "--quit-on-end"] if program == "sumo-gui" else []
+    if fcd:
+        shown += ["--fcd-output", fcd, "--device.fcd.period", "0.5", "--precision", "3"]
+    sim = subprocess.Popen(
+        [BIN / program, "-c", "grid.sumocfg", "--remote-port", port, "--num-clients", "2",
+         "--no-step-log", "--no-warnings", *shown],
+        cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    script = [sys.executable, "-c", CLIENT, port]
+    user = subprocess.Popen(
+        [*script, "1", str(seconds)],
+        cwd=folder, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    if attach is None:
+        other = [*script, "2", str(seconds)]
+    else:
+        other = [PROGRAM, "attach", "--port", port, "--av", "ego", "--wait", "60",
+                 "--until", str(seconds), *attach]  # fmt: skip
+        if "--out" not in attach:
+            other += ["--out", str(folder / "unused")]
+    second = subprocess.Popen(other, cwd=folder, stdout=subprocess.DEVNULL)
+    (folder / "pids.json").write_text(json.dumps([sim.pid, user.pid, second.pid]))
+    if second.wait():
+        raise SystemExit(f"the second client ended with {second.returncode}")
+    told, _ = user.communicate()
+    if user.returncode or sim.wait():
+        raise SystemExit(f"the script ended with {user.returncode}, SUMO with {sim.returncode}")
+    return json.loads(told)
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        return int(probe.getsockname()[1])
+
+
+def overlaps(fcd: Path, without: set[str]) -> set[tuple[str, str]]:
+    """Pairs of vehicles that ever overlap, the AV and those named left out."""
+    pairs = set()
+    for _, moment in ET.iterparse(fcd):
+        if moment.tag != "timestep":
+            continue
+        rows = [row for row in moment if row.get("id") not in without | {"ego"}]
+        table = np.array([[float(row.get(key)) for key in ("x", "y", "angle")] for row in rows])
+        centre, heading = sumo_frame.from_sumo(table[:, :2], table[:, 2], _CAR_M[0])
+        size = np.broadcast_to(_CAR_M, (len(rows), 2))
+        hit = boxes.overlap(
+            centre[:, None], heading[:, None], size[:, None], centre[None], heading[None],
+            size[None],
+        )  # fmt: skip
+        pairs |= {(rows[a].get("id"), rows[b].get("id")) for a, b in np.argwhere(np.triu(hit, 1))}
+        moment.clear()
+    return pairs
+
+
+def traffic(folder: Path, seconds: float) -> None:
+    """A signalled grid of two-lane streets, a car every 0.8 s, and an AV that drives around."""
+    make(
+        folder,
+        [BIN / "netgenerate", "--grid", "--grid.number", "5", "--grid.length", "200", "-L", "2",
+         "--tls.guess", "true", "-o", "grid.net.xml"],
+    )  # fmt: skip
+    make(
+        folder,
+        [sys.executable, TOOLS / "randomTrips.py", "-n", "grid.net.xml", "-r", "cars.rou.xml",
+         "-e", str(seconds), "-p", "0.8", "--seed", "3", "--fringe-factor", "3", "--validate"],
+    )  # fmt: skip
+    (folder / "ego.rou.xml").write_text(
+        '<routes><vType id="ego" carFollowModel="IDM"/><vehicle id="ego" type="ego" depart="5">'
+        f'<route edges="{" ".join(tour(folder / "grid.net.xml"))}"/></vehicle></routes>'
+    )
+    (folder / "grid.sumocfg").write_text(
+        '<configuration><input><net-file value="grid.net.xml"/><route-files value="ego.rou.xml,'
+        'cars.rou.xml"/></input><time><step-length value="0.1"/></time><processing>'
+        '<collision.action value="none"/></processing></configuration>'
+    )
+
+
+def make(folder: Path, command: list) -> None:
+    """Run one of SUMO's tools."""
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+
+def tour(net_file: Path) -> list[str]:
+    """Edges of a long random way."""
+    import sumolib
+
+    rng, way = np.random.default_rng(1), [sumolib.net.readNet(str(net_file)).getEdges()[10]]
+    while len(way) < 100:
+        back = way[-1].getFromNode()
+        ahead = [
+            one for one in way[-1].getOutgoing() if one.getToNode() != back and one.getOutgoing()
+        ]
+        way.append(ahead[rng.integers(len(ahead))])
+    return [one.getID() for one in way]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""Sweeps on a real Ray cluster of two machines, both of them this one."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tiny_network
+
+from deepmf_sumo import spec
+from deepmf_sumo.benchmark import batch, compare
+from deepmf_sumo.errors import UsageError
+
+if importlib.util.find_spec("ray") is None:
+    pytest.skip("Ray is not installed: pip install deepmf-sumo[cluster]", allow_module_level=True)
+
+pytestmark = [
+    pytest.mark.timeout(600),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning"),
+]
+
+START_TRIES = 2
+"""Ray's agents must start within 15 s of its daemon, which a busy machine does not grant."""
+
+
+class Machines:
+    """The program `ray_machines`, while it runs."""
+
+    def __init__(self, log):
+        self.process = subprocess.Popen(
+            [sys.executable, Path(__file__).with_name("ray_machines.py")],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True,
+        )  # fmt: skip
+        self.port = self._heard("up")
+
+    def tell(self, what):
+        """``lose`` or ``complete``."""
+        print(what, file=self.process.stdin, flush=True)
+        self._heard("done")
+
+    def end(self):
+        self.process.communicate(timeout=60)
+
+    @property
+    def name(self):
+        return f"ray://127.0.0.1:{self.port}"
+
+    def _heard(self, word):
+        for line in self.process.stdout:
+            first, *rest = line.split() or [""]
+            if first == word:
+                return rest[0] if rest else None
+        self.end()
+        raise ChildProcessError("Ray's own processes do not start here")
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory):
+    os.environ["DEEPMF_SUMO_HOME"] = str(tmp_path_factory.mktemp("home"))
+    log = tmp_path_factory.mktemp("ray") / "log.txt"
+    for number in range(START_TRIES):
+        try:
+            with log.open("w") as file:
+                started = Machines(file)
+            break
+        except ChildProcessError as error:
+            if number == START_TRIES - 1:
+                pytest.skip(f"{error}: {log.read_text().splitlines()[-1]}")
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def specs(tiny):
+    """Runs of half a second each, pictures and all."""
+    return [
+        spec.load(tiny_network.spec(tiny, f"far {number}", seed=str(number), duration_s="3.0"))
+        for number in range(16)
+    ]
+
+
+def run(specs, out, report=lambda _: None, **options):
+    return batch.run(specs, batch.Options(out=out, **options), report)
+
+
+def test_results_are_those_of_this_machine_and_a_lost_one_costs_its_runs(machines, specs, tmp_path):
+    run(specs, tmp_path / "here")
+    run(specs, tmp_path / "far", executor=machines.name)
+    assert compare.differences(tmp_path / "here", tmp_path / "far") == []
+    seen = []
+
+    def lose(progress):
+        seen.append(progress)
+        if progress.done == 5 and not progress.lost:
+            machines.tell("lose")
+
+    results = run(specs, tmp_path / "lost", lose, executor=machines.name)
+    machines.tell("complete")
+    assert [one["status"] for one in results] == ["ok"] * len(specs)
+    assert seen[-1].lost == 1
+    assert seen[-1].done == len(specs)
+    assert compare.differences(tmp_path / "here", tmp_path / "lost") == []
+
+
+def test_bad_runs_are_rows_there_too(machines, tiny, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tiny))
+    names = {"Crash": "crash", "Hang": "hang", "Raise": "bug"}
+    paths = [
+        tiny_network.spec(tiny, name, planner=f"{{name: 'bad_planners:{cls}'}}")
+        for cls, name in names.items()
+    ]
+    results = run(
+        [spec.load(path) for path in paths], tmp_path, executor=machines.name, timeout_s=15.0
+    )
+    found = {one["spec"]: (one["status"], one["error"]) for one in results}
+    assert found["crash"] == ("failed", "the worker died: SIGSEGV")
+    assert found["hang"] == ("timeout", "longer than 15 s")
+    assert found["bug"][1].startswith("planner_error: ZeroDivisionError")
+    assert "Traceback" in (tmp_path / "runs" / "bug--tiny--0" / "log.txt").read_text()
+
+
+def test_an_interrupt_keeps_what_came_home(machines, specs, tmp_path):
+    def interrupt(progress):
+        if progress.done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(specs, tmp_path / "out", interrupt, executor=machines.name)
+    run(specs, tmp_path / "out", executor="local", resume=True)
+    run(specs, tmp_path / "here")
+    assert compare.differences(tmp_path / "here", tmp_path / "out") == []
+
+
+def test_files_that_differ_are_refused(machines, tiny, tmp_path, monkeypatch):
+    """The machines are all this one: a file is changed after it was looked at here."""
+    from deepmf_sumo.benchmark.executors import cluster
+
+    own = tmp_path / "own"
+    shutil.copytree(tiny, own)
+    one = spec.load(tiny_network.spec(own, "changed"))
+    inputs_of = cluster.inputs_of
+
+    def and_change(tasks):
+        found = inputs_of(tasks)
+        (own / "tiny.rou.xml").write_text("<routes/>")
+        return found
+
+    monkeypatch.setattr(cluster, "inputs_of", and_change)
+    with pytest.raises(UsageError, match=r"has another .*tiny\.rou\.xml: all machines"):
+        run([one], tmp_path / "out", executor=machines.name)

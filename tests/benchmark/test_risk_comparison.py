@@ -1,0 +1,136 @@
+from pathlib import Path
+
+import gate_doubles
+import numpy as np
+import pytest
+from risk_doubles import Attacks, eastward
+
+from deepmf_sumo.benchmark.risk import comparison
+from deepmf_sumo.benchmark.risk.origins import Tagged, origins
+from deepmf_sumo.errors import UsageError
+
+ALARMS = {"worse", "better"}
+
+
+def side(values):
+    """Rows of as many moments, by quantity."""
+    columns = zip(*values.values(), strict=True)
+    rows = [
+        gate_doubles.row(f"moment {number}", **dict(zip(values, row, strict=True)))
+        for number, row in enumerate(columns)
+    ]
+    return gate_doubles.results_of(rows, Path())
+
+
+def drawn(rng, moments, worse=0.0):
+    """What one planner does in moments: part is the moment's, part is chance."""
+    braking = moments + rng.exponential(0.5, len(moments)) + worse
+    hit = (rng.random(len(moments)) < 0.1 + 0.3 * (moments > 1)).astype(float)
+    gap = np.maximum(0.0, 5 - moments + rng.normal(0, 1, len(moments)) - worse) * (1 - hit)
+    return side(
+        {
+            "av_collision_rate": hit,
+            "collision_rate": hit,
+            "ttc_s": np.minimum(10, 2 + gap),
+            "min_gap_m": gap,
+            "required_braking_mps2": braking,
+        }
+    )
+
+
+def states(old, new):
+    found = comparison.differences(old, new, comparison.COMPARED, 0.95)
+    return {one.quantity: one.state for one in found}
+
+
+def test_equal_planners_hardly_ever_alarm():
+    """Each job compares eight numbers of 20 moments; 5 % may alarm, in either direction."""
+    rng, alarms = np.random.default_rng(3), 0
+    for _ in range(100):
+        moments = rng.exponential(1.0, 20)
+        found = states(drawn(rng, moments), drawn(rng, moments))
+        alarms += bool(ALARMS & set(found.values()))
+    assert alarms < 5
+
+
+def test_a_worse_planner_is_found_by_many_small_changes():
+    """Each pair is 0.2 m/s2 worse, but three moments are wild: means say nothing, counts do."""
+    rng = np.random.default_rng(4)
+    calm = rng.exponential(1.0, 40)
+    wild = np.zeros(40)
+    wild[:3] = 8.0
+    old = side({"required_braking_mps2": calm + wild})
+    new = side({"required_braking_mps2": calm + 0.2 + wild[::-1]})
+    found = comparison.differences(old, new, ("required_braking_mps2",), 0.95)
+    assert {one.quantity: one.state for one in found} == {
+        "required_braking_mps2": "same",
+        "pairs with worse required_braking_mps2": "worse",
+    }
+    assert found[1].found.new == pytest.approx(37 / 40)
+
+
+def folder(out, hits, planner="idm lane", spec="city", version="0.1.0", network="four_way"):
+    """Twelve moments, hit in these; the later hit, the farther east."""
+    runs = Attacks(out, version)
+    for number in range(12):
+        step = 40 + 40 * (number % 2) if number in hits else None
+        runs.add(
+            f"car{number}-30s", av=eastward(x=-130.0), opponent=eastward(x=-140.0), hit=step,
+            planner=planner, spec=spec, network=network,
+        )  # fmt: skip
+    return out
+
+
+def test_two_planners_are_paired_and_hits_come_from_places(tmp_path):
+    """A is hit at even moments (x = -90 m), B at all (odd ones at x = -50 m)."""
+    a = folder(tmp_path / "a", {0, 2, 4})
+    b = folder(tmp_path / "b", {0, 2, 4, *range(1, 12, 2)}, planner="cautious")
+    found = comparison.compare(a, b)
+    assert found.pairs == 12
+    assert found.differs == {"planner": (("idm lane",), ("cautious",))}
+    by_place = {one.value: one.hits for one in found.origins if one.dimension == "place"}
+    assert sum(hits[1] - hits[0] for hits in by_place.values()) == 6
+    assert by_place["w_in (w_pocket to centre)"] == (0, 6)
+    [moved] = [one for one in found.origins if one.value == "w_in (w_pocket to centre)"]
+    assert moved.found.difference.mean == pytest.approx(0.5)
+    assert {one.dimension for one in found.origins} == {"place", "accident", "sector", "avoidable"}
+
+
+def test_shares_of_places_add_up_to_the_difference():
+    rng = np.random.default_rng(5)
+
+    def tagged(rate):
+        rows = [gate_doubles.row(f"m{n}", collision_rate=0.0) for n in range(30)]
+        places = rng.choice(["J1", "J2", "J3"], 30)
+        return [
+            Tagged(row=row, tags={"place": str(place)} if rng.random() < rate else {})
+            for row, place in zip(rows, places, strict=True)
+        ]
+
+    old, new = tagged(0.2), tagged(0.6)
+    found = origins(old, new, 0.95)
+    rate = [sum(bool(one.tags) for one in side) / 30 for side in (old, new)]
+    assert sum(one.found.difference.mean for one in found) == pytest.approx(rate[1] - rate[0])
+
+
+def test_two_networks_with_few_common_moments_say_so(tmp_path):
+    a = folder(tmp_path / "a", {0}, spec="before", network="before")
+    b = Attacks(tmp_path / "b")
+    for number in range(9, 20):
+        b.add(f"car{number}-30s", av=eastward(), opponent=eastward(), spec="after", network="after")
+    found = comparison.compare(a, tmp_path / "b")
+    assert found.pairs == 3
+    assert set(found.differs) == {"network", "spec", "method"}
+    assert any("8 of 11 runs have no partner" in note for note in found.notes)
+    assert {one.found.by for one in found.differences if one.unit == "1"} >= {"nothing"}
+
+
+def test_what_cannot_be_compared_is_refused(tmp_path):
+    a = folder(tmp_path / "a", {0})
+    b = folder(tmp_path / "b", {0}, version="0.2.0")
+    with pytest.raises(UsageError, match=r"made by version 0\.1\.0"):
+        comparison.compare(a, b)
+    with pytest.raises(UsageError, match="'speed' is no quantity"):
+        comparison.compare(a, a, ("speed",))
+    with pytest.raises(UsageError, match="is no result folder"):
+        comparison.compare(a, tmp_path / "a" / "runs")

@@ -1,0 +1,42 @@
+import numpy as np
+import pytest
+from scipy.stats import beta
+
+from deepmf_sumo.benchmark.risk.shrinkage import STRENGTHS, Prior, not_exceeded, prior, shrink
+
+
+@pytest.mark.parametrize("a", [0.05, 0.5, 1.0, 3.0, 200.0])
+@pytest.mark.parametrize("b", [0.3, 1.0, 5.0, 77.0])
+def test_chances_agree_with_the_textbook(a, b):
+    rates = np.linspace(0.01, 0.99, 9)
+    ours = [not_exceeded(rate, a, b) for rate in rates]
+    assert ours == pytest.approx(beta.cdf(rates, a, b), abs=1e-9)
+
+
+def test_one_strength_is_one_beta_distribution():
+    given = Prior(0.25, tuple(float(strength == 4.0) for strength in STRENGTHS))
+    found = shrink(3, 5, given)  # Beta(1 + 3, 3 + 2)
+    assert found.rate == pytest.approx(4 / 9)
+    assert found[1:] == pytest.approx(beta.ppf([0.05, 0.95], 4, 5), abs=1e-6)
+
+
+def test_one_lucky_hit_does_not_lead():
+    counts = [(1, 1), (7, 10), *[(1, 10)] * 10]
+    given = prior(counts)
+    lucky, steady = shrink(1, 1, given), shrink(7, 10, given)
+    assert steady.low > lucky.low
+    assert steady.rate > lucky.rate
+
+
+def test_places_that_are_alike_are_drawn_together_and_different_ones_are_not():
+    rng = np.random.default_rng(0)
+    alike = [(int(hits), 20) for hits in rng.binomial(20, 0.3, 40)]
+    apart = [(18, 20)] * 4 + [(2, 20)] * 36
+    assert shrink(18, 20, prior(apart)).rate > 0.75
+    worst = max(alike)[0]
+    assert shrink(worst, 20, prior(alike)).rate < 0.7 * worst / 20
+
+
+def test_nothing_known_is_no_certainty():
+    found = shrink(0, 1, prior([(0, 1)]))
+    assert 0 < found.low < found.rate < found.high < 1

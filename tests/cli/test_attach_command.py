@@ -1,0 +1,183 @@
+"""``deepmf-sumo attach`` beside another client, and what can go wrong with it."""
+
+import json
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import sumo
+
+from deepmf_sumo.benchmark.live import assembly
+from deepmf_sumo.cli import main
+from deepmf_sumo.datatypes import Plan
+
+CLIENT = """
+import sys, time, traci
+port, steps, ends = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+for _ in range(200):
+    try:
+        api = traci.connect(port, numRetries=0)
+        break
+    except traci.exceptions.FatalTraCIError:
+        time.sleep(0.05)
+api.setOrder(1)
+for step in range(1, steps + 1):
+    api.simulationStep()
+    assert abs(api.simulation.getTime() - 0.1 * step) < 1e-6
+    if "av" in api.vehicle.getIDList():
+        api.vehicle.setSpeed("av", 6.0)
+    if ends == "breaks" and step == steps:
+        sys.exit(1)
+    if ends == "removes" and step == 30:
+        api.vehicle.remove("av")
+print("AV at", api.vehicle.getSpeed("av") if "av" in api.vehicle.getIDList() else "-", flush=True)
+api.close()
+"""
+
+
+class Keep:
+    """The leader goes on as it does."""
+
+    period_steps = 10
+
+    def reset(self, view, rng):
+        return "leader"
+
+    def plan(self, view):
+        row = view.history.row("leader")
+        x, y = view.history.position_m[row, -1]
+        speed = float(view.history.speed_mps[row, -1])
+        return Plan(
+            agent_id="leader",
+            first_step=view.step + 1,
+            position_m=[(x + 0.1 * speed * step, y) for step in range(1, 81)],
+            heading_rad=[0.0] * 80,
+            speed_mps=[speed] * 80,
+        )
+
+
+@pytest.fixture
+def port():
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def simulation(tiny, port, monkeypatch):
+    """SUMO and the user's script, which ``ends`` in one way or another after some steps."""
+    monkeypatch.chdir(tiny)
+    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    processes = []
+
+    def start(steps, ends="closes", step_length="0.1"):
+        binary = Path(sumo.SUMO_HOME) / "bin" / "sumo"
+        options = ["--step-length", step_length, "--no-step-log", "--no-warnings"]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        clients = ["--remote-port", str(port), "--num-clients", "2"]
+        processes.append(
+            subprocess.Popen([binary, "-c", "tiny.sumocfg", *options, *clients], **quiet)
+        )
+        script = [sys.executable, "-c", CLIENT, str(port), str(steps), ends]
+        processes.append(subprocess.Popen(script, stdout=subprocess.PIPE, text=True))
+        return processes
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def attach(port, out, *more):
+    return main._run(["attach", "--port", str(port), "--out", str(out), *map(str, more)])
+
+
+def test_steps_with_the_script_and_leaves_it_alone(simulation, port, tmp_path, capsys):
+    server, script = simulation(80)
+    assert attach(port, tmp_path / "live", "--av", "av", "--until", 5, "--duration", 3) == 0
+    assert script.communicate()[0].strip() == "AV at 6.0"
+    assert (script.returncode, server.wait()) == (0, 0)
+    shown = capsys.readouterr().out
+    assert "1  leader" in shown
+    assert "left at 5.0 s, as asked" in shown
+    (line,) = (tmp_path / "live" / "attacks.jsonl").read_text().splitlines()
+    row = json.loads(line)
+    assert (row["opponent"], row["begin_s"], row["ended"]) == ("leader", 1.1, "too_long")
+    assert row["events"][-1]["kind"] == "handed_back"
+    session = json.loads((tmp_path / "live" / "session.json").read_text())
+    assert (session["ended"], session["attacks"]) == ("until", 1)
+    assert (tmp_path / "live" / "attack-001" / "tracks.csv.gz").is_file()
+
+
+def test_an_av_that_leaves_ends_the_session(simulation, port, tmp_path, capsys):
+    _, script = simulation(60, "removes")
+    assert attach(port, tmp_path / "live", "--av", "av") == 0
+    assert script.wait() == 0
+    assert (
+        "1 attacks, 0 contacts; vehicle 'av' left the traffic at 3.1 s" in capsys.readouterr().out
+    )
+
+
+def test_a_lost_connection_is_one_line_and_loses_nothing(simulation, port, tmp_path, capsys):
+    simulation(60, "breaks")
+    assert attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--pause", 60) == 3
+    (line,) = [one for one in capsys.readouterr().err.splitlines() if "deepmf-sumo:" in one]
+    assert "The connection was lost at 6.0" in line or "The connection was lost at 5.9" in line
+    assert len((tmp_path / "live" / "attacks.jsonl").read_text().splitlines()) == 1
+    assert json.loads((tmp_path / "live" / "session.json").read_text())["ended"] == "failed"
+
+
+def test_an_av_that_never_comes(simulation, port, tmp_path, capsys):
+    _, script = simulation(60)
+    assert attach(port, tmp_path / "live", "--av", "avv", "--patience", 2) == 3
+    assert "Vehicle 'avv' has not appeared in 2 s" in (shown := capsys.readouterr().err)
+    assert "Nearest: av." in shown
+    assert script.wait() == 0
+
+
+def test_steps_of_one_second_are_refused_without_harm(simulation, port, tmp_path, capsys):
+    server, _ = simulation(0, step_length="1")
+    assert attach(port, tmp_path / "live", "--av", "av") == 2
+    assert "steps by 1 s" in capsys.readouterr().err
+    assert server.wait() == 0
+
+
+def test_a_number_that_the_other_client_has(simulation, port, tmp_path, capsys):
+    simulation(10)
+    assert attach(port, tmp_path / "live", "--av", "av", "--order", 1) == 3
+    assert "--order" in capsys.readouterr().err
+
+
+def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    assert attach(port, tmp_path / "live", "--av", "av", "--wait", 0.3) == 3
+    shown = capsys.readouterr().err
+    assert f"Nobody listens on localhost:{port} (waited 0.3 s)" in shown
+    assert "--num-clients 2" in shown
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--trigger", "speed=3"], "trigger 'speed=3': must be time=SECONDS"),
+        (["--set", "planner=idm"], "only adversary, weights and seed"),
+        (["--set", "adversary=bbo"], "only deepmf attacks"),
+        (["--set", "adversary.opponnt=x"], "Did you mean 'opponent'?"),
+        (["--set", "adversary.opponent=labelled"], "only recordings label"),
+        (["--duration", "1"], "--duration"),
+    ],
+)
+def test_a_wrong_command_is_told_before_anybody_waits(port, tmp_path, capsys, options, said):
+    assert attach(port, tmp_path / "live", "--av", "av", "--wait", 0, *options) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_folder_with_other_files_is_left_alone(port, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    (tmp_path / "mine.txt").write_text("mine")
+    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 2
+    assert "holds other files" in capsys.readouterr().err

@@ -1,0 +1,179 @@
+"""What `run`, `attack`, `benchmark` and `reproduce` share: shards, limits, thresholds, signals."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+import tiny_network
+
+from deepmf_sumo.benchmark import compare, shards
+from deepmf_sumo.cli import main
+
+SHARED = (
+    "--jobs", "--executor", "--out", "--resume", "--shard", "--max-minutes", "--timeout",
+    "--memory", "--gui", "--pictures", "--junit", "--thresholds", "--baseline",
+)  # fmt: skip
+
+
+def call(*arguments):
+    return main._run([str(one) for one in arguments])
+
+
+@pytest.fixture(scope="module")
+def specs(tiny):
+    return [
+        tiny_network.spec(tiny, f"part {number}", seed=str(number), duration_s="0.5")
+        for number in range(3)
+    ]
+
+
+@pytest.fixture(scope="module")
+def folders(specs, tmp_path_factory):
+    """Result folders: of the whole sweep, and of its two parts."""
+    made = tmp_path_factory.mktemp("folders")
+    for name, part in {"whole": (), "1": ("--shard", "1/2"), "2": ("--shard", "2/2")}.items():
+        assert call("run", *specs, "--no-pictures", "--out", made / name, *part) == 0
+    return made
+
+
+@pytest.fixture
+def whole(folders, tmp_path):
+    """A copy of the whole sweep's folder."""
+    return Path(shutil.copytree(folders / "whole", tmp_path / "copy"))
+
+
+@pytest.mark.parametrize("command", ["run", "attack", "benchmark", "reproduce"])
+def test_every_sweep_has_the_same_options(command, capsys):
+    call(command, "--help")
+    shown = capsys.readouterr().out
+    assert [one for one in SHARED if one not in shown] == []
+
+
+def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
+    parts = (folders / "1", folders / "2")
+    assert call("merge", tmp_path / "all", *parts) == 0
+    assert "3 runs: 3 ok" in capsys.readouterr().out
+    assert compare.differences(folders / "whole", tmp_path / "all") == []
+    assert call("merge", tmp_path / "half", parts[1]) == 130
+    assert "2 runs not begun: --resume makes them" in capsys.readouterr().out
+    assert call("merge", tmp_path / "twice", parts[0], parts[0]) == 2
+    assert "give each shard once" in capsys.readouterr().err
+
+
+def test_moments_of_an_attack_are_those_of_every_part(folders, tmp_path):
+    part = shutil.copytree(folders / "1", tmp_path / "1")
+    (part / "moments.csv").write_text("run_id,av\n")
+    assert call("merge", tmp_path / "all", part, folders / "2") == 0
+    assert (tmp_path / "all" / "moments.csv").read_text() == "run_id,av\n"
+
+
+def test_wrong_parts_are_not_merged(folders, tmp_path, capsys):
+    other = Path(shutil.copytree(folders / "2", tmp_path / "other")) / shards.FILE
+    noted = json.loads(other.read_text())
+    for text, told in {
+        json.dumps({**noted, "runs": noted["runs"][1:]}): "is a part of other runs than",
+        "{": "shard.json is damaged",
+        '{"version": "0.0.1", "runs": []}': "was made by version 0.0.1 of deepmf-sumo",
+    }.items():
+        other.write_text(text)
+        assert call("merge", tmp_path / "out", folders / "1", other.parent) == 2
+        assert told in capsys.readouterr().err
+    assert call("merge", tmp_path / "out", folders / "whole") == 2
+    assert "it has no shard.json, which --shard writes" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_thresholds_are_judged_at_the_end(specs, whole, tmp_path, capsys):
+    file = tmp_path / "thresholds.yaml"
+    file.write_text("version: 1\nmax_av_collision_rate: 0.1\n")
+    sweep = ("run", *specs, "--out", whole, "--resume", "--thresholds", file, "--junit")
+    assert call(*sweep) == 0
+    assert "max_av_collision_rate" in capsys.readouterr().out
+    assert "max_av_collision_rate" in (whole / "junit.xml").read_text()
+    file.write_text("version: 1\nmin_judged_runs: 99\n")
+    assert call(*sweep) == 3
+    shutil.rmtree(next((whole / "runs").iterdir()))
+    assert call(*sweep, "--max-minutes", 1e-9) == 130
+    assert "1 runs not begun: --resume makes them" in capsys.readouterr().out
+
+
+def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, capsys):
+    bad, good = tmp_path / "bad.yaml", tmp_path / "good.yaml"
+    bad.write_text("version: 1\nmax_colision_rate: 0.1\n")
+    good.write_text("version: 1\n")
+    old = tmp_path / "old.json"
+    results = {"kind": "deepmf-sumo results", "format_version": 1, "version": "0.0.1", "runs": []}
+    old.write_text(json.dumps(results))
+    for wrong, told in {
+        ("--thresholds", bad): "Did you mean 'max_collision_rate'?",
+        ("--thresholds", good, "--baseline", old): "was made by version 0.0.1",
+        ("--baseline", old): "give --thresholds as well",
+        ("--executor", "rays"): "must be local, ray, or ray://HOST:PORT",
+        ("--executor", "ray", "--gui"): "--gui shows runs on this machine",
+        ("--shard", "3/2"): "must be i/n with 1 <= i <= n",
+        ("--shard", "4/4"): "There are 3 runs: this shard of them is empty",
+    }.items():
+        assert call("run", *specs, "--out", whole, *wrong) == 2
+        assert told in capsys.readouterr().err.strip().splitlines()[-1]
+        assert json.loads((whole / "summary.json").read_text())["runs"] == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_within_five_seconds_and_leaves_no_child(tiny, tmp_path, number):
+    names = [tiny_network.spec(tiny, f"many {one}", duration_s="8.0") for one in range(20)]
+    out = tmp_path / "out"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "deepmf_sumo.cli.main", "run", *names, "--out", out, "-j", "2"],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        # A shell's background jobs ignore interrupts, and so would their children.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.default_int_handler),
+    )
+    while len(list(out.glob("runs/many-*/result.json"))) < 2:
+        assert child.poll() is None
+        time.sleep(0.02)
+    started = _descendants(child.pid)
+    assert len(started) >= 2
+    begin = time.monotonic()
+    child.send_signal(number)
+    _, errors = child.communicate(timeout=60)
+    assert time.monotonic() - begin < 5.0 * _slowness()
+    assert child.returncode == 130
+    assert b"Traceback" not in errors
+    end = time.monotonic() + 2.0 * _slowness()  # Python's own helper goes when it notices
+    while (left := [pid for pid in started if _alive(pid)]) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert left == []
+    kept = {path.parent.name for path in out.glob("runs/many-*/result.json")}
+    table = {line.split(",")[0] for line in (out / "runs.csv").read_text().splitlines()[1:]}
+    assert table == kept
+    assert json.loads((out / "summary.json").read_text())["interrupted"] is True
+
+
+def _slowness():
+    """How much longer everything takes where more processes want to run than can."""
+    return max(1.0, os.getloadavg()[0] / os.cpu_count())
+
+
+def _descendants(pid):
+    """Processes that it has started, and those that they have."""
+    try:
+        threads = list(Path(f"/proc/{pid}/task").iterdir())
+        children = [int(one) for own in threads for one in (own / "children").read_text().split()]
+    except OSError:
+        return []
+    return [each for child in children for each in (child, *_descendants(child))]
+
+
+def _alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
