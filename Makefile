@@ -107,6 +107,9 @@ OPPONENTS ?= argmax
 RULES ?= expected likeliest
 LIKELIHOOD_WEIGHTS ?= 1
 TRIED ?= 1
+REACTIONS ?= 6
+GOALS ?= 32
+CONDITIONAL ?= true
 PLANNERS = replay idm-lane idm-corridor
 driven = $(if $(filter replay,$(1)),{name: replay},{name: idm$(comma) perception: $(patsubst idm-%,%,$(1))})
 comma := ,
@@ -115,8 +118,10 @@ attack-results: $(READY)  ## DeepMF on recorded scenes, for docs/results.md
 	for rule in $(RULES); do for weight in $(LIKELIHOOD_WEIGHTS); do \
 	    $(STUDY) --set weights=$(WEIGHTS) --set "planner=$(call driven,$(planner))" \
 	    --set "name=$$opponent $$rule $$weight" --set "adversary={name: deepmf, version: $$version, \
-	    opponent: $$opponent, tried_opponents: $(TRIED), rule: $$rule, likelihood_weight: $$weight}" \
-	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$(TRIED)-$$rule-$$weight > /dev/null || exit 1; \
+	    opponent: $$opponent, tried_opponents: $(TRIED), reactions: $(REACTIONS), goal_candidates: $(GOALS), \
+	    conditional: $(CONDITIONAL), rule: $$rule, likelihood_weight: $$weight}" \
+	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$(TRIED)-$(REACTIONS)-$(GOALS)-$(CONDITIONAL)-$$rule-$$weight \
+	    > /dev/null || exit 1; \
 	done; done; done; done; )
 	$(RUN) table $(RESULTS)/$(WEIGHTS)-*
 
