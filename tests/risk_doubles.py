@@ -29,8 +29,8 @@ def eastward(x=-150.0, y=-4.8, speed=10.0):
 class Attacks:
     """A result folder that is being filled with runs."""
 
-    def __init__(self, out, version="0.1.0"):
-        self.out, self.version = out, version
+    def __init__(self, out, version="0.1.0", net=NET):
+        self.out, self.version, self.net = out, version, net
         self.keys, self.moments = {}, []
         (out / "runs").mkdir(parents=True)
 
@@ -42,7 +42,7 @@ class Attacks:
         run_id = f"{spec}--{scene}--{seed}"
         folder = self.out / "runs" / run_id
         (folder / "sumo").mkdir(parents=True)
-        shutil.copyfile(NET, folder / "sumo" / "net.net.xml")
+        shutil.copyfile(self.net, folder / "sumo" / "net.net.xml")
         poses = {"ego": av, **({} if opponent is None else {"foe": opponent})}
         _tracks(folder / "tracks.csv.gz", poses)
         contacts = [

@@ -1,10 +1,11 @@
 import json
 
 import pytest
-from risk_doubles import LEFT_IN, Attacks, eastward, straight
+from risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
 
 from deepmf_sumo.benchmark import risk
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.network import programs
 
 
 def only(out):
@@ -79,6 +80,39 @@ def test_what_is_beside_all_roads_is_at_no_place(tmp_path):
     assert only(tmp_path / "out").decided.of("edge") == ""
 
 
+def test_it_is_known_where_the_opponent_was(tmp_path):
+    """The AV goes straight from the west, the opponent turns left before it from the east."""
+    out = Attacks(tmp_path / "out")
+    turning = straight((2.0, -2.6), 4.0, -2.5, steps=20)
+    out.add("a", av=straight((-28.0, -4.8), 12.0, 0.0, steps=20), opponent=turning, hit=19)
+    [network] = risk.read([tmp_path / "out"])
+    assert network.attacks[0].decided.movement == "centre: w_in -> e_out"
+    [conflict] = risk.conflicts(network)
+    assert conflict.place == "centre: from west to east (straight, protected)"
+    assert conflict.against == "centre: from east to south (left, permissive)"
+    assert (conflict.attacks, conflict.hits, conflict.avoidable, conflict.judged) == (1, 1, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def without_lanes_inside(tmp_path_factory):
+    """The junction as a network that has no lanes in it."""
+    net = tmp_path_factory.mktemp("net") / "bare.net.xml"
+    programs.run("netconvert", "-s", str(NET), "--no-internal-links", "-o", str(net))
+    return net
+
+
+@pytest.mark.parametrize("moment", [None, ("w_in", "e_out", "straight")])
+def test_networks_without_lanes_in_junctions(without_lanes_inside, tmp_path, moment):
+    """Without a route the edges before and behind tell; on the way out the AV is on an edge."""
+    out = Attacks(tmp_path / "out", net=without_lanes_inside)
+    path = straight((-60.0, -4.8), 12.0, 0.0, steps=91)
+    out.add("a", av=path, opponent=straight((0.0, 5.0), 0.0, 0.0), hit=50, moment=moment)
+    attack = only(tmp_path / "out")
+    assert attack.place_m == pytest.approx((0.0, -4.8))
+    assert attack.decided.movement == "centre: w_in -> e_out"
+    assert attack.decided.edge == ""
+
+
 def test_turns_are_attacks_of_their_own(tmp_path):
     """Turn 1 without a hit up to 2 s, turn 2 with one at 5 s."""
     turns = [
@@ -130,6 +164,10 @@ def test_what_cannot_be_mapped_is_refused(tmp_path):
     out.add("a", av=eastward(), opponent=eastward(), network=None)
     with pytest.raises(UsageError, match="1 on recorded scenes"):
         risk.read([tmp_path / "out"])
+    broken = Attacks(tmp_path / "broken")
+    broken.add("a", av=eastward(), opponent=eastward(), contacts=None)
+    with pytest.raises(UsageError, match="is no result of this version"):
+        risk.read([tmp_path / "broken"])
     (tmp_path / "out" / "manifest.json").write_text(json.dumps({"runs": 3}))
     with pytest.raises(UsageError, match="names no runs"):
         risk.read([tmp_path / "out"])

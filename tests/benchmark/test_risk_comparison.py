@@ -125,6 +125,24 @@ def test_two_networks_with_few_common_moments_say_so(tmp_path):
     assert {one.found.by for one in found.differences if one.unit == "1"} >= {"nothing"}
 
 
+def test_several_runs_of_one_moment_are_averaged_and_told(tmp_path):
+    """A has two planners, B one of them: each moment counts once."""
+    a = folder(tmp_path / "a" / "first", {0, 1})
+    folder(tmp_path / "a" / "second", {0, 1}, planner="cautious")
+    found = comparison.compare(a.parent, folder(tmp_path / "b", {0, 1}))
+    assert found.pairs == 12
+    assert "A holds several runs of one moment and seed: their means are compared" in found.notes
+    counts = {one.quantity: one.found.count for one in found.differences}
+    assert counts["min_gap_m"] == counts["pairs with worse min_gap_m"] == 12
+
+
+def test_hits_on_recorded_scenes_come_from_kinds_alone(tmp_path):
+    a, b = (folder(tmp_path / name, {0, 1}, network=None) for name in "ab")
+    found = comparison.compare(a, b)
+    assert found.pairs == 12
+    assert {one.dimension for one in found.origins} == {"accident", "sector", "avoidable"}
+
+
 def test_what_cannot_be_compared_is_refused(tmp_path):
     a = folder(tmp_path / "a", {0})
     b = folder(tmp_path / "b", {0}, version="0.2.0")

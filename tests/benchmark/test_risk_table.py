@@ -77,6 +77,11 @@ def test_ranks_put_the_surely_dangerous_first():
     assert table[0].risk["hit"].low > table[1].risk["hit"].low
 
 
+def test_equals_have_one_rank():
+    table = risk.worst(rows_of([on_edge("w_in", hit=True), on_edge("e_in"), on_edge("n_in")]))
+    assert [row.rank["hit"] for row in table] == [1, 2, 2]
+
+
 def test_ranks_by_another_event():
     harmless = [on_edge("w_in", hit=True, avoidable=False) for _ in range(8)]
     avoidable = [on_edge("e_in", hit=number < 4) for number in range(8)]

@@ -44,6 +44,14 @@ def test_the_table_has_a_row_a_place(made):
     assert float(edge["hit_rate"]) == 0.5
 
 
+def test_conflicts_have_a_row_a_pair_of_places(made):
+    with (made.folder / "conflicts.csv").open() as lines:
+        table = list(csv.DictReader(lines))
+    assert sum(int(row["attacks"]) for row in table) == 3
+    assert table[0]["hits"] == "1"
+    assert list(table[0])[:2] == ["place", "against"]
+
+
 def test_edge_data_are_meandata(made):
     root = ET.parse(made.folder / "edges.xml").getroot()
     assert root.tag == "meandata"

@@ -1,10 +1,4 @@
-"""Result folders -> attacks on the AV and where on the network each was decided.
-
-An attack was *decided* where the AV's centre was when it touched the opponent (else anybody else),
-or, without a contact, when the gap to the opponent was least. It *began* where the AV was when the
-attack took over; the movement that it began before is the next one on the AV's way. Where opponents
-attack in turn, each turn is an attack.
-"""
+"""Result folders -> the networks in them, each with the attacks on it."""
 
 import csv
 import hashlib
@@ -13,51 +7,18 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.risk import driven, places
-from deepmf_sumo.benchmark.risk.driven import Driven
-from deepmf_sumo.benchmark.risk.places import Places, Spot
-from deepmf_sumo.benchmark.risk.spots import Spots
+from deepmf_sumo.benchmark.risk import places
+from deepmf_sumo.benchmark.risk.attacked import Attacked, of_run
+from deepmf_sumo.benchmark.risk.places import Places
 from deepmf_sumo.benchmark.study.columns import attacked
-from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
+from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
 
 Row = Mapping[str, str]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Attacked:
-    """One attack.
-
-    Attributes:
-        folder: result folder that it stands in, as given.
-        turn: number of the turn in its run; None where one opponent attacked all the time.
-        decided, began: where; an empty spot where the AV was on no lane and in no junction.
-        place_m: (2,) of the AV's centre when it was decided.
-        against: where the opponent was then.
-        hit: the opponent touched the AV. other: the AV touched somebody else.
-        avoidable: whether a reference driver would have avoided the hit; None without one.
-        ttc_s: least; None off a collision course. gap_m: least. delta_v_mps: of the hit.
-    """
-
-    folder: str
-    run_id: str
-    turn: int | None
-    scene: str
-    seed: int
-    decided: Spot
-    began: Spot
-    place_m: tuple[float, float]
-    hit: bool
-    other: bool
-    avoidable: bool | None
-    ttc_s: float | None
-    gap_m: float | None
-    delta_v_mps: float | None
-    against: Spot = Spot()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,16 +35,6 @@ class Network:
     places: Places
     attacks: tuple[Attacked, ...]
     left_out: Mapping[str, int]
-
-
-class _Part(NamedTuple):
-    """An attack of a run: by whom, from which step to which after the start, and its metrics."""
-
-    opponent: str
-    first: int
-    last: int
-    metrics: Mapping[str, float | None]
-    turn: int | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -160,12 +111,17 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
         elif not attacked(result):
             left_out["with nobody to attack"] += 1
         else:
-            folder = out / "runs" / run_id
-            network = _network(folder, str(result["network"]), networks)
+            network = _network(out / "runs" / run_id, str(result["network"]), networks)
+            moment = moments.get(run_id, {})
             try:
-                network.attacks += _attacks(out, folder, result, moments.get(run_id, {}), network)
+                network.attacks += of_run(out, result, moment, network.places, network.road)
             except UsageError:
                 network.left_out["without readable tracks"] += 1
+            except (KeyError, TypeError) as error:
+                raise UsageError(
+                    f"{out / 'runs' / run_id / 'result.json'} is no result of this version of"
+                    f" deepmf-sumo ({type(error).__name__}: {error}); run it anew."
+                ) from None
 
 
 def of_runs(folders: Sequence[Path]) -> dict[str, Result]:
@@ -230,76 +186,6 @@ def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling])
             left_out=Counter(),
         )
     return networks[key]
-
-
-def _attacks(
-    out: Path, folder: Path, result: Result, moment: Row, network: _Filling
-) -> list[Attacked]:
-    """The attacks of a run: one, or one a turn where opponents attacked in turn."""
-    parts = _parts(result)
-    tracks = driven.read(folder / "tracks.csv.gz", [part.opponent for part in parts])
-    spots = Spots(tracks, tracks.lanes(network.road), network.places, moment)
-    attacks = []
-    for part in parts:
-        there = part.opponent in tracks.ids
-        lanes = tracks.lanes(network.road, part.opponent) if there else ()
-        opponent = Spots(tracks, lanes, network.places, {}, part.opponent) if there else None
-        attacks.append(_attacked(out, result, part, tracks, spots, opponent))
-    return attacks
-
-
-def _parts(result: Result) -> list[_Part]:
-    turns: list[dict[str, Any]] | None = result.get("turns")
-    if turns is None:
-        values = {name: one["value"] for name, one in result["metrics"].items()}
-        return [_Part(str(result["opponent"]), 0, result["steps"], values)]
-    return [
-        _Part(
-            one["opponent"],
-            round(one["begin_s"] / DT_S),
-            round(one["end_s"] / DT_S),
-            one["metrics"],
-            number,
-        )
-        for number, one in enumerate(turns, start=1)
-    ]
-
-
-def _attacked(out: Path, result: Result, part: _Part, tracks: Driven, spots: Spots) -> Attacked:
-    last = min(tracks.now + part.last, tracks.valid.shape[1] - 1)
-    first = min(tracks.now + part.first, last)
-    touched = {
-        kind: [
-            one["step"]
-            for one in result["contacts"]
-            if one["kind"] == kind
-            and first <= one["step"] <= last
-            and (kind == "av_other" or part.opponent in {one["first_id"], one["second_id"]})
-        ]
-        for kind in ("av_opponent", "av_other")
-    }
-    nearest = tracks.nearest_step(part.opponent, first, last)
-    # of the opponent, else of another, else when the gap was least, else at the start
-    step = int((touched["av_opponent"] + touched["av_other"] + [nearest or first])[0])
-    place_m: Floats = tracks.position_m[0, step]
-    hit, avoidable = bool(touched["av_opponent"]), part.metrics.get("avoidable")
-    return Attacked(
-        folder=str(out),
-        run_id=result["run_id"],
-        turn=part.turn,
-        scene=result["scene"],
-        seed=result["seed"],
-        decided=spots.at(step),
-        began=spots.began(first),
-        place_m=(float(place_m[0]), float(place_m[1])),
-        hit=hit,
-        other=bool(touched["av_other"]),
-        avoidable=avoidable >= 1 if hit and avoidable is not None else None,
-        ttc_s=part.metrics.get("ttc_min"),
-        gap_m=part.metrics.get("min_gap"),
-        delta_v_mps=part.metrics.get("delta_v"),
-        against=opponent.at(step) if opponent else Spot(),
-    )
 
 
 __all__ = ["Attacked", "Network", "of_runs", "read", "result_folders", "results"]

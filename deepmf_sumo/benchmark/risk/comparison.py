@@ -8,6 +8,7 @@ pairs the means of moments, or all runs without pairs, are compared.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 from typing import Final, Literal
 
 from deepmf_sumo.benchmark.gate import comparison, matching, rows
@@ -117,15 +118,15 @@ def differences(
 def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) -> Comparison:
     """The shares of pairs in which one side is worse by more than is negligible."""
     sign = 1.0 if quantity.worse == "higher" else -1.0
-    name, before = quantity.name, {row.run_id: row for row in old.rows.values()}
+    name, before = quantity.name, _means(old, quantity.name)
+    rows_by_id = {row.run_id: row for row in new.rows.values()}
     marked: tuple[list[Row], list[Row]] = ([], [])
-    for row in new.rows.values():
-        other = before.get(row.run_id)
-        if other is not None and name in row.values and name in other.values:
-            worse = sign * (row.values[name] - other.values[name])
+    for run_id, value in _means(new, name).items():
+        if run_id in before:
+            worse = sign * (value - before[run_id])
             for side, each in zip(marked, (-worse, worse), strict=True):
                 values = {name: float(each > quantity.negligible)}
-                side.append(replace(row, values=values))
+                side.append(replace(rows_by_id[run_id], values=values))
     found = matching.match(name, marked[1], marked[0], confidence)
     return Comparison(
         group=ALL,
@@ -135,6 +136,15 @@ def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) 
         tolerance=0.0,
         state=_state(found),
     )
+
+
+def _means(side: Results, name: str) -> dict[str, float]:
+    """The value of each moment and seed that has one."""
+    values: dict[str, list[float]] = {}
+    for row in side.rows.values():
+        if name in row.values:
+            values.setdefault(row.run_id, []).append(row.values[name])
+    return {run_id: fmean(found) for run_id, found in values.items()}
 
 
 def _state(found: Matched) -> Literal["same", "worse", "better", "too few"]:
@@ -224,6 +234,8 @@ def _notes(old: Results, new: Results, pairs: int) -> Iterable[str]:
     if changed:
         yield "the attack is set up differently: differences may be the attack's"
     for name, side in (("A", old), ("B", new)):
+        if len({row.run_id for row in side.rows.values()}) < len(side.rows):
+            yield f"{name} holds several runs of one moment and seed: their means are compared"
         lost = sum(row.status != "ok" for row in side.rows.values())
         if lost:
             yield f"{lost} runs of {name} failed, timed out or are missing, and are not compared"

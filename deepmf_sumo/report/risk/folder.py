@@ -2,7 +2,6 @@
 
 import csv
 import io
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -56,7 +55,7 @@ def _write(folder: Path, network: Network, title: str) -> Written:
         raise OutputError(f"{folder} holds '{min(others)}'; choose an empty folder for --out.")
     rows = risk.rows(network)
     net = "".join(["net.net.xml", ".gz" * (network.net_file.suffix == ".gz")])
-    shutil.copyfile(network.net_file, folder / net)
+    files.write(folder / net, network.net_file.read_bytes())
     files.write(folder / TABLE, _table([risk.columns(row) for row in rows]))
     files.write(folder / CONFLICTS, _table([asdict(one) for one in risk.conflicts(network)]))
     files.write(folder / EDGES, edge_data.edges(network, rows))

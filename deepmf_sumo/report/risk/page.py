@@ -86,6 +86,7 @@ def _attack(one: Attacked, network: Network) -> list[Any]:
         [round(value, 1) for value in one.place_m],
         int(one.hit),
         {counted: {kind: getattr(one, counted).of(kind) for kind in KINDS} for counted in COUNTED},
+        network.places.site(one.against),
     ]
 
 

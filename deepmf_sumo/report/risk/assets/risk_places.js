@@ -4,6 +4,7 @@ const HEADINGS = {
   rank: "rank",
   title: "place",
   kind: "kind",
+  risk: "risk (90 %)",
   attacks: "attacks",
   hits: "hits",
   hit_rate: "hit rate (95 %)",
@@ -15,7 +16,6 @@ const HEADINGS = {
   min_gap_m: "min gap, m",
   delta_v_mps: "mean Δv, m/s",
   delta_v_most_mps: "most Δv, m/s",
-  risk: "risk",
 };
 const DIGITS = {
   rank: 0,

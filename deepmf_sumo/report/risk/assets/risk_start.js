@@ -54,9 +54,9 @@ function start() {
     showAttacks(content);
     const kinds = risk.kind === "site" ? ["movement", "edge"] : [risk.kind];
     const all = kinds.reduce((sum, kind) => sum + content.places[kind], 0);
-    byId("shown").textContent = `${places.length} of ${all}; at the others nothing ${
-      risk.counted === "decided" ? "was decided" : "began"
-    }`;
+    const nothing = risk.counted === "decided" ? "nothing was decided" : "nothing began";
+    byId("shown").textContent =
+      `${places.length} of ${all}` + (places.length < all ? `; at the others ${nothing}` : "");
     byId("meaning").textContent =
       `${risk.event}: ${content.definitions[risk.event]}. Risk: chance of it in an attack at the place, drawn ` +
       `towards the network's rate as far as data are thin, with the ${content.confidence} % interval; ` +
