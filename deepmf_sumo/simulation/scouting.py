@@ -22,10 +22,7 @@ Ints = NDArray[np.int64]
 
 EVERY_S: Final = 1.0
 MOST_VEHICLE_STEPS: Final = 1_000_000
-"""Ten seconds of SUMO on a slow core; counted, so that it ends at the same moment everywhere.
-
-A person costs as much as a vehicle.
-"""
+"""Ten seconds of SUMO on a slow core; counted, so that it ends at the same moment everywhere."""
 _EMPTY_STEP: Final = 20
 """What a step without vehicles costs, in vehicles."""
 _MADE_ON_THE_WAY: Final = "!"
@@ -114,10 +111,9 @@ def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Si
             complete = until == ends
             break
         api.simulationStep(moment)
-        walking = int(api.person.getIDCount())
-        spent += round((moment - now) / DT_S) * (_EMPTY_STEP + walking + notes.look(moment))
+        spent += round((moment - now) / DT_S) * (_EMPTY_STEP + notes.look(moment))
         now = moment
-        persons = persons or walking > 0
+        persons = persons or bool(api.person.getIDCount())
         complete = api.simulation.getMinExpectedNumber() == 0
         if complete or (scouting.until_s is None and spent > MOST_VEHICLE_STEPS):
             break

@@ -1,8 +1,8 @@
 """Forty places, four of them flawed: ``python sumo_nets/hazards/build.py FOLDER``.
 
 Ten merges, ten signalled crossings, ten left turns and ten stops lie beside each other in one
-network, each with the same traffic of its own, so that nothing but the place differs. One of each
-kind has a flaw that road safety audits look for:
+network, each with traffic of its own, the same for all of a kind. One of each kind has a flaw that
+road safety audits look for:
 
 - a merge without an acceleration lane worth the name (15 m instead of 200 m),
 - a signal that goes from green to red without a yellow or a pause,

@@ -84,7 +84,7 @@ def main() -> int:
     """Print the ranking of all folders together, and what each pair of them agrees on."""
     parser = argparse.ArgumentParser(description="Rank the forty places by their risk.")
     parser.add_argument("folders", metavar="OUT", nargs="+", type=Path)
-    parser.add_argument("--event", choices=EVENTS, default="severe")
+    parser.add_argument("--event", choices=EVENTS, default="avoidable")
     parser.add_argument("--flawed", nargs="*", default=FLAWED, metavar="PLACE")
     given = parser.parse_args()
     try:

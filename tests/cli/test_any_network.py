@@ -14,7 +14,7 @@ from untuned_networks import HARDER, NOBODY, REFUSED, TEN
 
 MOST_S = 60.0
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 
 def attack(config, out, *more):

@@ -74,16 +74,6 @@ def test_it_ends_with_the_configuration_as_told_or_where_it_gets_too_long(config
     assert (short.until_s, short.complete) == (2.0, False)
 
 
-def test_persons_count_like_vehicles(config, tmp_path, monkeypatch):
-    monkeypatch.setattr(scouting, "MOST_VEHICLE_STEPS", 1300)
-    alone = look(config)
-    people = '<personFlow id="p" begin="0" end="9" number="99"><walk edges="ab"/></personFlow>'
-    (tmp_path / "p.rou.xml").write_text(f"<routes>{people}</routes>")
-    crowded = look(config, "-r", f"{config.parent / 'tiny.rou.xml'},{tmp_path / 'p.rou.xml'}")
-    assert crowded.persons
-    assert crowded.until_s < alone.until_s
-
-
 def test_a_missing_file_is_named_in_sumos_words(config, tmp_path):
     with pytest.raises(SimulationError, match=r"missing\.rou\.xml' is not accessible"):
         look(config, "-r", str(tmp_path / "missing.rou.xml"), "--begin", "1")

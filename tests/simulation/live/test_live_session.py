@@ -93,7 +93,7 @@ def test_closing_leaves_no_trace(folder, sumo):
     session, fought = session_on(api, folder, Brake(sideways=1.0))
     step(api, session, 15)
     assert session.attacking == "leader"
-    assert api.poi.getIDCount() == 2
+    assert api.poi.getIDCount() == 1
     session.close()
     assert api.poi.getIDCount() == 0
     assert [one.rollout.ended for one in fought] == ["time"]
@@ -294,3 +294,15 @@ def test_circles_never_miss_what_boxes_touch():
         radius = np.hypot(4.6, 1.9) / 2
         circles = observer._meeting_s((0, 0, 9.6, 2.9, radius), (x, y, u, v, radius))
         assert circles <= least_ttc_s(frame, size, "av") + 1e-9
+
+
+def test_persons_are_seen_from_when_they_come(folder, sumo):
+    api, policy = sumo(), Brake(opponent="nobody")
+    session, _ = session_on(api, folder, policy)
+    step(api, session, 12)
+    api.person.add("walker", "ab", 80.0)
+    api.person.appendWalkingStage("walker", ["ab"], 200.0)
+    step(api, session, 45)
+    assert "walker" not in policy.views[0].history.ids
+    row = policy.views[-1].history.row("walker")
+    assert policy.views[-1].history.kinds[row] == "pedestrian"
