@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from deepmf_sumo.cli.sweep import Sweep, end_of_runs, options
+from deepmf_sumo.errors import UsageError
 
 
 @click.command(name="attack")
@@ -20,6 +21,10 @@ from deepmf_sumo.cli.sweep import Sweep, end_of_runs, options
 @click.option(
     "--at", "at_s", metavar="S", multiple=True, type=click.FloatRange(min=0),
     help="Attack at this time of the simulation; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--moments-of", "again", metavar="OUT", type=click.Path(path_type=Path),
+    help="The same vehicles at the same times as in that result folder, to compare with it.",
 )  # fmt: skip
 @click.option(
     "--until", "until_s", metavar="S", type=click.FloatRange(min=1),
@@ -48,6 +53,7 @@ def command(
     sumo_options: tuple[str, ...],
     until_s: float | None,
     sets: tuple[str, ...],
+    again: Path | None,
     sweep: Sweep,
     **wanted: Any,
 ) -> None:
@@ -69,7 +75,11 @@ def command(
     keys = _keys(configuration.seed, **{key: wanted.pop(key) for key in _KEYS})
     spec = moments.base_spec(config, keys, sets, sumo_options)
     scouting = Scouting(config=config, sumo_options=sumo_options, seed=spec.seed, until_s=until_s)
-    count = wanted.pop("count") or len(wanted["at_s"]) or 10
+    if again is not None:
+        _refuse_others(**wanted)
+        wanted["again"] = moments.read(again)
+    chosen = wanted["at_s"] or wanted.get("again", ())
+    count = wanted.pop("count") or len(chosen) or 10
     wish = moments.Wish(count=count, duration_s=spec.duration_s, seed=spec.seed, **wanted)
     found = moments.find(scouting, wish, sweep.timeout)
     announce(configuration, found, wish)
@@ -80,6 +90,14 @@ def command(
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
 """Options that are keys of the spec."""
+
+
+def _refuse_others(**wanted: Any) -> None:
+    """Raise UsageError where more is wanted than the moments of another attack."""
+    names = {"count": "--moments", "av": "--av", "av_type": "--av-type", "at_s": "--at"}
+    for key, option in names.items():
+        if wanted[key]:
+            raise UsageError(f"{option} cannot be given with --moments-of: leave one of them out.")
 
 
 def _keys(own_seed: int, planner: str | None, **given: Any) -> dict[str, Any]:

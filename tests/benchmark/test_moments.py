@@ -125,3 +125,17 @@ def test_nobody_to_attack_has_a_reason(sightings, wish, reason):
 def test_what_is_not_in_the_traffic_is_the_users_mistake(wish, message):
     with pytest.raises(UsageError, match=message):
         choose(traffic(), TURNS, Wish(count=1, **wish))
+
+
+def test_the_moments_of_another_attack_are_taken_again():
+    first = choose(traffic(), TURNS, Wish(count=8)).moments
+    pairs = tuple((one.av, one.start_s) for one in first)
+    again = choose(traffic(), TURNS, Wish(count=8, seed=5, again=pairs))
+    assert [(one.av, one.start_s) for one in again.moments] == list(pairs)
+    assert again.reason == ""
+    fewer = choose(traffic(pairs=3), TURNS, Wish(count=8, again=(*pairs, ("gone", 5.0))))
+    assert {(one.av, one.start_s) for one in fewer.moments} < set(pairs)
+    assert "not there at their times" in fewer.reason
+    none = choose(traffic(), TURNS, Wish(count=1, again=(("gone", 5.0),)))
+    assert not none.moments
+    assert "not there at their times" in none.reason

@@ -69,3 +69,19 @@ def test_refusals_are_one_line(tiny, tmp_path, capsys, more, message, code):
     assert len(errors) == 1
     assert message in errors[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_moments_of_another_attack_make_pairs(tiny, tmp_path, capsys):
+    first, again = tmp_path / "first", tmp_path / "again"
+    assert attack(tiny, first, "--moments", 2, "--duration", 1) == 0
+    assert attack(tiny, again, "--moments-of", first, "--duration", 1, "--planner", "sumo") == 0
+    assert (first / "moments.csv").read_text() == (again / "moments.csv").read_text()
+    (tmp_path / "odd.csv").write_text("a,b\n1,2\n")
+    for more, message in (
+        (["--moments-of", tmp_path / "nothing"], "cannot be read (No such file or directory)"),
+        (["--moments-of", tmp_path / "odd.csv"], "is no table of moments (columns av and start_s)"),
+        (["--moments-of", first, "--av", "leader"], "--av cannot be given with --moments-of"),
+    ):
+        capsys.readouterr()
+        assert attack(tiny, tmp_path / "bad", *more) == 2
+        assert message in capsys.readouterr().err

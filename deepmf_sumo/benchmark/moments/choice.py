@@ -33,7 +33,7 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
     rows, reason = suitable(sightings, wish)
-    rows = _staying(sightings, wish, rows)
+    rows = _again(sightings, wish, rows) if wish.again else _staying(sightings, wish, rows)
     moments: list[Moment] = []
     if len(rows):
         spread = _Spread(sightings, turns, wish, rows)
@@ -43,6 +43,8 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
                 f"no {'other ' if moments else ''}vehicle that could be the AV has another vehicle"
                 f" within {REACH_M:g} m"
             )
+    if wish.again and len(moments) < wish.count:
+        reason = "the other vehicles are not there at their times, or nobody is around them"
     return Found(
         moments=tuple(sorted(moments, key=lambda one: (one.start_s, one.av))),
         suitable=len(rows),
@@ -182,6 +184,14 @@ def _gets_there(sightings: Sightings, duration_s: float) -> Bools:
     way_m = duration_s * np.maximum(sightings.speed_mps, _SLOWEST_MPS)
     gets_there: Bools = sightings.to_end_m <= way_m
     return gets_there
+
+
+def _again(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
+    """Of the rows those of the vehicles and times that are wanted again."""
+    wanted = set(wish.again)
+    ids = [sightings.bodies[vehicle].id for vehicle in sightings.vehicle[rows]]
+    times = np.round(sightings.time_s[rows].astype(float), 1).tolist()
+    return rows[[pair in wanted for pair in zip(ids, times, strict=True)]]
 
 
 def _staying(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:

@@ -26,14 +26,16 @@ class _Search:
 def find(scouting: Scouting, wish: Wish, timeout_s: float | None = None) -> Found:
     """Simulate the configuration once, and choose moments of it.
 
-    Where the wish names times, nothing later than attacks at them is looked at.
+    Where the wish names times, nothing later than attacks at them is looked at, unless
+    ``scouting`` says so.
 
     Raises SimulationError, with SUMO's own words, where it cannot be run, and UsageError where the
     wish names a vehicle, a type or a time that is not in the traffic.
     """
-    scouting = replace(scouting, at_s=wish.at_s)
-    if wish.at_s and scouting.until_s is None:
-        scouting = replace(scouting, until_s=max(wish.at_s) + wish.duration_s + EVERY_S)
+    times = wish.at_s or tuple(time_s for _, time_s in wish.again)
+    scouting = replace(scouting, at_s=times)
+    if times and scouting.until_s is None:
+        scouting = replace(scouting, until_s=max(times) + wish.duration_s + EVERY_S)
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         search = _Search(scouting=scouting, wish=wish, answer=Path(folder) / "found.json")
         (ending,) = pool.run(_search, [search], jobs=1, timeout_s=timeout_s)

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from deepmf_sumo.datatypes import AgentId
 
+VehicleTime = tuple[AgentId, float]
+"""A vehicle at a time of the simulation, in seconds to a tenth."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wish:
@@ -13,6 +16,7 @@ class Wish:
         count: how many, at most.
         av, av_type: only this vehicle, only vehicles of this type.
         at_s: only these moments of the simulation's time; empty leaves them open.
+        again: only these vehicles at these times; empty leaves them open.
         duration_s: of each attack.
         seed: of the choice.
     """
@@ -21,6 +25,7 @@ class Wish:
     av: AgentId | None = None
     av_type: str | None = None
     at_s: tuple[float, ...] = ()
+    again: tuple[VehicleTime, ...] = ()
     duration_s: float = 8.0
     seed: int = 0
 

@@ -1,0 +1,37 @@
+"""The moments of another attack, so that two designs or two planners are compared in pairs."""
+
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+
+from deepmf_sumo.benchmark.moments.moment import VehicleTime
+from deepmf_sumo.benchmark.moments.plan import TABLE
+from deepmf_sumo.errors import UsageError
+
+
+def read(path: Path) -> tuple[VehicleTime, ...]:
+    """Vehicles and times of a result folder of `attack`, or of its moments.csv.
+
+    Raises UsageError where there is no such table, or it holds none.
+    """
+    file = path / TABLE if path.is_dir() else path
+    try:
+        with file.open(encoding="utf-8", newline="") as table:
+            found = tuple(_rows(csv.DictReader(table)))
+    except OSError as error:
+        raise UsageError(
+            f"--moments-of {path}: {file} cannot be read ({error.strerror}); give a result"
+            " folder of `deepmf-sumo attack`."
+        ) from None
+    except (KeyError, TypeError, ValueError, csv.Error):
+        raise UsageError(
+            f"--moments-of {path}: {file} is no table of moments (columns av and start_s)."
+        ) from None
+    if not found:
+        raise UsageError(f"--moments-of {path}: {file} holds no moments.")
+    return found
+
+
+def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
+    for row in table:
+        yield row["av"], round(float(row["start_s"]), 1)
