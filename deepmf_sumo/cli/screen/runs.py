@@ -47,7 +47,9 @@ def table(results: Sequence[dict[str, Any]], summary: dict[str, Any], out: Path)
         grid.add_row(*map(escape, row), style="red" if bad else "")
     console.print(grid)
     console.print(escape(tables.totals(summary)), soft_wrap=True)
-    console.print(escape(f"{out}/runs.csv, {out}/runs/<run>/picture.png"), soft_wrap=True)
+    pictures = any((out / "runs").glob("*/picture.png"))
+    shown = f", {out}/runs/<run>/picture.png" if pictures else ""
+    console.print(escape(f"{out}/runs.csv{shown}"), soft_wrap=True)
 
 
 def _left(now: Progress, seconds: float) -> str:
