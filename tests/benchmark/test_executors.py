@@ -132,6 +132,18 @@ def test_no_machine_answers(runs, use, monkeypatch):
         do(runs, tasks("a"), jobs=1)
 
 
+def test_a_lost_head_is_a_sentence(runs, use, monkeypatch):
+    ray = use(Ray())
+
+    def gone(calls, **_):
+        raise ConnectionError("stream removed")
+
+    monkeypatch.setattr(ray, "wait", gone)
+    with pytest.raises(RunError, match=r"'ray' is lost \(stream removed\); --resume goes on"):
+        do(runs, tasks("a"))
+    assert not ray.running
+
+
 def test_closing_leaves_no_process_and_begins_nothing(runs, use):
     ray = use(Ray())
     endings = Cluster(jobs=2).run(Writes(runs), tasks("a", "hang", "hang"), Limits())

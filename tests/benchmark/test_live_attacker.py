@@ -118,7 +118,7 @@ def test_a_traci_connection_will_do_and_an_error_of_the_script_is_the_scripts(ti
     ("wrong", "error", "said"),
     [
         ({"trigger": "soon"}, UsageError, "must be time=SECONDS"),
-        ({"trigger": ["ttc=3", "edge=ac"]}, UsageError, "no such edge. Did you mean 'ab'?"),
+        ({"trigger": ["ttc=3", "edge=abb"]}, UsageError, "no such edge. Did you mean 'ab'?"),
         ({"duration_s": 1.0}, UsageError, "must be 3 s at least"),
         ({"sets": ["adversary.period_s=x"]}, SpecError, "period_s"),
         ({"net": "nowhere.net.xml"}, UsageError, "nowhere.net.xml"),

@@ -37,6 +37,7 @@ def specs(tiny):
 @pytest.fixture(scope="module")
 def folders(specs, tmp_path_factory):
     """Result folders: of the whole sweep, and of its two parts."""
+    os.environ["DEEPMF_SUMO_HOME"] = str(tmp_path_factory.mktemp("home"))
     made = tmp_path_factory.mktemp("folders")
     for name, part in {"whole": (), "1": ("--shard", "1/2"), "2": ("--shard", "2/2")}.items():
         assert call("run", *specs, "--no-pictures", "--out", made / name, *part) == 0

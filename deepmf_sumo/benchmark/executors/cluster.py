@@ -1,5 +1,6 @@
 """The machines of a Ray cluster (extra `cluster`); what a machine does is in `place`."""
 
+import contextlib
 import importlib
 import os
 import signal
@@ -71,8 +72,14 @@ class Cluster:
             crew = _Crew(ray=ray, work=work, tasks=tasks, limits=limits, seats=max(seats, 1))
             try:
                 yield from crew.all_done(stop)
+            except ConnectionError as error:
+                raise RunError(
+                    f"The connection to the Ray cluster '{self.name}' is lost ({error});"
+                    " --resume goes on."
+                ) from None
             finally:
-                crew.dismiss()
+                with contextlib.suppress(ConnectionError):
+                    crew.dismiss()
         finally:
             ray.shutdown()
 
