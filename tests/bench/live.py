@@ -23,10 +23,11 @@ from deepmf_sumo.geometry import boxes, sumo_frame
 
 BIN = Path(sumo.SUMO_HOME) / "bin"
 TOOLS = Path(sumo.SUMO_HOME) / "tools"
+FCD = ("--device.fcd.period", "0.5", "--precision", "3", "--fcd-output")
 _CAR_M = np.array([5.0, 1.8])
 PROGRAM = Path(sys.executable).with_name("deepmf-sumo")
 CLIENT = """
-import json, os, sys, time, traci
+import json, statistics, sys, time, traci
 port, order, seconds = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
 for _ in range(300):
     try:
@@ -35,22 +36,16 @@ for _ in range(300):
     except traci.exceptions.FatalTraCIError:
         time.sleep(0.1)
 api.setOrder(order)
-def cpu():  # seconds of SUMO and of both clients
-    total = 0
-    for pid in json.load(open("pids.json")):
-        fields = open(f"/proc/{pid}/stat").read().rpartition(")")[2].split()
-        total += int(fields[11]) + int(fields[12])
-    return total / os.sysconf("SC_CLK_TCK")
-steps, begin, now = 0, 0.0, 0.0
-while now < seconds:
+steps, took = 0, []
+while 0.1 * steps < seconds - 0.05:
+    begin = time.perf_counter()
     api.simulationStep()
     steps += 1
-    now = round(0.1 * steps, 1)
-    if now == 30.0:
-        begin, spent = time.perf_counter(), cpu()
-print(json.dumps({"rate": (now - 30) * 10 / (time.perf_counter() - begin),
-                  "cpu": cpu() - spent,
-                  "steps": steps, "time": api.simulation.getTime()}))
+    if steps > 300:
+        took.append(time.perf_counter() - begin)
+fast, middle = (statistics.quantiles(took, n=20)[row] for row in (1, 9))
+print(json.dumps({"fast": fast, "middle": middle, "steps": steps,
+                  "time": api.simulation.getTime()}))
 api.close()
 """
 
@@ -60,6 +55,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=600.0, help="of the simulation")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--pause", type=float, default=5.0, help="seconds after an attack")
     parser.add_argument("--gui", action="store_true", help="sumo-gui in place of sumo")
     parser.add_argument("--only", choices=["rate", "lockstep"])
     options = parser.parse_args()
@@ -71,41 +67,41 @@ def main() -> None:
         if options.only != "lockstep":
             rates(folder, program, min(options.seconds, 150.0), options.rounds)
         if options.only != "rate":
-            lockstep(folder, program, options.seconds)
+            lockstep(folder, program, options.seconds, options.pause)
 
 
 def rates(folder: Path, program: str, seconds: float, rounds: int) -> None:
-    """Steps a second of the script, with a bare second client and with ours, by turns.
+    """What a step takes the script, with a bare second client and with ours, by turns.
 
-    On a machine that others use, compare the processor's time: the processes wait for one another.
+    Where others use the machine, the fastest tenth of the steps says what a step costs.
     """
-    found: dict[str, list[tuple[float, float]]] = {"": [], "time=1e9": [], "ttc=0.01": []}
+    found: dict[str, list[dict]] = {"": [], "time=1e9": [], "ttc=0.01": []}
     for _ in range(rounds):
         for trigger, values in found.items():
             client = ["--trigger", trigger] if trigger else None
-            told = together(folder, program, seconds, client)
-            values.append((told["rate"], told["cpu"]))
+            values.append(together(folder, program, seconds, client))
     bare = found.pop("")
     for trigger, values in found.items():
-        pairs = list(zip(values, bare, strict=True))
-        print(
-            f"{program}, no attack, --trigger {trigger}: "
-            f"{statistics.median(rate for rate, _ in values):.0f} steps/s, "
-            f"with a bare client {statistics.median(rate for rate, _ in bare):.0f}; "
-            f"share by wall {shares([a[0] / b[0] for a, b in pairs])}, "
-            f"by the processor's time {shares([b[1] / a[1] for a, b in pairs])}"
-        )
+        for name in ("fast", "middle"):
+            ours, theirs = ([one[name] for one in runs] for runs in (values, bare))
+            shares = [b / a for a, b in zip(ours, theirs, strict=True)]
+            print(
+                f"{program}, no attack, --trigger {trigger}, {name} step: "
+                f"{1e3 * statistics.median(ours):.2f} ms, with a bare client "
+                f"{1e3 * statistics.median(theirs):.2f} ms; share of the rate "
+                f"{statistics.median(shares):.2f} ({', '.join(f'{one:.2f}' for one in shares)})"
+            )
 
 
-def shares(values: list[float]) -> str:
-    """Their median, and all of them."""
-    return f"{statistics.median(values):.2f} ({', '.join(f'{one:.2f}' for one in values)})"
-
-
-def lockstep(folder: Path, program: str, seconds: float) -> None:
+def lockstep(folder: Path, program: str, seconds: float, pause_s: float) -> None:
     """The whole time with attacks, and what became of the bystanders."""
-    together(folder, program, seconds, None, fcd="alone.xml")
-    with_us = together(folder, program, seconds, ["--out", "live"], fcd="with_us.xml")
+    make(
+        folder,
+        [BIN / "sumo", "-c", "grid.sumocfg", "--end", str(seconds), "--no-step-log",
+         "--no-warnings", *FCD, "alone.xml"],
+    )  # fmt: skip
+    attach = ["--out", "live", "--pause", str(pause_s)]
+    with_us = together(folder, program, seconds, attach, fcd="with_us.xml")
     rows = (folder / "live" / "attacks.jsonl").read_text().splitlines()
     driven = {row["opponent"] for row in map(json.loads, rows)}
     ours = overlaps(folder / "with_us.xml", driven)
@@ -125,7 +121,7 @@ def together(
     port = str(free_port())
     shown = ["--start", "--quit-on-end"] if program == "sumo-gui" else []
     if fcd:
-        shown += ["--fcd-output", fcd, "--device.fcd.period", "0.5", "--precision", "3"]
+        shown += [*FCD, fcd]
     sim = subprocess.Popen(
         [BIN / program, "-c", "grid.sumocfg", "--remote-port", port, "--num-clients", "2",
          "--no-step-log", "--no-warnings", *shown],
@@ -144,7 +140,6 @@ def together(
         if "--out" not in attach:
             other += ["--out", str(folder / "unused")]
     second = subprocess.Popen(other, cwd=folder, stdout=subprocess.DEVNULL)
-    (folder / "pids.json").write_text(json.dumps([sim.pid, user.pid, second.pid]))
     if second.wait():
         raise SystemExit(f"the second client ended with {second.returncode}")
     told, _ = user.communicate()

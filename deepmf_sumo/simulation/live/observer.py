@@ -24,6 +24,8 @@ _VEHICLES, _PERSONS = 0xA4, 0xAE
 _INVISIBLE: Final = (0, 0, 0, 0)
 _SLACK_M: Final = 10.0
 """So far the AV may go from the point before the point follows."""
+_ASK_EVERY: Final = 20
+"""Looks after which it is asked whether there are persons by now."""
 _NOWHERE_M: Final = -1e8
 """Coordinates below are SUMO's way to say that a vehicle is not on the road."""
 
@@ -60,12 +62,15 @@ class Observer:
             _VEHICLES: f"deepmf_sumo vehicles near {av_id}",
             _PERSONS: f"deepmf_sumo persons near {av_id}",
         }
+        self._subscribed: list[int] = []
         self._at: tuple[float, float] | None = None
+        self._looks = 0
         self._bodies: dict[AgentId, Body] = {}
 
     def look(self) -> Sighting | None:
         """Who is there now; None where the AV is not."""
-        if self._at is None:
+        self._looks += 1
+        if self._at is None or self._persons_came():
             return self._find()
         seen = self._seen()
         state = seen.vehicles.get(self._av)
@@ -74,8 +79,8 @@ class Observer:
         x, y = state[POSITION][:2]
         if np.hypot(x - self._at[0], y - self._at[1]) > _SLACK_M:
             self._at = (x, y)
-            for point in self._points.values():
-                self._api.poi.setPosition(point, x, y)
+            for domain in self._subscribed:
+                self._api.poi.setPosition(self._points[domain], x, y)
         return seen
 
     def position(self, agent: AgentId) -> tuple[float, float] | None:
@@ -153,11 +158,12 @@ class Observer:
 
     def close(self) -> None:
         """Take the subscription and its point away again."""
-        if self._at is not None:
-            for domain, point in self._points.items():
-                self._api.poi.unsubscribeContext(point, domain, self._radius_m)
-                self._api.poi.remove(point)
-            self._at = None
+        for domain in self._subscribed:
+            point = self._points[domain]
+            self._api.poi.unsubscribeContext(point, domain, self._radius_m)
+            self._api.poi.remove(point)
+        self._subscribed = []
+        self._at = None
 
     def _find(self) -> Sighting | None:
         """Look for the AV anywhere, and see who is around it."""
@@ -166,11 +172,13 @@ class Observer:
             return None
         self._body(self._av, person=False)  # now, for the script may remove it before we ask again
         poi = self._api.poi
-        for domain, point in self._points.items():
-            if self._at is None:
-                poi.add(point, *at, _INVISIBLE)
-            else:
+        for domain in [_VEHICLES, _PERSONS] if self._api.person.getIDCount() else [_VEHICLES]:
+            point = self._points[domain]
+            if domain in self._subscribed:
                 poi.setPosition(point, *at)
+            else:
+                poi.add(point, *at, _INVISIBLE)
+                self._subscribed.append(domain)
             # answered at once
             poi.subscribeContext(point, domain, self._radius_m, [POSITION, ANGLE, SPEED])
         self._at = at
@@ -182,9 +190,18 @@ class Observer:
             seen = Sighting({**seen.vehicles, self._av: own}, seen.persons)
         return seen
 
+    def _persons_came(self) -> bool:
+        """Whether there are persons, whom nobody has looked for yet: each subscription costs."""
+        return (
+            _PERSONS not in self._subscribed
+            and self._looks % _ASK_EVERY == 0
+            and self._api.person.getIDCount() > 0
+        )
+
     def _seen(self) -> Sighting:
         results = self._api.poi.getContextSubscriptionResults
-        return Sighting(*(results(point) for point in self._points.values()))
+        persons = results(self._points[_PERSONS]) if _PERSONS in self._subscribed else {}
+        return Sighting(results(self._points[_VEHICLES]), persons)
 
     @staticmethod
     def _circle(state: Mapping[int, Any], body: Body) -> Circle:
