@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from ray_double import Ray
@@ -48,7 +48,9 @@ def runs(tmp_path):
 def use(monkeypatch):
     """Puts a double in Ray's place, and a list of inputs."""
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(sys.modules["__main__"], "__file__", "ray.py", raising=False)
+    main = ModuleType("__main__")  # of a worker of Ray: a file that is no module of ours
+    main.__file__ = "ray.py"
+    monkeypatch.setitem(sys.modules, "__main__", main)
 
     def use(ray, *inputs):
         monkeypatch.setitem(sys.modules, "ray", ray)
