@@ -52,7 +52,10 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Digest of all that the result depends on, apart from plug-ins of other packages."""
+        """Digest of the spec and the version: equal runs have equal ones.
+
+        What is in the files that the spec names is not part of it, nor are planners of the user's.
+        """
         parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.resolved()]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 

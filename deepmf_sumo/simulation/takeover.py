@@ -45,12 +45,22 @@ class Takeover:
         events: notes are added to it.
         places: where a vehicle can be put that SUMO cannot drive from where it is; None: the
             nearest lane, whoever is there.
+        may_remove: whether one for which no place is free is taken out of the simulation; else it
+            is put on the nearest lane.
     """
 
-    def __init__(self, api: SumoApi, events: list[Event], places: Places | None = None) -> None:
+    def __init__(
+        self,
+        api: SumoApi,
+        events: list[Event],
+        places: Places | None = None,
+        *,
+        may_remove: bool = True,
+    ) -> None:
         self._api = api
         self._events = events
         self._places = places
+        self._may_remove = may_remove
         self._taken: _Taken | None = None
         self._moved: tuple[_Taken, float] | None = None
         self._gone: set[AgentId] = set()
@@ -75,6 +85,8 @@ class Takeover:
         there = self._api.vehicle.getIDList()
         if self._taken is not None and self._taken.agent in there:
             self._api.vehicle.setPreviousSpeed(self._taken.agent, self._taken.pose.speed_mps)
+        else:
+            self._taken = None  # should SUMO bring it back, it is not where it was put
         if self._moved is not None and self._moved[0].agent in there:
             taken, speed_mps = self._moved
             self._api.vehicle.setPreviousSpeed(taken.agent, speed_mps)
@@ -86,29 +98,34 @@ class Takeover:
 
         One from where SUMO cannot go on is put on a lane: beside the middle of one, against its
         direction, or in the midst of others (but the AV: SUMO parts two). Where no place is free
-        near by it is taken out of the simulation.
+        near by it is taken out of the simulation, if that is allowed.
 
         Args:
             step: now.
             agent: the vehicle.
-            crowd: who is where; needed where there are `Places`.
+            crowd: who is where, needed where there are `Places`; without the vehicle if it is on
+                no road, because SUMO teleports it.
         """
         taken = self._taken
         if taken is None or not self._present(step, agent):
             return
         self._taken = None
-        if self._places is None or crowd is None:
+        if self._places is None:
             self._hand_to_nearest_lane(step, taken)
+        elif crowd is None or agent not in crowd.frame.ids:
+            self._note(step, agent, "opponent_gone", "SUMO has taken it off the road")
         elif self._drivable(taken, self._places, crowd):
             self._note(step, agent, "handed_back", "SUMO drives on along the route")
             self._find_way(step, taken)
         else:
             place = self._places.nearest(agent, crowd.frame, crowd.size_m, taken.route)
-            if place is None:
+            if place is not None:
+                self._put(step, taken, place)
+            elif self._may_remove:
                 self._api.vehicle.remove(agent)
                 self._note(step, agent, "removed", "no free place on a lane within 50 m")
             else:
-                self._put(step, taken, place)
+                self._hand_to_nearest_lane(step, taken)
 
     def _hand_to_nearest_lane(self, step: int, taken: _Taken) -> None:
         vehicle, agent = self._api.vehicle, taken.agent

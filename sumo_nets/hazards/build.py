@@ -208,12 +208,16 @@ def main() -> int:
     """Build into the folder given."""
     parser = argparse.ArgumentParser(description="Forty places, four of them flawed.")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--flawed", nargs="*", default=FLAWED, metavar="PLACE")
+    every = [name for name, *_ in places()]
+    parser.add_argument("--flawed", nargs="*", default=FLAWED, metavar="PLACE", choices=every)
     given = parser.parse_args()
     try:
         print(build(given.folder, tuple(given.flawed)))
     except subprocess.CalledProcessError as error:
         print(error.stderr.strip(), file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"{given.folder} cannot be written: {error.strerror}", file=sys.stderr)
         return 1
     return 0
 

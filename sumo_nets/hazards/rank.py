@@ -85,7 +85,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Rank the forty places by their risk.")
     parser.add_argument("folders", metavar="OUT", nargs="+", type=Path)
     parser.add_argument("--event", choices=EVENTS, default="avoidable")
-    parser.add_argument("--flawed", nargs="*", default=FLAWED, metavar="PLACE")
+    parser.add_argument("--flawed", nargs="*", default=FLAWED, metavar="PLACE", choices=PLACES)
     given = parser.parse_args()
     try:
         seeds = [[one for net in read([out]) for one in net.attacks] for out in given.folders]

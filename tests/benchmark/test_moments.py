@@ -2,15 +2,17 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark.moments import Wish
+from deepmf_sumo.benchmark.moments import Moment, Wish, again, plan
 from deepmf_sumo.benchmark.moments.choice import choose
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.simulation.scouting import Body, Sightings
 
+SUMO_CONFIG = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.sumocfg"
 EDGES = ("in", "left", "right", "out")
 TURNS = {("in", "left"): "left", ("in", "right"): "right"}
 SECONDS = 60
@@ -139,3 +141,35 @@ def test_the_moments_of_another_attack_are_taken_again():
     none = choose(traffic(), TURNS, Wish(count=1, again=(("gone", 5.0),)))
     assert not none.moments
     assert "not there at their times" in none.reason
+
+
+def test_nobody_at_all_is_told_when_moments_are_taken_again():
+    empty = replace(traffic(), bodies=(), vehicle=np.zeros(0, int), time_s=np.zeros(0))
+    found = choose(empty, TURNS, Wish(count=1, again=(("v0", 5.0),)))
+    assert found.reason.startswith("there is no vehicle from 0 to 60 s")
+
+
+def test_moments_of_a_table_are_each_taken_once(tmp_path):
+    table = tmp_path / "moments.csv"
+    table.write_text("run_id,av,start_s\nr1,car ü,3.04\nr1,car ü,3.0\nr2,b,7\n", "utf-8")
+    assert again.read(tmp_path) == again.read(table) == (("car ü", 3.0), ("b", 7.0))
+    for damaged in ("run_id,av,start_s\nr,a,inf\n", "run_id,av\nr,a\n", "run_id,av,start_s\nr\n"):
+        table.write_text(damaged)
+        with pytest.raises(UsageError, match="is no table of moments"):
+            again.read(table)
+
+
+def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path):
+    """Else one of them would be lost without a word."""
+    spec = plan.base_spec(SUMO_CONFIG, {"seed": 3}, (), ())
+    moments = [
+        Moment(
+            av=av, av_type="t", start_s=10.0, edge="in", following="", turn="along",
+            speed_mps=5.0, around=1,
+        )
+        for av in ("car.1", "Car_1", "car 1", "bus")
+    ]  # fmt: skip
+    tasks = plan._tasks(spec, moments)
+    assert len({task.run_id for task in tasks}) == 4
+    assert [task.spec.source.av.vehicle for task in tasks] == [one.av for one in moments]
+    assert tasks[3].run_id == "four-way--bus-10s--3"

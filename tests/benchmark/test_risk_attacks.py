@@ -171,3 +171,45 @@ def test_what_cannot_be_mapped_is_refused(tmp_path):
     (tmp_path / "out" / "manifest.json").write_text(json.dumps({"runs": 3}))
     with pytest.raises(UsageError, match="names no runs"):
         risk.read([tmp_path / "out"])
+
+
+def test_what_ends_a_turn_is_not_the_next_ones_too(tmp_path):
+    """The AV touches somebody else at the step at which one turn ends and the next begins."""
+    turns = [
+        {"opponent": "foe", "begin_s": begin, "end_s": begin + 2.0, "metrics": {}}
+        for begin in (0.0, 2.0)
+    ]
+    out = Attacks(tmp_path / "out")
+    out.add("a", av=eastward(), opponent=eastward(x=-155.0), other=30, turns=turns)
+    [network] = risk.read([tmp_path / "out"])
+    assert [one.other for one in network.attacks] == [True, False]
+
+
+def test_a_folder_that_is_named_twice_counts_once(tmp_path):
+    out = Attacks(tmp_path / "all" / "0")
+    out.add("a", av=eastward(), opponent=eastward(x=-160), hit=90)
+    [network] = risk.read([tmp_path / "all", tmp_path / "all" / "0", tmp_path / "all"])
+    assert len(network.attacks) == 1
+
+
+def test_a_network_without_a_readable_attack_is_told_and_no_network(tmp_path):
+    out = Attacks(tmp_path / "out")
+    run_id = out.add("a", av=eastward(), opponent=eastward())
+    (tmp_path / "out" / "runs" / run_id / "tracks.csv.gz").unlink()
+    with pytest.raises(UsageError, match="1 without readable tracks"):
+        risk.read([tmp_path / "out"])
+    out.add("b", av=eastward(), opponent=eastward(x=-160), hit=90, network="other")
+    [network] = risk.read([tmp_path / "out"])
+    assert (network.name, network.left_out) == ("other", {"without readable tracks": 1})
+
+
+def test_damaged_tables_are_refused(tmp_path):
+    out = Attacks(tmp_path / "out")
+    out.add("a", av=eastward(), opponent=eastward(x=-160), hit=90)
+    (tmp_path / "out" / "moments.csv").write_text("av,start_s\ncar,3.0\n")
+    with pytest.raises(UsageError, match=r"moments\.csv is no table of moments"):
+        risk.read([tmp_path / "out"])
+    (tmp_path / "out" / "moments.csv").unlink()
+    (tmp_path / "out" / "manifest.json").write_text("[]")
+    with pytest.raises(UsageError, match="it holds no names and values"):
+        risk.read([tmp_path / "out"])

@@ -152,3 +152,35 @@ def test_what_cannot_be_compared_is_refused(tmp_path):
         comparison.compare(a, a, ("speed",))
     with pytest.raises(UsageError, match="is no result folder"):
         comparison.compare(a, tmp_path / "a" / "runs")
+
+
+def test_settings_are_told_where_both_planners_have_them(tmp_path):
+    """An unset number is said to be one; what only one planner has, its name says already."""
+    settings = [{"accel_mps2": None, "headway_s": 1.5}, {"accel_mps2": 2.0, "margin_m": 3.0}]
+    for name, own in zip("ab", settings, strict=True):
+        out = Attacks(tmp_path / name)
+        both = {"planner": own, "adversary": {}}
+        out.add("car-3s", av=eastward(), opponent=eastward(), settings=both)
+    found = comparison.compare(tmp_path / "a", tmp_path / "b")
+    assert found.differs == {"planner.accel_mps2": (("not set",), ("2.0",))}
+
+
+def test_runs_without_a_partner_are_counted_by_moments(tmp_path):
+    """Each side holds its one moment twice: nobody is alone."""
+    for name in "ab":
+        for part in ("first", "second"):
+            Attacks(tmp_path / name / part).add("car-3s", av=eastward(), opponent=eastward())
+    found = comparison.compare(tmp_path / "a", tmp_path / "b")
+    assert (found.runs, found.pairs) == ((2, 2), 1)
+    assert not any("no partner" in note for note in found.notes)
+
+
+def test_runs_that_are_not_there_yet_differ_in_nothing(tmp_path):
+    for name in "ab":
+        out = Attacks(tmp_path / name)
+        out.add("car-3s", av=eastward(), opponent=eastward())
+    out.keys["city--car-9s--0"] = "never begun"
+    out.write()
+    found = comparison.compare(tmp_path / "a", tmp_path / "b")
+    assert (found.differs, found.pairs) == ({}, 1)
+    assert "1 runs of B failed, timed out or are missing, and are not compared" in found.notes

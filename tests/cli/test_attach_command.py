@@ -5,13 +5,15 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import sumo
 
-from deepmf_sumo.benchmark.live import assembly
+from deepmf_sumo.benchmark.live import assembly, attaching
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Plan
+from deepmf_sumo.simulation.live.connection import Port, connect
 
 CLIENT = """
 import sys, time, traci
@@ -174,6 +176,35 @@ def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
 def test_a_wrong_command_is_told_before_anybody_waits(port, tmp_path, capsys, options, said):
     assert attach(port, tmp_path / "live", "--av", "av", "--wait", 0, *options) == 2
     assert said in capsys.readouterr().err
+
+
+def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, monkeypatch):
+    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    (tmp_path / "session.json").write_text("{}")
+    (tmp_path / "attacks.jsonl").write_text("earlier\n")
+    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 3
+    assert (tmp_path / "attacks.jsonl").read_text() == "earlier\n"
+    assert (tmp_path / "session.json").read_text() == "{}"
+
+
+def test_a_connection_lost_before_the_first_step_is_one_line(port, tmp_path, capsys, monkeypatch):
+    class GoneError(Exception):
+        pass
+
+    def lost(*_):
+        raise GoneError("connection closed by SUMO")
+
+    api = SimpleNamespace(close=lost, TraCIException=GoneError, FatalTraCIError=GoneError)
+    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(assembly, "session", lost)
+    monkeypatch.setattr(attaching, "connect", lambda *_: api)
+    assert attach(port, tmp_path / "live", "--av", "av") == 3
+    assert "lost before the first step (connection closed by SUMO)" in capsys.readouterr().err
+
+
+def test_who_waits_for_a_port_can_be_stopped(port):
+    with pytest.raises(KeyboardInterrupt):
+        connect(Port(number=port, wait_s=60.0), stopped=lambda: True)
 
 
 def test_a_folder_with_other_files_is_left_alone(port, tmp_path, capsys, monkeypatch):

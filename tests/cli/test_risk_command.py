@@ -1,5 +1,5 @@
 import pytest
-from risk_doubles import Attacks, eastward
+from risk_doubles import Attacks, eastward, straight
 
 from deepmf_sumo.cli import main
 
@@ -42,3 +42,21 @@ def test_what_is_no_result_folder_is_refused_in_one_line(arguments, tmp_path, ca
 def test_an_unknown_quantity_is_refused(out, capsys):
     assert main._run(["compare", str(out), str(out), "--quantity", "speed"]) == 2
     assert "'speed' is no quantity" in capsys.readouterr().err
+
+
+def test_what_differs_on_purpose_is_one_line_for_all_names_of_it(tmp_path, capsys):
+    for name in ("before", "after"):
+        runs = Attacks(tmp_path / name)
+        runs.add("a", av=eastward(), opponent=eastward(), spec=name, network=name)
+    assert main._run(["compare", str(tmp_path / "before"), str(tmp_path / "after")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "spec, network, method: before in A, after in B" in [line.strip() for line in lines]
+
+
+def test_attacks_beside_all_roads_make_an_empty_map(tmp_path, capsys):
+    runs = Attacks(tmp_path / "out")
+    beside = straight((100.0, 100.0), 5.0, 0.0)
+    runs.add("a", av=beside, opponent=straight((100.0, 120.0), 5.0, 0.0))
+    assert main._run(["risk", str(tmp_path / "out")]) == 0
+    assert "four_way: 1 attacks" in capsys.readouterr().out
+    assert (tmp_path / "out" / "risk" / "risk.csv").read_text() == ""

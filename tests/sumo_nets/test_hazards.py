@@ -94,3 +94,18 @@ def test_agreement_is_kendalls():
     assert RANK.agreement(table(names), table(names[::-1])) == -1.0
     swapped = [names[1], names[0], *names[2:]]
     assert RANK.agreement(table(names), table(swapped)) == pytest.approx(1 - 2 / 780)
+
+
+@pytest.mark.parametrize("script", [BUILD, RANK])
+def test_a_flawed_place_that_is_none_is_refused(script, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["hazards", str(tmp_path), "--flawed", "merge33"])
+    with pytest.raises(SystemExit):
+        script.main()
+    assert "invalid choice: 'merge33'" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_made_is_told_in_one_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("sys.argv", ["build.py", str(tmp_path / "file" / "inside")])
+    assert BUILD.main() == 1
+    assert "cannot be written: Not a directory" in capsys.readouterr().err

@@ -1,13 +1,15 @@
 """One more client of a running SUMO."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
-from deepmf_sumo.simulation.live.connection import Port, connect
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect
 from deepmf_sumo.simulation.live.lockstep import End, Lockstep, Stay
 from deepmf_sumo.simulation.live.session import Fought
 
@@ -60,15 +62,13 @@ def attach(
         record.add(fought)
         tell(record.rows[-1])
 
-    api = connect(port)
-    end: str = "failed"
-    try:
+    api = connect(port, stopped)
+    with _closed_where_it_fails(api):
         own = assembly.session(api, wish, spec, add, policy)
         collisions = str(api.simulation.getOption("collision.action"))
-    except BaseException:
-        api.close()
-        raise
-    steps = Lockstep(api, own, wish.av, stay, stopped)
+        record.begin()
+        steps = Lockstep(api, own, wish.av, stay, stopped)
+    end: str = "failed"
     try:
         end = left = steps.run()
     finally:
@@ -80,3 +80,19 @@ def attach(
         nobody=own.nobody,
         collisions=collisions,
     )
+
+
+@contextmanager
+def _closed_where_it_fails(api: LiveApi) -> Iterator[None]:
+    """Before the first step: say goodbye whatever goes wrong, for SUMO quits without."""
+    try:
+        yield
+    except BaseException as error:
+        with suppress(api.TraCIException, api.FatalTraCIError, OSError):
+            api.close()
+        if isinstance(error, api.FatalTraCIError):
+            raise SimulationError(
+                f"The connection was lost before the first step ({str(error).strip()}): SUMO has "
+                "ended, or another of its clients broke off."
+            ) from None
+        raise

@@ -67,6 +67,7 @@ class Attacker:
         assembly.triggers_of(wish)
         self._record = Record(None if out is None else Path(out), av, spec)
         self._session = assembly.session(api, wish, spec, self._record.add)
+        self._record.begin()
 
     @property
     def attacks(self) -> list[dict[str, Any]]:

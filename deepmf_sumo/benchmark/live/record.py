@@ -39,7 +39,12 @@ class Record:
             "seed": spec.seed,
         }
         if out is not None:
-            _prepare(out)
+            _check(out)
+
+    def begin(self) -> None:
+        """The session begins; only now an earlier one in the folder is written over."""
+        if self._out is not None:
+            _empty(self._out)
             self._write("going on", None)
 
     def add(self, fought: Fought) -> None:
@@ -109,13 +114,20 @@ def _time(fought: Fought, step: int) -> float:
     return fought.begin_s + (step - fought.rollout.now) * fought.rollout.dt_s
 
 
-def _prepare(out: Path) -> None:
-    """An empty folder, or one of an earlier session, which is written over."""
+def _check(out: Path) -> None:
+    """Make the folder, unless it is there and empty or one of an earlier session."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         there = {path.name for path in out.iterdir()}
         if there and "session.json" not in there:
             raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
+    except OSError as error:
+        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
+
+
+def _empty(out: Path) -> None:
+    """Take away what an earlier session has written."""
+    try:
         for path in out.glob("attack-*/*"):
             path.unlink()
         for path in out.glob("attack-*"):

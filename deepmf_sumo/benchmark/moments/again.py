@@ -1,6 +1,7 @@
 """The moments of another attack, so that two designs or two planners are compared in pairs."""
 
 import csv
+import math
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,14 +11,14 @@ from deepmf_sumo.errors import UsageError
 
 
 def read(path: Path) -> tuple[VehicleTime, ...]:
-    """Vehicles and times of a result folder of `attack`, or of its moments.csv.
+    """Vehicles and times of a result folder of `attack`, or of its moments.csv; each once.
 
     Raises UsageError where there is no such table, or it holds none.
     """
     file = path / TABLE if path.is_dir() else path
     try:
         with file.open(encoding="utf-8", newline="") as table:
-            found = tuple(_rows(csv.DictReader(table)))
+            found = tuple(dict.fromkeys(_rows(csv.DictReader(table))))
     except OSError as error:
         raise UsageError(
             f"--moments-of {path}: {file} cannot be read ({error.strerror}); give a result"
@@ -34,4 +35,7 @@ def read(path: Path) -> tuple[VehicleTime, ...]:
 
 def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
     for row in table:
-        yield row["av"], round(float(row["start_s"]), 1)
+        start_s = float(row["start_s"])
+        if not math.isfinite(start_s):
+            raise ValueError(f"start_s {start_s}")
+        yield row["av"], round(start_s, 1)

@@ -32,7 +32,8 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
-    rows, reason = suitable(sightings, wish)
+    rows, none_at_all = suitable(sightings, wish)
+    reason = none_at_all
     rows = _again(sightings, wish, rows) if wish.again else _staying(sightings, wish, rows)
     moments: list[Moment] = []
     if len(rows):
@@ -43,7 +44,7 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
                 f"no {'other ' if moments else ''}vehicle that could be the AV has another vehicle"
                 f" within {REACH_M:g} m"
             )
-    if wish.again and len(moments) < wish.count:
+    if wish.again and len(moments) < wish.count and not none_at_all:
         reason = "the other vehicles are not there at their times, or nobody is around them"
     return Found(
         moments=tuple(sorted(moments, key=lambda one: (one.start_s, one.av))),

@@ -2,16 +2,18 @@
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, Final
+from zlib import crc32
 
 from deepmf_sumo.benchmark import batch, files
 from deepmf_sumo.benchmark.moments.choice import LONG_S
 from deepmf_sumo.benchmark.moments.moment import Moment
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.tasks import Task, slug
+from deepmf_sumo.benchmark.tasks import Task, run_id_of
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.spec import Av, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
@@ -63,7 +65,7 @@ def attack(
 
     Raises OutputError before anything runs.
     """
-    tasks = [_task(spec, one) for one in moments]
+    tasks = _tasks(spec, moments)
 
     def tell(progress: batch.Progress) -> None:
         if progress.last is None:  # the folder is there by now, and empty
@@ -73,13 +75,31 @@ def attack(
     return batch.run_tasks(tasks, options, tell)
 
 
+def _tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:
+    """One a moment, in order, with ids of their own.
+
+    SUMO tells ``A1``, ``a1`` and ``a.1`` apart, but names of files do not: there a checksum does.
+    """
+    tasks = [_task(spec, one) for one in moments]
+    times = Counter(task.run_id for task in tasks)
+    return [
+        task
+        if times[task.run_id] == 1
+        else replace(task, run_id=run_id_of(spec, _marked(task.scene)))
+        for task in tasks
+    ]
+
+
+def _marked(scene: str) -> str:
+    return f"{scene}-{crc32(scene.encode()):08x}"
+
+
 def _task(spec: Spec, moment: Moment) -> Task:
     chosen = {"start_s": moment.start_s, "av": Av(vehicle=moment.av)}
     source = spec.source.model_copy(update=chosen)
     own = spec.model_copy(update={"source": source})
     scene = f"{moment.av}-{moment.start_s:g}s"
-    run_id = "--".join([slug(spec.name), slug(scene), str(spec.seed)])
-    return Task(run_id=run_id, spec=own, scene=scene)
+    return Task(run_id=run_id_of(spec, scene), spec=own, scene=scene)
 
 
 def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:

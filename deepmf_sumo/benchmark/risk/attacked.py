@@ -142,11 +142,14 @@ def _attacked(
 
 
 def _contacts(result: Result, kind: str, first: int, last: int, who: str = "") -> list[int]:
-    """Steps of the AV's contacts of a kind within an attack, with anybody or with one."""
+    """Steps of the AV's contacts of a kind within an attack, with anybody or with one.
+
+    What happened at its first step belongs to the turn that ended there.
+    """
     return [
         int(one["step"])
         for one in result["contacts"]
         if one["kind"] == kind
-        and first <= one["step"] <= last
+        and first < one["step"] <= last
         and who in {"", one["first_id"], one["second_id"]}
     ]

@@ -52,17 +52,21 @@ class _Filling:
 def read(folders: Sequence[Path]) -> list[Network]:
     """The networks of result folders, each with its attacks; by name, then by content.
 
-    A folder may hold result folders instead, e.g. one a seed. Runs that went wrong or attacked
-    nobody are counted under ``left_out``, those on recorded scenes with the first network.
+    A folder may hold result folders instead, e.g. one a seed; one that is named twice counts once.
+    Runs that went wrong or attacked nobody are counted under ``left_out``, those on recorded scenes
+    or on networks without any attack that can be read with the first network.
 
     Raises UsageError where there is no result folder, or no attack on a SUMO network in them.
     """
     networks: dict[tuple[str, str], _Filling] = {}
     left_out: Counter[str] = Counter()
-    for folder in folders:
-        for out in result_folders(folder):
-            _read(out, networks, left_out)
-    found = [networks[key] for key in sorted(networks)]
+    once = {out.resolve(): out for folder in folders for out in result_folders(folder)}
+    for out in once.values():
+        _read(out, networks, left_out)
+    found = [networks[key] for key in sorted(networks) if networks[key].attacks]
+    for one in networks.values():
+        if not one.attacks:
+            left_out.update(one.left_out)
     if not found:
         why = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
         named = " ".join(map(str, folders))
@@ -158,6 +162,8 @@ def _json(file: Path) -> dict[str, Any]:
         values: dict[str, Any] = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(f"{file} cannot be read ({error}); run it anew.") from None
+    if not isinstance(values, dict):
+        raise UsageError(f"{file} is damaged: it holds no names and values; run it anew.")
     return values
 
 
@@ -166,8 +172,14 @@ def _moments(out: Path) -> dict[str, Row]:
     file = out / "moments.csv"
     if not file.is_file():
         return {}
-    with file.open(newline="", encoding="utf-8") as lines:
-        return {row["run_id"]: row for row in csv.DictReader(lines)}
+    try:
+        with file.open(newline="", encoding="utf-8") as lines:
+            return {row["run_id"]: row for row in csv.DictReader(lines)}
+    except (OSError, KeyError, ValueError, csv.Error):
+        raise UsageError(
+            f"{file} is no table of moments (column run_id); run it anew, or remove it: places"
+            " then come from the tracks alone."
+        ) from None
 
 
 def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling]) -> _Filling:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from deepmf_sumo.benchmark.gate import comparison, matching, rows
 from deepmf_sumo.benchmark.gate.comparison import Comparison
@@ -81,8 +81,7 @@ def compare(
     results = [attacks.of_runs(result_folders(side.source)) for side in (old, new)]
     differs = _differs(old.rows, new.rows)
     old, new = (_alike(side, set(differs)) for side in (old, new))
-    moments = [{row.run_id for row in side.rows.values() if row.judged} for side in (old, new)]
-    pairs = len(moments[0] & moments[1])
+    pairs = len(_moments(old) & _moments(new))
     tagged = [_tagged(side, mine) for side, mine in zip((old, new), results, strict=True)]
     return Compared(
         runs=(_judged(old), _judged(new)),
@@ -172,11 +171,13 @@ def _side(folder: Path) -> Results:
 
 
 def _differs(old: Mapping[str, Row], new: Mapping[str, Row]) -> Differs:
-    """What the two sides do not have in common, with the values of each."""
+    """What the two sides do not have in common, with the values of each.
+
+    Of a run that is not there yet only the id is known, not its planner or network.
+    """
+    sides = [[row for row in side.values() if row.status != "missing"] for side in (old, new)]
     values = {
-        name: tuple(
-            tuple(sorted({str(getattr(row, name)) for row in side.values()})) for side in (old, new)
-        )
+        name: tuple(tuple(sorted({str(getattr(row, name)) for row in side})) for side in sides)
         for name in _IDENTITY
     }
     return {name: (was, now) for name, (was, now) in values.items() if was != now}
@@ -194,21 +195,36 @@ def _alike(side: Results, differs: set[str]) -> Results:
     return replace(side, rows=found)
 
 
+def _moments(side: Results) -> set[str]:
+    """Moments and seeds with somebody attacked, each once; rows as of `_alike`."""
+    return {row.run_id for row in side.rows.values() if row.judged}
+
+
 def _judged(side: Results) -> int:
     return sum(row.judged for row in side.rows.values())
 
 
 def _settings(old: Mapping[str, Result], new: Mapping[str, Result]) -> Differs:
-    """The planner's settings that are not the same on both sides."""
+    """The settings that both sides' planners have, with other values.
+
+    A planner's own settings say nothing beside a planner that has none of them.
+    """
     values = [[one["settings"]["planner"] for one in side.values()] for side in (old, new)]
-    names = sorted({name for side in values for settings in side for name in settings})
+    known = [{name for settings in side for name in settings} for side in values]
+    names = sorted(known[0] & known[1])
     found = {
         f"planner.{name}": tuple(
-            tuple(sorted({str(settings.get(name, "-")) for settings in side})) for side in values
+            tuple(sorted({_told(settings[name]) for settings in side if name in settings}))
+            for side in values
         )
         for name in names
     }
     return {name: (was, now) for name, (was, now) in found.items() if was != now}
+
+
+def _told(value: Any) -> str:
+    """A setting's value for people."""
+    return "not set" if value is None else str(value)
 
 
 def _tagged(side: Results, results: Mapping[str, Result]) -> list[Tagged]:
@@ -222,7 +238,7 @@ def _tagged(side: Results, results: Mapping[str, Result]) -> list[Tagged]:
 
 
 def _notes(old: Results, new: Results, pairs: int) -> Iterable[str]:
-    fewer = min(_judged(old), _judged(new))
+    fewer = min(len(_moments(side)) for side in (old, new))
     if pairs < fewer:
         yield (
             f"{fewer - pairs} of {fewer} runs have no partner: moments that both sides were"

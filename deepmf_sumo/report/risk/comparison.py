@@ -44,16 +44,19 @@ def markdown(compared: Compared, names: tuple[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def heading(compared: Compared, names: tuple[str, str]) -> list[str]:
-    """Which is A, which is B, and what is different on purpose."""
+def heading(compared: Compared, sides: tuple[str, str]) -> list[str]:
+    """Which is A, which is B, and what is different on purpose: names of equal values together."""
     lines = [
         f"{letter}: {name}, {runs} runs"
-        for letter, name, runs in zip("AB", names, compared.runs, strict=True)
+        for letter, name, runs in zip("AB", sides, compared.runs, strict=True)
     ]
     lines.append(f"{compared.pairs} pairs of the same moment and seed")
+    alike: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
+    for name, values in compared.differs.items():
+        alike.setdefault(values, []).append(name)
     lines += [
-        f"{name}: {', '.join(was)} in A, {', '.join(now)} in B"
-        for name, (was, now) in compared.differs.items()
+        f"{', '.join(names)}: {', '.join(was)} in A, {', '.join(now)} in B"
+        for (was, now), names in alike.items()
     ]
     return lines
 

@@ -68,9 +68,10 @@ def _write(folder: Path, network: Network, title: str) -> Written:
 
 def _table(table: Sequence[dict[str, Any]]) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, table[0], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in table)
+    if table:  # all attacks may have been at no place
+        writer = csv.DictWriter(text, table[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({name: _cell(value) for name, value in row.items()} for row in table)
     return text.getvalue()
 
 

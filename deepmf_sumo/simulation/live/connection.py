@@ -1,6 +1,7 @@
 """The way into a running SUMO: a port of its own, or the connection of the user's script."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
@@ -57,12 +58,13 @@ def shared(connection: Any) -> LiveApi:
     return cast("LiveApi", _Shared(connection))
 
 
-def connect(port: Port) -> LiveApi:
+def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
     """Join the SUMO that listens on a port.
 
     SUMO does not step before all of its ``--num-clients`` have come, and takes none later.
 
-    Raises SimulationError where nobody listens in time, or the client's number is taken.
+    Raises SimulationError where nobody listens in time, or the client's number is taken, and
+    KeyboardInterrupt where it is ``stopped`` while nobody listens.
     """
     import traci
 
@@ -75,6 +77,8 @@ def connect(port: Port) -> LiveApi:
         except (traci.exceptions.FatalTraCIError, OSError, OverflowError):
             if time.monotonic() >= until:
                 raise SimulationError(_nobody(port)) from None
+            if stopped():
+                raise KeyboardInterrupt from None
             time.sleep(min(_AGAIN_S, max(0.0, until - time.monotonic())))
     try:
         connection.setOrder(port.order)

@@ -25,11 +25,13 @@ from deepmf_sumo.simulation.live.connection import LiveApi
 from deepmf_sumo.simulation.live.observer import Observer, Sighting
 from deepmf_sumo.simulation.live.surroundings import Surroundings
 from deepmf_sumo.simulation.recorder import Recorder
-from deepmf_sumo.simulation.takeover import Takeover
+from deepmf_sumo.simulation.takeover import Crowd, Takeover
 from deepmf_sumo.simulation.turns import Turns
 
 _LAST_STEPS: Final = 2
 """Beyond the longest attack: the step in which its end is seen."""
+_CROWD_M: Final = 150.0
+"""Around the opponent: whoever could be in the way of it where it is put, 50 m off at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,7 +69,9 @@ class Engagement:
         self.events: list[Event] = []
         self._scenery = scenery
         observer, av = scenery.observer, scenery.av_id
-        self._takeover = Takeover(scenery.api, self.events)
+        self._takeover = Takeover(
+            scenery.api, self.events, scenery.surroundings.places, may_remove=False
+        )
         self._av_pose = observer.pose(history[0], av)
         self._glide = Glide(self._av_pose)
         longest = round(scenery.rules.longest_s / DT_S) + _LAST_STEPS
@@ -106,7 +110,7 @@ class Engagement:
         if opponent is None:
             return
         if self._to is None or self._from is None:
-            self._takeover.hand_back(step, opponent)
+            self._let_go(opponent)
             return
         pose = self._to if share > 1 - 1e-9 else _between(self._from, self._to, share)
         length_m = self._scenery.observer.body(opponent).size_m[0]
@@ -166,8 +170,21 @@ class Engagement:
         return Turns(policy, view, rng, rules)
 
     def _let_go(self, opponent: AgentId | None) -> None:
-        if opponent is not None:
-            self._takeover.hand_back(self._recorder.step, opponent)
+        if opponent is not None and self._takeover.placed() is not None:
+            self._takeover.hand_back(self._recorder.step, opponent, self._crowd(opponent))
+
+    def _crowd(self, opponent: AgentId) -> Crowd | None:
+        """Who is around the opponent, which may be far from the AV by now; None where it is not."""
+        observer, placed = self._scenery.observer, self._takeover.placed()
+        at = observer.position(opponent)
+        if at is None or placed is None:
+            return None
+        known = {opponent: (placed[1], Driver.POLICY)}
+        av = self._scenery.av_id
+        if observer.position(av) is not None:
+            known[av] = (self._av_pose, Driver.PLANNER)
+        frame = observer.frame(observer.around(at, _CROWD_M), known)
+        return Crowd(frame=frame, size_m=observer.sizes_m(frame.ids), av_id=av)
 
     def _view(self) -> View:
         recorder, scenery = self._recorder, self._scenery

@@ -156,6 +156,20 @@ class Observer:
         )
         return frame.with_poses(placed) if placed else frame
 
+    def around(self, at: tuple[float, float], radius_m: float) -> Sighting:
+        """Who is near any point now: asked once, at the price of a few messages."""
+        poi, point = self._api.poi, f"deepmf_sumo place of {self._av}"
+        poi.add(point, *at, _INVISIBLE)
+        try:
+            seen: list[States] = []
+            for domain in (_VEHICLES, _PERSONS):
+                poi.subscribeContext(point, domain, radius_m, [POSITION, ANGLE, SPEED])
+                seen.append(dict(poi.getContextSubscriptionResults(point)))
+                poi.unsubscribeContext(point, domain, radius_m)
+        finally:
+            poi.remove(point)
+        return Sighting(*seen)
+
     def close(self) -> None:
         """Take the subscription and its point away again."""
         for domain in self._subscribed:

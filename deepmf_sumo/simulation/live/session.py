@@ -128,8 +128,10 @@ class Session:
 
     def close(self) -> None:
         """Hand back, and take away all that was put into the simulation."""
-        self.hand_back()
-        self._publish()
+        try:
+            self.hand_back()
+        finally:  # what was attacked is told of, even if the connection is gone
+            self._publish()
         self._scenery.observer.close()
 
     def _count_time(self) -> None:

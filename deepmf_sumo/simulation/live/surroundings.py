@@ -8,6 +8,7 @@ import numpy as np
 from deepmf_sumo.datatypes import RoadMap, SignalState
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.simulation.live.connection import LiveApi
+from deepmf_sumo.simulation.places import Places
 from deepmf_sumo.simulation.signals import LiveSignals
 
 _NEAR_M: Final = 150.0
@@ -15,7 +16,7 @@ _NEAR_M: Final = 150.0
 
 
 class Surroundings:
-    """Map and lights.
+    """Map, free places and lights.
 
     Args:
         api: the simulation.
@@ -26,6 +27,7 @@ class Surroundings:
 
     def __init__(self, api: LiveApi, net: Path, additional: tuple[Path, ...]) -> None:
         self.road: RoadMap = road_of_net(net, additional)
+        self.places = Places(api, self.road)
         self._api = api
         links = signal_links(net)
         self._links = {lane: row for lane, row in links.items() if lane in self.road.lanes}

@@ -1,0 +1,43 @@
+"""A connection that is lost: at the simulation's end, or for another reason."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.simulation.live.lockstep import Lockstep, Stay
+
+
+class LostError(Exception):
+    """What traci raises."""
+
+
+class RefusedError(Exception):
+    """Another."""
+
+
+def steps_lost_at(time_s):
+    def lost():
+        session.time_s = time_s
+        raise LostError("connection closed by SUMO")
+
+    nothing = lambda: None  # noqa: E731
+    session = SimpleNamespace(time_s=0.0, before_step=nothing, after_step=nothing, close=nothing)
+    api = SimpleNamespace(
+        simulationStep=lost,
+        close=nothing,
+        simulation=SimpleNamespace(getOption=lambda name: "25.0"),
+        FatalTraCIError=LostError,
+        TraCIException=RefusedError,
+    )
+    return Lockstep(api, session, "av", Stay(), lambda: False)
+
+
+def test_at_the_end_the_simulation_is_over():
+    assert steps_lost_at(24.9).run() == "simulation_over"
+
+
+@pytest.mark.parametrize("time_s", [12.0, 80.0], ids=["before", "SUMO goes on for its clients"])
+def test_else_it_is_lost(time_s):
+    with pytest.raises(SimulationError, match=f"lost at {time_s} s"):
+        steps_lost_at(time_s).run()

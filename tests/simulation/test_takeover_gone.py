@@ -1,0 +1,45 @@
+"""A driven vehicle that SUMO takes off the road, and brings back."""
+
+from types import SimpleNamespace
+
+from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.takeover import Takeover
+
+
+def simulation(there):
+    vehicle = SimpleNamespace(
+        getIDList=lambda: tuple(there),
+        getRoute=lambda agent: ("ab",),
+        moveToXY=lambda *_: None,
+        setSpeed=lambda *_: None,
+        setSpeedMode=lambda *_: None,
+        setPreviousSpeed=lambda *_: None,
+    )
+    return SimpleNamespace(vehicle=vehicle)
+
+
+def placed(there, events, places=None):
+    takeover = Takeover(simulation(there), events, places)
+    takeover.place(1, "ov", Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=5), 4.5)
+    takeover.after_step(1)
+    return takeover
+
+
+def test_one_that_comes_back_is_not_where_it_was_put():
+    there = ["ov"]
+    takeover = placed(there, [])
+    assert takeover.placed() is not None
+    there.clear()
+    takeover.after_step(2)
+    there.append("ov")
+    takeover.after_step(3)
+    assert takeover.placed() is None
+
+
+def test_one_on_no_road_is_not_moved():
+    events = []
+    takeover = placed(["ov"], events, places=object())
+    takeover.hand_back(2, "ov", None)
+    assert takeover.placed() is None
+    (event,) = events
+    assert (event.kind, event.detail) == ("opponent_gone", "SUMO has taken it off the road")
