@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Final, Literal, TypeVar
@@ -36,6 +37,9 @@ behind must not be held against the next one."""
 
 _LOOK_S: Final = 0.2
 """Between two looks at the memory of the workers."""
+
+_LAST_WORDS_S: Final = 5.0
+"""A worker that cannot be heard any more may take to end by itself, which its exit code tells."""
 
 _PR_SET_PDEATHSIG: Final = 1
 
@@ -139,7 +143,8 @@ class Worker:
         self.process: BaseProcess = context.Process(
             target=_serve, args=(theirs, self.work, os.getpid()), daemon=True
         )
-        with _environment(SINGLE_THREAD):
+        resource_tracker.ensure_running()  # starting it would let interrupts through
+        with _environment(SINGLE_THREAD), _interrupts_held_back():
             self.process.start()
         theirs.close()
 
@@ -186,12 +191,14 @@ class Worker:
         return memory.resident_mb(self.process.pid) > share * self.memory_mb
 
     def kill(self) -> None:
-        """End the process and its children."""
+        """End the process and its children, which outlive one that died by itself."""
+        if not self.alive:
+            return
         self.alive = False
-        if self.process.pid and self.process.is_alive():
+        if self.process.pid:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.kill()
+        self.process.kill()
         self.process.join()
         self.connection.close()
 
@@ -202,9 +209,11 @@ class Worker:
         return self._finish(status, reason)
 
     def _dead(self) -> Finished | None:
-        self.process.join()
-        code = self.process.exitcode or 0
+        end = time.monotonic() + _LAST_WORDS_S
+        while self.process.is_alive() and time.monotonic() < end:
+            time.sleep(0.01)  # `join` waits for ever where a hostile planner has closed its files
         self.kill()
+        code = self.process.exitcode or 0
         name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         if self.index is None and not self.ready:
             raise RunError(f"A worker process died while it started ({name}); see its message.")
@@ -220,6 +229,8 @@ class Worker:
 def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> None:
     """A worker's life. ``work`` has been imported by now, and its libraries with it."""
     os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # forgets what came before the group was its own
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     if sys.platform == "linux":  # at once, so that no folder has two writers after a resume
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -243,6 +254,16 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
+
+
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """A process started meanwhile hears no Ctrl-C while it loads; this one hears it afterwards."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

@@ -87,7 +87,7 @@ def found_in(shards: Sequence[Path], runs: Mapping[str, str]) -> dict[str, Path]
     for shard in shards:
         for run_id, key in runs.items():
             folder = shard / "runs" / run_id
-            if not folder.is_dir() or Store(shard).read_run(run_id)["key"] != key:
+            if not folder.is_dir() or Store(shard).read_run(run_id).get("key") != key:
                 continue
             if run_id in found:
                 raise UsageError(

@@ -51,8 +51,10 @@ class Store:
     def result(self, task: Task) -> Result | None:
         """The result of an equal run that is already there, if it went through."""
         try:
-            found: Result = json.loads((self.runs / task.run_id / "result.json").read_text("utf-8"))
+            found: Any = json.loads((self.runs / task.run_id / "result.json").read_text("utf-8"))
         except (OSError, ValueError):
+            return None
+        if not isinstance(found, dict):
             return None
         return found if found.get("key") == task.key and found.get("status") == "ok" else None
 
@@ -64,7 +66,9 @@ class Store:
         """The result of a run that is there. Raises UsageError where it cannot be read."""
         file = self.runs / run_id / "result.json"
         try:
-            found: Result = json.loads(file.read_text("utf-8"))
+            found: Any = json.loads(file.read_text("utf-8"))
+            if not isinstance(found, dict):
+                raise ValueError("it is no result of a run")
         except OSError as error:
             raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
         except ValueError as error:

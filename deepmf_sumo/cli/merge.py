@@ -34,7 +34,10 @@ def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bo
         results, missing = parts.merge(out, shards)
         screen.table(results, summary(results), out)
         if missing:
-            click.echo(f"{len(missing)} runs not begun: --resume makes them")
+            click.echo(
+                f"{len(missing)} runs are in no shard: the command without --shard, with"
+                f" --out {out} --resume, makes them"
+            )
     ctx.exit(INTERRUPTED if missing else batch.exit_code(results))
 
 

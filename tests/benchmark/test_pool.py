@@ -36,6 +36,13 @@ def do(task):
         child = subprocess.Popen(["sleep", "60"])
         Path(value).write_text(str(child.pid))
         time.sleep(60)
+    elif kind == "orphan":
+        child = subprocess.Popen(["sleep", "60"])
+        Path(value).write_text(str(child.pid))
+        os._exit(7)
+    elif kind == "deaf":
+        os.closerange(3, 64)
+        time.sleep(60)
 
 
 class NeverStarts:
@@ -73,6 +80,47 @@ def test_time_limit_kills_the_worker_and_its_children(tmp_path):
     assert [one.status for one in endings] == ["timeout", "done"]
     assert endings[0].reason == "longer than 1 s"
     assert _gone(int(pid_file.read_text()))
+
+
+def test_children_do_not_outlive_a_worker_that_crashes(tmp_path):
+    pid_file = tmp_path / "pid"
+    (ending,) = pool.run(do, [("orphan", pid_file)], jobs=1, timeout_s=60)
+    assert ending.status == "crashed"
+    assert "exit code 7" in ending.reason
+    assert _gone(int(pid_file.read_text()))
+
+
+def test_a_worker_that_hangs_up_costs_one_task(tmp_path, monkeypatch):
+    monkeypatch.setattr(pool, "_LAST_WORDS_S", 0.1)
+    tasks = [("deaf", None), ("write", tmp_path / "after")]
+    endings = list(pool.run(do, tasks, jobs=1, timeout_s=20))
+    assert [one.status for one in endings] == ["crashed", "done"]
+    assert "SIGKILL" in endings[0].reason
+
+
+def test_ctrl_c_at_the_start_of_a_worker_is_the_parents_alone(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import sys, signal; sys.path[:0] = sys.argv[1:3]\n"
+        "import test_pool\n"
+        "from deepmf_sumo.benchmark import pool\n"
+        "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, lambda *_: None)\n"
+        "    print('starts', flush=True)\n"
+        "    endings = pool.run(test_pool.do, [('write', sys.argv[3])], jobs=1, timeout_s=20)\n"
+        "    print([one.status for one in endings])\n"
+    )
+    here = Path(__file__).resolve()
+    parent = subprocess.Popen(
+        [sys.executable, program, here.parents[2], here.parent, tmp_path / "written"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    assert parent.stdout.readline() == "starts\n"
+    while parent.poll() is None:  # to all of the terminal's group, as a terminal does
+        os.killpg(parent.pid, signal.SIGINT)
+        time.sleep(0.05)
+    said, errors = parent.communicate()
+    assert (said, errors) == ("['done']\n", "")
 
 
 def test_memory_limit_costs_one_task(tmp_path):

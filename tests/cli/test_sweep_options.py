@@ -63,7 +63,9 @@ def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
     assert "3 runs: 3 ok" in capsys.readouterr().out
     assert compare.differences(folders / "whole", tmp_path / "all") == []
     assert call("merge", tmp_path / "half", parts[1]) == 130
-    assert "2 runs not begun: --resume makes them" in capsys.readouterr().out
+    assert f"2 runs are in no shard: the command without --shard, with --out {tmp_path}" in (
+        capsys.readouterr().out
+    )
     assert call("merge", tmp_path / "twice", parts[0], parts[0]) == 2
     assert "give each shard once" in capsys.readouterr().err
 
@@ -89,6 +91,22 @@ def test_wrong_parts_are_not_merged(folders, tmp_path, capsys):
     assert call("merge", tmp_path / "out", folders / "whole") == 2
     assert "it has no shard.json, which --shard writes" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["[]", "{"])
+def test_a_damaged_result_is_named_by_merge_and_done_again_by_resume(
+    specs, whole, folders, tmp_path, capsys, text
+):
+    part = Path(shutil.copytree(folders / "1", tmp_path / "1"))
+    damaged = min(part.glob("runs/*/result.json"))
+    damaged.write_text(text)
+    assert call("merge", tmp_path / "all", part, folders / "2") == 2
+    assert f"{damaged} is damaged" in capsys.readouterr().err
+    assert not (tmp_path / "all").exists()
+    again = min(whole.glob("runs/*/result.json"))
+    again.write_text(text)
+    assert call("run", *specs, "--no-pictures", "--out", whole, "--resume") == 0
+    assert compare.differences(folders / "whole", whole) == []
 
 
 def test_thresholds_are_judged_at_the_end(specs, whole, tmp_path, capsys):
