@@ -82,6 +82,12 @@ def attach(
     )
 
 
+_NUMBERS = (
+    "every client needs a number of its own, --order here and setOrder in a script, and SUMO one "
+    "--num-clients for all of them."
+)
+
+
 @contextmanager
 def _closed_where_it_fails(api: LiveApi) -> Iterator[None]:
     """Before the first step: say goodbye whatever goes wrong, for SUMO quits without."""
@@ -93,6 +99,10 @@ def _closed_where_it_fails(api: LiveApi) -> Iterator[None]:
         if isinstance(error, api.FatalTraCIError):
             raise SimulationError(
                 f"The connection was lost before the first step ({str(error).strip()}): SUMO has "
-                "ended, or another of its clients broke off."
+                f"ended, or another of its clients broke off; {_NUMBERS}"
+            ) from None
+        if isinstance(error, api.TraCIException):  # also what SUMO answers late to setOrder
+            raise SimulationError(
+                f"SUMO refused before the first step ({str(error).strip()}); {_NUMBERS}"
             ) from None
         raise
