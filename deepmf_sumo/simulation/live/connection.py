@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
@@ -84,6 +85,8 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
         connection.setOrder(port.order)
         connection.getVersion()  # answered when all clients have come
     except (traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError) as error:
+        with suppress(traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError, OSError):
+            connection.close()  # SUMO ends, for it refuses the other client as well
         raise SimulationError(
             f"SUMO at {port.host}:{port.number} refused client {port.order} "
             f"({str(error).strip()}); every client needs a number of its own, --order, and SUMO "
