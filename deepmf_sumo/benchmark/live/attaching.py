@@ -9,7 +9,7 @@ from typing import Any
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect
+from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, of_sumo
 from deepmf_sumo.simulation.live.lockstep import End, Lockstep, Stay
 from deepmf_sumo.simulation.live.session import Fought
 
@@ -94,14 +94,14 @@ def _closed_where_it_fails(api: LiveApi) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        with suppress(api.TraCIException, api.FatalTraCIError, OSError):
+        with suppress(Exception):
             api.close()
-        if isinstance(error, api.FatalTraCIError):
+        if type(error).__name__ == "FatalTraCIError":
             raise SimulationError(
                 f"The connection was lost before the first step ({str(error).strip()}): SUMO has "
                 f"ended, or another of its clients broke off; {_NUMBERS}"
             ) from None
-        if isinstance(error, api.TraCIException):  # also what SUMO answers late to setOrder
+        if of_sumo(error):  # also what SUMO answers late to setOrder
             raise SimulationError(
                 f"SUMO refused before the first step ({str(error).strip()}); {_NUMBERS}"
             ) from None

@@ -84,8 +84,10 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
     try:
         connection.setOrder(port.order)
         connection.getVersion()  # answered when all clients have come
-    except (traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError) as error:
-        with suppress(traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError, OSError):
+    except Exception as error:
+        if not of_sumo(error):
+            raise
+        with suppress(Exception):
             connection.close()  # SUMO ends, for it refuses the other client as well
         raise SimulationError(
             f"SUMO at {port.host}:{port.number} refused client {port.order} "
@@ -93,6 +95,11 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
             "one --num-clients for all of them."
         ) from None
     return shared(connection)
+
+
+def of_sumo(error: BaseException) -> bool:
+    """Whether SUMO or its connection says so: libsumo and traci have classes of their own."""
+    return type(error).__name__ in {"TraCIException", "FatalTraCIError"}
 
 
 def _nobody(port: Port) -> str:
