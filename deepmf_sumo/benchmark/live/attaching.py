@@ -96,7 +96,7 @@ def _closed_where_it_fails(api: LiveApi) -> Iterator[None]:
     except BaseException as error:
         with suppress(Exception):
             api.close()
-        if type(error).__name__ == "FatalTraCIError":
+        if isinstance(error, api.FatalTraCIError) or type(error).__name__ == "FatalTraCIError":
             raise SimulationError(
                 f"The connection was lost before the first step ({str(error).strip()}): SUMO has "
                 f"ended, or another of its clients broke off; {_NUMBERS}"
