@@ -59,7 +59,8 @@ class Attacks:
             "settings": {"planner": {}, "adversary": {}}, "weights": "open", "status": "ok",
             "error": "", "opponent": None if opponent is None else "foe",
             "outcome": contacts[0]["kind"] if contacts else "none", "contacts": contacts,
-            "steps": len(av) - 11, "expectations_broken": [], "timings": {"wall_s": 1.0},
+            "steps": len(av) - 11, "duration_steps": 80,
+            "expectations_broken": [], "timings": {"wall_s": 1.0},
             "metrics": {name: {"value": one} for name, one in {**known, **dict(metrics)}.items()},
             **changes,
         }  # fmt: skip

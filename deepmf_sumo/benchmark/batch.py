@@ -8,10 +8,11 @@ from typing import Any
 from deepmf_sumo.benchmark import episode, executors, result, shards, tasks
 from deepmf_sumo.benchmark.executors import Limits
 from deepmf_sumo.benchmark.home import cache_folder
+from deepmf_sumo.benchmark.inputs import Input, fingerprinted
 from deepmf_sumo.benchmark.pool import Finished
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.shards import Shard
-from deepmf_sumo.benchmark.store import Store, open_folder
+from deepmf_sumo.benchmark.store import Store, opened
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.spec import Expect, Spec
 
@@ -56,12 +57,16 @@ class Progress:
 
     Attributes:
         kept: of those done, from before. lost: that are done again, their machine was lost.
+        again: that went through before, but differ in spec or version, or read files that have
+            changed. changed: files that an earlier batch read with other content.
     """
 
     done: int
     of: int
     kept: int
     lost: int = 0
+    again: int = 0
+    changed: tuple[str, ...] = ()
     last: Result | None = None
 
 
@@ -83,22 +88,66 @@ def run_tasks(
     planned: Sequence[Task],
     options: Options,
     report: Callable[[Progress], None] = lambda _: None,
+) -> list[Result]:
+    """As `run`, of tasks; tables are in their order."""
+    executors.chosen(options.executor, options.jobs)  # what is wrong shows before anything is done
+    every, read = fingerprinted(planned)
+    mine = options.shard.choose(every) if options.shard else every
+    with opened(options.out, resume=options.resume) as store:
+        changed = begin(store, mine, options, read)
+        shards.note(options.out, every if options.shard else None)
+        return fill(store, mine, options, report, changed=changed)
+
+
+def begin(
+    store: Store, planned: Sequence[Task], options: Options, read: Sequence[Input]
+) -> tuple[str, ...]:
+    """Write the manifest; what may differ between equal batches is apart in it.
+
+    ``read`` is what the runs read. Returns the files that an earlier batch of the folder read with
+    other content.
+    """
+    before = store.inputs()
+    now = {str(one.path): one.digest for one in read}
+    machine = {
+        "executor": options.executor,
+        "jobs": options.jobs,
+        "timeout_s": options.timeout_s,
+        "inputs": now,
+    }
+    store.begin(planned, machine)
+    return tuple(path for path, got in before.items() if now.get(path, got) != got)
+
+
+def fill(
+    store: Store,
+    planned: Sequence[Task],
+    options: Options,
+    report: Callable[[Progress], None] = lambda _: None,
     *,
     queue: Callable[[Task], Any] | None = None,
+    changed: tuple[str, ...] = (),
 ) -> list[Result]:
-    """As `run`; tables are in the order of ``planned``, runs begin in that of the key ``queue``."""
-    executors.chosen(options.executor, options.jobs)  # what is wrong shows before anything is done
-    every = planned
-    if options.shard:
-        planned = options.shard.choose(every)
-    store = open_folder(options.out, resume=options.resume)
-    _begin(store, planned, options)
-    shards.note(options.out, every if options.shard else None)
-    found = {task.run_id: kept for task in planned if (kept := store.result(task))}
+    """Do the tasks that are not done, and write the tables, into a folder that has begun.
+
+    Runs begin in the order of the key ``queue``; ``changed`` is that of `begin`.
+    """
+    before = {task.run_id: result for task in planned if (result := store.earlier(task))}
+    found = {
+        task.run_id: before[task.run_id]
+        for task in planned
+        if before.get(task.run_id, {}).get("key") == task.key
+    }
     left = [task for task in planned if task.run_id not in found]
     if queue:
         left.sort(key=queue)
-    now = Progress(done=len(found), of=len(planned), kept=len(found))
+    now = Progress(
+        done=len(found),
+        of=len(planned),
+        kept=len(found),
+        again=len(before) - len(found),
+        changed=changed,
+    )
     report(now)
     endings, interrupted = _endings(store, left, options), True
     try:
@@ -114,16 +163,6 @@ def run_tasks(
         expects = any(task.spec.expect != Expect() for task in planned)
         store.finish(results, junit_too=options.junit or expects, interrupted=interrupted)
     return results
-
-
-def _begin(store: Store, planned: Sequence[Task], options: Options) -> None:
-    """The manifest; what may differ between equal batches is apart in it."""
-    machine = {
-        "executor": options.executor,
-        "jobs": options.jobs,
-        "timeout_s": options.timeout_s,
-    }
-    store.begin(planned, machine)
 
 
 def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Progress:

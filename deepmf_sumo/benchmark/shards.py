@@ -6,7 +6,8 @@ Benchmarks have more to join than runs (`study.merge`); they share `Shard`.
 import json
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -14,7 +15,7 @@ from typing import Any, Final, Self
 import deepmf_sumo
 from deepmf_sumo.benchmark import files
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.store import Store, open_folder
+from deepmf_sumo.benchmark.store import Store, opened
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import OutputError, UsageError
 
@@ -66,13 +67,14 @@ def merge(out: Path, shards: Sequence[Path]) -> tuple[list[Result], list[str]]:
     """
     runs = _common(shards)
     found = found_in(shards, runs)
-    store, results = copied(out, shards, runs, found)
-    for name in _WHOLE:
-        if (shards[0] / name).is_file():
-            files.write(out / name, (shards[0] / name).read_bytes())
     missing = [run_id for run_id in runs if run_id not in found]
     junit_too = any((shard / "junit.xml").is_file() for shard in shards)
-    store.finish(results, junit_too=junit_too, interrupted=bool(missing))
+    with joining(out, shards) as store:
+        results = copied(store, shards, runs, found)
+        for name in _WHOLE:
+            if (shards[0] / name).is_file():
+                files.write(out / name, (shards[0] / name).read_bytes())
+        store.finish(results, junit_too=junit_too, interrupted=bool(missing))
     return results, missing
 
 
@@ -98,13 +100,19 @@ def found_in(shards: Sequence[Path], runs: Mapping[str, str]) -> dict[str, Path]
     return found
 
 
-def copied(
-    out: Path, shards: Sequence[Path], runs: Mapping[str, str], found: Mapping[str, Path]
-) -> tuple[Store, list[Result]]:
-    """A new result folder with the runs that are there, and their results in order."""
+@contextmanager
+def joining(out: Path, shards: Sequence[Path]) -> Iterator[Store]:
+    """A new result folder for what the shards hold."""
     if out.resolve() in {shard.resolve() for shard in shards}:
         raise UsageError(f"{out} is one of the shards; choose another folder for OUT.")
-    store = open_folder(out, resume=False)
+    with opened(out, resume=False) as store:
+        yield store
+
+
+def copied(
+    store: Store, shards: Sequence[Path], runs: Mapping[str, str], found: Mapping[str, Path]
+) -> list[Result]:
+    """Copy the runs that are there into a new result folder; their results in order."""
     keys = {run_id: key for run_id, key in runs.items() if run_id in found}
     try:
         for run_id in keys:
@@ -112,9 +120,9 @@ def copied(
             shutil.copytree(found[run_id], beside)
             beside.replace(store.runs / run_id)
     except OSError as error:
-        raise OutputError(f"{out} cannot be written: {error.strerror or error}.") from None
+        raise OutputError(f"{store.out} cannot be written: {error.strerror or error}.") from None
     store.manifest(keys, {"shards": [str(shard) for shard in shards]})
-    return store, [store.read_run(run_id) for run_id in keys]
+    return [store.read_run(run_id) for run_id in keys]
 
 
 def _common(shards: Sequence[Path]) -> dict[str, str]:
@@ -148,4 +156,4 @@ def _read(shard: Path) -> list[tuple[str, str]]:
     return runs
 
 
-__all__ = ["Shard", "copied", "found_in", "merge", "note", "of_benchmark"]
+__all__ = ["Shard", "copied", "found_in", "joining", "merge", "note", "of_benchmark"]

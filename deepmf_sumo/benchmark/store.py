@@ -9,7 +9,8 @@ import shutil
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -17,19 +18,20 @@ from statistics import fmean, median
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, junit, result, turns
+from deepmf_sumo.benchmark import files, junit, locks, result, turns
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.metrics.statistics.wilson import wilson
 
 FORMAT_VERSION: Final = 1
-_MADE: Final = (
+MADE: Final = (
     "runs", "runs.csv", "summary.json", "junit.xml", "report.html", "study.json", "table.csv",
     "table.md", "table.tex", "differences.csv", "equal_seconds.csv", "curves.csv", "accidents.csv",
     "figures", "moments.csv", "shard.json", "turns.csv", "risk",
+    "attacks.jsonl", "session.json",
 )  # fmt: skip
-"""What an earlier batch or benchmark leaves in its folder."""
+"""What an earlier batch, benchmark or live session leaves in its folder, the manifest apart."""
 _NUMBERED: Final = {"accident_type", "avoidance_grade"}
 """Metrics that number names: they are counted, for a mean of them says nothing."""
 _DIRECTIONS: Final = {"pdof"}
@@ -48,15 +50,16 @@ class Store:
         """The folder of all runs."""
         return self.out / "runs"
 
-    def result(self, task: Task) -> Result | None:
-        """The result of an equal run that is already there, if it went through."""
+    def earlier(self, task: Task) -> Result | None:
+        """The result of a run of this name that is already there, if it went through.
+
+        It is an equal run's where its ``key`` is the task's.
+        """
         try:
             found: Any = json.loads((self.runs / task.run_id / "result.json").read_text("utf-8"))
         except (OSError, ValueError):
             return None
-        if not isinstance(found, dict):
-            return None
-        return found if found.get("key") == task.key and found.get("status") == "ok" else None
+        return found if isinstance(found, dict) and found.get("status") == "ok" else None
 
     def read(self, task: Task) -> Result:
         """The result that a worker has written."""
@@ -76,6 +79,14 @@ class Store:
                 f"{file} is damaged ({error}); remove the run's folder and go on with --resume."
             ) from None
         return found
+
+    def inputs(self) -> dict[str, str]:
+        """Digests of the files that the batch of the manifest read, by path; none before one."""
+        try:
+            found: Any = json.loads((self.out / "manifest.json").read_text("utf-8"))
+            return dict(found["machine"]["inputs"])
+        except (OSError, ValueError, LookupError, TypeError):
+            return {}
 
     def planned(self) -> int:
         """How many runs the batch of the manifest has, ended or not."""
@@ -119,25 +130,40 @@ class Store:
             junit.write(self.out / "junit.xml", results)
 
 
-def open_folder(out: Path, *, resume: bool) -> Store:
-    """An empty result folder; earlier results in it are removed unless ``resume``.
+@contextmanager
+def opened(out: Path, *, resume: bool) -> Iterator[Store]:
+    """An empty result folder, or with ``resume`` as it is; nobody else fills it meanwhile.
 
-    Raises OutputError where it cannot be written, or holds something else.
+    Raises OutputError where it cannot be written, holds something else, or another process fills
+    it; then nothing in it is changed.
     """
-    manifest = out / "manifest.json"
+    with ExitStack() as until_done:
+        with _named(out):
+            out.mkdir(parents=True, exist_ok=True)
+            if not (_is_ours(out / "manifest.json") or _is_empty(out)):
+                raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
+            until_done.enter_context(locks.held(out))
+            _emptied(out, resume=resume)
+        yield Store(out)
+
+
+def _emptied(out: Path, *, resume: bool) -> None:
+    """Take earlier results away unless ``resume``, and see whether the folder can be written."""
+    if not resume:
+        for name in MADE:
+            remove(out / name)
+    (out / "runs").mkdir(exist_ok=True)
+    files.write(out / "runs" / ".writable", "")
+    (out / "runs" / ".writable").unlink()
+
+
+@contextmanager
+def _named(out: Path) -> Iterator[None]:
+    """What the system refuses is said of the folder."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        if not (_is_ours(manifest) or _is_empty(out)):
-            raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
-        if not resume:
-            for name in _MADE:
-                _remove(out / name)
-        (out / "runs").mkdir(exist_ok=True)
-        files.write(out / "runs" / ".writable", "")
-        (out / "runs" / ".writable").unlink()
+        yield
     except OSError as error:
         raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
-    return Store(out)
 
 
 def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:
@@ -192,7 +218,7 @@ def _timings(done: Sequence[Result], name: str) -> list[float]:
 
 def _is_empty(out: Path) -> bool:
     """Whether a folder holds nothing, or only what a batch killed in its first moment leaves."""
-    left = {".manifest.json.part", "runs", ".writable"}
+    left = {".manifest.json.part", "runs", ".writable", locks.FILE}
     return all(path.name in left for path in out.rglob("*"))
 
 
@@ -203,7 +229,8 @@ def _is_ours(manifest: Path) -> bool:
         return False
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Take a file or a folder away, if it is there."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:

@@ -43,20 +43,19 @@ class Task:
         run_id: ``<spec>--<scene>--<seed>``, safe as a file name, unique in a batch.
         scene: id in the recording, or the network's file name without suffix.
         label: in a benchmark; None takes the names of spec and planner.
+        inputs: digest of what is in the files that it reads, see `inputs.fingerprinted`.
     """
 
     run_id: str
     spec: Spec
     scene: str
     label: Label | None = None
+    inputs: str = ""
 
     @property
     def key(self) -> str:
-        """Digest of the spec and the version: equal runs have equal ones.
-
-        What is in the files that the spec names is not part of it, nor are planners of the user's.
-        """
-        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.resolved()]
+        """Digest of the spec, the files that it names and the version: of equal runs the same."""
+        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.resolved(), self.inputs]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def entropy(self) -> list[int]:

@@ -1,20 +1,38 @@
-"""``deepmf-sumo attack``: a .sumocfg -> result folder, without a spec."""
+"""``deepmf-sumo attack``: .sumocfgs -> result folder, without a spec."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
-from deepmf_sumo.cli.sweep import Sweep, end_of_runs, options
+from deepmf_sumo.cli.sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
 
+_AFTER: Final = "after --"
 
-@click.command(name="attack")
-@click.argument("config", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("sumo_options", metavar="[-- SUMO OPTIONS]", nargs=-1, type=click.UNPROCESSED)
+
+class _WithSumoOptions(click.Command):
+    """A command line of which all after ``--`` is SUMO's: click itself drops the mark."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse what stands before the mark, and keep the rest."""
+        end = args.index("--") if "--" in args else len(args)
+        ctx.meta[_AFTER] = tuple(args[end + 1 :])
+        return super().parse_args(ctx, args[:end])
+
+    def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
+        """As in the line that shows how the command is used."""
+        return [*super().collect_usage_pieces(ctx), "[-- SUMO OPTIONS]"]
+
+
+@click.command(name="attack", cls=_WithSumoOptions)
+@click.argument(
+    "configs", metavar="CONFIG...", nargs=-1, required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+)  # fmt: skip
 @click.option(
     "--moments", "-n", "count", type=click.IntRange(1, 100_000),
-    help="How many attacks.  [default: 10, or one for each --at]",
+    help="How many attacks of each CONFIG.  [default: 10, or one for each --at]",
 )  # fmt: skip
 @click.option("--av", metavar="ID", help="Attack this vehicle.")
 @click.option("--av-type", metavar="TYPE", help="Attack vehicles of this type.")
@@ -44,16 +62,20 @@ from deepmf_sumo.errors import UsageError
     type=click.IntRange(min=0),
     help="Of all choices and of SUMO.  [default: the configuration's]",
 )
+@click.option(
+    "--risk/--no-risk", "mapped", default=True, show_default=True,
+    help="Write the risk map at the end, as `deepmf-sumo risk` does.",
+)  # fmt: skip
 @options(out="results", pictures=True)
 @click.pass_context
 def command(
     ctx: click.Context,
     /,
-    config: Path,
-    sumo_options: tuple[str, ...],
+    configs: tuple[Path, ...],
     until_s: float | None,
     sets: tuple[str, ...],
     again: Path | None,
+    mapped: bool,
     sweep: Sweep,
     **wanted: Any,
 ) -> None:
@@ -61,39 +83,66 @@ def command(
 
     One simulation without an attack shows who is where when; each moment chosen is then a run of
     its own: SUMO's traffic up to the moment, the planner and the attack from there on. Writes a
-    result folder as `run` does, and moments.csv. Where nobody can be attacked it says why, and
-    ends with 0.
+    result folder as `run` does, moments.csv and a risk map. Where nobody can be attacked it says
+    why, and ends with 0. Of several CONFIGs each is attacked alike, all in one result folder.
     """
     from deepmf_sumo.benchmark import moments
-    from deepmf_sumo.cli.screen.moments import announce
     from deepmf_sumo.cli.screen.runs import progress
+
+    batch = sweep.begin()
+    if again is not None:
+        _refuse_others(configs, **wanted)
+        wanted["again"] = moments.read(again)
+    common = {key: wanted.pop(key) for key in _KEYS}
+    chosen = [
+        _chosen(config, ctx.meta[_AFTER], common, sets, until_s, sweep.timeout, **wanted)
+        for config in configs
+    ]
+    with progress() as report:
+        results = moments.attack(chosen, batch, report)
+    code = end_of_runs(sweep, results)
+    if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):
+        map_risk(sweep.out)
+    ctx.exit(code)
+
+
+def _chosen(
+    config: Path,
+    sumo_options: tuple[str, ...],
+    common: dict[str, Any],
+    sets: tuple[str, ...],
+    until_s: float | None,
+    timeout_s: float,
+    **wanted: Any,
+) -> tuple[Any, Any]:
+    """What the runs on a configuration have in common, and the moments of its own."""
+    from deepmf_sumo.benchmark import moments
+    from deepmf_sumo.cli.screen.moments import announce
     from deepmf_sumo.simulation.configuration import read_configuration
     from deepmf_sumo.simulation.scouting import Scouting
 
-    batch = sweep.begin()
     configuration = read_configuration(config, sumo_options)
-    keys = _keys(configuration.seed, **{key: wanted.pop(key) for key in _KEYS})
-    spec = moments.base_spec(config, keys, sets, sumo_options)
+    spec = moments.base_spec(config, _keys(configuration.seed, **common), sets, sumo_options)
     scouting = Scouting(config=config, sumo_options=sumo_options, seed=spec.seed, until_s=until_s)
-    if again is not None:
-        _refuse_others(**wanted)
-        wanted["again"] = moments.read(again)
-    chosen = wanted["at_s"] or wanted.get("again", ())
-    count = wanted.pop("count") or len(chosen) or 10
+    named = wanted["at_s"] or wanted.get("again", ())
+    count = wanted.pop("count") or len(named) or 10
     wish = moments.Wish(count=count, duration_s=spec.duration_s, seed=spec.seed, **wanted)
-    found = moments.find(scouting, wish, sweep.timeout)
+    found = moments.find(scouting, wish, timeout_s)
     announce(configuration, found, wish)
-    with progress() as report:
-        results = moments.attack(spec, found.moments, batch, report)
-    ctx.exit(end_of_runs(sweep, results))
+    return spec, found.moments
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
 """Options that are keys of the spec."""
 
 
-def _refuse_others(**wanted: Any) -> None:
+def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
     """Raise UsageError where more is wanted than the moments of another attack."""
+    if len(configs) > 1:
+        raise UsageError(
+            f"--moments-of goes with one configuration, and {len(configs)} are given: vehicles are"
+            " those of one traffic."
+        )
     names = {"count": "--moments", "av": "--av", "av_type": "--av-type", "at_s": "--at"}
     for key, option in names.items():
         if wanted[key]:

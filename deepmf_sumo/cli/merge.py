@@ -27,12 +27,15 @@ def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bo
     from deepmf_sumo.benchmark.store import summary
     from deepmf_sumo.cli.main import INTERRUPTED
     from deepmf_sumo.cli.screen import runs as screen
+    from deepmf_sumo.cli.sweep import map_risk
 
     if parts.of_benchmark(shards[0]):
         results, missing = _benchmark(out, shards, figures=figures)
     else:
         results, missing = parts.merge(out, shards)
         screen.table(results, summary(results), out)
+        if any((shard / "risk").is_dir() for shard in shards):
+            map_risk(out)
         if missing:
             click.echo(
                 f"{len(missing)} runs are in no shard: the command without --shard, with"

@@ -23,7 +23,8 @@ class PlanReason:
         product: (N1) the paper's plain product P_j * sum_k P_jk * Coll_jk.
         chosen: index of the candidate.
         rule: the rule that chose it; ``<rule>, any sector`` where no pair hits the wanted one,
-            ``nothing fair`` where none can be avoided, ``fallback`` where no pair collides.
+            ``nothing fair`` where none can be avoided, ``nothing lawful`` where all break a rule of
+            the road, ``fallback`` where no pair collides.
         bent_m: (N1) farthest that the kinematic limits moved a candidate from its prediction.
         milliseconds: wall time by part.
         origin: (N1) where each candidate comes from: ``mode`` of the prediction, ``goal`` near the
@@ -33,7 +34,8 @@ class PlanReason:
         sector: (N1, N2) sector in which a pair first overlaps, -1 where it does not; None where
             none is wanted.
         fair: (N1) a competent driver could avoid the candidate; None where that was not asked.
-        unmet: wishes that no candidate meets: ``sector``, ``fair``.
+        lawful: (N1) the candidate breaks no rule of the road; None where that was not asked.
+        unmet: wishes that no candidate meets: ``sector``, ``fair``, ``lawful``.
     """
 
     scores: OpponentScores | None
@@ -51,6 +53,7 @@ class PlanReason:
     wanted_sector: int | None = None
     sector: Ints | None = None
     fair: Bools | None = None
+    lawful: Bools | None = None
     unmet: tuple[str, ...] = ()
 
     @property
@@ -58,6 +61,14 @@ class PlanReason:
         """(N1) probability that the AV's reaction to each candidate collides with it."""
         chance = np.stack([reaction.probability for reaction in self.reactions])
         mass: Floats = (chance * self.collides).sum(axis=1)
+        return mass
+
+    @property
+    def wished_mass(self) -> Floats:
+        """(N1) the same; 0 for candidates that are not fair or not lawful where they had to be."""
+        mass = self.collision_mass
+        for wish in (self.fair, self.lawful):
+            mass = mass if wish is None else mass * wish
         return mass
 
 

@@ -104,6 +104,25 @@ def test_other_settings_are_not_resumed(tiny, tmp_path):
     assert seen[0].kept == 0
 
 
+def test_runs_on_files_that_have_changed_are_not_resumed(tiny, tmp_path):
+    options = batch.Options(out=tmp_path / "out", resume=True)
+    specs = [spec.load(tiny_network.spec(tiny, f"run {number}")) for number in range(2)]
+    routes = tiny / "tiny.rou.xml"
+    batch.run(specs, options)
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert str(routes) in manifest["machine"]["inputs"]
+    routes.touch()
+    seen = []
+    batch.run(specs, options, seen.append)
+    assert (seen[0].kept, seen[0].again) == (2, 0)
+    routes.write_text(routes.read_text() + "<!-- another demand -->")
+    batch.run(specs[:1], options, seen.append)
+    assert (seen[1].kept, seen[1].again, seen[1].changed) == (0, 1, (str(routes),))
+    seen.clear()
+    batch.run(specs, options, seen.append)
+    assert (seen[0].kept, seen[0].again) == (1, 1)
+
+
 def test_broken_expectation(tiny, tmp_path):
     path = tiny_network.spec(tiny, "strict", expect="{av_collision: true}")
     results = batch.run([spec.load(path)], batch.Options(out=tmp_path / "out"))

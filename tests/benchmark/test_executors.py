@@ -14,7 +14,7 @@ from ray_double import Ray
 from deepmf_sumo.benchmark import executors
 from deepmf_sumo.benchmark.executors import Limits, cluster, local, place
 from deepmf_sumo.benchmark.executors.cluster import Cluster
-from deepmf_sumo.benchmark.executors.inputs import Input, digest
+from deepmf_sumo.benchmark.inputs import Input, digest
 from deepmf_sumo.errors import PluginError, RunError, UsageError
 
 

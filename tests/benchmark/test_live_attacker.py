@@ -1,15 +1,21 @@
 """``deepmf_sumo.Attacker`` around the steps of a script."""
 
+import csv
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import sumo
+from live_policies import Keep
 
 import deepmf_sumo
+from deepmf_sumo.benchmark import episode, gate, risk
 from deepmf_sumo.benchmark.live import assembly
-from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.errors import OutputError, SpecError, UsageError
+from deepmf_sumo.report import comparison
+from deepmf_sumo.simulation.live.connection import shared
 
 libsumo = pytest.importorskip("libsumo")
 traci = pytest.importorskip("traci")
@@ -87,7 +93,72 @@ def test_deepmf_attacks_and_the_vehicle_is_sumos_again(started, tmp_path):
     route = started.vehicle.getRoute("leader")
     started.simulationStep()
     assert route == started.vehicle.getRoute("leader") == ("ab",)
-    assert len((tmp_path / "live" / "attacks.jsonl").read_text().splitlines()) == 1
+    out = tmp_path / "live"
+    assert len((out / "attacks.jsonl").read_text().splitlines()) == 1
+    result = json.loads((out / "runs" / "attack-001" / "result.json").read_text())
+    assert (result["planner"], result["network"], result["settings"]["planner"]) == (
+        "script", "tiny", {},
+    )  # fmt: skip
+    assert result["metrics"]["min_gap"]["value"] == pytest.approx(row["min_gap_m"], abs=1e-3)
+    assert result["metrics"]["red_light"]["value"] is None
+    assert "lights" in result["metrics"]["red_light"]["reason"]
+    (line,) = comparison.compare([out]).to_dict("records")
+    assert (line["planner"], line["runs"], line["version"]) == ("script", 1, "S1")
+    (network,) = risk.read([out])
+    (attacked,) = network.attacks
+    assert (network.name, attacked.decided.edge, attacked.hit) == ("tiny", "ab", False)
+    assert gate.read(out).rows["attack-001"].judged
+
+
+def test_attacks_share_one_copy_of_the_network_and_a_new_session_begins_anew(
+    started, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+
+    started.simulationStep()
+    for one in ("av", "leader"):
+        started.vehicle.setMaxSpeed(one, 6.0)
+
+    def session():
+        with deepmf_sumo.Attacker(
+            started, av="av", duration_s=3.0, pause_s=0.0, out=tmp_path / "live"
+        ) as attacker:
+            drive(started, attacker, 90)
+        return len(attacker.attacks)
+
+    attacks, runs = session(), tmp_path / "live" / "runs"
+    assert len(list(runs.iterdir())) == attacks > 1
+    nets = list(runs.glob("*/sumo/net.net.xml"))
+    assert len({net.stat().st_ino for net in nets}) == 1
+    again = session()
+    assert len(list(runs.iterdir())) == again
+    assert len(json.loads((tmp_path / "live" / "manifest.json").read_text())["runs"]) == again
+
+
+def test_two_sessions_do_not_write_into_one_folder(started, policy, tmp_path):
+    out = tmp_path / "live"
+    with deepmf_sumo.Attacker(started, av="av", out=out):
+        with pytest.raises(OutputError, match="is being written by process"):
+            deepmf_sumo.Attacker(started, av="leader", out=out)
+        assert json.loads((out / "session.json").read_text())["av"] == "av"
+    with deepmf_sumo.Attacker(started, av="leader", out=out):
+        assert json.loads((out / "session.json").read_text())["av"] == "leader"
+
+
+def test_an_attack_that_cannot_be_measured_is_a_row(started, tmp_path, monkeypatch):
+    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+
+    def broken(rollout, case):
+        raise ZeroDivisionError("of a metric")
+
+    monkeypatch.setattr(episode, "measure", broken)
+    with deepmf_sumo.Attacker(started, av="av", duration_s=3.0, out=tmp_path / "live") as attacker:
+        drive(started, attacker, 60)
+    with (tmp_path / "live" / "runs.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert len(rows) == len(attacker.attacks) == 1
+    assert (rows[0]["status"], rows[0]["planner"]) == ("failed", "script")
+    assert rows[0]["error"] == "not measured: ZeroDivisionError: of a metric"
 
 
 def test_a_traci_connection_will_do_and_an_error_of_the_script_is_the_scripts(tiny, policy):
@@ -112,6 +183,18 @@ def test_a_traci_connection_will_do_and_an_error_of_the_script_is_the_scripts(ti
         assert conn.poi.getIDCount() == 0
     finally:
         traci.close()
+
+
+def test_the_exceptions_are_those_of_the_connection_though_libsumo_replaces_one(tiny):
+    assert traci.exceptions.TraCIException is libsumo.TraCIException
+    program = Path(sumo.SUMO_HOME) / "bin" / "sumo"
+    traci.start([str(program), "-c", str(tiny / "tiny.sumocfg")], stdout=subprocess.DEVNULL)
+    api = shared(traci.getConnection())
+    with pytest.raises(api.TraCIException, match="not known"):
+        api.vehicle.getSpeed("nobody")
+    traci.close()
+    with pytest.raises(api.FatalTraCIError):
+        api.simulationStep()
 
 
 @pytest.mark.parametrize(

@@ -216,15 +216,16 @@ def test_summary(found, task):
 
 def test_folder_of_an_earlier_batch_is_emptied_unless_resumed(tmp_path):
     out = tmp_path / "deep" / "out"
-    store.open_folder(out, resume=False).begin([], {})
-    (out / "runs" / "old").mkdir()
-    store.open_folder(out, resume=True)
-    assert (out / "runs" / "old").is_dir()
-    store.open_folder(out, resume=False)
-    assert list((out / "runs").iterdir()) == []
+    with store.opened(out, resume=False) as folder:
+        folder.begin([], {})
+        (out / "runs" / "old").mkdir()
+    with store.opened(out, resume=True):
+        assert (out / "runs" / "old").is_dir()
+    with store.opened(out, resume=False):
+        assert list((out / "runs").iterdir()) == []
     (out / "manifest.json").write_text("[]")
-    with pytest.raises(OutputError, match="holds other files"):
-        store.open_folder(out, resume=False)
+    with pytest.raises(OutputError, match="holds other files"), store.opened(out, resume=False):
+        pass
 
 
 def test_compare_sees_what_matters(tmp_path):

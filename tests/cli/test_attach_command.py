@@ -1,5 +1,6 @@
 """``deepmf-sumo attach`` beside another client, and what can go wrong with it."""
 
+import csv
 import json
 import socket
 import subprocess
@@ -9,10 +10,10 @@ from types import SimpleNamespace
 
 import pytest
 import sumo
+from live_policies import Keep
 
 from deepmf_sumo.benchmark.live import assembly, attaching
 from deepmf_sumo.cli import main
-from deepmf_sumo.datatypes import Plan
 from deepmf_sumo.simulation.live.connection import Port, connect
 
 CLIENT = """
@@ -37,27 +38,6 @@ for step in range(1, steps + 1):
 print("AV at", api.vehicle.getSpeed("av") if "av" in api.vehicle.getIDList() else "-", flush=True)
 api.close()
 """
-
-
-class Keep:
-    """The leader goes on as it does."""
-
-    period_steps = 10
-
-    def reset(self, view, rng):
-        return "leader"
-
-    def plan(self, view):
-        row = view.history.row("leader")
-        x, y = view.history.position_m[row, -1]
-        speed = float(view.history.speed_mps[row, -1])
-        return Plan(
-            agent_id="leader",
-            first_step=view.step + 1,
-            position_m=[(x + 0.1 * speed * step, y) for step in range(1, 81)],
-            heading_rad=[0.0] * 80,
-            speed_mps=[speed] * 80,
-        )
 
 
 @pytest.fixture
@@ -112,7 +92,10 @@ def test_steps_with_the_script_and_leaves_it_alone(simulation, port, tmp_path, c
     assert row["events"][-1]["kind"] == "handed_back"
     session = json.loads((tmp_path / "live" / "session.json").read_text())
     assert (session["ended"], session["attacks"]) == ("until", 1)
-    assert (tmp_path / "live" / "attack-001" / "tracks.csv.gz").is_file()
+    assert (tmp_path / "live" / "runs" / "attack-001" / "tracks.csv.gz").is_file()
+    with (tmp_path / "live" / "runs.csv").open() as table:
+        (run,) = csv.DictReader(table)
+    assert (run["run_id"], run["scene"], run["status"]) == ("attack-001", "av-1.1s", "ok")
 
 
 def test_an_av_that_leaves_ends_the_session(simulation, port, tmp_path, capsys):
@@ -188,13 +171,12 @@ def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, monkeyp
 
 
 def test_a_connection_lost_before_the_first_step_is_one_line(port, tmp_path, capsys, monkeypatch):
-    class GoneError(Exception):
-        pass
+    gone = type("FatalTraCIError", (Exception,), {})
 
     def lost(*_):
-        raise GoneError("connection closed by SUMO")
+        raise gone("connection closed by SUMO")
 
-    api = SimpleNamespace(close=lost, TraCIException=GoneError, FatalTraCIError=GoneError)
+    api = SimpleNamespace(close=lost)
     monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
     monkeypatch.setattr(assembly, "session", lost)
     monkeypatch.setattr(attaching, "connect", lambda *_: api)

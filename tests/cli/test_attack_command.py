@@ -85,3 +85,32 @@ def test_moments_of_another_attack_make_pairs(tiny, tmp_path, capsys):
         capsys.readouterr()
         assert attack(tiny, tmp_path / "bad", *more) == 2
         assert message in capsys.readouterr().err
+
+
+def test_several_configurations_go_into_one_folder(tiny, tmp_path, capsys):
+    other, same = tiny / "other.sumocfg", tmp_path / "tiny.sumocfg"
+    other.write_text((tiny / "tiny.sumocfg").read_text())
+    out = tmp_path / "out"
+    assert attack(tiny, out, other, "--at", 2.5, "--duration", 0.5, "--", "--scale", 1) == 0
+    shown = capsys.readouterr()
+    assert "2 runs: 2 ok" in shown.out
+    assert "other.sumocfg: 2 vehicles" in shown.err
+    with (out / "moments.csv").open() as table:
+        ids = [row["run_id"] for row in csv.DictReader(table)]
+    assert [one.partition("--")[0] for one in ids] == ["tiny", "other"]
+    assert {path.name for path in (out / "runs").iterdir()} == set(ids)
+    same.write_text(other.read_text().replace('value="tiny', f'value="{tiny}/tiny'))
+    assert attack(tiny, tmp_path / "bad", same, "--at", 2.5, "--duration", 0.5) == 2
+    assert "Two configurations would both be called 'tiny'" in capsys.readouterr().err
+    assert attack(tiny, tmp_path / "bad", other, "--moments-of", out) == 2
+    assert "--moments-of goes with one configuration" in capsys.readouterr().err
+    assert not (tmp_path / "bad").exists()
+
+
+@pytest.mark.parametrize("mapped", [True, False])
+def test_attacks_leave_a_risk_map(tiny, tmp_path, capsys, mapped):
+    out = tmp_path / "out"
+    more = ["--at", 2.5, "--av", "av", "--duration", 1, "--set", "adversary=rule"]
+    assert attack(tiny, out, *more, *([] if mapped else ["--no-risk"])) == 0
+    assert (f"{out}/risk/risk.html" in capsys.readouterr().out) == mapped
+    assert (out / "risk" / "edges.xml").is_file() == mapped

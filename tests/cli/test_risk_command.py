@@ -1,7 +1,10 @@
+import json
+
 import pytest
-from risk_doubles import Attacks, eastward, straight
+from risk_doubles import NET, Attacks, eastward, straight
 
 from deepmf_sumo.cli import main
+from deepmf_sumo.cli.sweep import map_risk
 
 
 @pytest.fixture
@@ -60,3 +63,58 @@ def test_attacks_beside_all_roads_make_an_empty_map(tmp_path, capsys):
     assert main._run(["risk", str(tmp_path / "out")]) == 0
     assert "four_way: 1 attacks" in capsys.readouterr().out
     assert (tmp_path / "out" / "risk" / "risk.csv").read_text() == ""
+
+
+def test_the_map_after_attacks_replaces_an_earlier_one_and_is_no_error(out, tmp_path, capsys):
+    (out / "risk" / "1-earlier").mkdir(parents=True)
+    map_risk(out)
+    assert capsys.readouterr().out == f"{out}/risk/risk.html\n"
+    assert not (out / "risk" / "1-earlier").exists()
+    for run in (out / "runs").iterdir():
+        (run / "tracks.csv.gz").write_bytes(b"cut")
+    map_risk(out)
+    assert "no risk map: " in capsys.readouterr().err
+    assert not (out / "risk").exists()
+
+
+def test_sides_that_are_not_alike_are_told_or_refused(tmp_path, capsys):
+    other_net = tmp_path / "other.net.xml"
+    other_net.write_text(NET.read_text().replace("</net>", "<!-- widened --></net>"))
+    for name, net, changes in (
+        ("was", NET, {}),
+        ("wider", other_net, {}),
+        ("both", other_net, {"planner": "sumo"}),
+        ("longer", NET, {"duration_steps": 200}),
+    ):
+        Attacks(tmp_path / name, net=net).add(
+            "a", av=eastward(), opponent=eastward(x=-160.0), **changes
+        )
+
+    def compared(name):
+        code = main._run(["compare", str(tmp_path / "was"), str(tmp_path / name)])
+        told = capsys.readouterr()
+        return code, " ".join((told.out + told.err).split())
+
+    widened, either = "four_way is not the same in A and B", "planner and network are both"
+    assert widened not in compared("was")[1]
+    assert widened in compared("wider")[1]
+    assert either not in compared("wider")[1]
+    assert either in compared("both")[1]
+    code, told = compared("longer")
+    assert code == 2
+    assert "may last 8 s and those of" in told
+    assert "longer 20 s, so their hits cannot be compared" in told
+
+
+def test_traffic_that_has_changed_is_told(tmp_path, capsys):
+    for name, digest in (("was", "1"), ("same", "1"), ("more", "2")):
+        runs = Attacks(tmp_path / name)
+        runs.add("a", av=eastward(), opponent=eastward(x=-160.0))
+        file = tmp_path / name / "manifest.json"
+        inputs = {f"/{name}/city.rou.xml": digest, f"/{name}/city.net.xml": name}
+        manifest = json.loads(file.read_text()) | {"machine": {"inputs": inputs}}
+        file.write_text(json.dumps(manifest))
+    for other, told in (("same", False), ("more", True)):
+        assert main._run(["compare", str(tmp_path / "was"), str(tmp_path / other)]) == 0
+        shown = " ".join(capsys.readouterr().out.split())
+        assert ("city.rou.xml: not the same in A and B" in shown) == told

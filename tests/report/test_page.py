@@ -385,6 +385,88 @@ def test_a_browser_shows_table_and_replay(folder):
     assert "cannot be shown" not in text
 
 
+TURNS = [
+    {
+        "opponent": name,
+        "begin_s": begin_s,
+        "end_s": begin_s + 3.0,
+        "ended": ended,
+        "outcome": outcome,
+        "hit_speed_mps": speed,
+        "metrics": {"min_gap": gap, "ttc_min": None},
+    }
+    for name, begin_s, ended, outcome, speed, gap in (
+        ("c", 0.0, "out_of_reach", "none", None, 0.4),
+        ("b", 4.0, "contact", "av_opponent", 3.5, 0.0),
+        ("<d>", 7.5, "time", "none", None, None),
+    )
+]
+
+
+def with_turns(folder):
+    folder.add("s1")
+    (file,) = (folder.out / "runs").glob("*/result.json")
+    file.write_text(json.dumps({**json.loads(file.read_text()), "turns": TURNS}))
+    return file
+
+
+def test_all_turns_are_there_and_the_decisive_one_is_said(folder):
+    file = with_turns(folder)
+    turns = Parsed(page.write(folder.out)).details(0)["turns"]
+    assert [turn["opponent"] for turn in turns] == ["c", "b", "<d>"]
+    assert [turn["decisive"] for turn in turns] == [False, True, False]
+    assert turns[1]["outcome"] == "AV hit by opponent"
+    result = json.loads(file.read_text())
+    result["turns"] = [TURNS[2], TURNS[0]]
+    file.write_text(json.dumps(result))
+    turns = Parsed(page.write(folder.out)).details(0)["turns"]
+    assert [turn["decisive"] for turn in turns] == [False, True]
+
+
+def test_timelines_are_those_of_each_turn_while_it_lasts(folder):
+    file = with_turns(folder)
+    replay = Parsed(page.write(folder.out)).details(0)["replay"]
+    now = replay["now"]
+    step = restored(replay["timeline"]["step"], 1)
+    known = {agent["id"] for agent in replay["agents"]}
+    spans = [
+        range(now + round(turn["begin_s"] * 10), now + round(turn["end_s"] * 10) + 1)
+        for turn in TURNS
+        if turn["opponent"] in known
+    ]
+    assert spans
+    assert set(step) <= {one for span in spans for one in span}
+    file.write_text(json.dumps({**json.loads(file.read_text()), "turns": None}))
+    whole = Parsed(page.write(folder.out)).details(0)["replay"]["timeline"]
+    assert whole["gap"] != replay["timeline"]["gap"]
+
+
+def test_a_line_breaks_between_turns():
+    found = javascript(["charts"], "apart([[1, 5], [2, 6], [7, 1], [8, null]])")
+    assert found == [[1, 5], [2, 6], [6, None], [7, 1], [8, None]]
+    turns = [
+        {"opponent": "c", "begin": 0.0, "end": 1.0},
+        {"opponent": "b", "begin": 2.0, "end": 3.0},
+    ]
+    scene = {"now": 10, "dt": 0.1, "agents": [{"id": "c"}, {"id": "b"}], "turns": turns}
+    asked = f"[10, 20, 25, 40].map((step) => attackerAt({json.dumps(scene)}, step)?.id ?? null)"
+    assert javascript(["turns"], asked) == ["c", "c", None, "b"]
+
+
+def test_a_browser_marks_turns_on_the_timelines(folder):
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    with_turns(folder)
+    text = shown(f"file://{page.write(folder.out)}#run=00-s1")
+    assert "Turns (3)" in text
+    assert "AV hit by opponent (decisive)" in text
+    assert "turn 3: &lt;d&gt;, time" in text
+    charts = text.count('<svg viewBox="0 0 460 150"')
+    assert charts >= 1
+    assert text.count('class="turn"') == 2 * charts
+    assert text.count('class="turn hit"') == charts
+
+
 def shown(address):
     """The page's elements once its scripts have run."""
     options = [

@@ -16,8 +16,8 @@ from typing import Any, Final
 import deepmf_sumo
 from deepmf_sumo.benchmark.executors import place
 from deepmf_sumo.benchmark.executors.base import Limits, Work
-from deepmf_sumo.benchmark.executors.inputs import inputs_of
 from deepmf_sumo.benchmark.executors.place import Answer, Home, Place
+from deepmf_sumo.benchmark.inputs import inputs_of
 from deepmf_sumo.benchmark.pool import START_LIMIT_S, Finished
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import DeepmfError, PluginError, RunError, UsageError

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import deepmf_sumo
 from deepmf_sumo.benchmark.executors.base import Limits
-from deepmf_sumo.benchmark.executors.inputs import Input, lacking
+from deepmf_sumo.benchmark.inputs import Input, lacking
 from deepmf_sumo.benchmark.pool import Finished, Worker
 from deepmf_sumo.benchmark.tasks import Task
 

@@ -9,6 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
+from deepmf_sumo.benchmark.live.results import Stage
 from deepmf_sumo.datatypes import AgentId, TurnRules
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.policies import deepmf
@@ -129,6 +130,12 @@ def session(
         np.random.default_rng([spec.seed, crc32(wish.av.encode())]),
         finished,
     )
+
+
+def stage_of(session: Session, wish: Wish) -> Stage:
+    """Where the attacks of a session take place."""
+    around = session.surroundings
+    return Stage(net=around.net, road=around.road, longest_s=wish.duration_s)
 
 
 def _check_edges(api: LiveApi, triggers: Sequence[Trigger]) -> None:

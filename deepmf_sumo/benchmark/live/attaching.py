@@ -9,7 +9,7 @@ from typing import Any
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, of_sumo
+from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, lost, of_sumo
 from deepmf_sumo.simulation.live.lockstep import End, Lockstep, Stay
 from deepmf_sumo.simulation.live.session import Fought
 
@@ -66,7 +66,7 @@ def attach(
     with _closed_where_it_fails(api):
         own = assembly.session(api, wish, spec, add, policy)
         collisions = str(api.simulation.getOption("collision.action"))
-        record.begin()
+        record.begin(assembly.stage_of(own, wish))
         steps = Lockstep(api, own, wish.av, stay, stopped)
     end: str = "failed"
     try:
@@ -96,7 +96,7 @@ def _closed_where_it_fails(api: LiveApi) -> Iterator[None]:
     except BaseException as error:
         with suppress(Exception):
             api.close()
-        if isinstance(error, api.FatalTraCIError) or type(error).__name__ == "FatalTraCIError":
+        if lost(error):
             raise SimulationError(
                 f"The connection was lost before the first step ({str(error).strip()}): SUMO has "
                 f"ended, or another of its clients broke off; {_NUMBERS}"

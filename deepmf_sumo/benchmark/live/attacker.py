@@ -33,7 +33,8 @@ class Attacker:
         duration_s: of an attack, at most. pause_s: after it, before the next.
         sets: ``key=value`` as in specs, of ``adversary``, ``weights`` and ``seed``.
         net: the network file; None asks SUMO, which names it relative to where it was started.
-        out: folder for ``attacks.jsonl`` and the tracks of each attack; None writes nothing.
+        out: folder for ``attacks.jsonl`` and the attacks as runs of a result folder; None writes
+            nothing.
 
     Attributes:
         attacks: those that are over, as dictionaries: a line of ``attacks.jsonl`` each.
@@ -67,7 +68,7 @@ class Attacker:
         assembly.triggers_of(wish)
         self._record = Record(None if out is None else Path(out), av, spec)
         self._session = assembly.session(api, wish, spec, self._record.add)
-        self._record.begin()
+        self._record.begin(assembly.stage_of(self._session, wish))
 
     @property
     def attacks(self) -> list[dict[str, Any]]:

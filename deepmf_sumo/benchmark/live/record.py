@@ -1,12 +1,15 @@
-"""What happened to a running simulation: ``attacks.jsonl``, ``session.json``, tracks and plans."""
+"""What happened to a running simulation: ``attacks.jsonl``, ``session.json``, a result folder."""
 
 import json
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import artifacts, files
+from deepmf_sumo.benchmark import files, locks
+from deepmf_sumo.benchmark.live.results import Results, Stage
+from deepmf_sumo.benchmark.store import MADE, remove
 from deepmf_sumo.datatypes import AgentId, Contact, Event
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.simulation.live.session import Fought
@@ -28,7 +31,9 @@ class Record:
 
     def __init__(self, out: Path | None, av: AgentId, spec: Spec) -> None:
         self.rows: list[dict[str, Any]] = []
-        self._out = out
+        self._out, self._spec = out, spec
+        self._results: Results | None = None
+        self._held = ExitStack()
         self._about = {
             "format_version": FORMAT_VERSION,
             "tool": "deepmf-sumo",
@@ -41,29 +46,32 @@ class Record:
         if out is not None:
             _check(out)
 
-    def begin(self) -> None:
-        """The session begins; only now an earlier one in the folder is written over."""
+    def begin(self, stage: Stage) -> None:
+        """The session begins; only now an earlier one in the folder is written over.
+
+        Raises OutputError where another process writes into the folder.
+        """
         if self._out is not None:
+            self._held.enter_context(locks.held(self._out))
             _empty(self._out)
             self._write("going on", None)
+            self._results = Results(self._out, self._spec, stage)
 
     def add(self, fought: Fought) -> None:
         """An attack that is over."""
         self.rows.append(row(fought))
-        if self._out is None:
+        if self._out is None or self._results is None:
             return
-        folder = self._out / f"attack-{fought.number:03d}"
-        folder.mkdir(exist_ok=True)
-        artifacts.write_tracks(folder / "tracks.csv.gz", fought.rollout)
-        artifacts.write_plans(folder / "plans.npz", fought.rollout)
         lines = [json.dumps(one, sort_keys=True, ensure_ascii=False) for one in self.rows]
         files.write(self._out / "attacks.jsonl", "".join(f"{line}\n" for line in lines))
         self._write("going on", fought.end_s)
+        self._results.add(fought)
 
     def finish(self, end: str, time_s: float) -> None:
         """The session is over."""
         if self._out is not None:
             self._write(end, time_s)
+        self._held.close()
 
     def _write(self, end: str, time_s: float | None) -> None:
         assert self._out is not None
@@ -118,7 +126,7 @@ def _check(out: Path) -> None:
     """Make the folder, unless it is there and empty or one of an earlier session."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        there = {path.name for path in out.iterdir()}
+        there = {path.name for path in out.iterdir()} - {locks.FILE}
         if there and "session.json" not in there:
             raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
     except OSError as error:
@@ -128,10 +136,8 @@ def _check(out: Path) -> None:
 def _empty(out: Path) -> None:
     """Take away what an earlier session has written."""
     try:
-        for path in out.glob("attack-*/*"):
-            path.unlink()
-        for path in out.glob("attack-*"):
-            path.rmdir()
-        (out / "attacks.jsonl").unlink(missing_ok=True)
+        for name in MADE:
+            if name != "session.json":  # by which the folder is known to be ours
+                remove(out / name)
     except OSError as error:
         raise OutputError(f"{out} cannot be written: {error.strerror}.") from None

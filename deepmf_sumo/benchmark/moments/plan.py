@@ -13,8 +13,8 @@ from deepmf_sumo.benchmark import batch, files
 from deepmf_sumo.benchmark.moments.choice import LONG_S
 from deepmf_sumo.benchmark.moments.moment import Moment
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.tasks import Task, run_id_of
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.benchmark.tasks import Task, run_id_of, slug
+from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.spec import Av, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
 
@@ -56,16 +56,22 @@ def base_spec(
 
 
 def attack(
-    spec: Spec,
-    moments: Sequence[Moment],
+    chosen: Sequence[tuple[Spec, Sequence[Moment]]],
     options: batch.Options,
     report: Callable[[batch.Progress], None],
 ) -> list[Result]:
     """Attack each moment, and write the result folder; ``moments.csv`` says where they are.
 
-    Raises OutputError before anything runs.
+    Args:
+        chosen: of each configuration what its runs have in common, and its moments.
+        options: of the batch.
+        report: is told of each run that is over.
+
+    Raises SpecError where two configurations have one name, OutputError; before anything runs.
     """
-    tasks = _tasks(spec, moments)
+    _check_names([spec for spec, _ in chosen])
+    tasks = [task for spec, moments in chosen for task in _tasks(spec, moments)]
+    moments = [moment for _, found in chosen for moment in found]
 
     def tell(progress: batch.Progress) -> None:
         if progress.last is None:  # the folder is there by now, and empty
@@ -73,6 +79,17 @@ def attack(
         report(progress)
 
     return batch.run_tasks(tasks, options, tell)
+
+
+def _check_names(specs: Sequence[Spec]) -> None:
+    """Runs are called after their configurations."""
+    slugs = Counter(slug(spec.name) for spec in specs)
+    for spec in specs:
+        if slugs[slug(spec.name)] > 1:
+            raise SpecError(
+                f"Two configurations would both be called '{slug(spec.name)}' in one result folder:"
+                " attack each with an --out of its own, or rename one."
+            )
 
 
 def _tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:

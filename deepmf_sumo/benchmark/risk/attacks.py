@@ -184,20 +184,30 @@ def _moments(out: Path) -> dict[str, Row]:
 
 def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling]) -> _Filling:
     """The network of a run, told from others by its content."""
-    files = sorted((folder / "sumo").glob("net.net.xml*"))
-    if not files:
-        raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it anew.")
-    key = name, hashlib.sha256(files[0].read_bytes()).hexdigest()
+    key = name, net_digest(folder)
     if key not in networks:
+        file = _net_file(folder)
         networks[key] = _Filling(
             name=name,
-            net_file=files[0],
-            places=places.read(files[0]),
-            road=road_of_net(files[0]),
+            net_file=file,
+            places=places.read(file),
+            road=road_of_net(file),
             attacks=[],
             left_out=Counter(),
         )
     return networks[key]
 
 
-__all__ = ["Attacked", "Network", "of_runs", "read", "result_folders", "results"]
+def net_digest(folder: Path) -> str:
+    """Of the network in a run's folder. Raises UsageError where there is none."""
+    return hashlib.sha256(_net_file(folder).read_bytes()).hexdigest()
+
+
+def _net_file(folder: Path) -> Path:
+    files = sorted((folder / "sumo").glob("net.net.xml*"))
+    if not files:
+        raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it anew.")
+    return files[0]
+
+
+__all__ = ["Attacked", "Network", "net_digest", "of_runs", "read", "result_folders", "results"]

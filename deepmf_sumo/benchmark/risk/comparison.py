@@ -19,7 +19,7 @@ from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
 from deepmf_sumo.benchmark.gate.rows import Results, Row
 from deepmf_sumo.benchmark.gate.thresholds import Baseline
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.risk import attacks
+from deepmf_sumo.benchmark.risk import alike, attacks
 from deepmf_sumo.benchmark.risk.attacks import result_folders
 from deepmf_sumo.benchmark.risk.origins import Origin, Tagged, origins, tags
 from deepmf_sumo.errors import UsageError
@@ -66,7 +66,7 @@ def compare(
         confidence: of all intervals of a table together.
 
     Raises UsageError for a folder or a quantity that cannot be used, and where the sides were made
-    by different versions of the program.
+    by different versions of the program, or their attacks had different times.
     """
     unknown = [name for name in quantities if name not in BY_QUANTITY]
     if unknown:
@@ -78,18 +78,26 @@ def compare(
             f"{a} was made by version {old.version} of deepmf-sumo and {b} by {new.version}: their"
             " attacks differ; make both anew with one version."
         )
-    results = [attacks.of_runs(result_folders(side.source)) for side in (old, new)]
+    folders = [result_folders(side.source) for side in (old, new)]
+    of_a, of_b = map(attacks.of_runs, folders)
+    alike.check((of_a, of_b), (a, b))
     differs = _differs(old.rows, new.rows)
+    settings = _settings(of_a, of_b)
+    unlike = alike.notes(
+        (of_a, of_b),
+        planners_differ="planner" in differs or bool(settings),
+        networks_differ="network" in differs,
+    )
     old, new = (_alike(side, set(differs)) for side in (old, new))
     pairs = len(_moments(old) & _moments(new))
-    tagged = [_tagged(side, mine) for side, mine in zip((old, new), results, strict=True)]
+    tagged = _tagged(old, of_a), _tagged(new, of_b)
     return Compared(
         runs=(_judged(old), _judged(new)),
         pairs=pairs,
-        differs=differs | _settings(results[0], results[1]),
+        differs=differs | settings,
         differences=differences(old, new, quantities, confidence),
         origins=origins(tagged[0], tagged[1], confidence),
-        notes=list(_notes(old, new, pairs)),
+        notes=[*unlike, *alike.traffic_notes(*folders), *_notes(old, new, pairs)],
     )
 
 

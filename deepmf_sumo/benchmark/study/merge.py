@@ -19,15 +19,16 @@ def merge(out: Path, folders: Sequence[Path]) -> tuple[list[Result], list[str]]:
     """
     plan = _common(folders)
     found = shards.found_in(folders, plan.runs)
-    store, results = shards.copied(out, folders, plan.runs, found)
-    plan.write(out)
     missing = [run_id for run_id in plan.runs if run_id not in found]
-    store.finish(
-        results,
-        junit_too=any((folder / "junit.xml").is_file() for folder in folders),
-        interrupted=bool(missing),
-    )
-    tables.write(out)
+    with shards.joining(out, folders) as store:
+        results = shards.copied(store, folders, plan.runs, found)
+        plan.write(out)
+        store.finish(
+            results,
+            junit_too=any((folder / "junit.xml").is_file() for folder in folders),
+            interrupted=bool(missing),
+        )
+        tables.write(out)
     return results, missing
 
 

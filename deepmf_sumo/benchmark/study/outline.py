@@ -1,15 +1,13 @@
 """Plan -> the layout that its folder keeps."""
 
-import hashlib
 from collections.abc import Sequence
-from pathlib import Path
 
 import deepmf_sumo
+from deepmf_sumo.benchmark.inputs import weights_digest
 from deepmf_sumo.benchmark.study.entries import Entry, count
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.plan import Plan, Subset
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.spec import SearchBudget
 
 Budgets = dict[str, list[SearchBudget]]
@@ -49,32 +47,9 @@ def layout_of(plan: Plan, entries: Sequence[Entry], planned: Sequence[Task]) -> 
         weights={
             name: found
             for name in dict.fromkeys(task.spec.weights for task in planned)
-            if (found := _digest(name))
+            if (found := weights_digest(name))
         },
     )
-
-
-def _digest(weights: str) -> str:
-    """Of a set of weights: its name stays the same when it is trained anew.
-
-    Empty where no digest is needed: ``open`` is part of the program, whose version is compared;
-    and weights that are nowhere are those of methods that use none.
-    """
-    if weights == "open":
-        return ""
-    folder = Path(weights)
-    if not folder.is_absolute():
-        from deepmf_sumo.predictors.weights import find  # brings torch along
-
-        try:
-            folder = find(weights)
-        except WeightsError:
-            return ""
-    hasher = hashlib.sha256()
-    for file in sorted(folder.glob("*")):
-        if file.suffix in {".json", ".safetensors"}:
-            hasher.update(f"{file.name} {file.stat().st_size} ".encode() + file.read_bytes())
-    return hasher.hexdigest()
 
 
 def _part(plan: Plan, subset: Subset, budgets: Budgets, scenes: list[str]) -> Budgeted:

@@ -1,16 +1,16 @@
 """A plan -> a result folder with the tables of its methods."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from deepmf_sumo.benchmark import batch
 from deepmf_sumo.benchmark.batch import Progress
 from deepmf_sumo.benchmark.home import cache_folder
+from deepmf_sumo.benchmark.inputs import fingerprinted
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.shards import Shard
-from deepmf_sumo.benchmark.store import open_folder
+from deepmf_sumo.benchmark.shards import Shard, note
+from deepmf_sumo.benchmark.store import opened
 from deepmf_sumo.benchmark.study import entries, layout, outline, tables
 from deepmf_sumo.benchmark.study.entries import Entry
 from deepmf_sumo.benchmark.study.layout import Layout
@@ -34,19 +34,21 @@ def run(
     """
     plan = loaded.plan
     rows = entries.entries_of(loaded, cache_folder())
-    planned = entries.tasks_of(rows, plan.seeds)
+    planned, read = fingerprinted(entries.tasks_of(rows, plan.seeds))
     outlined = outline.layout_of(plan, rows, planned)
     if options.resume and (options.out / layout.FILE).is_file():
         _check_weights(layout.read(options.out), outlined, options.out)
     chosen = shard.choose(planned) if shard else planned
-    open_folder(options.out, resume=options.resume).begin(chosen, {"jobs": options.jobs})
-    outlined.write(options.out)
-    kept = replace(options, resume=True)  # what is not to be kept has been removed above
-    try:
-        return batch.run_tasks(chosen, kept, report, queue=_scene_by_scene(rows, plan.seeds))
-    finally:
-        if (options.out / "runs.csv").is_file():
-            tables.write(options.out)
+    with opened(options.out, resume=options.resume) as store:
+        changed = batch.begin(store, chosen, options, read)
+        note(options.out, None)
+        outlined.write(options.out)
+        queue = _scene_by_scene(rows, plan.seeds)
+        try:
+            return batch.fill(store, chosen, options, report, queue=queue, changed=changed)
+        finally:
+            if (options.out / "runs.csv").is_file():
+                tables.write(options.out)
 
 
 def _check_weights(before: Layout, now: Layout, out: Path) -> None:

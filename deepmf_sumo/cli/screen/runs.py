@@ -22,6 +22,8 @@ def progress() -> Iterator[Callable[[Progress], None]]:
     with console.status("reading specs ...") as status:
 
         def report(now: Progress) -> None:
+            if now.again and not (now.last or now.lost):
+                console.print(escape(_again(now)), soft_wrap=True)
             last = f"; last: {now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
             kept = f" ({now.kept} kept from before)" if now.kept else ""
             lost = f", {now.lost} done again (machine lost)" if now.lost else ""
@@ -50,6 +52,15 @@ def table(results: Sequence[dict[str, Any]], summary: dict[str, Any], out: Path)
     pictures = any((out / "runs").glob("*/picture.png"))
     shown = f", {out}/runs/<run>/picture.png" if pictures else ""
     console.print(escape(f"{out}/runs.csv{shown}"), soft_wrap=True)
+
+
+def _again(now: Progress) -> str:
+    """Which runs of an earlier sweep are not kept, and why."""
+    which = ", ".join(now.changed)
+    return (
+        f"{now.again} of the runs that went through before are done again, for their spec, the"
+        f" version or files that they read are not what they were{': ' * bool(which)}{which}"
+    )
 
 
 def _left(now: Progress, seconds: float) -> str:

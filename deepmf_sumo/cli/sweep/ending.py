@@ -26,7 +26,7 @@ def end(sweep: Sweep, results: Sequence[dict[str, Any]], missing: int) -> int:
 
     Without thresholds the verdict is that of the runs themselves, see `batch.exit_code`.
     """
-    from deepmf_sumo.benchmark import batch
+    from deepmf_sumo.benchmark import batch, locks
     from deepmf_sumo.benchmark.memory import watched
     from deepmf_sumo.cli.main import INTERRUPTED
     from deepmf_sumo.cli.sweep import judging
@@ -34,6 +34,9 @@ def end(sweep: Sweep, results: Sequence[dict[str, Any]], missing: int) -> int:
 
     if not watched():
         click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
+    if not locks.known(sweep.out):
+        unlocked = "its file system has no locks: let no two sweeps write into it at a time"
+        click.echo(f"deepmf-sumo: {sweep.out}: {unlocked}", err=True)
     code = batch.exit_code(results)
     if sweep.thresholds:
         verdict = judging.judge(sweep)

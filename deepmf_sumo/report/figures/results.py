@@ -120,7 +120,7 @@ class Run:
 
         The network in the run's folder stands in for a recording that is not there any more.
         """
-        source = yaml.safe_load((self.folder / "spec.yaml").read_text("utf-8"))["source"]
+        source = source_of(self.folder)
         lost = ""
         if "recording" in source:
             try:
@@ -131,6 +131,15 @@ class Run:
         if not nets:
             raise UsageError(f"{self.folder}/sumo holds no net.net.xml; run it again for figures.")
         return road_of_net(nets[0]), lost
+
+
+def source_of(folder: Path) -> dict[str, Any]:
+    """Of a run's spec; live attacks have none, and their network lies in the folder."""
+    file = folder / "spec.yaml"
+    if not file.is_file():
+        return {}
+    source: dict[str, Any] = yaml.safe_load(file.read_text("utf-8"))["source"]
+    return source
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,8 @@ from deepmf_sumo.report.page.run_pages import RunPage, run_page
 from deepmf_sumo.report.table import SECTORS
 
 _SCRIPTS: Final = (
-    "packing", "statistics", "elements", "table", "totals", "groups", "scene", "map", "charts",
-    "layers", "moment", "player", "facts", "details", "start",
+    "packing", "statistics", "elements", "table", "totals", "groups", "scene", "turns", "map",
+    "charts", "layers", "moment", "player", "facts", "details", "start",
 )  # fmt: skip
 """In the order in which they are joined."""
 

@@ -1,5 +1,7 @@
 """What the page needs to replay a run: who was where, what was planned, how near it came."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -14,14 +16,20 @@ REACH_M: Final = 100.0
 LONGEST_TTC_S: Final = 10.0
 FINE_M, COARSE_M = 0.02, 0.05
 """Units of positions: of AV and opponent, and of the others."""
+_ENDS: Final = ("begin_s", "end_s")
 FULL_TURN: Final = 1024
 """Headings are parts of a turn."""
 OTHERS_EVERY: Final = 2
 """Steps from one pose of the others to the next; the page draws lines between."""
 
 
-def replay(rollout: Rollout, origin: Floats) -> dict[str, Any]:
-    """Poses, contacts and timelines, positions relative to ``origin`` (2,)."""
+def replay(
+    rollout: Rollout, origin: Floats, turns: Sequence[Mapping[str, Any]] = ()
+) -> dict[str, Any]:
+    """Poses, contacts and timelines, positions relative to ``origin`` (2,).
+
+    ``turns``: of ``result.json``, where opponents took turns.
+    """
     tracks = rollout.tracks
     near = _near(rollout)
     main = {rollout.av_id: "av", rollout.opponent_id: "opponent"}
@@ -37,7 +45,7 @@ def replay(rollout: Rollout, origin: Floats) -> dict[str, Any]:
             for row in np.flatnonzero(near)
         ],
         "contacts": [_contact(rollout, contact, origin) for contact in rollout.contacts],
-        "timeline": _timeline(rollout),
+        "timeline": _timeline(rollout, turns),
     }
 
 
@@ -122,18 +130,33 @@ def _contact(rollout: Rollout, contact: Contact, origin: Floats) -> dict[str, An
     }
 
 
-def _timeline(rollout: Rollout) -> dict[str, Any] | str:
+def _timeline(rollout: Rollout, turns: Sequence[Mapping[str, Any]]) -> dict[str, Any] | str:
     """Gap and time to collision of AV and opponent, or why there are none.
 
-    A time to collision is null off a collision course and above `LONGEST_TTC_S`.
+    Of opponents in turn each while its turn lasts. A time to collision is null off a collision
+    course and above `LONGEST_TTC_S`.
     """
-    found = series.over_time(rollout)
-    if isinstance(found, str):
-        return found
+    whole = rollout.now, rollout.tracks.steps
+    spans = [(rollout.opponent_id, *whole)]
+    if turns:
+        spans = [
+            (turn["opponent"], *(rollout.now + round(turn[end] / rollout.dt_s) for end in _ENDS))
+            for turn in turns
+        ]
+    parts, reason = [], series.NEVER_TOGETHER
+    for opponent, first, last in spans:
+        there = opponent if opponent in rollout.tracks.ids else None
+        found = series.over_time(replace(rollout, opponent_id=there))
+        if isinstance(found, str):
+            reason = found
+            continue
+        inside = (found.step >= first) & (found.step <= last)
+        parts.append(np.stack([found.step, found.gap_m, found.ttc_s])[:, inside])
+    if not sum(part.shape[1] for part in parts):
+        return reason
+    step, gap_m, ttc_s = np.concatenate(parts, axis=1)
     return {
-        "step": steady(found.step, 1),
-        "gap": steady(found.gap_m, 0.01),
-        "ttc": [
-            round(float(ttc), 2) if ttc <= LONGEST_TTC_S else None for ttc in found.ttc_s.tolist()
-        ],
+        "step": steady(step, 1),
+        "gap": steady(gap_m, 0.01),
+        "ttc": [round(float(ttc), 2) if ttc <= LONGEST_TTC_S else None for ttc in ttc_s.tolist()],
     }

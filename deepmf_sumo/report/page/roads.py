@@ -9,11 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
-import yaml
 
 from deepmf_sumo.datatypes import Floats, RoadMap
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.report.figures.results import Run
+from deepmf_sumo.report.figures.results import Run, source_of
 from deepmf_sumo.report.page.packing import packed, stepwise
 
 AROUND_M: Final = 60.0
@@ -73,7 +72,7 @@ class Roads:
 
 def _key(run: Run) -> str:
     """What tells roads apart: the recorded scene, or the content of the network."""
-    source = yaml.safe_load((run.folder / "spec.yaml").read_text("utf-8"))["source"]
+    source = source_of(run.folder)
     if "recording" in source:
         return f"{source['recording']} {run.scene}"
     nets = sorted((run.folder / "sumo").glob("net.net.xml*"))

@@ -3,7 +3,7 @@
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +19,7 @@ from deepmf_sumo.report.page.reasons import reasons
 from deepmf_sumo.report.page.replay import main_places, replay
 from deepmf_sumo.report.page.roads import Roads
 from deepmf_sumo.report.page.rows import row
+from deepmf_sumo.report.table import OUTCOMES
 
 _LOG_LINES: Final = 40
 _FACTS: Final = (
@@ -55,7 +56,7 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     place = ""
     if result and table["status"] == "ok":
         try:
-            shown, place = _shown(run, roads)
+            shown, place = _shown(run, roads, result.get("turns") or [])
         except _DAMAGE as error:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
     note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
@@ -81,14 +82,16 @@ def _broken(result: Result | None) -> list[str]:
     return [f"expectation broken: {one}" for one in (result or {}).get("expectations_broken", [])]
 
 
-def _shown(run: Run, roads: Roads) -> tuple[dict[str, Any], str]:
+def _shown(
+    run: Run, roads: Roads, turns: Sequence[Mapping[str, Any]]
+) -> tuple[dict[str, Any], str]:
     """What is drawn of a run, and the element of the road on which the AV was hit."""
     rollout = run.rollout
     places = main_places(rollout)
     number, road, note = roads.add(run, places)
     origin = np.rint(places[0])
     shown = {
-        "replay": replay(rollout, origin),
+        "replay": replay(rollout, origin, turns),
         "reasons": reasons(run.folder / "plans.npz", origin),
         "road": number,
         "road_note": note,
@@ -117,10 +120,36 @@ def _facts(folder: Path, result: Result | None) -> dict[str, Any]:
             [event["step"], event["agent_id"], event["kind"], event.get("detail", "")]
             for event in found.get("events", [])
         ],
+        "turns": _turns(found),
         "repairs": found.get("repairs", []),
         "spec": _text(folder / "spec.yaml"),
         "log": _text(folder / "log.txt", last=_LOG_LINES),
     }
+
+
+def _turns(result: Result) -> list[dict[str, Any]]:
+    """Who attacked when and how it went, where opponents took turns."""
+    turns: list[dict[str, Any]] = result.get("turns") or []
+    gaps = [turn["metrics"].get("min_gap") for turn in turns]
+    nearest = min((gap for gap in gaps if gap is not None), default=None)
+    hits = [number for number, turn in enumerate(turns) if turn["ended"] == "contact"]
+    # as `datatypes.rollout.decisive`: the first that hits, else the one that came nearest
+    decisive = hits[0] if hits else gaps.index(nearest) if nearest is not None else None
+    return [
+        {
+            "opponent": turn["opponent"],
+            "begin": turn["begin_s"],
+            "end": turn["end_s"],
+            "ended": str(turn["ended"]).replace("_", " "),
+            "outcome": OUTCOMES.get(turn["outcome"], turn["outcome"]),
+            "hit": turn["ended"] == "contact",
+            "speed": turn["hit_speed_mps"],
+            "gap": turn["metrics"].get("min_gap"),
+            "ttc": turn["metrics"].get("ttc_min"),
+            "decisive": number == decisive,
+        }
+        for number, turn in enumerate(turns)
+    ]
 
 
 def _text(file: Path, last: int | None = None) -> str:

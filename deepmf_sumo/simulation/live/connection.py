@@ -12,6 +12,7 @@ from deepmf_sumo.simulation.sumo_api import SumoApi
 
 _AGAIN_S: Final = 0.2
 """Between two tries to connect."""
+_EXCEPTIONS: Final = ("TraCIException", "FatalTraCIError")
 
 
 class LiveApi(SumoApi, Protocol):
@@ -31,14 +32,19 @@ class Port:
 
 
 class _Shared:
-    """A connection with the exceptions of its module, which a module has anyway."""
+    """A connection with the exceptions of its module, which a module has anyway.
+
+    They are those that the connection's own code raises: importing libsumo puts another class in
+    ``traci.exceptions``, and a script may use a traci of its own.
+    """
 
     def __init__(self, connection: Any) -> None:
         import traci
 
         self._connection = connection
-        self.TraCIException = traci.exceptions.TraCIException
-        self.FatalTraCIError = traci.exceptions.FatalTraCIError
+        raised = getattr(type(connection).simulationStep, "__globals__", {})
+        for name in _EXCEPTIONS:
+            setattr(self, name, raised.get(name, getattr(traci.exceptions, name)))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._connection, name)
@@ -99,7 +105,12 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
 
 def of_sumo(error: BaseException) -> bool:
     """Whether SUMO or its connection says so: libsumo and traci have classes of their own."""
-    return type(error).__name__ in {"TraCIException", "FatalTraCIError"}
+    return type(error).__name__ in _EXCEPTIONS
+
+
+def lost(error: BaseException) -> bool:
+    """Whether it says that the connection is gone."""
+    return type(error).__name__ == "FatalTraCIError"
 
 
 def _nobody(port: Port) -> str:

@@ -6,14 +6,14 @@ saying goodbye. So whatever happens here, the opponent is handed back and the co
 
 import difflib
 import math
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from deepmf_sumo.datatypes import AgentId
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation.live.connection import LiveApi
+from deepmf_sumo.simulation.live.connection import LiveApi, lost, of_sumo
 from deepmf_sumo.simulation.live.session import Session
 
 End = Literal["until", "attacks", "av_gone", "simulation_over", "stopped"]
@@ -77,26 +77,29 @@ class Lockstep:
             api.simulationStep()  # in which who was beside its lane comes back onto it
             session.after_step()
             return end
-        except api.FatalTraCIError as error:
+        except KeyboardInterrupt:
+            in_order = False
+            raise
+        except Exception as error:
+            if not of_sumo(error):
+                raise
+            if not lost(error):
+                raise SimulationError(
+                    f"SUMO refused at {session.time_s:.1f} s of the simulation: "
+                    f"{str(error).strip()}"
+                ) from None
             self.ended_s = session.time_s
             if abs(session.time_s - self._end_s) <= 1.0:  # later SUMO goes on for its clients
                 return "simulation_over"
             raise SimulationError(self._lost(str(error).strip())) from None
-        except api.TraCIException as error:
-            raise SimulationError(
-                f"SUMO refused at {session.time_s:.1f} s of the simulation: {str(error).strip()}"
-            ) from None
-        except KeyboardInterrupt:
-            in_order = False
-            raise
         finally:
             if in_order:
                 self._leave()
 
     def _leave(self) -> None:
-        with suppress(self._api.TraCIException, self._api.FatalTraCIError):
+        with _without_sumos_complaints():
             self._session.close()
-        with suppress(self._api.TraCIException, self._api.FatalTraCIError, OSError):
+        with suppress(OSError), _without_sumos_complaints():
             self._api.close()
 
     def _lost(self, reason: str) -> str:
@@ -157,3 +160,13 @@ class Lockstep:
             f"Vehicle '{self._av}' has not appeared in {waited:.0f} s of the simulation"
             f"{' and all others have left' if nobody_left else ''}.{hint or known}"
         )
+
+
+@contextmanager
+def _without_sumos_complaints() -> Iterator[None]:
+    """Whatever SUMO refuses while it is left does not matter any more."""
+    try:
+        yield
+    except Exception as error:
+        if not of_sumo(error):
+            raise

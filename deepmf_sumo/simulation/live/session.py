@@ -13,6 +13,7 @@ from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation.frame import Frame
 from deepmf_sumo.simulation.live.engagement import Engagement, Scenery
 from deepmf_sumo.simulation.live.observer import Sighting
+from deepmf_sumo.simulation.live.surroundings import Surroundings
 from deepmf_sumo.simulation.live.triggers import ByCall, Moment, Trigger
 
 _ASK_EVERY: Final = 10
@@ -74,6 +75,11 @@ class Session:
         self._next_s = -np.inf
         self._frames = 0
         self._start_s = self.time_s = float(scenery.api.simulation.getTime())
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """The road of the simulation."""
+        return self._scenery.surroundings
 
     @property
     def attacking(self) -> AgentId | None:

@@ -26,6 +26,7 @@ class Surroundings:
     """
 
     def __init__(self, api: LiveApi, net: Path, additional: tuple[Path, ...]) -> None:
+        self.net = net
         self.road: RoadMap = road_of_net(net, additional)
         self.places = Places(api, self.road)
         self._api = api

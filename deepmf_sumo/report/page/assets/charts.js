@@ -11,7 +11,7 @@ function chartsOf(scene, seek) {
   }));
   const timeline = scene.timeline;
   const series = (values) => [
-    { name: "", points: timeline.step.map((step, place) => [step, values[place]]) },
+    { name: "", points: apart(timeline.step.map((step, place) => [step, values[place]])) },
   ];
   const charts = [
     chart(scene, end, "Speeds, m/s: AV (full), opponent (dashed)", speeds, null, seek),
@@ -53,6 +53,7 @@ function chart(scene, end, title, series, highest, seek) {
     "svg",
     { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": described(title, values) },
     drawn("text", { x: left, y: 13 }, title),
+    ...turnBands(scene, x, top, height - bottom),
     ...axes(scene, end, most, x, y),
     ...scene.contacts.map((contact) =>
       drawn("line", {
@@ -86,6 +87,13 @@ function chart(scene, end, title, series, highest, seek) {
     cursor.setAttribute("x2", x(Math.max(step, scene.now)));
   };
   return { element, move };
+}
+
+/** Points with a break where steps are missing: between two turns. */
+function apart(points) {
+  return points.flatMap((point, place) =>
+    place && point[0] > points[place - 1][0] + 1 ? [[point[0] - 1, null], point] : [point],
+  );
 }
 
 function described(title, values) {

@@ -43,7 +43,8 @@ function pageElements(row, details, content) {
     ),
     ...notes,
     ...(player ? [player.stage, make("h2", {}, "Over time"), player.charts.element] : []),
-    commandsOf(row, details),
+    ...[turnsOf(details, player)].filter(Boolean),
+    ...(details.spec ? [commandsOf(row, details)] : []), // live attacks cannot be repeated
     factsOf(row, details, content),
     ...[metricsOf(details), eventsOf(details), ...textsOf(details)].filter(Boolean),
   ];

@@ -37,7 +37,7 @@ function layers(scene, draw) {
     { "aria-label": "Layers and key" },
     ...boxes,
     key("av", `AV (${scene.av.id})`),
-    scene.opponent ? key("opponent", `opponent (${scene.opponent.id}), with a star`) : null,
+    scene.opponent ? key("opponent", `opponent (${attackersOf(scene)}), with a star`) : null,
     key("opponent", "its plan", "stroke dashed"),
     key("candidate", "candidates, the stronger the better", "stroke"),
     key("reaction", "reactions; full: this one collides", "stroke"),

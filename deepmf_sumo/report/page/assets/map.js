@@ -69,7 +69,11 @@ function drawMoment(canvas, scene, view, step, shown, candidate) {
       .filter(Boolean)
       .forEach((agent) => drawDriven(brush, scene, agent, step));
   const scores = shown.scores && plan?.scores ? plan.scores : {};
-  for (const agent of scene.agents) drawAgent(brush, agent, step, scores);
+  const attacker = attackerAt(scene, step);
+  for (const agent of scene.agents) {
+    const role = agent === scene.av ? "av" : agent === attacker ? "opponent" : "other";
+    drawAgent(brush, agent, role, step, scores);
+  }
   for (const contact of scene.contacts)
     if (step >= contact.step - 1e-6) drawContact(brush, contact);
   drawScale(context, ratio, height, scale, colour);
@@ -151,7 +155,7 @@ function drawDriven({ context, colour, metre }, scene, agent, step) {
   line(context, points, colour(agent.role), 1.6 * metre);
 }
 
-function drawAgent({ context, colour, metre }, agent, step, scores) {
+function drawAgent({ context, colour, metre }, agent, role, step, scores) {
   const pose = poseAt(agent, step);
   if (!pose) return;
   const [length, width] = agent.size,
@@ -160,12 +164,12 @@ function drawAgent({ context, colour, metre }, agent, step, scores) {
   context.translate(pose.x, pose.y);
   context.rotate(pose.heading);
   context.fillStyle =
-    agent.role !== "other"
-      ? colour(agent.role)
+    role !== "other"
+      ? colour(role)
       : score === undefined
         ? colour("other")
         : scoreColour(score);
-  context.strokeStyle = colour(agent.role === "other" ? "other-edge" : "contact");
+  context.strokeStyle = colour(role === "other" ? "other-edge" : "contact");
   context.lineWidth = 1 * metre;
   context.beginPath();
   context.rect(-length / 2, -width / 2, length, width);
@@ -178,7 +182,7 @@ function drawAgent({ context, colour, metre }, agent, step, scores) {
   context.closePath();
   context.fillStyle = "rgba(255,255,255,0.75)";
   context.fill();
-  if (agent.role === "opponent") drawStar(context, Math.max(0.9, 7 * metre), metre);
+  if (role === "opponent") drawStar(context, Math.max(0.9, 7 * metre), metre);
   context.restore();
 }
 

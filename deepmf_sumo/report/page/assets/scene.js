@@ -17,6 +17,7 @@ function sceneOf(details, road) {
   return {
     ...replay,
     agents,
+    turns: details.turns,
     av: agents.find((agent) => agent.role === "av"),
     opponent: agents.find((agent) => agent.role === "opponent"),
     plans: details.reasons.map(planOf),

@@ -1,9 +1,9 @@
-"""The files that tasks need, and whether another machine has the same ones at the same places."""
+"""The files that tasks read: whether they are the same as before, and on another machine."""
 
 import hashlib
 import importlib.util
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
@@ -32,15 +32,55 @@ def inputs_of(tasks: Sequence[Task]) -> tuple[Input, ...]:
 
     What does not exist here is left out: the run itself says so better.
     """
-    found: dict[Path, None] = {}
-    known: set[object] = set()
-    for task in tasks:
-        one = task.spec
-        key = (one.source, one.weights, one.planner.name, str(one.planner.settings.get("file")))
-        if repr(key) not in known:
-            known.add(repr(key))
-            found |= dict.fromkeys(_paths(one))
-    return tuple(Input(path=path, digest=got) for path in found if (got := digest(path)))
+    return fingerprinted(tasks)[1]
+
+
+def fingerprinted(tasks: Sequence[Task]) -> tuple[list[Task], tuple[Input, ...]]:
+    """The tasks, each with the digest of what it reads, and all that they read.
+
+    Files' names are not in it: copies of a file elsewhere are the same.
+    """
+    looked = _Looked()
+    marked = [
+        replace(task, inputs=_joined(one.digest for one in looked.inputs(task.spec)))
+        for task in tasks
+    ]
+    return marked, looked.every()
+
+
+class _Looked:
+    """Each file is looked at once: thousands of tasks may read the same ones."""
+
+    def __init__(self) -> None:
+        self._by_spec: dict[str, tuple[Input, ...]] = {}
+        self._digests: dict[Path, str] = {}
+
+    def inputs(self, spec: Spec) -> tuple[Input, ...]:
+        """What a spec's runs read."""
+        source = spec.source
+        if isinstance(source, FromNetwork):
+            read: tuple[object, ...] = (source.network, source.sumo_options)
+        else:
+            read = (source.recording,)
+        planner = spec.planner
+        key = repr((*read, spec.weights, planner.name, planner.settings.get("file")))
+        if key not in self._by_spec:
+            paths = dict.fromkeys(_paths(spec))
+            for path in paths:
+                self._digests.setdefault(path, digest(path))
+            found = {path: self._digests[path] for path in paths}
+            self._by_spec[key] = tuple(
+                Input(path=path, digest=got) for path, got in found.items() if got
+            )
+        return self._by_spec[key]
+
+    def every(self) -> tuple[Input, ...]:
+        """What all specs read that were asked about."""
+        return tuple(Input(path=path, digest=got) for path, got in self._digests.items() if got)
+
+
+def _joined(digests: Iterable[str]) -> str:
+    return hashlib.sha256(" ".join(digests).encode()).hexdigest()
 
 
 def lacking(inputs: Iterable[Input]) -> str:
@@ -59,10 +99,11 @@ def digest(path: Path) -> str:
     try:
         files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
         sizes = [one.stat().st_size for one in files]
+        small = sum(sizes) <= _READ_BYTES
         hasher = hashlib.sha256()
         for file, size in zip(files, sizes, strict=True):
             hasher.update(f"{file.relative_to(path)} {size} ".encode())
-            if sum(sizes) <= _READ_BYTES:
+            if small:
                 hasher.update(file.read_bytes())
     except OSError:
         return ""
@@ -78,9 +119,7 @@ def _paths(spec: Spec) -> Iterator[Path]:
         yield from (Path(word).absolute() for word in words if word and Path(word).is_file())
     else:
         yield source.recording
-    weights = _weights(spec.weights)
-    if weights is not None:
-        yield weights
+    yield from _weights(spec.weights)
     module, colon, _ = spec.planner.name.partition(":")
     origin = _origin(module) if colon else None
     if origin is not None:
@@ -103,16 +142,28 @@ def _named(config: Path) -> Iterator[Path]:
                     yield path
 
 
-def _weights(name: str) -> Path | None:
-    """``open`` is part of the program, whose version is compared."""
-    if name == "open":
-        return None
-    from deepmf_sumo.predictors.weights import find  # brings torch along
+def weights_digest(name: str) -> str:
+    """Of a set of weights, whose name stays the same when it is trained anew; see `_weights`."""
+    return _joined(map(digest, found)) if (found := _weights(name)) else ""
 
-    try:
-        return find(name).absolute()
-    except WeightsError:
-        return None
+
+def _weights(name: str) -> list[Path]:
+    """The networks of a set of weights, and their cards.
+
+    None for ``open``, which is part of the program, whose version is compared, and for those that
+    are nowhere, which are those of methods that use none.
+    """
+    if name == "open":
+        return []
+    folder = Path(name)
+    if not folder.is_absolute():
+        from deepmf_sumo.predictors.weights import find  # brings torch along
+
+        try:
+            folder = find(name).absolute()
+        except WeightsError:
+            return []
+    return sorted(file for file in folder.glob("*") if file.suffix in {".json", ".safetensors"})
 
 
 def _origin(module: str) -> Path | None:
@@ -124,4 +175,4 @@ def _origin(module: str) -> Path | None:
     return Path(found.origin).absolute() if found and found.origin else None
 
 
-__all__ = ["Input", "digest", "inputs_of", "lacking"]
+__all__ = ["Input", "digest", "fingerprinted", "inputs_of", "lacking", "weights_digest"]

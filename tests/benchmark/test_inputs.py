@@ -1,0 +1,42 @@
+"""What runs read, told from what else lies beside it."""
+
+import shutil
+
+import tiny_network
+
+from deepmf_sumo import spec
+from deepmf_sumo.benchmark import tasks
+from deepmf_sumo.benchmark.inputs import fingerprinted, weights_digest
+
+
+def read(path, sets=()):
+    (task,), inputs = fingerprinted(tasks.plan([spec.load(path, sets)], path.parent))
+    return task.inputs, {one.path.name for one in inputs}
+
+
+def test_content_counts_and_neither_place_nor_neighbours(tiny, tmp_path):
+    path = tiny_network.spec(tiny, "one")
+    first, names = read(path)
+    assert {"tiny.sumocfg", "tiny.net.xml", "tiny.rou.xml"} <= names
+    copy = shutil.copytree(path.parent, tmp_path / "copy")
+    (copy / "notes.txt").write_text("beside it")
+    assert read(copy / path.name)[0] == first
+    (copy / "tiny.net.xml").write_text((copy / "tiny.net.xml").read_text() + "<!-- x -->")
+    assert read(copy / path.name)[0] != first
+
+
+def test_weights_count_but_not_their_curves(tiny, tmp_path):
+    weights = tmp_path / "mine"
+    weights.mkdir()
+    (weights / "marginal.safetensors").write_bytes(b"1")
+    path = tiny_network.spec(tiny, "one")
+
+    def both():
+        return read(path, [f"weights={weights}"])[0], weights_digest(str(weights))
+
+    first = both()
+    (weights / "card.md").write_text("about them")
+    assert both() == first
+    (weights / "marginal.safetensors").write_bytes(b"2")
+    assert all(one != before for one, before in zip(both(), first, strict=True))
+    assert weights_digest("open") == ""
