@@ -34,6 +34,11 @@ _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 )
 @click.option("--from", "begin_from", metavar="NAME", help="Set of weights to begin from.")
 @click.option("--preset", help="Sizes of the networks: light or paper.  [default: light]")
+@click.option(
+    "--members",
+    type=click.IntRange(min=1, max=8),
+    help="Networks of the marginal predictor, each with a seed of its own.  [default: 2]",
+)
 @click.option("--steps", type=_STEPS, help="Steps of each network.")
 @click.option("--batch", type=_STEPS, help="Samples a step.")
 @click.option("--rate", type=_ABOVE_0, help="Highest learning rate.")

@@ -1,31 +1,49 @@
 """phi_M(X): where a vehicle may go, from the scene alone (paper, section IV-C1)."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
-from deepmf_sumo.predictors import completion
+from deepmf_sumo.predictors import completion, mixture
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.selection import Selection
 
 
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """Goals of an agent: of each member, and pooled."""
+
+    members: list[Goals]
+    whole: Goals
+
+
 class Marginal:
-    """DenseTNT without condition.
+    """DenseTNT without condition: one network, or several as a mixture in equal parts.
+
+    The features are computed once for all members; modes are chosen among the goals of all.
 
     Args:
-        net: in evaluation mode.
-        temperature: of the reported probabilities; modes are chosen at 1.
+        nets: the members, of the same sizes, in evaluation mode.
+        temperature: of the reported probabilities of the mixture; modes are chosen at 1.
         selection: how modes are chosen among the goals.
     """
 
-    def __init__(self, net: DenseTNT, temperature: float, selection: Selection = "medoids") -> None:
-        self.net = net.eval()
+    def __init__(
+        self, nets: Sequence[DenseTNT], temperature: float, selection: Selection = "medoids"
+    ) -> None:
+        self.nets = tuple(net.eval() for net in nets)
         self.temperature = temperature
         self.selection = selection
-        self._last: tuple[View, dict[AgentId, Goals]] | None = None
+        self._last: tuple[View, dict[AgentId, _Known]] | None = None
+
+    @property
+    def net(self) -> DenseTNT:
+        """The first member: for gradients, which are not taken through the choice of modes."""
+        return self.nets[0]
 
     @torch.inference_mode()
     def predict(self, view: View, agent_ids: Sequence[AgentId], modes: int) -> list[Forecast]:
@@ -38,7 +56,7 @@ class Marginal:
     @torch.inference_mode()
     def predict_each(self, view: View, agent_id: AgentId, modes: Sequence[int]) -> list[Forecast]:
         """Forecasts of one agent with different numbers of modes, from one pass."""
-        pose, goals = completion.pose_of(view, agent_id), self._goals(view, agent_id)
+        pose, goals = completion.pose_of(view, agent_id), self._goals(view, agent_id).whole
         return [
             completion.forecasts(goals, pose, count, self.temperature, choose=self.selection)[0]
             for count in modes
@@ -48,7 +66,7 @@ class Marginal:
     def end_density(self, view: View, agent_id: AgentId, ends_m: Floats, kernel_m: float) -> Floats:
         """(Q) see `completion.end_density`."""
         pose = completion.pose_of(view, agent_id)
-        return completion.end_density(self._goals(view, agent_id), pose, ends_m, kernel_m)
+        return completion.end_density(self._goals(view, agent_id).whole, pose, ends_m, kernel_m)
 
     @torch.inference_mode()
     def log_density(self, view: View, agent_id: AgentId, position_m: Floats) -> Floats:
@@ -62,23 +80,27 @@ class Marginal:
             agent_id=agent_id, position_m=position_m, heading_rad=position_m[..., 0] * 0.0
         )
         local = completion.to_pose(pose, given)[0][:, :, list(KNOT_STEPS)]  # (1, K, 5, 2)
-        goals = self._goals(view, agent_id)
-        warm = Goals(
-            logits=goals.logits / self.temperature,
-            along_m=goals.along_m,
-            knots=goals.knots,
-            paths=goals.paths,
+        density: Floats = (
+            mixture.log_density(
+                self.nets,
+                self._goals(view, agent_id).members,
+                self.temperature,
+                local,
+                torch.ones(1, local.shape[1], len(KNOT_STEPS)),
+            )[0]
+            .double()
+            .numpy()
         )
-        parts = self.net.log_density(warm, local, torch.ones(1, local.shape[1], len(KNOT_STEPS)))
-        density: Floats = parts.flatten(2).logsumexp(-1)[0].double().numpy()
         return density
 
-    def _goals(self, view: View, agent_id: AgentId) -> Goals:
+    def _goals(self, view: View, agent_id: AgentId) -> _Known:
         """Goals of an agent; those of the last view are kept, since a plan asks more than once."""
         if self._last is None or self._last[0] is not view:
             self._last = (view, {})
         known = self._last[1]
         if agent_id not in known:
             arrays, _ = features(view, agent_id, self.net.preset)
-            known[agent_id] = self.net(completion.as_batch(arrays))
+            batch = completion.as_batch(arrays)
+            members = [net(batch) for net in self.nets]
+            known[agent_id] = _Known(members, mixture.pooled(members))
         return known[agent_id]

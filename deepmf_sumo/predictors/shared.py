@@ -9,13 +9,18 @@ from deepmf_sumo.predictors.weights import NETWORKS, Predictors
 
 
 def predictors(name: str | Path) -> Predictors:
-    """As `weights.load`; read again where a tensor file has changed since.
+    """As `weights.load`; read again where a file of its networks has changed since.
 
     Raises WeightsError where they cannot be used.
     """
     folder = weights.find(name).resolve()
-    files = [folder / f"{network}.safetensors" for network in NETWORKS]
-    changed = tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files)
+    files = [
+        file  # members of a network have names that begin like its own
+        for network in NETWORKS
+        for suffix in ("safetensors", "json")
+        for file in sorted(folder.glob(f"{network}*.{suffix}"))
+    ]
+    changed = tuple((file.name, file.stat().st_mtime_ns) for file in files)
     return _loaded(folder, changed)
 
 
@@ -35,5 +40,8 @@ def _motion_prior(folder: Path, changed: int) -> MotionPrior:  # noqa: ARG001 - 
 
 
 @lru_cache(maxsize=4)
-def _loaded(folder: Path, changed: tuple[int, ...]) -> Predictors:  # noqa: ARG001 - part of the key
+def _loaded(
+    folder: Path,
+    changed: tuple[tuple[str, int], ...],  # noqa: ARG001 - part of the key
+) -> Predictors:
     return weights.load(folder)

@@ -1,7 +1,9 @@
 """Sets of weights: a folder with a tensor file and a card for each network.
 
 Every set holds the three networks of the paper; STRIVE's motion prior is one more, loaded where it
-is asked for.
+is asked for. The marginal network may have several members, each in files of its own
+(``marginal``, ``marginal-2``, ...): the card of the first one lists them under ``members``, with
+the temperature of their mixture.
 
 ``open`` is part of the package. Other names are looked up in ``$DEEPMF_SUMO_HOME/weights`` and in
 ``.weights`` of the working directory; a path to a folder works as well.
@@ -10,7 +12,7 @@ is asked for.
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -61,11 +63,10 @@ class Predictors:
 def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
     """The predictors of a name or folder. Raises WeightsError where they cannot be used."""
     folder = find(name)
-    opponent, opponent_card = _network(folder, "opponent")
-    marginal, marginal_card = _network(folder, "marginal")
-    conditional, conditional_card = _network(folder, "conditional")
+    opponent, opponent_card = read_network(folder, "opponent")
+    marginal, marginal_card = _marginal(folder)
+    conditional, conditional_card = read_network(folder, "conditional")
     assert isinstance(opponent, OpponentNet)
-    assert isinstance(marginal, DenseTNT)
     assert isinstance(conditional, DenseTNT)
     return Predictors(
         name=str(name),
@@ -81,12 +82,43 @@ def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
     )
 
 
+def members(folder: Path, card: dict[str, Any]) -> list[str | None]:
+    """Digest of the training of each member; a card without a list is that of a single network."""
+    if "members" not in card:
+        return [card.get("training_digest")]
+    listed = card["members"]
+    if not (isinstance(listed, list) and listed and all(isinstance(one, dict) for one in listed)):
+        raise WeightsError(
+            f"{folder / 'marginal.json'} has members {str(listed)[:80]!r}; it must be a list of"
+            f" trained networks; {_again(folder, 'marginal')}."
+        )
+    return [one.get("training_digest") for one in listed]
+
+
+def member(network: Network, number: int) -> str:
+    """Name of a member's files, without suffix; members count from 1."""
+    return network if number == 1 else f"{network}-{number}"
+
+
+def listed(folder: Path) -> list[str]:
+    """Names of all networks and members that have a card in a folder, in a fixed order.
+
+    Raises WeightsError where the marginal network's card cannot be read.
+    """
+    names: list[str] = [*NETWORKS, *BASELINES]
+    if (folder / "marginal.json").is_file():
+        count = len(members(folder, read_card(folder, "marginal")))
+        after = names.index("marginal") + 1
+        names[after:after] = [member("marginal", number) for number in range(2, count + 1)]
+    return [name for name in names if (folder / f"{name}.json").is_file()]
+
+
 def motion_prior(name: str | Path) -> MotionPrior:
     """STRIVE's motion prior of a name or folder, in evaluation mode.
 
     Raises WeightsError where the set has none, with the command that trains it.
     """
-    net, _ = _network(find(name), "strive")
+    net, _ = read_network(find(name), "strive")
     assert isinstance(net, MotionPrior)
     return net.eval().requires_grad_(False)
 
@@ -109,7 +141,7 @@ def random(preset: Preset, seed: int) -> Predictors:
         name="random",
         folder=None,
         opponent=Opponent(opponent, 1.0, 1.0),
-        marginal=Marginal(marginal, 1.0),
+        marginal=Marginal([marginal], 1.0),
         conditional=Conditional(conditional, 1.0),
     )
 
@@ -147,8 +179,8 @@ def home() -> Path:
     return Path(root) / "weights" if root else Path(".weights")
 
 
-def read_card(folder: Path, network: Network) -> dict[str, Any]:
-    """The card of one network. Raises WeightsError where it is missing or no card."""
+def read_card(folder: Path, network: str) -> dict[str, Any]:
+    """The card of one network or `member`. Raises WeightsError where it is missing or no card."""
     file = folder / f"{network}.json"
     try:
         card: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
@@ -166,8 +198,8 @@ def read_card(folder: Path, network: Network) -> dict[str, Any]:
     return card
 
 
-def tensors(folder: Path, network: Network) -> dict[str, Tensor]:
-    """The tensors of one network. Raises WeightsError where the file cannot be read."""
+def tensors(folder: Path, network: str) -> dict[str, Tensor]:
+    """The tensors of one network or `member`. Raises WeightsError where they cannot be read."""
     file = folder / f"{network}.safetensors"
     if not file.is_file():
         raise WeightsError(_missing(folder, file))
@@ -175,6 +207,47 @@ def tensors(folder: Path, network: Network) -> dict[str, Tensor]:
         return load_file(file)
     except (SafetensorError, OSError) as error:
         raise WeightsError(f"{file} is damaged ({error}); {_again(folder, network)}.") from None
+
+
+def read_network(
+    folder: Path, network: Network, number: int = 1
+) -> tuple[nn.Module, dict[str, Any]]:
+    """One network, or one member of it, and its card. Raises WeightsError where it is not whole."""
+    stem = member(network, number)
+    card = read_card(folder, stem)
+    for key in _TEMPERATURES[network]:
+        value = card.get(key)
+        if not (isinstance(value, int | float) and 0.0 < value < float("inf")):
+            raise WeightsError(
+                f"{folder / stem}.json has {key} {value!r}; it must be a number above 0; "
+                f"{_again(folder, stem)}."
+            )
+    offset = card.get("offset", 0.0)
+    if not (isinstance(offset, int | float) and math.isfinite(offset)):
+        raise WeightsError(
+            f"{folder / stem}.json has offset {offset!r}; it must be a number; "
+            f"{_again(folder, stem)}."
+        )
+    try:
+        preset = Preset.from_record(card.get("sizes"))
+    except WeightsError as error:
+        raise WeightsError(f"{folder / stem}.json: {error} {_again(folder, stem)}.") from None
+    net = build(network, preset)
+    try:
+        net.load_state_dict(tensors(folder, stem))
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())[:200]
+        raise WeightsError(
+            f"{folder / stem}.safetensors does not fit the {network} network of preset "
+            f"'{preset.name}' ({reason}); {_again(folder, stem)}."
+        ) from None
+    for key, value in net.state_dict().items():
+        if not torch.isfinite(value).all():
+            raise WeightsError(
+                f"{folder / stem}.safetensors holds numbers in '{key}' that are not finite; "
+                f"{_again(folder, stem)}."
+            )
+    return net, card
 
 
 def _places(name: str | Path) -> tuple[Path, ...]:
@@ -185,48 +258,41 @@ def _places(name: str | Path) -> tuple[Path, ...]:
     return (home() / name, Path(".weights") / name, Path(name))
 
 
-def _network(folder: Path, network: Network) -> tuple[nn.Module, dict[str, Any]]:
-    card = read_card(folder, network)
-    for key in _TEMPERATURES[network]:
-        value = card.get(key)
-        if not (isinstance(value, int | float) and 0.0 < value < float("inf")):
+def _marginal(folder: Path) -> tuple[list[DenseTNT], dict[str, Any]]:
+    """The members of the marginal network, and the first one's card.
+
+    Raises WeightsError where one is missing, of other sizes, or not the one that the card lists.
+    """
+    first, card = read_network(folder, "marginal")
+    assert isinstance(first, DenseTNT)
+    nets = [first]
+    sizes = replace(first.preset, name="", dropout=0.0)  # all that features and tensors depend on
+    for number, digest in enumerate(members(folder, card)[1:], start=2):
+        stem = member("marginal", number)
+        net, own = read_network(folder, "marginal", number)
+        assert isinstance(net, DenseTNT)
+        if replace(net.preset, name="", dropout=0.0) != sizes:
             raise WeightsError(
-                f"{folder / network}.json has {key} {value!r}; it must be a number above 0; "
-                f"{_again(folder, network)}."
+                f"{folder / stem}.json has other sizes than marginal.json; {_again(folder, stem)}."
             )
-    offset = card.get("offset", 0.0)
-    if not (isinstance(offset, int | float) and math.isfinite(offset)):
-        raise WeightsError(
-            f"{folder / network}.json has offset {offset!r}; it must be a number; "
-            f"{_again(folder, network)}."
-        )
-    try:
-        preset = Preset.from_record(card.get("sizes"))
-    except WeightsError as error:
-        raise WeightsError(f"{folder / network}.json: {error} {_again(folder, network)}.") from None
-    net = build(network, preset)
-    try:
-        net.load_state_dict(tensors(folder, network))
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())[:200]
-        raise WeightsError(
-            f"{folder / network}.safetensors does not fit the {network} network of preset "
-            f"'{preset.name}' ({reason}); {_again(folder, network)}."
-        ) from None
-    for key, value in net.state_dict().items():
-        if not torch.isfinite(value).all():
+        if own.get("training_digest") != digest:
             raise WeightsError(
-                f"{folder / network}.safetensors holds numbers in '{key}' that are not finite; "
-                f"{_again(folder, network)}."
+                f"{folder / stem}.safetensors is not the member that marginal.json lists, with"
+                f" which its temperature was fitted; {_again(folder, stem)}."
             )
-    return net, card
+        nets.append(net)
+    return nets, card
 
 
 def _missing(folder: Path, file: Path) -> str:
-    network = file.stem
     what = f"The weights in {folder} are incomplete: {file.name} is missing"
-    return f"{what}; {_again(folder, network)}."
+    return f"{what}; {_again(folder, file.stem)}."
 
 
-def _again(folder: Path, network: str) -> str:
-    return f"make it with `deepmf-sumo train {network} --data RECORDINGS --name {folder.name}`"
+def _again(folder: Path, stem: str) -> str:
+    network, _, number = stem.partition("-")
+    members = f" --members {number}" if number else ""
+    return (
+        f"make it with `deepmf-sumo train {network}{members} --data RECORDINGS"
+        f" --name {folder.name}`"
+    )

@@ -19,9 +19,16 @@ _NO_SIZES: Final = ("name", "dropout")
 
 
 def file_of(
-    network: Network, preset: Preset, folder: Path, begin_from: str | None, report: Progress
+    network: Network,
+    preset: Preset,
+    folder: Path,
+    begin_from: str | None,
+    report: Progress,
+    member: int = 1,
 ) -> Path | None:
     """The tensors to begin from; None begins anew.
+
+    A member begins from the same one of another set, from the first where that has fewer.
 
     The conditional network begins from the marginal one of the same folder where no other set is
     named. Raises WeightsError where the set is missing or of another version or other sizes.
@@ -33,9 +40,12 @@ def file_of(
                 f"--from {begin_from} is the set that is to be trained; give the new one another"
                 " --name."
             )
-        _check_sizes(source, network, preset)
-        weights.tensors(source, network)
-        return source / f"{network}.safetensors"
+        stem = weights.member(network, member)
+        if member > 1 and stem not in weights.listed(source):
+            stem = network
+        _check_sizes(source, stem, preset)
+        weights.tensors(source, stem)
+        return source / f"{stem}.safetensors"
     if network != "conditional" or not (folder / "marginal.safetensors").is_file():
         return None
     try:
@@ -58,9 +68,9 @@ def load(net: nn.Module, network: Network, file: Path) -> None:
     Where the condition enters the image, its channels come after the shared ones.
     Raises WeightsError where they do not fit.
     """
-    found = weights.tensors(file.parent, _network(file))
+    found = weights.tensors(file.parent, file.stem)
     own = net.state_dict()
-    widens = network != file.stem
+    widens = network == "conditional" and file.stem == MARGINAL
     unlike = sorted(found.keys() - own.keys() if widens else found.keys() ^ own.keys())
     unlike += sorted(
         name
@@ -91,12 +101,7 @@ def _wider(name: str, own: Tensor, shared: Tensor) -> bool:
     return able and own.ndim == shared.ndim and same and own.shape[grows] > shared.shape[grows]
 
 
-def _network(file: Path) -> Network:
-    networks = (*weights.NETWORKS, *weights.BASELINES)
-    return next(network for network in networks if network == file.stem)
-
-
-def _check_sizes(folder: Path, network: Network, preset: Preset) -> None:
+def _check_sizes(folder: Path, network: str, preset: Preset) -> None:
     """The card must be of this version, and name the sizes of the preset."""
     card = weights.read_card(folder, network)
     sizes, wanted = Preset.from_record(card.get("sizes")).record(), preset.record()

@@ -9,11 +9,11 @@ from safetensors.torch import save
 from torch import nn
 
 import deepmf_sumo
-from deepmf_sumo.predictors.weights import BASELINES, FORMAT_VERSION, NETWORKS, Network, read_card
+from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, listed, read_card
 
 
-def write(folder: Path, network: Network, net: nn.Module, card: dict[str, Any]) -> None:
-    """Put a network into the folder; what was there of that name is replaced.
+def write(folder: Path, network: str, net: nn.Module, card: dict[str, Any]) -> None:
+    """Put a network, or a member of one, into the folder; what was there of that name is replaced.
 
     Layers' weights are stored in half precision; tables, norms and biases as they are.
     """
@@ -27,7 +27,7 @@ def write(folder: Path, network: Network, net: nn.Module, card: dict[str, Any]) 
     write_card(folder, network, card)
 
 
-def write_card(folder: Path, network: Network, card: dict[str, Any]) -> None:
+def write_card(folder: Path, network: str, card: dict[str, Any]) -> None:
     """Replace a network's card, and the page made of all cards."""
     full = {"format_version": FORMAT_VERSION, "deepmf_sumo": deepmf_sumo.__version__, **card}
     _replace(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
@@ -58,9 +58,7 @@ def _table(rows: list[dict[str, Any]]) -> list[str]:
 
 def _page(folder: Path) -> str:
     lines = [f"# Weights '{folder.name}'", ""]
-    for network in (*NETWORKS, *BASELINES):
-        if not (folder / f"{network}.json").is_file():
-            continue
+    for network in listed(folder):
         card = read_card(folder, network)
         lines += [f"## {network}", ""]
         for key, value in card.items():

@@ -10,7 +10,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.presets import preset_named
 from deepmf_sumo.predictors.weights import BASELINES, NETWORKS, Network
-from deepmf_sumo.training import config, run
+from deepmf_sumo.training import config, ensembles, run
 from deepmf_sumo.training.cache import Progress
 
 
@@ -25,6 +25,7 @@ def train_named(
     begin_from: str | None,
     seed: int | None,
     licence: str | None,
+    members: int | None,
     optimisation: Mapping[str, Any],
     device: str,
     threads: int | None,
@@ -58,6 +59,7 @@ def train_named(
         again=again,
         licence=licence if licence is not None else settings.licence or "",
         command=command,
+        members=members or settings.members or config.MEMBERS,
     )
     chosen = [each for each in NETWORKS if network in {each, "all"}]
     chosen += [each for each in BASELINES if network == each]
@@ -71,4 +73,7 @@ def train_each(
     if threads is not None:
         torch.set_num_threads(threads)
     for network in networks:
-        run.train(network, training, report)
+        if network == "marginal":
+            ensembles.train(training, report)
+        else:
+            run.train(network, training, report)

@@ -43,7 +43,7 @@ from deepmf_sumo.training.motion_prior import samples as graph_samples
 from deepmf_sumo.training.schedule import Loss, Outcome, Schedule
 
 _CPU_INFO: Final = Path("/proc/cpuinfo")
-_MODES: Final[dict[Network, int]] = {"marginal": 32, "conditional": 6}
+MODES: Final[dict[Network, int]] = {"marginal": 32, "conditional": 6}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +58,7 @@ class Training:
         again: train even what this very training has made before.
         licence: a note on the data for the card.
         command: for the card.
+        members: of the marginal network, trained one after the other.
     """
 
     data: Sequence[Data]
@@ -72,10 +73,13 @@ class Training:
     again: bool = False
     licence: str = ""
     command: str = ""
+    members: int = 1
 
 
-def train(network: Network, training: Training, report: Progress) -> None:
-    """Train one network and write it; a run that was cut off goes on.
+def train(network: Network, training: Training, report: Progress, member: int = 1) -> None:
+    """Train one network, or a member of it with a seed of its own, and write it.
+
+    A run that was cut off goes on.
 
     Raises:
         WeightsError: no such device, or weights to begin from that do not fit.
@@ -85,13 +89,15 @@ def train(network: Network, training: Training, report: Progress) -> None:
     """
     if training.device == "cuda" and not torch.cuda.is_available():
         raise WeightsError("There is no CUDA device for --device cuda; use --device cpu.")
+    training = replace(training, seed=training.seed + member - 1)
+    stem = weights.member(network, member)
     begin = beginnings.file_of(
-        network, training.preset, training.folder, training.begin_from, report
+        network, training.preset, training.folder, training.begin_from, report, member
     )
     schedule = _schedule(network, training, began=begin is not None)
     digest = _digest(network, training, schedule, begin)
-    if not training.again and _made(training.folder, network, digest):
-        report(f"{network}: this training has been made; --again makes it again")
+    if not training.again and _made(training.folder, stem, digest):
+        report(f"{stem}: this training has been made; --again makes it again")
         return
     torch.manual_seed(training.seed)
     net = weights.build(network, training.preset)
@@ -102,17 +108,17 @@ def train(network: Network, training: Training, report: Progress) -> None:
         trajectory.start(net, cache, training.seed)
     if network == "conditional":
         cache = _pairs(cache)
-    checkpoints = Checkpoints(training.folder / f"{network}-{digest[:12]}.checkpoint")
-    names = [source.name for source in cache.sources]
-    curves = Curves(training.folder / "curves" / f"{network}.csv", names, report)
+    checkpoints = Checkpoints(training.folder / f"{stem}-{digest[:12]}.checkpoint")
+    file = training.folder / "curves" / f"{stem}.csv"
+    curves = Curves(file, [source.name for source in cache.sources], report)
     outcome = loop.train(net, cache, _loss(net), schedule, checkpoints, curves, report)
     card = _card(network, net, training, cache, schedule, outcome)
     card["began_from"] = beginnings.name_of(begin, training.begin_from)
     card["training_digest"] = digest
     card |= _measured(network, net, cache)
     try:
-        cards.write(training.folder, network, net, card)
-        if network == "marginal":  # a baseline that `evaluate` shows beside it
+        cards.write(training.folder, stem, net, card)
+        if stem == "marginal":  # a baseline that `evaluate` shows beside it
             clusters.write(_clusters(cache, training.seed), training.folder)
     except OSError as error:
         raise OutputError(
@@ -120,7 +126,7 @@ def train(network: Network, training: Training, report: Progress) -> None:
             " stays there: make room, and give the same command again."
         ) from None
     checkpoints.clear()
-    report(f"{network}: best step {outcome.best_step}, written to {training.folder}")
+    report(f"{stem}: best step {outcome.best_step}, written to {training.folder}")
 
 
 def _clusters(cache: Cache, seed: int) -> clusters.Clusters:
@@ -206,11 +212,11 @@ def _digest(network: Network, training: Training, schedule: Schedule, begin: Pat
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
 
 
-def _made(folder: Path, network: Network, digest: str) -> bool:
+def _made(folder: Path, stem: str, digest: str) -> bool:
     """Whether the folder holds the network that this training makes."""
     try:
-        card = weights.read_card(folder, network)
-        weights.tensors(folder, network)
+        card = weights.read_card(folder, stem)
+        weights.tensors(folder, stem)
     except WeightsError:
         return False
     return card.get("training_digest") == digest
@@ -288,6 +294,6 @@ def _measured(network: Network, net: nn.Module, cache: Cache) -> dict[str, Any]:
     if isinstance(net, MotionPrior):
         return {"held_out_errors_m": motion_prior_evaluation.of_held_out(net, cache)}
     if isinstance(net, DenseTNT):
-        return {"temperature": trajectory.fit_temperature(net, cache, _MODES[network])}
+        return {"temperature": trajectory.fit_temperature([net], cache, MODES[network])}
     assert isinstance(net, OpponentNet)
     return asdict(opponent.calibrate(net, cache))

@@ -1,11 +1,13 @@
 """Training of the marginal and the conditional network."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from deepmf_sumo.predictors import anchors, condition, selection
+from deepmf_sumo.predictors import anchors, condition, mixture, selection
 from deepmf_sumo.predictors.condition import Condition
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.presets import Preset
@@ -83,10 +85,20 @@ def partner_condition(
     return condition.encode(position[:, None], heading[:, None], given[:, None], preset)
 
 
+def _given(net: DenseTNT, batch: dict[str, Tensor]) -> Condition | None:
+    return partner_condition(batch, net.preset, None) if net.conditional else None
+
+
 @torch.inference_mode()
-def fit_temperature(net: DenseTNT, cache: Cache, modes: int, samples: int = 600) -> float:
-    """The temperature at which modes nearest to true ends are likeliest, on held-out scenes."""
-    net.eval().cpu()
+def fit_temperature(
+    nets: Sequence[DenseTNT], cache: Cache, modes: int, samples: int = 600
+) -> float:
+    """The temperature at which modes nearest to true ends are likeliest, on held-out scenes.
+
+    Of one network, or of the mixture of several.
+    """
+    for net in nets:
+        net.eval().cpu()
     rows = cache.rows(held_out=True)
     rows = rows[np.asarray(cache.arrays["future_valid"][rows, -1]) > 0]
     rows = rows[np.random.default_rng(0).permutation(len(rows))[:samples]]
@@ -95,8 +107,7 @@ def fit_temperature(net: DenseTNT, cache: Cache, modes: int, samples: int = 600)
     nll = np.zeros(len(_TEMPERATURES))
     for begin in range(0, len(rows), 64):
         batch = tensors(cache.batch(rows[begin : begin + 64]))
-        given = partner_condition(batch, net.preset, None) if net.conditional else None
-        goals = net(batch, given)
+        goals = mixture.pooled([net(batch, _given(net, batch)) for net in nets])
         logits = goals.logits[:, 0].flatten(1)
         ends = goals.ends()[:, 0]
         chosen, _ = selection.select(logits.softmax(-1), ends, modes)

@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.training import command as training
 from deepmf_sumo.training import config
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.making import Data
@@ -98,3 +99,24 @@ def test_a_source_on_the_command_line_may_have_a_weight(tmp_path):
 def test_what_is_no_weight_is_refused(text):
     with pytest.raises(UsageError, match="is no weight; give PATH=WEIGHT"):
         config.parsed(text)
+
+
+def test_members_come_from_the_flag_then_the_file_then_the_default(tmp_path, monkeypatch):
+    (tmp_path / "mine").mkdir()
+    file = tmp_path / "train.yaml"
+    asked = []
+    monkeypatch.setattr(training, "train_each", lambda _, made, *__: asked.append(made.members))
+    given = dict.fromkeys(("preset", "begin_from", "seed", "licence", "out", "threads", "cache"))
+    given |= {"data": [], "name": "x", "optimisation": {}, "device": "cpu", "jobs": 1}
+    given |= {"again": False, "command": "", "report": print}
+    for text, flag in (("", None), ("members: 3\n", None), ("members: 3\n", 1)):
+        file.write_text(f"version: 1\ndata: [mine]\n{text}", encoding="utf-8")
+        training.train_named("marginal", file=file, members=flag, **given)
+    assert asked == [config.MEMBERS, 3, 1]
+
+
+@pytest.mark.parametrize("value", [0, 9, "two"])
+def test_a_number_of_members_that_is_none_is_refused(tmp_path, value):
+    file = written(tmp_path, f"version: 1\ndata: [mine]\nmembers: {value}\n")
+    with pytest.raises(SpecError, match="members"):
+        config.load(file)

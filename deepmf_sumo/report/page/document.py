@@ -92,11 +92,7 @@ def _licences(name: str) -> list[list[str]] | str:
 
     try:
         folder = weights.find(name)
-        cards = {
-            network: weights.read_card(folder, network)
-            for network in (*weights.NETWORKS, *weights.BASELINES)
-            if (folder / f"{network}.json").is_file()
-        }
+        cards = {name: weights.read_card(folder, name) for name in weights.listed(folder)}
     except WeightsError as error:
         return str(error)
     return [

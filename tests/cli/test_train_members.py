@@ -1,0 +1,63 @@
+"""``train marginal --members``, and a set whose second member is missing, from the command line."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
+from synthetic import scene
+
+from deepmf_sumo.cli import main
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.readers import npz
+from deepmf_sumo.training import command, run
+
+
+@pytest.fixture
+def trained(monkeypatch, tmp_path, capsys):
+    """Members and seeds that ``train`` asks for, without training."""
+    asked = []
+    monkeypatch.setattr(
+        command.ensembles, "train", lambda training, _: asked.append((training.members, "all"))
+    )
+    monkeypatch.setattr(run, "train", lambda network, training, *_: asked.append((0, network)))
+    npz.write(scene(), tmp_path / "one.npz")
+
+    def train(*arguments):
+        asked.clear()
+        fixed = ["--data", str(tmp_path), "--out", str(tmp_path / "set")]
+        code = main._run(["train", *map(str, arguments), *fixed])
+        return code, list(asked), capsys.readouterr().err
+
+    return train
+
+
+def test_the_marginal_network_alone_has_members(trained):
+    assert trained("marginal") == (0, [(2, "all")], "")
+    assert trained("marginal", "--members", 3) == (0, [(3, "all")], "")
+    assert trained("all", "--members", 1)[1] == [(0, "opponent"), (1, "all"), (0, "conditional")]
+
+
+@pytest.mark.parametrize("value", ["0", "9", "two"])
+def test_a_number_of_members_that_is_none(trained, value):
+    code, asked, error = trained("marginal", "--members", value)
+    assert code == 2
+    assert not asked
+    assert "--members" in error
+
+
+def test_a_missing_member_is_one_sentence(tmp_path, capsys):
+    folder = Path(shutil.copytree(weights.find("open"), tmp_path / "mine"))
+    card = json.loads((folder / "marginal.json").read_text())
+    card["members"] = [{"name": "marginal"}, {"name": "marginal-2"}]
+    (folder / "marginal.json").write_text(json.dumps(card))
+    (folder / "marginal-2.json").unlink(missing_ok=True)
+    npz.write(scene(), tmp_path / "one.npz")
+    code = main._run(["evaluate", str(tmp_path / "one.npz"), "--weights", str(folder)])
+    error = capsys.readouterr().err
+    assert code == 2
+    assert error.count("\n") == 1
+    assert "marginal-2.json is missing; make it with `deepmf-sumo train marginal --mem" in error

@@ -1,0 +1,111 @@
+"""Several marginal networks as one: a mixture in equal parts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import view
+
+from deepmf_sumo.predictors import completion, marginal, mixture, weights
+from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.presets import LIGHT
+
+SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=6)
+
+
+@pytest.fixture(scope="module")
+def nets():
+    """Two networks of other seeds and kernels, with opinions."""
+    made = [weights.random(SMALL, seed).marginal.net for seed in (0, 1)]
+    for net in made:
+        net.score.weight.data *= 20.0
+    made[1].widths.data += 0.7
+    return made
+
+
+def goals_of(nets):
+    batch = completion.as_batch(features(view(), "av", SMALL)[0])
+    with torch.inference_mode():
+        return [net(batch) for net in nets]
+
+
+def test_members_have_equal_mass_and_one_is_as_it_is(nets):
+    members = goals_of(nets)
+    assert mixture.pooled(members[:1]) is members[0]
+    whole = mixture.pooled(members)
+    paths = members[0].logits.shape[2]
+    share = whole.logits.flatten(2).softmax(-1).view_as(whole.logits)
+    assert share[:, :, :paths].sum().item() == pytest.approx(0.5, abs=1e-5)
+    own = members[1].logits.flatten(2).softmax(-1).view_as(members[1].logits)
+    assert torch.allclose(share[:, :, paths:], own / 2, atol=1e-6)
+    assert torch.equal(whole.ends(), torch.cat([goals.ends() for goals in members], 2))
+
+
+def test_modes_are_goals_of_either_member(nets):
+    pose, members = completion.pose_of(view(), "av"), goals_of(nets)
+    everything = [
+        completion.to_scene(
+            pose, *completion.complete(goals, torch.arange(goals.logits.numel())[None])
+        )[0][0]
+        for goals in members
+    ]
+    modes = Marginal(nets, 1.0).predict(view(), ["av"], 16)[0].futures.position_m
+    found = [
+        {k for k, one in enumerate(modes) if np.abs(own - one).max((1, 2)).min() < 1e-4}
+        for own in everything
+    ]
+    assert found[0] | found[1] == set(range(16))
+    assert found[0] - found[1]
+    assert found[1] - found[0]
+
+
+def test_densities_are_those_of_the_mixture_with_each_members_kernels(nets):
+    modes = Marginal(nets, 1.0).predict(view(), ["av"], 16)[0].futures.position_m
+    both, *alone = (Marginal(each, 1.0) for each in (nets, nets[:1], nets[1:]))
+    one, other = (each.log_density(view(), "av", modes) for each in alone)
+    expected = np.logaddexp(one, other) - np.log(2)
+    assert both.log_density(view(), "av", modes) == pytest.approx(expected, abs=1e-4)
+    ends = modes[:, -1]
+    one, other = (each.end_density(view(), "av", ends, 2.0) for each in alone)
+    expected = np.logaddexp(one, other) - np.log(2)
+    assert both.end_density(view(), "av", ends, 2.0) == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_temperature_is_that_of_all_goals_together(nets):
+    """A member that is sure loses share where the mixture is warmed."""
+    modes = Marginal(nets, 1.0).predict(view(), ["av"], 16)[0].futures.position_m
+    warm = Marginal(nets, 3.0).log_density(view(), "av", modes)
+    share, members = [], goals_of(nets)
+    for goals in members:
+        probability = goals.logits.flatten().double().softmax(-1) / 2
+        share.append((probability ** (1 / 3.0)).sum())
+    share = [float(one / sum(share)) for one in share]
+    assert abs(share[0] - share[1]) > 0.01
+    alone = [Marginal([net], 3.0).log_density(view(), "av", modes) for net in nets]
+    expected = np.logaddexp(alone[0] + np.log(share[0]), alone[1] + np.log(share[1]))
+    assert warm == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_member_twice_is_that_member(nets):
+    modes = Marginal(nets[:1], 1.4).predict(view(), ["av"], 6)[0].futures.position_m
+    once, twice = (
+        Marginal(each, 1.4).log_density(view(), "av", modes) for each in (nets[:1], nets[:1] * 2)
+    )
+    assert twice == pytest.approx(once, abs=1e-4)
+
+
+def test_features_are_computed_once_for_all(nets, monkeypatch):
+    asked = []
+
+    def counted(seen, agent_id, preset):
+        asked.append(agent_id)
+        return features(seen, agent_id, preset)
+
+    monkeypatch.setattr(marginal, "features", counted)
+    both, seen = Marginal(nets, 1.0), view()
+    (modes,) = both.predict(seen, ["av"], 6)
+    both.log_density(seen, "av", modes.futures.position_m)
+    assert asked == ["av"]
+    assert both.net is nets[0]
