@@ -57,6 +57,8 @@ class Lane:
         speed_limit_mps: None where unknown.
         next, previous: ids of the lanes that follow and precede.
         left, right: neighbours in the same direction.
+        gives_way_to: lanes inside the junction whose traffic goes first; empty, too, where the
+            source does not say, as in recordings.
     """
 
     id: str
@@ -72,6 +74,7 @@ class Lane:
     right: tuple[Neighbour, ...] = ()
     left_boundaries: tuple[Boundary, ...] = ()
     right_boundaries: tuple[Boundary, ...] = ()
+    gives_way_to: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre_m", frozen(self.centre_m))

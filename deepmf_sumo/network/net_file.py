@@ -75,11 +75,19 @@ class NetLink:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetJunction:
-    """A ``<junction>`` with its outline (P, 2)."""
+    """A ``<junction>`` with its outline (P, 2).
+
+    Attributes:
+        inner_lanes: lanes inside, one a link over the junction: of links that wait in the middle
+            the last one.
+        goes_first: for each of these links the rows of those that it gives way to.
+    """
 
     id: str
     type: str
     shape_m: Floats
+    inner_lanes: tuple[str, ...] = ()
+    goes_first: tuple[frozenset[int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,13 +119,7 @@ def read_net(file: Path) -> NetFile:
         elif element.tag == "connection":
             links.append(_link(element))
         elif element.tag == "junction" and element.get("type") != "internal":
-            junctions.append(
-                NetJunction(
-                    id=element.get("id", ""),
-                    type=element.get("type", ""),
-                    shape_m=points(element.get("shape", ""))[:, :2],
-                )
-            )
+            junctions.append(_junction(element))
     return NetFile(
         edges=edges,
         links=tuple(links),
@@ -211,6 +213,23 @@ def _lane(element: ET.Element, edge: str) -> NetLane:
         allow=None if allow is None else frozenset(allow.split()),
         disallow=frozenset(element.get("disallow", "").split()),
         shape_m=points(element.get("shape", "")),
+    )
+
+
+def _junction(element: ET.Element) -> NetJunction:
+    requests = sorted(element.iter("request"), key=lambda one: int(one.get("index", "0")))
+    return NetJunction(
+        id=element.get("id", ""),
+        type=element.get("type", ""),
+        shape_m=points(element.get("shape", ""))[:, :2],
+        inner_lanes=tuple(element.get("intLanes", "").split()),
+        goes_first=tuple(
+            # the last letter is link 0
+            frozenset(
+                row for row, letter in enumerate(one.get("response", "")[::-1]) if letter == "1"
+            )
+            for one in requests
+        ),
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, cast
@@ -20,6 +21,7 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.datatypes.road import LaneKind, PolygonKind
 from deepmf_sumo.network.borders import borders
 from deepmf_sumo.network.net_file import NetEdge, NetFile, NetLane, elements, points, read_once
+from deepmf_sumo.network.right_of_way import going_first
 
 _VEHICLES: Final = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")
 _FREEWAY_MPS: Final = 24.0
@@ -57,9 +59,13 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
             after[link.origin].append(link.onto)
             before[link.onto].append(link.origin)
     lines, edges = borders(net, lanes)
+    goes_first = going_first(net)
     return RoadMap(
         lanes={
-            lane.id: _lane(net, edge, lane, lanes, after[lane.id], before[lane.id])
+            lane.id: replace(
+                _lane(net, edge, lane, lanes, after[lane.id], before[lane.id]),
+                gives_way_to=tuple(name for name in goes_first.get(lane.id, ()) if name in lanes),
+            )
             for edge in net.edges.values()
             for lane in edge.lanes
             if lane.id in lanes

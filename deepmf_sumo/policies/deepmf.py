@@ -19,11 +19,12 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     View,
 )
-from deepmf_sumo.policies.factorization import candidates, opponent, pairing, steering
+from deepmf_sumo.policies.factorization import candidates, opponent, pairing, selection, steering
 from deepmf_sumo.policies.factorization.aims import aimed_paths
 from deepmf_sumo.policies.factorization.candidates import Candidates, References
 from deepmf_sumo.policies.factorization.collision import footprint
 from deepmf_sumo.policies.factorization.goals import goal_paths
+from deepmf_sumo.policies.factorization.lawful import Law, stops
 from deepmf_sumo.policies.factorization.selection import Choice
 from deepmf_sumo.policies.factorization.settings import Settings
 from deepmf_sumo.policies.factorization.stopwatch import Stopwatch
@@ -76,6 +77,7 @@ class DeepMF:
         self._last: Plan | None = None
         self._first: Plan | None = None  # made while the opponent was chosen
         self._committed = False  # the last plan attacks, and was fair when it was chosen
+        self._law: Law | None = None  # with the wish for lawful attacks
         self.seconds = 0.0
 
     @property
@@ -90,7 +92,8 @@ class DeepMF:
         """
         watch = Stopwatch()
         self._rng = rng
-        self._last, self._first, self._committed = None, None, False
+        self._first = None
+        self._begin()
         self._opponent_id, self._scores = opponent.choose(
             view, self._settings.opponent, self._predictors.opponent, self._partner_id, rng
         )
@@ -101,19 +104,22 @@ class DeepMF:
         return self._opponent_id
 
     def _most_promising(self, view: View, scores: OpponentScores) -> AgentId:
-        """Of the highest scores the vehicle whose best candidate most likely meets the AV."""
-        settings = self._settings
+        """The highest score among those that meet the AV at least 95 % as likely as the best."""
+        settings, firsts = self._settings, {}
         tried = opponent.highest(scores, settings.opponent, settings.tried_opponents)
-        best, most = tried[0], -1.0
         for self._opponent_id in tried:
-            self._last, self._committed = None, False
-            plan = self._plan(view)
-            assert plan.reason is not None
-            mass = float(plan.reason.collision_mass.max())
-            if mass > most:
-                best, most, first = self._opponent_id, mass, (plan, self._committed)
-        self._first, self._committed = first
+            self._begin()
+            firsts[self._opponent_id] = self._plan(view), self._committed, self._law
+        mass = {agent_id: _most_mass(plan) for agent_id, (plan, *_) in firsts.items()}
+        enough = selection.MASS_SHARE * max(mass.values())
+        best = next(agent_id for agent_id in firsts if mass[agent_id] >= enough)
+        self._first, self._committed, self._law = firsts[best]
         return best
+
+    def _begin(self) -> None:
+        """Nothing is planned yet."""
+        self._last, self._committed = None, False
+        self._law = Law() if self._settings.lawful else None
 
     def plan(self, view: View) -> Plan | None:
         """The opponent's next 8 s; None where the opponent or the AV is gone."""
@@ -137,7 +143,8 @@ class DeepMF:
 
     def _alone(self, view: View, watch: Stopwatch) -> Forecast | None:
         """The AV's futures if nobody attacks; None where nothing needs them."""
-        if not (self._settings.goal_candidates or self._settings.fair):
+        settings = self._settings
+        if not (settings.goal_candidates or settings.fair or settings.lawful):
             return None
         (av,) = self._react(view, None)
         watch.lap("conditional")
@@ -157,6 +164,8 @@ class DeepMF:
             assert alone is not None
             parts += self._goals(view, modes, alone, start)
             watch.lap("goals")
+        if self._law is not None:
+            parts.append(stops(modes, start, limits))
         kept = settings.keep_tail or self._committed or settings.wanted_sector is not None
         if kept and self._last is not None:
             rest = candidates.tail(self._last, view, limits, FUTURE_STEPS)
@@ -207,7 +216,9 @@ class DeepMF:
     ) -> Plan:
         """Collide all pairs within the time that is left, choose, and say why."""
         futures = own.forecast.futures
-        pairs = pairing.pairs(view, own, reactions, alone, self._settings, self._committed, watch)
+        pairs = pairing.pairs(
+            view, own, reactions, alone, self._settings, self._committed, self._law, watch
+        )
         pairs, choice, unmet = self._choose(view, own, reactions, pairs)
         self._committed = pairs.fair is not None and bool(
             (pairs.fair & pairs.collides.any(axis=1))[choice.index]
@@ -267,8 +278,14 @@ class DeepMF:
             wanted_sector=self._settings.wanted_sector,
             sector=pairs.sector,
             fair=pairs.fair,
+            lawful=pairs.lawful,
             unmet=unmet,
         )
+
+
+def _most_mass(plan: Plan) -> float:
+    assert plan.reason is not None
+    return float(plan.reason.wished_mass.max())
 
 
 def build(

@@ -1,9 +1,10 @@
-"""Places of `build.py` by their risk, and whether seeds agree: ``python rank.py OUT...``.
+"""Places of `build.py` by how critical attacks were there: ``python rank.py OUT...``.
 
-Each OUT is a result folder of ``deepmf-sumo attack hazards.sumocfg``, e.g. one a seed. An attack
-belongs to the place where it began, as its edges are named after it. The risk of a place is its
-rate of an event, drawn towards that of all places as far as its data are thin (the package's
-``benchmark.risk``); places are ranked by the lower end of its 90 % interval.
+Each OUT is a seed: a result folder of ``deepmf-sumo attack hazards.sumocfg``, or a folder of such.
+An attack belongs to the place where it began, as its edges are named after it. The mean criticality
+of its attacks is drawn to the typical place of its kind as far as the data are thin (the package's
+``benchmark.risk.criticality``). Places are ranked by the excess over the typical one, as road
+authorities rank sites by reference populations: at a stop ways always cross, on a motorway never.
 """
 
 # ruff: noqa: INP001, T201 - a script beside data, not a package
@@ -12,55 +13,69 @@ import argparse
 import itertools
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from deepmf_sumo.benchmark.risk import Attacked, read
-from deepmf_sumo.benchmark.risk.shrinkage import Shrunk, prior, shrink
-from deepmf_sumo.benchmark.risk.table import CONFLICT_S, SEVERE_MPS
+from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn
 from deepmf_sumo.errors import DeepmfError
 
 KINDS: Final = ("merge", "signal", "left", "stop")
 FLAWED: Final = ("merge3", "signal6", "left1", "stop8")
 PLACES: Final = tuple(f"{kind}{number}" for kind in KINDS for number in range(10))
-EVENTS: Final[Mapping[str, Callable[[Attacked], bool]]] = {
-    "hit": lambda one: one.hit,
-    "avoidable": lambda one: bool(one.avoidable),
-    "severe": lambda one: one.hit and (one.delta_v_mps or 0.0) >= SEVERE_MPS,
-    "conflict": lambda one: one.hit or (one.ttc_s is not None and one.ttc_s <= CONFLICT_S),
-}
 
 
 class Place(NamedTuple):
-    """A place and its counts; ``rank`` 1 is the worst, and equals share the mean of their ranks."""
+    """A place; ``rank`` 1 is the worst, and equals share the mean of their ranks."""
 
     name: str
     attacks: int
-    events: int
-    risk: Shrunk
+    hits: int
+    risk: Drawn
     rank: float
 
 
-def ranked(attacks: Iterable[Attacked], event: str) -> list[Place]:
-    """All forty places, the worst first; those without an attack have the risk of all."""
-    counts = {name: [0, 0] for name in PLACES}
+def ranked(attacks: Iterable[Attacked]) -> list[Place]:
+    """All forty places, the worst first; those without an attack are taken as typical."""
+    groups: dict[str, list[Attacked]] = {name: [] for name in PLACES}
     for one in attacks:
-        name = _place(one)
-        if name in counts:
-            counts[name][0] += 1
-            counts[name][1] += EVENTS[event](one)
-    given = prior([(events, number) for number, events in counts.values()])
-    risks = {name: shrink(events, number, given) for name, (number, events) in counts.items()}
-    low = np.round([risks[name].low for name in PLACES], 6)
-    rank = {
-        name: float((low > mine).sum() + ((low == mine).sum() + 1) / 2)
-        for name, mine in zip(PLACES, low, strict=True)
-    }
-    table = [Place(name, *counts[name], risks[name], rank[name]) for name in PLACES]
+        groups.get(_place(one), []).append(one)
+    values = {name: [one.criticality or 0.0 for one in groups[name]] for name in PLACES}
+    risks = drawn(values, {name: name.rstrip("0123456789") for name in PLACES})
+    rank = ranks({name: risks[name].excess for name in PLACES})
+    hits = {name: sum(one.hit for one in groups[name]) for name in PLACES}
+    table = [Place(name, len(groups[name]), hits[name], risks[name], rank[name]) for name in PLACES]
     return sorted(table, key=lambda place: (place.rank, place.name))
+
+
+def ranks(values: Mapping[str, float]) -> dict[str, float]:
+    """1 for the largest; equals share the mean of their ranks."""
+    number = np.round(list(values.values()), 6)
+    return {
+        name: float((number > mine).sum() + ((number == mine).sum() + 1) / 2)
+        for name, mine in zip(values, number, strict=True)
+    }
+
+
+def conspicuous(table: Iterable[Place]) -> dict[str, float]:
+    """Ranks of those that stand out; all others are equal, as they cannot be told apart."""
+    return ranks({one.name: one.risk.excess if one.risk.stands_out else -1.0 for one in table})
+
+
+def _all(table: Iterable[Place]) -> dict[str, float]:
+    return {one.name: one.rank for one in table}
+
+
+def agreement(first: Mapping[str, float], second: Mapping[str, float]) -> float:
+    """Kendall's tau-b of two rankings of the same places; nan where one is all ties."""
+    pairs = list(itertools.combinations(first, 2))
+    a = np.sign([first[x] - first[y] for x, y in pairs])
+    b = np.sign([second[x] - second[y] for x, y in pairs])
+    untied = float(np.sqrt((a != 0).sum() * (b != 0).sum()))
+    return float((a * b).sum()) / untied if untied else float("nan")
 
 
 def _place(one: Attacked) -> str:
@@ -70,21 +85,24 @@ def _place(one: Attacked) -> str:
     return found[0] if found else ""
 
 
-def agreement(first: Sequence[Place], second: Sequence[Place]) -> float:
-    """Kendall's tau-b of two rankings of the same places; nan where one is all ties."""
-    one, two = ({place.name: place.rank for place in table} for table in (first, second))
-    pairs = list(itertools.combinations(PLACES, 2))
-    a = np.sign([one[x] - one[y] for x, y in pairs])
-    b = np.sign([two[x] - two[y] for x, y in pairs])
-    untied = float(np.sqrt((a != 0).sum() * (b != 0).sum()))
-    return float((a * b).sum()) / untied if untied else float("nan")
+def _print(table: Sequence[Place], flawed: Sequence[str]) -> None:
+    print("place     rank  attacks  hits  criticality  of its kind  excess  drawn (90 % interval)")
+    for place in table:
+        risk = place.risk
+        marks = ("  *" if risk.stands_out else "") + ("  <- flawed" * (place.name in flawed))
+        print(
+            f"{place.name:9} {place.rank:4.1f}  {place.attacks:7}  {place.hits:4}"
+            f"  {risk.mean:11.2f}  {risk.typical:11.2f}  {risk.excess:+.3f}"
+            f"  {risk.drawn:.3f} ({risk.low:.3f} to {risk.high:.3f}){marks}"
+        )
+    found = ", ".join(f"{place.rank:g}" for place in table if place.name in flawed)
+    print(f"* surely above the typical place of its kind. Ranks of the flawed places: {found}")
 
 
 def main() -> int:
     """Print the ranking of all folders together, and what each pair of them agrees on."""
-    parser = argparse.ArgumentParser(description="Rank the forty places by their risk.")
+    parser = argparse.ArgumentParser(description="Rank the forty places by their criticality.")
     parser.add_argument("folders", metavar="OUT", nargs="+", type=Path)
-    parser.add_argument("--event", choices=EVENTS, default="avoidable")
     parser.add_argument("--flawed", nargs="*", default=FLAWED, metavar="PLACE", choices=PLACES)
     given = parser.parse_args()
     try:
@@ -92,19 +110,24 @@ def main() -> int:
     except DeepmfError as error:
         print(error, file=sys.stderr)
         return 2
-    table = ranked(itertools.chain(*seeds), given.event)
-    print(f"place     rank  attacks  {given.event}  risk (90 % interval)")
-    for place in table:
-        mark = "  <- flawed" if place.name in given.flawed else ""
-        low, high = (f"{100 * end:.0f}" for end in (place.risk.low, place.risk.high))
-        risk = f"{100 * place.risk.rate:.0f} % ({low} to {high})"
+    old = sum(one.criticality is None for attacks in seeds for one in attacks)
+    if old:
+        print(f"{old} attacks without a measured time to spare; attack anew.", file=sys.stderr)
+        return 2
+    _print(ranked(itertools.chain(*seeds)), given.flawed)
+    each = [ranked(attacks) for attacks in seeds]
+    for out, table in zip(given.folders, each, strict=True):
+        first = [f"{one.name}{'*' * one.risk.stands_out}" for one in table[:5]]
+        print(f"{out}: first {', '.join(first)}")
+    pairs = list(itertools.combinations(each, 2))
+    if pairs:
+        whole = [agreement(*map(_all, two)) for two in pairs]
+        out = [agreement(*map(conspicuous, two)) for two in pairs]
         print(
-            f"{place.name:9} {place.rank:4.1f}  {place.attacks:7}  {place.events:6}  {risk}{mark}"
+            f"Kendall's tau-b of {len(pairs)} pairs of folders: mean {np.mean(out):.2f}, least"
+            f" {np.min(out):.2f} where places that do not stand out are equal; mean"
+            f" {np.mean(whole):.2f} of all excesses"
         )
-    each = [ranked(attacks, given.event) for attacks in seeds]
-    taus = [agreement(first, second) for first, second in itertools.combinations(each, 2)]
-    if taus:
-        print(f"Kendall's tau-b of {len(taus)} pairs of folders: mean {np.mean(taus):.2f}")
     return 0
 
 

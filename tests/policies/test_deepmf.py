@@ -105,6 +105,15 @@ def test_of_several_opponents_the_one_that_can_reach_the_av(near_but_away, tried
     assert plan.reason.scores is not None
 
 
+@pytest.mark.parametrize(("mass", "chosen"), [(0.96, "gone"), (0.94, "behind")])
+def test_of_opponents_that_are_as_good_the_highest_score(monkeypatch, near_but_away, mass, chosen):
+    found = {"gone": mass, "behind": 1.0}
+    monkeypatch.setattr(deepmf, "_most_mass", lambda plan: found[plan.agent_id])
+    made = policy(tried_opponents=2)
+    assert made.reset(near_but_away, np.random.default_rng(0)) == chosen
+    assert made.plan(near_but_away).agent_id == chosen
+
+
 def test_a_plan_made_while_choosing_is_used_once(near_but_away):
     made = policy(tried_opponents=2)
     made.reset(near_but_away, np.random.default_rng(0))

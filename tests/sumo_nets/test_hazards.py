@@ -2,13 +2,15 @@
 
 import importlib.util
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 
-from deepmf_sumo.benchmark.risk import Attacked
+from deepmf_sumo import plugins
+from deepmf_sumo.benchmark.risk import Attacked, Network
 from deepmf_sumo.benchmark.risk.places import Spot, read
+from deepmf_sumo.network.sumo_road import road_of_net
 
 FOLDER = Path(__file__).resolve().parents[2] / "sumo_nets" / "hazards"
 
@@ -20,7 +22,7 @@ def _script(name):
     return module
 
 
-BUILD, RANK = _script("build"), _script("rank")
+BUILD, RANK, STUDY = _script("build"), _script("rank"), _script("study")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def test_the_same_arguments_give_the_same_bytes(config, tmp_path):
 
 def test_only_the_flawed_places_differ_from_those_of_their_kind(config):
     places = read(config.parent / "hazards.net.xml")
-    assert tuple(name for name, *_ in BUILD.places()) == RANK.PLACES
+    assert tuple(place.name for place in BUILD.places()) == RANK.PLACES
     assert BUILD.FLAWED == RANK.FLAWED
 
     def nature(name):
@@ -66,34 +68,81 @@ def test_traffic_flows_and_sumo_misses_the_one_yellow(config):
     assert "Teleporting" not in done.stderr
 
 
-def attacked(place, *, hit):
+def test_places_of_a_kind_differ_a_little_and_alike_with_and_without_flaws(config, tmp_path):
+    places = list(BUILD.places())
+    for share in ("volume", "speed"):
+        values = [getattr(place, share) for place in places]
+        assert len(set(values)) == len(places)
+        assert 0.8 <= min(values) < 1.0 < max(values) <= 1.2
+    control = BUILD.build(tmp_path, ())
+    assert (control.parent / "hazards.rou.xml").read_bytes() == (
+        config.parent / "hazards.rou.xml"
+    ).read_bytes()
+
+
+def test_who_gives_way_is_read_from_the_network(config):
+    lanes = road_of_net(config.parent / "hazards.net.xml").lanes
+
+    def first(name):
+        found = [lane for lane in lanes.values() if lane.id.startswith(f":{name}_mid_")]
+        return {lane.id: set(lane.gives_way_to) for lane in found if lane.gives_way_to}
+
+    # north and south give way to east and west
+    main = {":stop0_mid_1_0", ":stop0_mid_3_0"}
+    assert first("stop0") == {":stop0_mid_0_0": main, ":stop0_mid_2_0": main}
+    assert first("stop8") == {}
+    # the left turn waits in the middle: both of its lanes give way to who comes towards it
+    left = {name: who for name, who in first("left1").items() if name.startswith(":left1_mid_8")}
+    [(name, who)] = left.items()
+    (towards,) = who
+    [behind] = [lane for lane in lanes.values() if name in lane.previous]
+    assert behind.gives_way_to == (towards,)
+    assert "left1_east_in_0" in lanes[towards].previous
+
+
+def attacked(place, value, *, hit=False):
     return Attacked(
         folder="out", run_id="r", turn=None, scene="s", seed=1,
         decided=Spot(), began=Spot(edge=f"{place}_west_in"), place_m=(0.0, 0.0), hit=hit,
         other=False, avoidable=None, ttc_s=None, gap_m=0.0, delta_v_mps=8.0 if hit else None,
+        criticality=value,
     )  # fmt: skip
 
 
-def test_a_place_that_is_hit_often_leads_and_one_lucky_hit_does_not():
-    attacks = [attacked(name, hit=False) for name in RANK.PLACES for _ in range(8)]
-    attacks += [attacked("left1", hit=True)] * 6 + [attacked("merge3", hit=False)] * 6
-    lucky = [attacked("stop2", hit=True), attacked("stop2", hit=False)]
-    table = RANK.ranked([*attacks, *lucky], "severe")
-    assert [place.name for place in table[:2]] == ["left1", "stop2"]
-    assert table[0].risk.low > 2 * table[1].risk.low
-    mild = [replace(one, delta_v_mps=1.0) for one in attacks if one.hit]
-    assert not any(place.events for place in RANK.ranked(mild, "severe"))
+def test_a_place_that_is_critical_in_all_its_attacks_leads_and_one_near_miss_does_not():
+    attacks = [attacked(name, 0.0) for name in RANK.PLACES] * 8
+    attacks += [attacked("left1", 0.5)] * 8 + [attacked("merge3", 0.9)]
+    table = RANK.ranked(attacks)
+    assert [place.name for place in table[:2]] == ["left1", "merge3"]
+    assert [place.name for place in table if place.risk.stands_out] == ["left1"]
+    assert {place.rank for place in table[2:]} == {21.5}
+    assert (table[0].attacks, table[0].hits, table[0].risk.mean) == (16, 0, 0.25)
 
 
-def test_agreement_is_kendalls():
-    def table(order):
-        return [RANK.Place(name, 1, 0, None, rank) for rank, name in enumerate(order)]
-
+def test_agreement_is_kendalls_and_those_that_do_not_stand_out_are_equal():
     names = list(RANK.PLACES)
-    assert RANK.agreement(table(names), table(names)) == 1.0
-    assert RANK.agreement(table(names), table(names[::-1])) == -1.0
-    swapped = [names[1], names[0], *names[2:]]
-    assert RANK.agreement(table(names), table(swapped)) == pytest.approx(1 - 2 / 780)
+    order = {name: float(rank) for rank, name in enumerate(names)}
+    back = dict(zip(names, reversed(order.values()), strict=True))
+    assert RANK.agreement(order, order) == 1.0
+    assert RANK.agreement(order, back) == -1.0
+    swapped = order | {names[0]: 1.0, names[1]: 0.0}
+    assert RANK.agreement(order, swapped) == pytest.approx(1 - 2 / 780)
+    quiet = [attacked(name, 0.0) for name in names if name not in ("left1", "stop8")] * 8
+    table = RANK.ranked([*quiet, *[attacked("left1", 0.9)] * 8, *[attacked("stop8", 0.7)] * 8])
+    ranks = RANK.conspicuous(table)
+    assert (ranks["left1"], ranks["stop8"]) == (1.0, 2.0)
+    assert {rank for name, rank in ranks.items() if name not in ("left1", "stop8")} == {21.5}
+
+
+def test_results_without_the_measure_are_refused(tmp_path, monkeypatch, capsys):
+    old = Network(
+        name="hazards", net_file=tmp_path, places=None, left_out={},
+        attacks=(attacked("left1", None),),
+    )  # fmt: skip
+    monkeypatch.setattr(RANK, "read", lambda folders: [old])
+    monkeypatch.setattr("sys.argv", ["rank.py", str(tmp_path)])
+    assert RANK.main() == 2
+    assert "attack anew" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("script", [BUILD, RANK])
@@ -109,3 +158,33 @@ def test_a_folder_that_cannot_be_made_is_told_in_one_line(tmp_path, monkeypatch,
     monkeypatch.setattr("sys.argv", ["build.py", str(tmp_path / "file" / "inside")])
     assert BUILD.main() == 1
     assert "cannot be written: Not a directory" in capsys.readouterr().err
+
+
+def test_a_study_builds_attacks_every_kind_with_every_seed_and_ranks(tmp_path, monkeypatch):
+    done = []
+
+    def run(command, check):
+        done.append(command)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(STUDY.subprocess, "run", run)
+    monkeypatch.setattr("sys.argv", ["study.py", str(tmp_path), "--seeds", "4", "5", "--flawed"])
+    assert STUDY.main() == 0
+    build, *attacks, rank = done
+    assert build[-1] == "--flawed"
+    assert [Path(one[-1]).relative_to(tmp_path).parts for one in attacks] == [
+        (seed, kind) for seed in ("4", "5") for kind in STUDY.KINDS
+    ]
+    assert set(STUDY.KINDS) == set(BUILD.KINDS)
+    assert rank[-3:] == [str(tmp_path / "4"), str(tmp_path / "5"), "--flawed"]
+    settings = {key: yaml.safe_load(value) for key, value in STUDY.WISHES.items()}
+    assert plugins.settings("policies", "deepmf", settings).lawful
+
+
+def test_a_study_ends_with_the_exit_code_of_what_went_wrong(tmp_path, monkeypatch):
+    def run(command, check):
+        return subprocess.CompletedProcess(command, 3)
+
+    monkeypatch.setattr(STUDY.subprocess, "run", run)
+    monkeypatch.setattr("sys.argv", ["study.py", str(tmp_path)])
+    assert STUDY.main() == 3

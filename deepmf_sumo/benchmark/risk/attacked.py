@@ -9,14 +9,17 @@ attack in turn, each turn is an attack.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.risk import driven
+from deepmf_sumo.benchmark.risk.criticality import criticality
 from deepmf_sumo.benchmark.risk.driven import Driven
 from deepmf_sumo.benchmark.risk.places import Places, Spot
 from deepmf_sumo.benchmark.risk.spots import OFF, Spots
 from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
+
+_SPARE: Final = "time_to_spare"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +35,7 @@ class Attacked:
         hit: the opponent touched the AV. other: the AV touched somebody else.
         avoidable: whether a reference driver would have avoided the hit; None without one.
         ttc_s: least; None off a collision course. gap_m: least. delta_v_mps: of the hit.
+        criticality: see there; None in results of versions that did not measure it.
     """
 
     folder: str
@@ -49,6 +53,7 @@ class Attacked:
     gap_m: float | None
     delta_v_mps: float | None
     against: Spot = OFF
+    criticality: float | None = None
 
 
 class _Part(NamedTuple):
@@ -138,6 +143,7 @@ def _attacked(
         gap_m=part.metrics.get("min_gap"),
         delta_v_mps=part.metrics.get("delta_v"),
         against=opponent.at(step) if opponent else OFF,
+        criticality=criticality(part.metrics[_SPARE]) if _SPARE in part.metrics else None,
     )
 
 

@@ -6,6 +6,7 @@ from statistics import fmean
 from typing import Any, Final, Literal
 
 from deepmf_sumo.benchmark.risk.attacks import Attacked, Network
+from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn
 from deepmf_sumo.benchmark.risk.places import KINDS, SITES, Kind
 from deepmf_sumo.benchmark.risk.shrinkage import Prior, Shrunk, prior, shrink
 from deepmf_sumo.metrics.statistics.wilson import wilson
@@ -49,6 +50,7 @@ class Row:
         ttc_s, gap_m: least of all attacks. delta_v_mps, delta_v_most_mps: mean and most of hits.
         risk: chance of such an event in an attack here, see `shrinkage`.
         rank: among the places of its kind, by the lower end of the risk; 1 is the worst.
+        criticality: mean of the attacks here, see `criticality`; None where it was not measured.
     """
 
     kind: Kind
@@ -65,6 +67,7 @@ class Row:
     delta_v_most_mps: float | None
     risk: Mapping[Event, Shrunk]
     rank: Mapping[Event, int]
+    criticality: Drawn | None
 
 
 def rows(network: Network) -> list[Row]:
@@ -81,7 +84,10 @@ def rows(network: Network) -> list[Row]:
             alike = SITES if kind in SITES else (kind,)
             groups = [group for other in alike for group in at[other].values()]
             priors = {event: prior(_counts(groups, event)) for event in EVENTS}
-            table += _of_kind(network, kind, counted, at[kind], priors)
+            means = drawn(
+                {place: _measured(group) for other in alike for place, group in at[other].items()}
+            )
+            table += _of_kind(network, kind, counted, at[kind], priors, means)
     return table
 
 
@@ -128,6 +134,9 @@ def columns(row: Row) -> dict[str, Any]:
         "min_gap_m": row.gap_m,
         "delta_v_mps": row.delta_v_mps,
         "delta_v_most_mps": row.delta_v_most_mps,
+        "criticality": row.criticality and row.criticality.drawn,
+        "criticality_lo": row.criticality and row.criticality.low,
+        "criticality_hi": row.criticality and row.criticality.high,
         **risks,
     }
 
@@ -144,6 +153,10 @@ def _by_place(
     return groups
 
 
+def _measured(group: Iterable[Attacked]) -> list[float]:
+    return [one.criticality for one in group if one.criticality is not None]
+
+
 def _counts(groups: Sequence[Sequence[Attacked]], event: Event) -> list[tuple[int, int]]:
     return [(_happened(group, event), len(group)) for group in groups]
 
@@ -158,6 +171,7 @@ def _of_kind(
     counted: Counted,
     groups: Mapping[str, Sequence[Attacked]],
     priors: Mapping[Event, Prior],
+    means: Mapping[str, Drawn],
 ) -> list[Row]:
     """Rows of one kind, the worst first."""
     risks = {
@@ -177,6 +191,7 @@ def _of_kind(
             counted=counted,
             risk=risks[place],
             rank={event: ranks[event][place] for event in EVENTS},
+            criticality=means[place] if means[place].attacks else None,
         )
         for place in order
     ]

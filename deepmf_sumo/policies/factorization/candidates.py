@@ -21,7 +21,7 @@ from deepmf_sumo.geometry import angles
 from deepmf_sumo.policies.factorization.opponent import softmax
 from deepmf_sumo.policies.factorization.tracking import Limits, Tracked
 
-Origin = Literal["mode", "goal", "aim", "tail"]
+Origin = Literal["mode", "goal", "aim", "tail", "stop"]
 
 _LEAST = 1e-12  # probabilities below are rounding
 

@@ -13,6 +13,7 @@ from deepmf_sumo.policies.factorization.collision import (
     footprint,
     impact_sectors,
 )
+from deepmf_sumo.policies.factorization.lawful import Law
 from deepmf_sumo.policies.factorization.settings import Settings
 from deepmf_sumo.policies.factorization.stopwatch import Stopwatch
 
@@ -24,6 +25,7 @@ def pairs(
     alone: Forecast | None,
     settings: Settings,
     committed: bool,
+    law: Law | None,
     watch: Stopwatch,
 ) -> steering.Pairs:
     """How candidates and reactions collide within the time left, and what the settings ask of it.
@@ -32,16 +34,17 @@ def pairs(
         view: the present.
         own: N1 candidates of the opponent.
         reactions: N1 forecasts of the AV, one for each candidate, of N2 futures each.
-        alone: the AV's futures if nobody attacks; needed with ``settings.fair``.
+        alone: the AV's futures if nobody attacks; needed with ``settings.fair`` and ``lawful``.
         settings: of the policy.
         committed: whether the tail of the last plan was fair when it was chosen.
-        watch: its laps are ``collision`` and ``fair``.
+        law: with ``settings.lawful``, what the opponent owes since earlier plans.
+        watch: its laps are ``collision``, ``fair`` and ``lawful``.
     """
     futures = own.forecast.futures
     sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
     horizon = min(FUTURE_STEPS, view.steps_left)
     collides, step = collisions(futures, reactions, *sizes, horizon)
-    sector = fair = severity = None
+    sector = fair = severity = lawful = None
     if settings.wanted_sector is not None:
         sector = impact_sectors(futures, reactions, *sizes, step)
     if settings.aggressiveness is not None:
@@ -53,6 +56,10 @@ def pairs(
         kept = np.array([origin == "tail" for origin in own.origin]) & committed
         fair = kept | steering.fair(view, futures, alone)
         watch.lap("fair")
+    if law is not None:
+        assert alone is not None
+        lawful = law.lawful(view, futures, own.speed_mps, alone, step)
+        watch.lap("lawful")
     return steering.Pairs(
         probability=own.forecast.probability,
         reaction_probability=np.stack([reaction.probability for reaction in reactions]),
@@ -60,5 +67,6 @@ def pairs(
         collision_step=step,
         sector=sector,
         fair=fair,
+        lawful=lawful,
         severity=severity,
     )

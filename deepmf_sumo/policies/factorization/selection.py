@@ -15,16 +15,17 @@ With P_j = P(Y_j^OV), P_jk = P(Y_k^AV | Y_j^OV) and the likelihood weight w:
 Equal values: the earlier collision, then the larger P_j, then the lower index.
 """
 
-from dataclasses import dataclass
-from typing import Literal, Self
+from dataclasses import dataclass, replace
+from typing import Final, Literal, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats
+from deepmf_sumo.datatypes import Bools, Floats, Ints
 
 Rule = Literal["expected", "pair", "likeliest", "drawn"]
 
-_MASS_SHARE = 0.95
+MASS_SHARE: Final = 0.95
+"""Of the largest collision mass: what has at least so much is as good."""
 _DRAWN_ANYWAY = 0.05  # added to the collision mass: candidates that miss are of use, too
 _EQUAL = 1e-9  # relative: closer values differ by rounding alone
 
@@ -46,7 +47,7 @@ class Balance:
     def at(cls, aggressiveness: float) -> Self:
         """0: the likeliest, whatever comes of it; 0.5: the rule ``likeliest``; 1: the severest."""
         return cls(
-            mass_share=_MASS_SHARE * min(1.0, 2 * aggressiveness),
+            mass_share=MASS_SHARE * min(1.0, 2 * aggressiveness),
             severity_share=max(0.0, 2 * aggressiveness - 1.0),
         )
 
@@ -59,6 +60,12 @@ class Choice:
     rule: str
     value: Floats
     product: Floats
+
+    def among(self, rows: Ints, count: int) -> "Choice":
+        """Of all ``count`` candidates, where it was made among those in ``rows`` (K)."""
+        value, product = np.zeros(count), np.zeros(count)
+        value[rows], product[rows] = self.value, self.product
+        return replace(self, index=int(rows[self.index]), value=value, product=product)
 
 
 def choose(
@@ -133,7 +140,7 @@ def _value(
     elif rule == "pair":
         value = weighted * colliding.max(axis=1)
     else:
-        value = np.where(mass >= _MASS_SHARE * mass.max(), probability, 0.0)
+        value = np.where(mass >= MASS_SHARE * mass.max(), probability, 0.0)
     return value
 
 

@@ -25,10 +25,10 @@ class Settings(plugins.Settings):
         opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
             trained on labelled partners; ``labelled``: the partner that the recording names; else
             the id of a vehicle.
-        tried_opponents: a first plan is made for so many vehicles with the highest scores; the one
-            that has the candidate with the largest collision mass attacks. 1 as published: a
-            vehicle that interacts need not be one that can reach the AV. With ``argmax`` and
-            ``partner`` alone.
+        tried_opponents: a first plan is made for so many vehicles with the highest scores; of those
+            that have a candidate with at least 95 % of the largest collision mass the highest score
+            attacks. 1 as published: a vehicle that interacts need not be one that can reach the AV.
+            With ``argmax`` and ``partner`` alone.
         rule: see `factorization.selection`.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
         candidates: modes of the opponent (N1).
@@ -50,6 +50,8 @@ class Settings(plugins.Settings):
             multiplied by 2^(aggressiveness - 0.5). Null: the rule decides.
         fair: only candidates that a competent driver in the AV's place could avoid
             (`avoidance.fair`), when they are chosen first; without one nobody is attacked.
+        lawful: only candidates that break no rule of the road (`factorization.lawful`); without
+            one that meets the AV nobody is attacked.
     """
 
     version: Literal["G", "S4", "S2", "S1"] | None = None
@@ -70,6 +72,7 @@ class Settings(plugins.Settings):
     sector: SectorName | Annotated[int, Field(ge=0, le=7)] | None = None
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
     fair: bool = False
+    lawful: bool = False
 
     @model_validator(mode="after")
     def _one_period(self) -> Self:

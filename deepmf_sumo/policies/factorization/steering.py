@@ -31,6 +31,7 @@ class Pairs:
         probability: (N1). reaction_probability, collides, collision_step: (N1, N2).
         sector: (N1, N2) in which the AV is hit; None where no sector is wanted.
         fair: (N1) a competent driver could avoid the candidate; None where that is not asked for.
+        lawful: (N1) the candidate breaks no rule of the road; None where that is not asked for.
         severity: (N1, N2) delta-v of the AV; None where nothing depends on it.
     """
 
@@ -40,7 +41,20 @@ class Pairs:
     collision_step: Floats
     sector: Ints | None = None
     fair: Bools | None = None
+    lawful: Bools | None = None
     severity: Floats | None = None
+
+    def among(self, rows: Ints) -> "Pairs":
+        """Only these candidates (K), all of them lawful."""
+        return Pairs(
+            probability=self.probability[rows],
+            reaction_probability=self.reaction_probability[rows],
+            collides=self.collides[rows],
+            collision_step=self.collision_step[rows],
+            sector=None if self.sector is None else self.sector[rows],
+            fair=None if self.fair is None else self.fair[rows],
+            severity=None if self.severity is None else self.severity[rows],
+        )
 
 
 Decision = tuple[Pairs, Choice, tuple[str, ...]]
@@ -61,7 +75,8 @@ def decide(
     """
     choice, unmet = choose(pairs, rule, likelihood_weight, wanted_sector, rng)
     refused = 0
-    while pairs.fair is not None and "fair" not in unmet and not verify(choice.index):
+    given_up = {"fair", "lawful"}
+    while pairs.fair is not None and not given_up & {*unmet} and not verify(choice.index):
         refused += 1
         others = np.arange(len(pairs.fair)) != choice.index
         pairs = replace(pairs, fair=pairs.fair & others & (refused < _REFUSALS))
@@ -81,8 +96,12 @@ def choose(
     - Of the pairs that hit the wanted sector those count first whose candidate hits it more likely
       than other sectors, for a contact elsewhere ends the attack.
     - No pair hits the wanted sector: all sectors count; the rule ends with ``, any sector``.
-    - Pairs collide, but no fair ones: no attack (`selection.harmless`), rule ``nothing fair``.
+    - Pairs collide, but no lawful or no fair ones: no attack (`selection.harmless`), rule
+      ``nothing lawful`` or ``nothing fair``. What is unlawful is driven only where nothing is
+      lawful.
     """
+    if pairs.lawful is not None:
+        return _choose_lawful(pairs, pairs.lawful, rule, likelihood_weight, wanted_sector, rng)
     counted, barred, unmet = pairs.collides, None, []
     if pairs.fair is not None:
         counted = counted & pairs.fair[:, None]
@@ -108,6 +127,25 @@ def choose(
     if unmet and counted.any():
         choice = replace(choice, rule=choice.rule + ANY_SECTOR)
     return choice, tuple(unmet)
+
+
+def _choose_lawful(
+    pairs: Pairs,
+    lawful: Bools,
+    rule: Rule | Balance,
+    likelihood_weight: float,
+    wanted_sector: int | None,
+    rng: np.random.Generator | None,
+) -> tuple[Choice, tuple[str, ...]]:
+    """The choice among the lawful candidates alone."""
+    rows = np.flatnonzero(lawful)
+    left = pairs.among(rows) if len(rows) else replace(pairs, lawful=None)
+    meets = bool(len(rows)) and bool(left.collides.any())
+    if meets or not pairs.collides.any():
+        choice, unmet = choose(left, rule, likelihood_weight, wanted_sector, rng)
+    else:
+        choice, unmet = replace(_harmless(left), rule="nothing lawful"), ("lawful",)
+    return (choice.among(rows, len(lawful)) if len(rows) else choice), unmet
 
 
 def _mostly(there: Bools, pairs: Pairs) -> Bools:

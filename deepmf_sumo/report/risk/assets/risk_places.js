@@ -16,6 +16,7 @@ const HEADINGS = {
   min_gap_m: "min gap, m",
   delta_v_mps: "mean Δv, m/s",
   delta_v_most_mps: "most Δv, m/s",
+  criticality: "criticality (90 %)",
 };
 const DIGITS = {
   rank: 0,
@@ -30,6 +31,7 @@ const DIGITS = {
   min_gap_m: 2,
   delta_v_mps: 1,
   delta_v_most_mps: 1,
+  criticality: 2,
   risk: 2,
 };
 const KIND_NAMES = {

@@ -1,0 +1,97 @@
+"""How near attacks brought the AV to a contact, and places compared by the mean of that.
+
+A rate of hits needs many attacks: most say nothing. What time each left says something of all.
+Means of few attacks are drawn to the typical place, as rates are in `shrinkage`: what attacks at a
+place vary around its mean, and what places vary around the typical one, are taken as normal, and
+estimated from all places together (Efron and Morris, J. Am. Stat. Assoc. 70, 1975; for the
+screening of roads: Highway Safety Manual, AASHTO 2010, chapter 4).
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import sqrt
+from statistics import fmean, median
+from typing import Final, NamedTuple
+
+SPARE_S: Final = 5.0
+"""Post-encroachment times above are no conflicts (Gettman et al., FHWA-HRT-08-051, 2008)."""
+_BOUND: Final = 1.645
+"""Of a 90 % interval, in standard deviations."""
+_BORROWED: Final = 4
+_UNKNOWN: Final = 0.25**2
+"""One more attack with such a variance is counted: few equal ones do not make a place sure."""
+
+
+class Drawn(NamedTuple):
+    """A place's mean: of its attacks, and drawn to the ``typical`` place, with a 90 % interval."""
+
+    attacks: int
+    mean: float
+    typical: float
+    drawn: float
+    low: float
+    high: float
+
+    @property
+    def excess(self) -> float:
+        """By how much the place is worse than the typical one."""
+        return self.drawn - self.typical
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether the whole interval is above the typical place."""
+        return self.low > self.typical
+
+
+def criticality(spare_s: float | None) -> float:
+    """1 in contact, 0 where the AV's encounters left 5 s or more, or nobody's way met its own."""
+    return 0.0 if spare_s is None else max(0.0, 1.0 - spare_s / SPARE_S)
+
+
+def drawn(
+    groups: Mapping[str, Sequence[float]], kinds: Mapping[str, str] | None = None
+) -> dict[str, Drawn]:
+    """Of places, each with the values of its attacks.
+
+    Typical is the median of the places, or with ``kinds`` of those of the same kind. A place's own
+    attacks and `_BORROWED` usual ones say how much attacks vary there.
+    """
+    means = {place: fmean(values) for place, values in groups.items() if values}
+    typical = _typical(groups, means, kinds or dict.fromkeys(groups, ""))
+    squares = {
+        place: sum((value - means[place]) ** 2 for value in values)
+        for place, values in groups.items()
+    }
+    spare = sum(len(groups[place]) - 1 for place in means)
+    usual = (sum(squares.values()) + _UNKNOWN) / (spare + 1)
+    noise = {
+        place: (squares[place] + _BORROWED * usual)
+        / (max(len(values) - 1, 0) + _BORROWED)
+        / max(len(values), 1)
+        for place, values in groups.items()
+    }
+    excess = [(mean - typical[place]) ** 2 - noise[place] for place, mean in means.items()]
+    between = max(0.0, fmean(excess)) if excess else 0.0
+    return {
+        place: _drawn(
+            means.get(place, typical[place]), typical[place], len(values), noise[place], between
+        )
+        for place, values in groups.items()
+    }
+
+
+def _typical(
+    places: Iterable[str], means: Mapping[str, float], kinds: Mapping[str, str]
+) -> dict[str, float]:
+    """Of each place's kind: the median of the means, 0 where there is none."""
+    of_kind: dict[str, list[float]] = {}
+    for place, mean in means.items():
+        of_kind.setdefault(kinds[place], []).append(mean)
+    return {place: median(of_kind.get(kinds[place]) or [0.0]) for place in places}
+
+
+def _drawn(mean: float, typical: float, attacks: int, noise: float, between: float) -> Drawn:
+    share = between / (between + noise) if attacks else 0.0
+    middle = typical + share * (mean - typical)
+    half = _BOUND * sqrt((1.0 - share) * between)
+    low, high = max(0.0, middle - half), min(1.0, middle + half)
+    return Drawn(attacks, mean, typical, middle, low, high)

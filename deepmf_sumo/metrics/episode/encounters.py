@@ -1,0 +1,125 @@
+"""Encounters of the AV with vehicles whose way crosses or joins its own, and the time they leave.
+
+Who follows the AV in its lane, or leads it, is no encounter: that happens everywhere.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Floats, Ints
+from deepmf_sumo.geometry import angles, boxes, polylines
+
+_WAY_STEPS: Final = 2
+_STANDING_M = 0.05
+_SLOWEST_MPS = 1e-3
+_ACROSS_RAD = np.pi / 6
+_BESIDE_M = 2.0  # whose centre was so far off the AV's way came from elsewhere
+_LOOK_BACK_STEPS = 40
+_COURSE_STEPS = 10
+_MOVED_M = 2.0
+_NEAR_M = 60.0
+_BEYOND_M = 100.0
+
+
+class Trip(NamedTuple):
+    """A vehicle's way: steps (K), positions (K, 2), headings, speeds (K), length and width (2)."""
+
+    step: Ints
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+    size_m: Floats
+
+
+def time_to_spare(av: Trip, other: Trip, dt_s: float) -> float:
+    """Least time that kept an encounter from being a contact, in seconds; inf without encounter.
+
+    Where ways cross (by more than 30 degrees): the time between one leaving a common place and the
+    other coming onto it. Where they join (at most 30 degrees, and one came from beside the other's
+    lane in the last 4 s): the time to collision along the lane.
+    """
+    if not _near(av, other):
+        return float("inf")
+    came = _came(av, other), _came(other, av)
+    return min(_crossing_s(av, other, came, dt_s), _joining_s(av, other, came))
+
+
+def _near(av: Trip, other: Trip) -> bool:
+    low, high = (end(av.position_m, axis=0) for end in (np.min, np.max))
+    inside = (other.position_m > low - _NEAR_M) & (other.position_m < high + _NEAR_M)
+    return bool(inside.all(axis=1).any())
+
+
+def _crossing_s(av: Trip, other: Trip, came: tuple[Bools, Bools], dt_s: float) -> float:
+    apart = av.position_m[:, None] - other.position_m
+    reach = (np.hypot(*av.size_m) + np.hypot(*other.size_m)) / 2
+    across = np.cos(_course_rad(av)[:, None] - _course_rad(other)) < np.cos(_ACROSS_RAD)
+    met = ((apart**2).sum(axis=-1) < reach**2) & across & came[0] & came[1][:, None]
+    mine, theirs = np.nonzero(met)
+    shared = boxes.overlap(
+        av.position_m[mine],
+        av.heading_rad[mine],
+        av.size_m,
+        other.position_m[theirs],
+        other.heading_rad[theirs],
+        other.size_m,
+    )
+    between = np.abs(av.step[mine] - other.step[theirs])[shared]
+    return float(between.min()) * dt_s if len(between) else float("inf")
+
+
+def _course_rad(trip: Trip) -> Floats:
+    """(K) direction from 1 s before to 1 s after: a change of lanes turns a box more than a way."""
+    rows = np.arange(len(trip.step))
+    before = trip.position_m[np.maximum(rows - _COURSE_STEPS, 0)]
+    after = trip.position_m[np.minimum(rows + _COURSE_STEPS, len(rows) - 1)]
+    way = after - before
+    course = np.arctan2(way[:, 1], way[:, 0])
+    driven: Floats = np.where(np.hypot(*way.T) > _MOVED_M, course, trip.heading_rad)
+    return driven
+
+
+def _joining_s(av: Trip, other: Trip, came: tuple[Bools, Bools]) -> float:
+    _, mine, theirs = np.intersect1d(av.step, other.step, return_indices=True)
+    if not len(mine):
+        return float("inf")
+    reach_m = (av.size_m[1] + other.size_m[1]) / 2
+    # one of them may have changed lanes just now: the way of either may be that of both
+    ahead_m, off_m = _from(av, mine, other.position_m[theirs])
+    behind_m, beside_m = _from(other, theirs, av.position_m[mine])
+    ahead_m = np.where(off_m < reach_m, ahead_m, -behind_m)
+    turn = np.cos(av.heading_rad[mine] - other.heading_rad[theirs])
+    in_lane = (np.minimum(off_m, beside_m) < reach_m) & (turn > np.cos(_ACROSS_RAD))
+    joined = in_lane & came[0][theirs] & came[1][mine]
+    gap = np.maximum(np.abs(ahead_m) - (av.size_m[0] + other.size_m[0]) / 2, 0.0)
+    closing = (av.speed_mps[mine] - other.speed_mps[theirs]) * np.sign(ahead_m)
+    soon = joined & ((closing > 0) | (gap == 0))
+    seconds = gap[soon] / np.maximum(closing[soon], _SLOWEST_MPS)
+    return float(seconds.min(initial=np.inf))
+
+
+def _from(trip: Trip, rows: Ints, position_m: Floats) -> tuple[Floats, Floats]:
+    """(K) how far positions (K, 2) are ahead of a vehicle on its way then, and how far off it."""
+    way = _way(trip)
+    foot = polylines.project(way, position_m)
+    ahead_m: Floats = foot.along_m - polylines.project(way, trip.position_m[rows]).along_m
+    return ahead_m, foot.distance_m
+
+
+def _came(first: Trip, second: Trip) -> Bools:
+    """(K) whether the second was off the first's way in the 4 s before, at each of its steps."""
+    off = polylines.project(_way(first), second.position_m).distance_m > _BESIDE_M
+    before = np.concatenate([[0], np.cumsum(off)])
+    row = np.arange(len(off))
+    came: Bools = before[row + 1] > before[np.maximum(row + 1 - _LOOK_BACK_STEPS, 0)]
+    return came
+
+
+def _way(trip: Trip) -> Floats:
+    """(P, 2) where a vehicle drove, and straight on at both ends."""
+    way = trip.position_m[::_WAY_STEPS]
+    start, end = (angles.unit(trip.heading_rad[row]) for row in (0, -1))
+    way = np.concatenate([way[:1] - _BEYOND_M * start, way, way[-1:] + _BEYOND_M * end])
+    moved: Floats = way[np.concatenate([[True], np.hypot(*np.diff(way, axis=0).T) > _STANDING_M])]
+    return moved

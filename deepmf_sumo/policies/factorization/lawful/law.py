@@ -1,0 +1,75 @@
+"""Judges the candidates of one plan after the other."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deepmf_sumo.datatypes import AgentId, Bools, Floats, Forecast, Futures, View
+from deepmf_sumo.policies.factorization.lawful import rules
+from deepmf_sumo.policies.factorization.lawful.driven import Driven
+from deepmf_sumo.policies.factorization.lawful.lines import HALT, OVER_M, stop_lines
+
+
+@dataclass(slots=True)
+class Law:
+    """Remembers who could have stopped at a line: until its light lets go, that is owed.
+
+    Without that memory an opponent could approach a red light until it is too late to stop.
+    """
+
+    _owed: set[tuple[AgentId, str]] = field(default_factory=set)
+
+    def lawful(
+        self,
+        view: View,
+        futures: Futures,
+        speed_mps: Floats,
+        alone: Forecast,
+        collision_step: Floats,
+    ) -> Bools:
+        """(N) futures that break no rule.
+
+        Args:
+            view: the present.
+            futures: N of the opponent, as it would drive them.
+            speed_mps: (N, F) of them.
+            alone: the AV's futures if nobody attacks.
+            collision_step: (N, M) at which each first touches the AV in each of its M reactions; F
+                where it does not.
+        """
+        driven = Driven.of(view, futures, speed_mps, alone)
+        if not driven.ways.begins.any():
+            return np.ones(len(futures.position_m), bool)
+        self._forget(view)
+        touches = np.asarray((collision_step < speed_mps.shape[1]).any(axis=1))
+        halts, over_line = self._lines(view, futures.agent_id, driven)
+        return ~(
+            over_line
+            | rules.off_lanes(driven)
+            | rules.speeds(driven)
+            | rules.takes_way(view, driven)
+            | rules.cuts_in(driven, collision_step)
+            | rules.hinders(view, driven, touches, halts)
+        )
+
+    def _lines(self, view: View, agent_id: AgentId, driven: Driven) -> tuple[bool, Bools]:
+        """Whether a line makes the opponent stop, and (N) futures that drive over one."""
+        over, halts = np.zeros(len(driven.position_m), bool), False
+        for line in stop_lines(view, driven.ways):
+            key, before_m = (agent_id, line.lane.id), line.before_m(driven)
+            if before_m < -OVER_M:
+                continue
+            if max(before_m, 0.0) >= driven.start.speed_mps**2 / (2 * line.brake_mps2):
+                self._owed.add(key)
+            if key in self._owed:
+                halts = True
+                over |= line.crossed(driven)
+        return halts, over
+
+    def _forget(self, view: View) -> None:
+        """Of lights that let go; signs stay."""
+        self._owed = {
+            (who, lane)
+            for who, lane in self._owed
+            if lane not in view.signals or view.signals[lane] in HALT
+        }

@@ -1,0 +1,181 @@
+"""The lanes that a vehicle can get to, and which of them each of its futures drives on."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Floats, Ints, Lane, RoadMap
+from deepmf_sumo.geometry import polylines
+from deepmf_sumo.geometry.road import MARGIN_M, WIDTH_M
+
+EVERY_STEPS: Final = 2
+"""Futures are looked at every 0.2 s."""
+OFF: Final = -1
+"""On none of the lanes."""
+_SPACING_M = 4.0
+_BEYOND_M = 300.0  # what lies beyond the map is taken as more of the road
+_SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ways:
+    """Futures (N) at S times on L lanes.
+
+    Attributes:
+        lanes: (L) that can be reached. begins: (L) the vehicle is on it now.
+        straight: (L) it follows those without a change of lanes.
+        on: (N, S, L) the centre of the box is on the lane, in its direction.
+        left_m: (N, S, L) offset from the lane's centre.
+        nearest: (N, S) row of the lane that is meant, or `OFF`.
+        driven: (N, L) the future drives there; of lanes that part from one only one.
+    """
+
+    lanes: tuple[Lane, ...]
+    begins: Bools
+    straight: Bools
+    on: Bools
+    left_m: Floats
+    nearest: Ints
+    driven: Bools
+
+    @classmethod
+    def of(
+        cls,
+        road: RoadMap,
+        now: tuple[Floats, float],
+        futures: tuple[Floats, Floats],
+        reach_m: float,
+    ) -> "Ways":
+        """Of a pose now, (2) and heading, and futures: positions (N, S, 2), headings (N, S)."""
+        first = lanes_at(road, *now)
+        straight = _within(road, first, reach_m, beside=False)
+        lanes = tuple(road.lanes[name] for name in _within(road, first, reach_m, beside=True))
+        shape = (*futures[1].shape, len(lanes))
+        on, left_m = np.zeros(shape, bool), np.full(shape, np.inf)
+        for row, lane in enumerate(lanes):
+            endless = _leaves(road, lane)
+            near = np.ones(futures[1].shape, bool) if endless else _around(lane, futures[0])
+            poses = futures[0][near], futures[1][near]
+            on[near, row], left_m[near, row] = on_lane(lane, *poses, endless=endless)
+        off = np.where(on, np.abs(left_m), np.inf)
+        nearest = (
+            np.where(on.any(axis=-1), off.argmin(axis=-1), OFF) if lanes else _none(futures[1])
+        )
+        return cls(
+            lanes=lanes,
+            begins=np.array([lane.id in first for lane in lanes], bool),
+            straight=np.array([lane.id in straight for lane in lanes], bool),
+            on=on,
+            left_m=left_m,
+            nearest=nearest,
+            driven=_driven(lanes, nearest),
+        )
+
+
+def lanes_at(road: RoadMap, position_m: Floats, heading_rad: float) -> tuple[str, ...]:
+    """Ids of the lanes for cars under a pose, (2) and heading, that run in its direction."""
+    point, heading = np.asarray(position_m, float)[None], np.array([heading_rad])
+    return tuple(
+        lane.id
+        for lane in road.lanes.values()
+        if lane.kind != "bike" and _around(lane, point)[0] and on_lane(lane, point, heading)[0][0]
+    )
+
+
+def on_lane(
+    lane: Lane, position_m: Floats, heading_rad: Floats, *, endless: bool = False
+) -> tuple[Bools, Floats]:
+    """(...) whether poses are on a lane and in its direction, and their offsets to its left.
+
+    An ``endless`` lane goes on straight beyond its last point.
+    """
+    line = _endless(lane) if endless else _line(lane)
+    if len(line) < 2:
+        return np.zeros(np.shape(heading_rad), bool), np.full(np.shape(heading_rad), np.inf)
+    foot = polylines.project(line, position_m)
+    near = foot.distance_m <= width_m(lane) / 2 + MARGIN_M
+    on: Bools = near & (np.cos(heading_rad - foot.heading_rad) > _SAME_WAY)
+    return on, foot.left_m
+
+
+def width_m(lane: Lane) -> float:
+    """Of a lane; 3.7 m where nobody says."""
+    return lane.width_m or WIDTH_M
+
+
+@lru_cache(maxsize=8192)
+def _line(lane: Lane) -> Floats:
+    """Its centre line with few points: recorded ones have one every half metre."""
+    if len(lane.centre_m) < 2:
+        return lane.centre_m
+    coarse = polylines.resample(lane.centre_m, _SPACING_M)
+    return coarse if len(coarse) < len(lane.centre_m) else lane.centre_m
+
+
+@lru_cache(maxsize=1024)
+def _endless(lane: Lane) -> Floats:
+    line = _line(lane)
+    if len(line) < 2:
+        return line
+    last = line[-1] - line[-2]
+    return np.concatenate([line, [line[-1] + _BEYOND_M * last / max(np.hypot(*last), 1e-9)]])
+
+
+def _leaves(road: RoadMap, lane: Lane) -> bool:
+    """Whether a lane leads out of the map: it ends, and so do those beside it."""
+    beside = [one.lane_id for one in (*lane.left, *lane.right)]
+    return not lane.next and not any(road.lanes[one].next for one in beside if one in road.lanes)
+
+
+@lru_cache(maxsize=8192)
+def _bounds(lane: Lane) -> tuple[Floats, Floats]:
+    reach = width_m(lane) / 2 + MARGIN_M
+    return lane.centre_m.min(axis=0) - reach, lane.centre_m.max(axis=0) + reach
+
+
+def _around(lane: Lane, point_m: Floats) -> Bools:
+    """(...) whether points (..., 2) can be on a lane, by the rectangle around it."""
+    low, high = _bounds(lane)
+    around: Bools = np.asarray(((point_m >= low) & (point_m <= high)).all(axis=-1))
+    return around
+
+
+def _within(road: RoadMap, first: Iterable[str], reach_m: float, *, beside: bool) -> list[str]:
+    """Lanes ahead within a distance from the beginning of the first ones; also those beside."""
+    left_m = {name: reach_m + _length_m(road.lanes[name]) for name in first}
+    queue = list(left_m)
+    while queue:
+        lane = road.lanes[queue.pop(0)]
+        rest = left_m[lane.id] - _length_m(lane)
+        after = [(name, rest) for name in lane.next]
+        if beside:
+            after += [(one.lane_id, left_m[lane.id]) for one in (*lane.left, *lane.right)]
+        for name, more in after:
+            if name in road.lanes and more > left_m.get(name, 0.0):
+                left_m[name] = more
+                queue.append(name)
+    return [name for name in left_m if road.lanes[name].kind != "bike"]
+
+
+def _length_m(lane: Lane) -> float:
+    line = _line(lane)
+    return float(np.hypot(*np.diff(line, axis=0).T).sum()) if len(line) > 1 else 0.0
+
+
+def _none(like: Floats) -> Ints:
+    return np.full(like.shape, OFF)
+
+
+def _driven(lanes: tuple[Lane, ...], nearest: Ints) -> Bools:
+    """(N, L): where lanes part the one that most poses are nearest to."""
+    count = (nearest[..., None] == np.arange(len(lanes))).sum(axis=1)
+    row = {lane.id: index for index, lane in enumerate(lanes)}
+    driven: Bools = count > 0
+    for lane in lanes:
+        parting = [row[name] for name in lane.next if name in row]
+        if len(parting) > 1:
+            driven[:, parting] &= count[:, parting] == count[:, parting].max(axis=1, keepdims=True)
+    return driven

@@ -1,0 +1,67 @@
+"""Attacks on the forty places of `build.py`, and their ranking: ``python study.py FOLDER``.
+
+For each seed and kind of place 50 lawful attacks, so that all kinds have as many: FOLDER/SEED/KIND.
+Results that are there already are kept. Then what `rank.py` prints of FOLDER/SEED for all seeds.
+"""
+
+# ruff: noqa: INP001 - a script beside data, not a package
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+HERE: Final = Path(__file__).resolve().parent
+KINDS: Final = ("left", "merge", "stop", "signal")
+WISHES: Final = {
+    "version": "S2",
+    "lawful": "true",
+    "tried_opponents": "3",
+    "candidates": "12",
+    "goal_candidates": "16",
+    "reactions": "4",
+}
+"""Of the adversary: a lawful opponent, and little effort for each attack."""
+WHEN: Final = ("--until", "44", "--duration", "16", "--opponents", "one")
+
+
+def commands(
+    folder: Path, seeds: list[int], moments: int, flawed: list[str] | None
+) -> Iterator[list[str]]:
+    """What is run, one after the other."""
+    build = [sys.executable, str(HERE / "build.py"), str(folder / "net")]
+    yield build if flawed is None else [*build, "--flawed", *flawed]
+    wishes = [
+        part for key, value in WISHES.items() for part in ("--set", f"adversary.{key}={value}")
+    ]
+    attack = [sys.executable, "-m", "deepmf_sumo.cli.main", "attack"]
+    for seed in seeds:
+        for kind in KINDS:
+            yield [
+                *attack, str(folder / "net" / "hazards.sumocfg"), "--av-type", kind, *WHEN,
+                "--moments", str(moments), "--seed", str(seed), "--no-pictures", "--resume",
+                *wishes, "--out", str(folder / str(seed) / kind),
+            ]  # fmt: skip
+    rank = [sys.executable, str(HERE / "rank.py"), *(str(folder / str(seed)) for seed in seeds)]
+    yield rank if flawed is None else [*rank, "--flawed", *flawed]
+
+
+def main() -> int:
+    """Run it all; ends with the exit code of what did not go through."""
+    parser = argparse.ArgumentParser(description="Do attacks find the planted hazards?")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="SEED")
+    parser.add_argument("--moments", type=int, default=50, help="attacks a seed and kind")
+    parser.add_argument("--flawed", nargs="*", metavar="PLACE", help="as of build.py")
+    given = parser.parse_args()
+    for command in commands(given.folder, given.seeds, given.moments, given.flawed):
+        code = subprocess.run(command, check=False).returncode
+        if code:
+            return code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
