@@ -77,7 +77,7 @@ reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=) to learn rea
 
 open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) marginal --data $(OPEN) --members 2 --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) marginal --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open
 	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
@@ -86,7 +86,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 WOMD_SET = --out .weights/womd $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
 	$(TRAIN) opponent --data $(WOMD)/train $(WOMD_SET)
-	$(TRAIN) marginal --data $(WOMD)/train --members 2 --steps 2250 $(WOMD_SET)
+	$(TRAIN) marginal --data $(WOMD)/train $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
 	$(TRAIN) conditional --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 --steps 2500 $(WOMD_SET)
 	$(TRAIN) strive --data $(WOMD)/train $(WOMD_SET)

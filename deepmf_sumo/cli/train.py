@@ -37,7 +37,7 @@ _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 @click.option(
     "--members",
     type=click.IntRange(min=1, max=8),
-    help="Networks of the marginal predictor, each with a seed of its own.  [default: 2]",
+    help="Networks of the marginal predictor, each with a seed of its own.  [default: 1]",
 )
 @click.option("--steps", type=_STEPS, help="Steps of each network.")
 @click.option("--batch", type=_STEPS, help="Samples a step.")
