@@ -36,7 +36,7 @@ def trained(monkeypatch, tmp_path, capsys):
 
 
 def test_the_marginal_network_alone_has_members(trained):
-    assert trained("marginal") == (0, [(2, "all")], "")
+    assert trained("marginal") == (0, [(1, "all")], "")
     assert trained("marginal", "--members", 3) == (0, [(3, "all")], "")
     assert trained("all", "--members", 1)[1] == [(0, "opponent"), (1, "all"), (0, "conditional")]
 
