@@ -3,6 +3,7 @@
 A command file exposes ``command`` and imports what is heavy inside it, so that help is quick.
 """
 
+import errno
 import importlib
 import os
 import pkgutil
@@ -19,6 +20,11 @@ from deepmf_sumo.errors import DeepmfError, OutputError
 
 INTERRUPTED = 130
 FAILED = DeepmfError.exit_code
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+_MAKE_ROOM = (
+    "make room where --out is, and give the same command again; sweeps go on with --resume, what"
+    " was finished is kept"
+)
 
 
 class Commands(click.Group):
@@ -79,6 +85,8 @@ def _run(arguments: list[str]) -> int:
                 f"{error.filename} cannot be used: {error.strerror}.",
                 OutputError.exit_code,
             )
+        elif isinstance(error, OSError) and error.errno in _FULL:
+            text, failed = f"{error.strerror}: {_MAKE_ROOM}.", OutputError.exit_code
         _show(error, text, arguments)
         return failed
     return code if isinstance(code, int) else 0

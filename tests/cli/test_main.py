@@ -54,6 +54,7 @@ def test_help_imports_nothing_heavy():
         (SpecError("a.yaml:1: key 'x':\nbad."), 2, "deepmf-sumo: a.yaml:1: key 'x': bad."),
         (ReaderError("broken"), 3, "deepmf-sumo: broken"),
         (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv cannot be used: Permission"),
+        (OSError(28, "No space left on device"), 2, "No space left on device: make room where"),
         (ZeroDivisionError("oops"), 3, "deepmf-sumo: unexpected ZeroDivisionError: oops"),
         (KeyboardInterrupt(), 130, "deepmf-sumo: interrupted"),
         (click.UsageError("no such option"), 2, "no such option"),

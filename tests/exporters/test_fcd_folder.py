@@ -75,6 +75,22 @@ def test_fcd_has_everybody_and_the_parked_car_is_a_polygon(exported):
     assert 'id="box_parked"' in (folder / fcd.SHAPES).read_text()
 
 
+@pytest.mark.parametrize("links", [True, False])
+def test_where_all_are_replayed_the_disk_holds_them_once(tmp_path, monkeypatch, links):
+    def refused(*_):
+        raise OSError(1, "Operation not permitted")
+
+    if not links:
+        monkeypatch.setattr(fcd.os, "link", refused)
+    motions = {"av": straight_motion(60.0, 0.0, 0.0, 12.0)}
+    case = case_of(scene_of(straight_road(), motions), tmp_path)
+    rollout = simulate(case, idm.build(idm.Settings()), None, rng=np.random.default_rng(0))
+    fcd.write(rollout, case, tmp_path / "sumo")
+    everybody, replayed = tmp_path / "sumo" / fcd.FCD, tmp_path / "sumo" / fcd.REPLAY
+    assert everybody.samefile(replayed) == links
+    assert everybody.read_bytes() == replayed.read_bytes()
+
+
 def test_writing_again_replaces_the_folder(exported):
     rollout, folder = exported
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
