@@ -204,6 +204,15 @@ def test_who_begins_on_no_lane_may_drive_anywhere():
     assert is_lawful(view, drive("b", -40, 30, 30.0), AWAY, 30.0)
 
 
+@pytest.mark.parametrize("left", [1, 2, 3])
+def test_futures_are_judged_in_the_last_steps_of_a_case(left):
+    road = crossing()
+    view = view_of({"av": (0, -90, np.pi / 2, 1.0), "b": (-40, 0, 0, 12.0)}, road=road)
+    view = replace(view, steps_left=left)
+    assert is_lawful(view, drive("b", -40, 0, 12.0), AWAY, 12.0)
+    assert not is_lawful(view, drive("b", -40, 0, 20.0), AWAY, 20.0)
+
+
 def test_ways_to_stop_stand_in_the_end():
     modes = Forecast(futures=drive("b", 0, 0, 12.0), probability=np.ones(1))
     view = view_of({"av": (0, -90, 0, 1.0), "b": (0, 0, 0, 12.0)})

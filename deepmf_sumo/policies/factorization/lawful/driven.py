@@ -40,7 +40,8 @@ class Driven:
     def of(cls, view: View, futures: Futures, speed_mps: Floats, alone: Forecast) -> "Driven":
         """Of futures with their speeds (N, F), and the AV's futures if nobody attacks."""
         start = Start.of(view, futures.agent_id)
-        steps = slice(EVERY_STEPS - 1, min(view.steps_left, speed_mps.shape[1]), EVERY_STEPS)
+        left = max(view.steps_left, EVERY_STEPS)  # in the last step of a case one time is looked at
+        steps = slice(EVERY_STEPS - 1, min(left, speed_mps.shape[1]), EVERY_STEPS)
         position, heading = futures.position_m[:, steps], futures.heading_rad[:, steps]
         along = np.hypot(*np.moveaxis(position - start.position_m, -1, 0))
         reach_m = float(along.max(initial=0.0)) + _REACH_M
