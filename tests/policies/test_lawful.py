@@ -119,6 +119,25 @@ def test_before_a_stop_sign_one_stands():
     assert is_lawful(waits, drive("b", -9, 0, 2.0 * SECONDS), AWAY, 2.0 * SECONDS)
 
 
+def test_who_stood_before_a_stop_sign_need_not_stop_again_at_the_next_plan():
+    sign = StopSign(id="s", position_m=np.array([-5.0, 0.0]), z_m=0.0, lane_ids=("west",))
+    road = replace(crossing(), stop_signs=(sign,))
+
+    def drives_on(law, x, speed):
+        view = view_of({"av": (0, -90, np.pi / 2, 1.0), "b": (x, 0, 0, speed)}, road=road)
+        faster = np.minimum(speed + 2.0 * SECONDS, 15.0)
+        return is_lawful(view, drive("b", x, 0, faster), AWAY, faster, law)
+
+    law = Law()
+    assert not drives_on(law, -30.0, 5.0)
+    assert drives_on(law, -12.0, 0.0)
+    assert drives_on(law, -11.0, 2.0)
+    assert drives_on(law, -8.0, 4.0)
+    assert drives_on(law, -2.0, 6.0)  # it is over the line
+    assert not drives_on(Law(), -11.0, 2.0)
+    assert not drives_on(law, -30.0, 5.0)  # it comes back
+
+
 def test_a_future_stays_on_the_lanes_that_lead_on_and_keeps_the_limit():
     view = view_of({"av": (0, -90, np.pi / 2, 1.0), "b": (-40, 0, 0, 12.0)}, road=crossing())
     assert is_lawful(view, drive("b", -40, 0, 12.0), AWAY, 12.0)

@@ -14,10 +14,12 @@ from deepmf_sumo.policies.factorization.lawful.lines import HALT, OVER_M, stop_l
 class Law:
     """Remembers who could have stopped at a line: until its light lets go, that is owed.
 
-    Without that memory an opponent could approach a red light until it is too late to stop.
+    Without that memory an opponent could approach a red light until it is too late to stop. And who
+    stood before a sign: it may drive on, also where a plan is made before it is over the line.
     """
 
     _owed: set[tuple[AgentId, str]] = field(default_factory=set)
+    _stood: set[tuple[AgentId, str]] = field(default_factory=set)
 
     def lawful(
         self,
@@ -55,15 +57,20 @@ class Law:
     def _lines(self, view: View, agent_id: AgentId, driven: Driven) -> tuple[bool, Bools]:
         """Whether a line makes the opponent stop, and (N) futures that drive over one."""
         over, halts = np.zeros(len(driven.position_m), bool), False
-        for line in stop_lines(view, driven.ways):
+        row = view.history.row(agent_id)
+        slowest_mps = float(view.history.speed_mps[row, view.history.valid[row]].min())
+        lines = [line for line in stop_lines(view, driven.ways) if line.before_m(driven) >= -OVER_M]
+        self._stood &= {(agent_id, line.lane.id) for line in lines}
+        for line in lines:
             key, before_m = (agent_id, line.lane.id), line.before_m(driven)
-            if before_m < -OVER_M:
-                continue
+            if line.stood(driven, slowest_mps):
+                self._stood.add(key)
             if max(before_m, 0.0) >= driven.start.speed_mps**2 / (2 * line.brake_mps2):
                 self._owed.add(key)
             if key in self._owed:
                 halts = True
-                over |= line.crossed(driven)
+                if key not in self._stood:
+                    over |= line.crossed(driven)
         return halts, over
 
     def _forget(self, view: View) -> None:

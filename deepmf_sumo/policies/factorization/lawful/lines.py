@@ -50,8 +50,11 @@ class Line(NamedTuple):
             return crossed & driven.ways.driven[:, lanes.index(self.lane.id)]
         waiting = (ahead <= OVER_M) & (ahead > -_STOP_ZONE_M)
         stands = np.asarray((waiting & (driven.speed_mps < _STANDING_MPS)).any(axis=1))
-        stood = self.before_m(driven) < _STOP_ZONE_M and driven.start.speed_mps < _STANDING_MPS
-        return crossed & ~stands & (not stood)
+        return crossed & ~stands
+
+    def stood(self, driven: Driven, slowest_mps: float) -> bool:
+        """Whether who was so slow just now stood before the sign; at lights that does not count."""
+        return self.sign and self.before_m(driven) < _STOP_ZONE_M and slowest_mps < _STANDING_MPS
 
     def before_m(self, driven: Driven) -> float:
         """How far the front is before the line now; negative beyond it."""
