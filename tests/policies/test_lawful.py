@@ -172,6 +172,9 @@ def test_who_gives_way_passes_long_before_the_av_or_after_it():
 
     assert not passes(-36.0)  # at the same time
     assert not passes(-46.0)  # the AV would come 1 s later
+    # the opponent's box leaves the AV's way after 3.62 s; the AV's front gets there 1.4 s later
+    assert not passes(-53.6)
+    assert passes(-58.0)
     assert passes(-70.0)
     assert passes(-10.0)  # it has passed
     assert passes(-36.0, signals={"up": SignalState.STOP})

@@ -77,6 +77,6 @@ class Driven:
 
     def av_comes(self, within_s: float) -> Bools:
         """(N, S, K) the AV is there at the same time, or at most ``within_s`` later."""
-        later = np.arange(0.0, within_s + 1e-9, 2 * PACE_S)
+        later = np.append(np.arange(0.0, within_s, 2 * PACE_S), within_s)
         comes: Bools = np.any([self.meets(float(one)) for one in later], axis=0)
         return comes
