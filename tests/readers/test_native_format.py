@@ -49,6 +49,15 @@ def test_nothing_is_lost(scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["scene.npz"]
 
 
+def test_who_gives_way_comes_back(scene, tmp_path):
+    """As SUMO networks tell it."""
+    lane = dataclasses.replace(scene.road.lanes["100"], gives_way_to=("a", "b"))
+    road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})
+    npz.write(dataclasses.replace(scene, road=road), tmp_path / "scene.npz")
+    (back,) = npz.scenes(tmp_path / "scene.npz")
+    assert back.road.lanes["100"].gives_way_to == ("a", "b")
+
+
 def test_the_same_scene_is_the_same_file(scene, tmp_path):
     npz.write(scene, tmp_path / "a.npz")
     npz.write(scene, tmp_path / "b.npz")

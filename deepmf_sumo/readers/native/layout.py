@@ -119,6 +119,8 @@ def _lane_description(lane: Lane) -> dict[str, Any]:
     listed = ("left", "right", "left_boundaries", "right_boundaries")
     described = {name: getattr(lane, name) for name in plain}
     described |= {name: [asdict(one) for one in getattr(lane, name)] for name in listed}
+    if lane.gives_way_to:  # recordings do not know it
+        described["gives_way_to"] = lane.gives_way_to
     return described | {"points": len(lane.centre_m)}
 
 
@@ -178,4 +180,5 @@ def _lane(described: dict[str, Any], points: _Points) -> Lane:
         right=tuple(Neighbour(**one) for one in described["right"]),
         left_boundaries=tuple(Boundary(**one) for one in described["left_boundaries"]),
         right_boundaries=tuple(Boundary(**one) for one in described["right_boundaries"]),
+        gives_way_to=tuple(described.get("gives_way_to", ())),
     )
