@@ -1,10 +1,13 @@
 """What time the AV's encounters left."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
+from deepmf_sumo.metrics.episode import encounters
 
 NORTH = np.pi / 2
 
@@ -28,6 +31,21 @@ def test_of_crossing_ways_the_time_between_leaving_and_coming(after_s):
     # both boxes are 4.8 by 2: one leaves 3.4 m behind the middle, the other comes 3.4 m before it
     spare = measured({"av": av, "b": other}).value
     assert spare == pytest.approx(abs(after_s) - 0.68, abs=0.11)
+
+
+def test_minutes_of_two_vehicles_fit_into_memory():
+    step = np.arange(2000)
+    ways = []
+    for x, y in ((0.0, 0.0), (-30.0, 3.5)):
+        place = np.column_stack([x + step, np.full(len(step), y)])
+        size, fixed = np.array([4.8, 2.0]), np.full(len(step), 10.0)
+        ways.append(encounters.Trip(step, place, 0.0 * fixed, fixed, size))
+    tracemalloc.start()
+    try:
+        assert encounters.time_to_spare(*ways, 0.1) == np.inf
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_others_than_the_opponent_count_too():

@@ -20,6 +20,7 @@ _COURSE_STEPS = 10
 _MOVED_M = 2.0
 _NEAR_M = 60.0
 _BEYOND_M = 100.0
+_BLOCK_STEPS = 256
 
 
 class Trip(NamedTuple):
@@ -46,27 +47,41 @@ def time_to_spare(av: Trip, other: Trip, dt_s: float) -> float:
 
 
 def _near(av: Trip, other: Trip) -> bool:
-    low, high = (end(av.position_m, axis=0) for end in (np.min, np.max))
-    inside = (other.position_m > low - _NEAR_M) & (other.position_m < high + _NEAR_M)
-    return bool(inside.all(axis=1).any())
+    return bool(_around(av.position_m, other.position_m, _NEAR_M).any())
+
+
+def _around(way_m: Floats, position_m: Floats, margin_m: float) -> Bools:
+    """(K) positions (K, 2) inside the rectangle around a way (P, 2) and a margin."""
+    low, high = (end(way_m, axis=0) for end in (np.min, np.max))
+    inside = (position_m > low - margin_m) & (position_m < high + margin_m)
+    around: Bools = inside.all(axis=1)
+    return around
 
 
 def _crossing_s(av: Trip, other: Trip, came: tuple[Bools, Bools], dt_s: float) -> float:
-    apart = av.position_m[:, None] - other.position_m
-    reach = (np.hypot(*av.size_m) + np.hypot(*other.size_m)) / 2
-    across = np.cos(_course_rad(av)[:, None] - _course_rad(other)) < np.cos(_ACROSS_RAD)
-    met = ((apart**2).sum(axis=-1) < reach**2) & across & came[0] & came[1][:, None]
-    mine, theirs = np.nonzero(met)
-    shared = boxes.overlap(
-        av.position_m[mine],
-        av.heading_rad[mine],
-        av.size_m,
-        other.position_m[theirs],
-        other.heading_rad[theirs],
-        other.size_m,
-    )
-    between = np.abs(av.step[mine] - other.step[theirs])[shared]
-    return float(between.min()) * dt_s if len(between) else float("inf")
+    reach_m = float(np.hypot(*av.size_m) + np.hypot(*other.size_m)) / 2
+    course, course_other = _course_rad(av), _course_rad(other)
+    rows = np.flatnonzero(came[1])
+    least = np.inf
+    # minutes of both at once would not fit into memory
+    for begin in range(0, len(rows), _BLOCK_STEPS):
+        some = rows[begin : begin + _BLOCK_STEPS]
+        near = np.flatnonzero(came[0] & _around(av.position_m[some], other.position_m, reach_m))
+        apart = av.position_m[some, None] - other.position_m[near]
+        across = np.cos(course[some, None] - course_other[near]) < np.cos(_ACROSS_RAD)
+        one, two = np.nonzero(((apart**2).sum(axis=-1) < reach_m**2) & across)
+        mine, theirs = some[one], near[two]
+        shared = boxes.overlap(
+            av.position_m[mine],
+            av.heading_rad[mine],
+            av.size_m,
+            other.position_m[theirs],
+            other.heading_rad[theirs],
+            other.size_m,
+        )
+        between = np.abs(av.step[mine] - other.step[theirs])[shared]
+        least = min(least, float(between.min()) if len(between) else np.inf)
+    return least * dt_s
 
 
 def _course_rad(trip: Trip) -> Floats:
@@ -102,14 +117,24 @@ def _joining_s(av: Trip, other: Trip, came: tuple[Bools, Bools]) -> float:
 def _from(trip: Trip, rows: Ints, position_m: Floats) -> tuple[Floats, Floats]:
     """(K) how far positions (K, 2) are ahead of a vehicle on its way then, and how far off it."""
     way = _way(trip)
-    foot = polylines.project(way, position_m)
-    ahead_m: Floats = foot.along_m - polylines.project(way, trip.position_m[rows]).along_m
-    return ahead_m, foot.distance_m
+    along_m, off_m = _feet(way, position_m)
+    own_m, _ = _feet(way, trip.position_m[rows])
+    return along_m - own_m, off_m
+
+
+def _feet(way: Floats, position_m: Floats) -> tuple[Floats, Floats]:
+    """(K) where on a way (P, 2) positions (K, 2) are, and how far off it, some at a time."""
+    blocks = range(0, len(position_m), _BLOCK_STEPS)
+    feet = [polylines.project(way, position_m[row : row + _BLOCK_STEPS]) for row in blocks]
+    return (
+        np.concatenate([foot.along_m for foot in feet]),
+        np.concatenate([foot.distance_m for foot in feet]),
+    )
 
 
 def _came(first: Trip, second: Trip) -> Bools:
     """(K) whether the second was off the first's way in the 4 s before, at each of its steps."""
-    off = polylines.project(_way(first), second.position_m).distance_m > _BESIDE_M
+    off = _feet(_way(first), second.position_m)[1] > _BESIDE_M
     before = np.concatenate([[0], np.cumsum(off)])
     row = np.arange(len(off))
     came: Bools = before[row + 1] > before[np.maximum(row + 1 - _LOOK_BACK_STEPS, 0)]
