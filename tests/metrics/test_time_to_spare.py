@@ -57,6 +57,9 @@ def test_others_than_the_opponent_count_too():
 
 def test_following_is_no_encounter():
     assert measured({"av": straight(0, 0, 10), "b": straight(60, 0, 5)}).value is None
+    # also far ahead, where neither comes to where the other was
+    assert measured({"av": straight(0, 0, 12), "b": straight(138, 0, 10)}).value is None
+    assert measured({"av": straight(0, 0, 30), "b": straight(230, 0, 25)}).value is None
     turn = np.arange(105) / 30  # on a circle of 30 m at 10 m/s
     bend = np.column_stack([30 * np.sin(turn), 30 * (1 - np.cos(turn)), turn])
     assert measured({"av": bend[:91], "b": bend[12:103]}).value is None

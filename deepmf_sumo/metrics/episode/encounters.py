@@ -134,17 +134,20 @@ def _feet(way: Floats, position_m: Floats) -> tuple[Floats, Floats]:
 
 def _came(first: Trip, second: Trip) -> Bools:
     """(K) whether the second was off the first's way in the 4 s before, at each of its steps."""
-    off = _feet(_way(first), second.position_m)[1] > _BESIDE_M
+    # who is far before its way or behind it came from nowhere else
+    apart = np.ptp(np.concatenate([first.position_m, second.position_m]), axis=0)
+    way = _way(first, _BEYOND_M + float(np.hypot(*apart)))
+    off = _feet(way, second.position_m)[1] > _BESIDE_M
     before = np.concatenate([[0], np.cumsum(off)])
     row = np.arange(len(off))
     came: Bools = before[row + 1] > before[np.maximum(row + 1 - _LOOK_BACK_STEPS, 0)]
     return came
 
 
-def _way(trip: Trip) -> Floats:
+def _way(trip: Trip, beyond_m: float = _BEYOND_M) -> Floats:
     """(P, 2) where a vehicle drove, and straight on at both ends."""
     way = trip.position_m[::_WAY_STEPS]
     start, end = (angles.unit(trip.heading_rad[row]) for row in (0, -1))
-    way = np.concatenate([way[:1] - _BEYOND_M * start, way, way[-1:] + _BEYOND_M * end])
+    way = np.concatenate([way[:1] - beyond_m * start, way, way[-1:] + beyond_m * end])
     moved: Floats = way[np.concatenate([[True], np.hypot(*np.diff(way, axis=0).T) > _STANDING_M])]
     return moved
