@@ -28,7 +28,7 @@ class Input:
 
 
 def inputs_of(tasks: Sequence[Task]) -> tuple[Input, ...]:
-    """Recordings, configurations and the files they name, weights, and planners of the user's.
+    """Recordings, configurations and the files they name, weights, planners and tables of drives.
 
     What does not exist here is left out: the run itself says so better.
     """
@@ -62,8 +62,7 @@ class _Looked:
             read: tuple[object, ...] = (source.network, source.sumo_options)
         else:
             read = (source.recording,)
-        planner = spec.planner
-        key = repr((*read, spec.weights, planner.name, planner.settings.get("file")))
+        key = repr((*read, spec.weights, spec.planner.name, *_files(spec)))
         if key not in self._by_spec:
             paths = dict.fromkeys(_paths(spec))
             for path in paths:
@@ -124,8 +123,13 @@ def _paths(spec: Spec) -> Iterator[Path]:
     origin = _origin(module) if colon else None
     if origin is not None:
         yield origin
-    if file := spec.planner.settings.get("file"):
-        yield Path(file).absolute()
+    yield from (Path(file).absolute() for file in _files(spec))
+
+
+def _files(spec: Spec) -> list[str]:
+    """The programs and tables of the planner and the adversary, by their key ``file``."""
+    named = (choice.settings.get("file") for choice in (spec.planner, spec.adversary))
+    return [file for file in named if isinstance(file, str) and file]
 
 
 def _named(config: Path) -> Iterator[Path]:

@@ -40,3 +40,14 @@ def test_weights_count_but_not_their_curves(tiny, tmp_path):
     (weights / "marginal.safetensors").write_bytes(b"2")
     assert all(one != before for one, before in zip(both(), first, strict=True))
     assert weights_digest("open") == ""
+
+
+def test_the_table_that_an_opponent_drives_counts(tiny, tmp_path):
+    table = tmp_path / "drive.csv"
+    table.write_text("step,x_m,y_m,heading_rad\n0,0,0,0\n")
+    path = tiny_network.spec(tiny, "one")
+    sets = ["adversary={name: trajectory, agent: other}", f"adversary.file={table}"]
+    first, names = read(path, sets)
+    assert "drive.csv" in names
+    table.write_text("step,x_m,y_m,heading_rad\n0,1,0,0\n")
+    assert read(path, sets)[0] != first
