@@ -2,21 +2,31 @@
 
 import hashlib
 import importlib.util
+import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.errors import WeightsError
+from deepmf_sumo.errors import UsageError, WeightsError
+from deepmf_sumo.simulation import command_line
 from deepmf_sumo.spec import FromNetwork, Spec
 
 _READ_BYTES: Final = 2**28
 """Up to this size files are compared by content, above by their names and sizes."""
 
-_SYNONYMS: Final = {"net", "n", "routes", "r", "additional", "a"}
+_SYNONYMS: Final = {"net", "n", "routes", "r", "additional", "a", "weights", "w"}
 """Short names of SUMO's options that name files."""
+
+_FILES: Final = re.compile(r"files?$|^load-state$")
+"""Options of SUMO that name files."""
+
+_WRITTEN: Final = {"log-file", "save-state.files"}
+"""Those that SUMO writes: what an earlier run left there is nothing that the next one reads."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,8 +124,7 @@ def _paths(spec: Spec) -> Iterator[Path]:
     if isinstance(source, FromNetwork):
         yield source.network
         yield from _named(source.network)
-        words = (part for word in source.sumo_options for part in word.split(","))
-        yield from (Path(word).absolute() for word in words if word and Path(word).is_file())
+        yield from _beside(source.sumo_options)
     else:
         yield source.recording
     yield from _weights(spec.weights)
@@ -139,11 +148,27 @@ def _named(config: Path) -> Iterator[Path]:
     except (ET.ParseError, OSError):
         return
     for element in elements:
-        if element.tag in _SYNONYMS or element.tag.endswith(("-file", "-files")):
-            for name in element.get("value", "").split(","):
-                path = config.parent / name.strip()
-                if name.strip() and path.is_file():
-                    yield path
+        yield from _read_by(element.tag, element.get("value", ""), config.parent)
+
+
+def _beside(sumo_options: Sequence[str]) -> Iterator[Path]:
+    """Files that SUMO's options beside the configuration name, as ``--name value`` or ``=value``.
+
+    None where they are wrong, which the run says.
+    """
+    with suppress(UsageError):
+        for name, value in command_line.parse(sumo_options).items():
+            yield from _read_by(name, value, Path.cwd())
+
+
+def _read_by(option: str, value: str, folder: Path) -> Iterator[Path]:
+    """Files that SUMO reads for an option; their names are as of the folder."""
+    if option in _WRITTEN or not (option in _SYNONYMS or _FILES.search(option)):
+        return
+    for name in value.split(","):
+        path = folder / os.path.expandvars(name.strip())  # SUMO knows ${VARIABLES}, too
+        if name.strip() and path.is_file():
+            yield path
 
 
 def weights_digest(name: str) -> str:

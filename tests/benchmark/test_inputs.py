@@ -51,3 +51,25 @@ def test_the_table_that_an_opponent_drives_counts(tiny, tmp_path):
     assert "drive.csv" in names
     table.write_text("step,x_m,y_m,heading_rad\n0,1,0,0\n")
     assert read(path, sets)[0] != first
+
+
+def test_files_count_however_sumo_is_told_of_them(tiny, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEMAND", "more")
+    monkeypatch.chdir(tmp_path)
+    folder = shutil.copytree(tiny, tmp_path / "copy")
+    (folder / "more.rou.xml").write_text("<routes/>")
+    (folder / "sumo.log").write_text("of an earlier run")
+    (folder / "saved.xml").write_text("<snapshot/>")
+    (tmp_path / "stops.add.xml").write_text("<additional/>")
+    config = folder / "tiny.sumocfg"
+    more = '<route-files value="${DEMAND}.rou.xml"/><load-state value="saved.xml"/>'
+    written = '<log-file value="sumo.log"/>'
+    config.write_text(
+        config.read_text().replace("</configuration>", f"{more}{written}</configuration>")
+    )
+    path = tiny_network.spec(folder, "one")
+    _, names = read(path, ["source.sumo_options=[--additional-files=stops.add.xml]"])
+    assert {"more.rou.xml", "saved.xml", "stops.add.xml"} <= names
+    assert "sumo.log" not in names
+    assert "stops.add.xml" in read(path, ["source.sumo_options=[-a, stops.add.xml]"])[1]
+    assert "stops.add.xml" not in read(path, ["source.sumo_options=[stops.add.xml]"])[1]
