@@ -54,8 +54,11 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Digest of the spec, the files that it names and the version: of equal runs the same."""
-        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.resolved(), self.inputs]
+        """Digest of the spec, the files that it names and the version: of equal runs the same.
+
+        Of the files by their content: where they lie on this machine is nothing of the run.
+        """
+        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self._placeless(), self.inputs]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def entropy(self) -> list[int]:
@@ -68,6 +71,17 @@ class Task:
         if isinstance(source, FromNetwork):
             situation = f"{source.network.stem} {source.start_s:g} {source.av.vehicle}"
         return [self.spec.seed, crc32(situation.encode())]
+
+    def _placeless(self) -> dict[str, Any]:
+        """`resolved`, of files and folders the names alone."""
+        values = self.resolved()
+        named = {"network", "recording"} & values["source"].keys()
+        places = [(values["source"], key) for key in named] + [(values, "weights")]
+        places += [(values[key], "file") for key in ("planner", "adversary")]
+        for of, key in places:
+            if isinstance(of.get(key), str):
+                of[key] = Path(of[key]).name
+        return values
 
     def resolved(self) -> dict[str, Any]:
         """The spec of this run alone."""

@@ -73,3 +73,18 @@ def test_files_count_however_sumo_is_told_of_them(tiny, tmp_path, monkeypatch):
     assert "sumo.log" not in names
     assert "stops.add.xml" in read(path, ["source.sumo_options=[-a, stops.add.xml]"])[1]
     assert "stops.add.xml" not in read(path, ["source.sumo_options=[stops.add.xml]"])[1]
+
+
+def test_a_run_is_the_same_wherever_its_files_lie(tiny, tmp_path):
+    def key(folder):
+        weights = folder / "mine"
+        weights.mkdir(exist_ok=True)
+        (weights / "marginal.safetensors").write_bytes(b"1")
+        path = tiny_network.spec(folder, "one")
+        (task,), _ = fingerprinted(tasks.plan([spec.load(path, [f"weights={weights}"])], tmp_path))
+        return task.key
+
+    moved = shutil.copytree(tiny, tmp_path / "moved")
+    assert key(moved) == key(tiny)
+    (moved / "tiny.rou.xml").write_text((moved / "tiny.rou.xml").read_text() + "<!-- x -->")
+    assert key(moved) != key(tiny)
