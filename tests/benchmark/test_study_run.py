@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -84,6 +85,19 @@ def test_shards_merge_to_the_whole(whole, tmp_path):
         study.merge(tmp_path / "twice", [tmp_path / "1", tmp_path / "1"])
     with pytest.raises(UsageError, match="one of the shards"):
         study.merge(tmp_path / "1", [tmp_path / "1", tmp_path / "2"])
+
+
+def test_shards_merge_wherever_their_plans_lay(whole, tmp_path):
+    file, _ = whole
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    for one in [file, *file.parent.glob("tiny.*")]:
+        shutil.copy(one, moved)
+    for number, plan in enumerate((file, moved / file.name), start=1):
+        part = study.Shard(number=number, of=2)
+        study.run(study.load(plan), options(tmp_path / str(number)), shard=part)
+    results, missing = study.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
+    assert (len(results), missing) == (8, [])
 
 
 def test_other_plans_and_versions_are_not_merged(whole, tmp_path):

@@ -1,8 +1,10 @@
 """Folders of shards -> one folder, as if the plan had been run in one piece."""
 
+import os
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 from deepmf_sumo.benchmark import shards
 from deepmf_sumo.benchmark.result import Result
@@ -35,16 +37,35 @@ def merge(out: Path, folders: Sequence[Path]) -> tuple[list[Result], list[str]]:
 def _common(folders: Sequence[Path]) -> Layout:
     """The plan of all shards. Raises UsageError where they differ."""
     first = layout.read(folders[0])
+    plan = _placeless(first)
     for folder in folders[1:]:
-        other = layout.read(folder)
-        if other != first:
+        other = _placeless(layout.read(folder))
+        if other != plan:
             names = (field.name for field in fields(Layout))
-            key = next(name for name in names if getattr(first, name) != getattr(other, name))
+            key = next(name for name in names if getattr(plan, name) != getattr(other, name))
             raise UsageError(
                 f"{folder} is of another plan than {folders[0]} (they differ in '{key}'); "
                 "merge shards of one plan, run on one set of scenes."
             )
     return first
+
+
+def _placeless(plan: Layout) -> Layout:
+    """The plan, of its files the names alone: on another machine they lie elsewhere.
+
+    That their contents are the same is in the keys of its runs.
+    """
+    weights = {_named(name): digest for name, digest in plan.weights.items()}
+    return replace(plan, plan=_named(plan.plan), weights=weights)
+
+
+def _named(value: Any) -> Any:
+    """Plain values, in which absolute paths are the names at their ends."""
+    if isinstance(value, dict):
+        return {key: _named(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_named(each) for each in value]
+    return Path(value).name if isinstance(value, str) and value.startswith(os.sep) else value
 
 
 __all__ = ["merge"]
