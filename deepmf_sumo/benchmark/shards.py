@@ -121,7 +121,8 @@ def copied(
             beside.replace(store.runs / run_id)
     except OSError as error:
         raise OutputError(f"{store.out} cannot be written: {error.strerror or error}.") from None
-    store.manifest(keys, {"shards": [str(shard) for shard in shards]})
+    read = {path: digest for shard in shards for path, digest in Store(shard).inputs().items()}
+    store.manifest(keys, {"shards": [str(shard) for shard in shards], "inputs": read})
     return [store.read_run(run_id) for run_id in keys]
 
 

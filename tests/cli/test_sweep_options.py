@@ -14,6 +14,7 @@ import pytest
 import tiny_network
 
 from deepmf_sumo.benchmark import compare, shards
+from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.cli import main
 
 SHARED = (
@@ -68,6 +69,13 @@ def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
     )
     assert call("merge", tmp_path / "twice", parts[0], parts[0]) == 2
     assert "give each shard once" in capsys.readouterr().err
+
+
+def test_the_whole_knows_what_its_parts_read(folders, tmp_path):
+    assert call("merge", tmp_path / "all", folders / "1", folders / "2") == 0
+    read = Store(tmp_path / "all").inputs()
+    assert read
+    assert read == Store(folders / "1").inputs() | Store(folders / "2").inputs()
 
 
 def test_moments_of_an_attack_are_those_of_every_part(folders, tmp_path):
