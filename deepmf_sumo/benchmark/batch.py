@@ -139,6 +139,8 @@ def fill(
         if before.get(task.run_id, {}).get("key") == task.key
     }
     left = [task for task in planned if task.run_id not in found]
+    if left:
+        store.forget_views()
     if queue:
         left.sort(key=queue)
     now = Progress(

@@ -32,6 +32,8 @@ MADE: Final = (
     "attacks.jsonl", "session.json",
 )  # fmt: skip
 """What an earlier batch, benchmark or live session leaves in its folder, the manifest apart."""
+VIEWS: Final = ("risk", "report.html")
+"""What is made of all runs, only where it is asked for."""
 _NUMBERED: Final = {"accident_type", "avoidance_grade"}
 """Metrics that number names: they are counted, for a mean of them says nothing."""
 _DIRECTIONS: Final = {"pdof"}
@@ -114,6 +116,11 @@ class Store:
             },
         }
         files.write_json(self.out / "manifest.json", manifest)
+
+    def forget_views(self) -> None:
+        """Take away the map and the page of earlier runs: they would stand beside other ones."""
+        for name in VIEWS:
+            remove(self.out / name)
 
     def finish(self, results: Sequence[Result], *, junit_too: bool, interrupted: bool) -> None:
         """Write the tables of all runs, in the order of the tasks."""

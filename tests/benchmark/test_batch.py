@@ -123,6 +123,20 @@ def test_runs_on_files_that_have_changed_are_not_resumed(tiny, tmp_path):
     assert (seen[0].kept, seen[0].again) == (1, 1)
 
 
+def test_maps_and_pages_of_earlier_runs_do_not_stand_beside_new_ones(tiny, tmp_path):
+    path, out = tiny_network.spec(tiny, "mapped"), tmp_path / "out"
+    options = batch.Options(out=out, resume=True)
+    batch.run([spec.load(path)], options)
+    (out / "risk").mkdir()
+    (out / "report.html").write_text("of one run")
+    batch.run([spec.load(path)], options)
+    assert (out / "risk").is_dir()
+    assert (out / "report.html").is_file()
+    batch.run([spec.load(path, ["planner.headway_s=3.0"])], options)
+    assert not (out / "risk").exists()
+    assert not (out / "report.html").exists()
+
+
 def test_broken_expectation(tiny, tmp_path):
     path = tiny_network.spec(tiny, "strict", expect="{av_collision: true}")
     results = batch.run([spec.load(path)], batch.Options(out=tmp_path / "out"))
