@@ -89,3 +89,6 @@ def _load_class(kind: Kind, name: str) -> Any:
         return getattr(importlib.import_module(module_name), class_name)
     except (ImportError, AttributeError) as error:
         raise PluginError(f"{kind} '{name}' cannot be imported: {error}.") from None
+    except (Exception, SystemExit) as error:  # whatever the user's code does as it is loaded
+        what = f"{type(error).__name__}: {error}"
+        raise PluginError(f"{kind} '{name}' cannot be imported: {what}.") from error

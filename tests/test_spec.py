@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.errors import SpecError
+from deepmf_sumo.errors import PluginError, SpecError
 from deepmf_sumo.spec import FromRecording, load
 
 
@@ -212,3 +212,18 @@ def test_custom_planner(write, monkeypatch):
     monkeypatch.setitem(sys.modules, "my_planner_module", module)
     spec = load(write(GOOD.replace("name: idm", "name: 'my_planner_module:Mine'")))
     assert spec.planner.name == "my_planner_module:Mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("raise RuntimeError('no licence')", "RuntimeError: no licence"),
+        ("class Mine(:", "SyntaxError: invalid syntax"),
+        ("import sys; sys.exit(3)", "SystemExit: 3"),
+    ],
+)
+def test_a_planner_that_fails_as_it_is_loaded(tmp_path, monkeypatch, text, told):
+    (tmp_path / "bad_on_import.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PluginError, match=f"'bad_on_import:Mine' cannot be imported: {told}"):
+        plugins.load("planners", "bad_on_import:Mine")
