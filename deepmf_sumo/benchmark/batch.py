@@ -161,10 +161,17 @@ def fill(
         interrupted = len(found) < len(planned)
     finally:
         endings.close()
+        found |= _unheard(store, [task for task in left if task.run_id not in found])
         results = [found[task.run_id] for task in planned if task.run_id in found]
         expects = any(task.spec.expect != Expect() for task in planned)
         store.finish(results, junit_too=options.junit or expects, interrupted=interrupted)
     return results
+
+
+def _unheard(store: Store, tasks: Sequence[Task]) -> dict[str, Result]:
+    """Runs that went through as an interrupt came: their worker's word was not waited for."""
+    written = ((task, store.earlier(task)) for task in tasks)
+    return {task.run_id: one for task, one in written if one and one.get("key") == task.key}
 
 
 def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Progress:

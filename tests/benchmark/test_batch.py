@@ -1,5 +1,6 @@
 import csv
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,22 @@ def test_interrupt_keeps_what_is_finished_and_resumes(tiny, tmp_path):
     assert (seen[0].kept, seen[-1].done) == (1, 3)
     batch.run(specs, batch.Options(out=tmp_path / "whole"))
     assert compare.differences(tmp_path / "out", tmp_path / "whole") == []
+
+
+def test_a_run_that_ends_as_the_interrupt_comes_is_kept(tiny, tmp_path):
+    specs = [spec.load(tiny_network.spec(tiny, f"run {number}")) for number in range(3)]
+    options = batch.Options(out=tmp_path / "out", jobs=2)
+
+    def interrupt(progress):
+        while progress.done == 1:
+            if len(list((tmp_path / "out").glob("runs/*/result.json"))) == 2:
+                raise KeyboardInterrupt
+            time.sleep(0.01)
+
+    with pytest.raises(KeyboardInterrupt):
+        batch.run(specs, options, interrupt)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert (summary["runs"], summary["interrupted"]) == (2, True)
 
 
 def test_other_settings_are_not_resumed(tiny, tmp_path):
