@@ -64,22 +64,24 @@ REACT = $(RUN) run docs/studies/reactions.yaml --set source.recording=$(abspath 
     --scenes --jobs 2 --no-pictures --resume
 seen = --set "planner={name: idm, perception: $(1)}"
 drawn = --seed $(1) --set "adversary={name: deepmf, version: G, opponent: $(2), rule: drawn}"
+# Of PARTS parts of the scenes each pass takes another; all of them without PARTS.
+part = $(if $(PARTS),--shard $(1)/$(PARTS))
 # Single runs may fail; the others are there.
 some = > /dev/null || test $$? = 3
-reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=) to learn reactions from
-	$(REACT) $(call seen,corridor) --out $(OUT)/corridor $(some)
-	$(REACT) $(call seen,lane) --out $(OUT)/lane \
+reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=, PARTS=) to learn reactions from
+	$(REACT) $(call seen,corridor) $(call part,1) --out $(OUT)/corridor $(some)
+	$(REACT) $(call seen,lane) $(call part,2) --out $(OUT)/lane \
 	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1}" $(some)
-	$(REACT) $(call seen,corridor) $(call drawn,1,argmax) --out $(OUT)/drawn-1 $(some)
-	$(REACT) $(call seen,lane) $(call drawn,2,sample) --out $(OUT)/drawn-2 $(some)
-	$(REACT) $(call seen,corridor) $(call drawn,3,sample) --out $(OUT)/drawn-3 $(some)
-	$(REACT) $(call seen,lane) $(call drawn,4,argmax) --out $(OUT)/drawn-4 $(some)
+	$(REACT) $(call seen,corridor) $(call drawn,1,argmax) $(call part,3) --out $(OUT)/drawn-1 $(some)
+	$(REACT) $(call seen,lane) $(call drawn,2,sample) $(call part,4) --out $(OUT)/drawn-2 $(some)
+	$(REACT) $(call seen,corridor) $(call drawn,3,sample) $(call part,1) --out $(OUT)/drawn-3 $(some)
+	$(REACT) $(call seen,lane) $(call drawn,4,argmax) $(call part,2) --out $(OUT)/drawn-4 $(some)
 
 open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) marginal --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
-	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open
-	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
+	$(TRAIN) marginal --data $(OPEN) --steps 2250 --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open PARTS=4
+	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --steps 2500 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) strive --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
