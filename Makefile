@@ -63,7 +63,8 @@ open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
 REACT = $(RUN) run docs/studies/reactions.yaml --set source.recording=$(abspath $(SCENES)) --set weights=$(WEIGHTS) \
     --scenes --jobs 2 --no-pictures --resume
 seen = --set "planner={name: idm, perception: $(1)}"
-drawn = --seed $(1) --set "adversary={name: deepmf, version: G, opponent: $(2), rule: drawn}"
+plain = tried_opponents: 1, reactions: 6, goal_candidates: 32, shortlist: null
+drawn = --seed $(1) --set "adversary={name: deepmf, version: G, opponent: $(2), rule: drawn, $(plain)}"
 # Of PARTS parts of the scenes each pass takes another; all of them without PARTS.
 part = $(if $(PARTS),--shard $(1)/$(PARTS))
 # Single runs may fail; the others are there.
@@ -71,7 +72,7 @@ some = > /dev/null || test $$? = 3
 reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=, PARTS=) to learn reactions from
 	$(REACT) $(call seen,corridor) $(call part,1) --out $(OUT)/corridor $(some)
 	$(REACT) $(call seen,lane) $(call part,2) --out $(OUT)/lane \
-	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1}" $(some)
+	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1, $(plain)}" $(some)
 	$(REACT) $(call seen,corridor) $(call drawn,1,argmax) $(call part,3) --out $(OUT)/drawn-1 $(some)
 	$(REACT) $(call seen,lane) $(call drawn,2,sample) $(call part,4) --out $(OUT)/drawn-2 $(some)
 	$(REACT) $(call seen,corridor) $(call drawn,3,sample) $(call part,1) --out $(OUT)/drawn-3 $(some)
@@ -108,9 +109,10 @@ VERSIONS ?= S1 G
 OPPONENTS ?= argmax
 RULES ?= expected likeliest
 LIKELIHOOD_WEIGHTS ?= 1
-TRIED ?= 1
-REACTIONS ?= 6
-GOALS ?= 32
+TRIED ?= 3
+REACTIONS ?= 16
+GOALS ?= 64
+SHORTLIST ?= 32
 CONDITIONAL ?= true
 PLANNERS = replay idm-lane idm-corridor
 driven = $(if $(filter replay,$(1)),{name: replay},{name: idm$(comma) perception: $(patsubst idm-%,%,$(1))})
@@ -120,9 +122,9 @@ attack-results: $(READY)  ## DeepMF on recorded scenes, for docs/results.md
 	for rule in $(RULES); do for weight in $(LIKELIHOOD_WEIGHTS); do \
 	    $(STUDY) --set weights=$(WEIGHTS) --set "planner=$(call driven,$(planner))" \
 	    --set "name=$$opponent $$rule $$weight" --set "adversary={name: deepmf, version: $$version, \
-	    opponent: $$opponent, tried_opponents: $(TRIED), reactions: $(REACTIONS), goal_candidates: $(GOALS), \
+	    opponent: $$opponent, tried_opponents: $(TRIED), reactions: $(REACTIONS), goal_candidates: $(GOALS), shortlist: $(SHORTLIST), \
 	    conditional: $(CONDITIONAL), rule: $$rule, likelihood_weight: $$weight}" \
-	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$(TRIED)-$(REACTIONS)-$(GOALS)-$(CONDITIONAL)-$$rule-$$weight \
+	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$(TRIED)-$(REACTIONS)-$(GOALS)-$(SHORTLIST)-$(CONDITIONAL)-$$rule-$$weight \
 	    > /dev/null || exit 1; \
 	done; done; done; done; )
 	$(RUN) table $(RESULTS)/$(WEIGHTS)-*

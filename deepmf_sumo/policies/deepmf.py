@@ -22,7 +22,7 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.policies.factorization import candidates, opponent, pairing, selection, steering
 from deepmf_sumo.policies.factorization.aims import aimed_paths
 from deepmf_sumo.policies.factorization.candidates import Candidates, References
-from deepmf_sumo.policies.factorization.collision import footprint
+from deepmf_sumo.policies.factorization.collision import collisions, footprint
 from deepmf_sumo.policies.factorization.goals import goal_paths
 from deepmf_sumo.policies.factorization.lawful import Law, stops
 from deepmf_sumo.policies.factorization.selection import Choice
@@ -99,14 +99,14 @@ class DeepMF:
         )
         watch.lap("opponent")
         self.seconds += watch.seconds
-        if self._settings.tried_opponents > 1 and self._scores and self._scores.ids:
+        if self._settings.tried > 1 and self._scores and self._scores.ids:
             self._opponent_id = self._most_promising(view, self._scores)
         return self._opponent_id
 
     def _most_promising(self, view: View, scores: OpponentScores) -> AgentId:
         """The highest score among those that meet the AV at least 95 % as likely as the best."""
         settings, firsts = self._settings, {}
-        tried = opponent.highest(scores, settings.opponent, settings.tried_opponents)
+        tried = opponent.highest(scores, settings.opponent, settings.tried)
         for self._opponent_id in tried:
             self._begin()
             firsts[self._opponent_id] = self._plan(view), self._committed, self._law
@@ -134,7 +134,8 @@ class DeepMF:
     def _plan(self, view: View) -> Plan:
         watch = Stopwatch()
         alone = self._alone(view, watch)
-        own = self._candidates(view, alone, watch)
+        own = self._shortlisted(view, self._candidates(view, alone, watch), alone)
+        watch.lap("collision")
         reactions = self._reactions(view, own)
         watch.lap("conditional")
         plan = self._select(view, own, reactions, alone, watch)
@@ -176,6 +177,16 @@ class DeepMF:
         probability = candidates.weights(modes, tracked.position_m[count:], marginal, view)
         watch.lap("marginal")
         return candidates.ranked(references, tracked, probability, modes)
+
+    def _shortlisted(self, view: View, own: Candidates, alone: Forecast | None) -> Candidates:
+        """What reactions are worth predicting to; all where the settings do not limit them."""
+        most = self._settings.most_candidates
+        if most is None or alone is None or len(own.origin) <= most:
+            return own
+        futures, horizon = own.forecast.futures, min(FUTURE_STEPS, view.steps_left)
+        sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
+        meets, _ = collisions(futures, [alone] * len(own.origin), *sizes, horizon)
+        return candidates.of_use(own, meets @ alone.probability, most)
 
     def _goals(self, view: View, modes: Forecast, av: Forecast, start: Start) -> list[References]:
         """Ways to the AV, and ways to the wanted side of it."""

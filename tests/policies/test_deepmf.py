@@ -68,8 +68,8 @@ def test_wrong_settings_are_refused(values):
 def test_opponent_choice():
     view = view_of(AGENTS)
     rng = np.random.default_rng(0)
-    assert policy().reset(view, rng) == "near"
-    assert policy(opponent="partner").reset(view, rng) == "far"
+    assert policy(tried_opponents=1).reset(view, rng) == "near"
+    assert policy(opponent="partner", tried_opponents=1).reset(view, rng) == "far"
     assert policy(opponent="far").reset(view, rng) == "far"
     assert policy(opponent="labelled", partner_id="far").reset(view, rng) == "far"
     assert policy().reset(view_of({"av": (0, 0, 0, 1.0)}), rng) is None
@@ -143,7 +143,7 @@ def test_a_standing_vehicle_may_attack():
 
 
 def test_a_plan_says_why():
-    plan = first_plan()
+    plan = first_plan(shortlist=None, goal_candidates=32)
     reason = plan.reason
     assert (plan.agent_id, plan.first_step, plan.position_m.shape) == ("near", 11, (80, 2))
     total = len(reason.candidates.probability)
@@ -152,7 +152,7 @@ def test_a_plan_says_why():
     assert reason.origin.count("goal") == total - 32
     assert reason.candidates.probability.sum() == pytest.approx(1.0)
     assert (np.diff(reason.candidates.probability) <= 1e-12).all()
-    assert reason.collides.shape == reason.collision_step.shape == (total, 6)
+    assert reason.collides.shape == reason.collision_step.shape == (total, 16)
     assert reason.value.shape == reason.product.shape == reason.bent_m.shape == (total,)
     assert len(reason.reactions) == total
     assert reason.scores.ids == ("near", "far")
@@ -167,6 +167,45 @@ def test_a_plan_says_why():
     reactions = np.stack([one.probability for one in reason.reactions])
     mass = (reactions * reason.collides).sum(1)
     np.testing.assert_allclose(reason.product, reason.candidates.probability * mass)
+
+
+def test_reactions_are_predicted_to_what_meets_the_av():
+    every = first_plan(shortlist=None).reason
+    short = first_plan(shortlist=20).reason
+    mass = np.array([(one.probability * hit).sum() for one, hit in pairs_of(every)])
+    kept = [
+        any(np.array_equal(position, one) for one in short.candidates.futures.position_m)
+        for position in every.candidates.futures.position_m
+    ]
+    assert len(short.reactions) == len(short.origin) == sum(kept) == 20
+    assert mass[kept].min() >= mass[np.logical_not(kept)].max()
+    among = every.candidates.probability[kept]
+    np.testing.assert_allclose(short.candidates.probability, among / among.sum())
+    np.testing.assert_array_equal(first_plan().position_m, first_plan(shortlist=None).position_m)
+
+
+@pytest.mark.parametrize("wish", [{"sector": "rear"}, {"fair": True}, {"lawful": True}])
+def test_wishes_are_looked_for_among_all(wish):
+    assert len(first_plan(shortlist=3, **wish).reason.reactions) > 32
+
+
+def pairs_of(reason):
+    return zip(reason.reactions, reason.collides, strict=True)
+
+
+@pytest.mark.parametrize(
+    ("values", "tried"),
+    [
+        ({}, 3),
+        ({"opponent": "partner"}, 3),
+        ({"opponent": "sample"}, 1),
+        ({"opponent": "labelled"}, 1),
+        ({"tried_opponents": 1}, 1),
+        ({"tried_opponents": 5}, 5),
+    ],
+)
+def test_how_many_opponents_are_tried(values, tried):
+    assert deepmf.Settings(**values).tried == tried
 
 
 def test_the_product_is_kept_beside_other_rules():
@@ -220,10 +259,7 @@ def test_goals_raise_the_collision_mass():
     with_goals = first_plan(view).reason
     without = first_plan(view, goal_candidates=0).reason
     masses = [
-        max(
-            (one.probability * hit).sum()
-            for one, hit in zip(reason.reactions, reason.collides, strict=True)
-        )
+        max((one.probability * hit).sum() for one, hit in pairs_of(reason))
         for reason in (with_goals, without)
     ]
     assert masses[0] >= masses[1]

@@ -65,7 +65,8 @@ def first_plan(view=None, **values):
 )
 def test_without_wishes_plans_are_what_they_were(values, chosen, total, numbers):
     """Decisions stored before steering was there."""
-    plan = first_plan(**values)
+    then = {"tried_opponents": 1, "goal_candidates": 32, "shortlist": None, "reactions": 6}
+    plan = first_plan(**then | values)
     reason = plan.reason
     assert (reason.chosen, len(reason.origin)) == (chosen, total)
     found = [*plan.position_m[19], *plan.position_m[79], reason.value.max()]
@@ -290,7 +291,7 @@ def test_nothing_is_aimed_without_time_or_reach():
 @pytest.mark.parametrize("name", ["rear", "left", "front_left"])
 def test_a_plan_hits_the_wanted_side(name):
     view = view_of({"av": (0, 0, 0, 10.0), "b": PLACES[name]})
-    plan = first_plan(view, sector=name, rule="likeliest")
+    plan = first_plan(view, sector=name, rule="likeliest", reactions=6)
     reason, sector = plan.reason, impact.SECTORS.index(name)
     assert (reason.rule, reason.wanted_sector, reason.unmet) == ("likeliest", sector, ())
     assert "aim" in reason.origin

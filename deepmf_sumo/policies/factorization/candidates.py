@@ -11,7 +11,7 @@ thinks unlikely remain so.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -109,4 +109,27 @@ def ranked(
         speed_mps=tracked.speed_mps[order],
         bent_m=tracked.bent_m[order],
         origin=tuple(references.origin[row] for row in order),
+    )
+
+
+def of_use(own: Candidates, mass: Floats, count: int) -> Candidates:
+    """At most ``count`` of them, likeliest first: the largest ``mass`` (N1), then the likeliest.
+
+    Their probabilities are those that they have among each other.
+    """
+    rows = np.sort(np.argsort(-mass, kind="stable")[:count])
+    futures, probability = own.forecast.futures, own.forecast.probability[rows]
+    return Candidates(
+        forecast=replace(
+            own.forecast,
+            futures=replace(
+                futures,
+                position_m=futures.position_m[rows],
+                heading_rad=futures.heading_rad[rows],
+            ),
+            probability=probability / probability.sum(),
+        ),
+        speed_mps=own.speed_mps[rows],
+        bent_m=own.bent_m[rows],
+        origin=tuple(own.origin[row] for row in rows),
     )

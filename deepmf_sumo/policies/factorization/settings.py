@@ -13,11 +13,17 @@ from deepmf_sumo.policies.factorization.tracking import Limits
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
 ]
+_RANKED = frozenset({"argmax", "partner"})
+"""Opponents that a score puts in an order."""
+_TRIED = 3
 _PERIOD_S = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
 
 
 class Settings(plugins.Settings):
     """How DeepMF attacks.
+
+    The paper's own form is ``tried_opponents: 1, goal_candidates: 0, reactions: 6``; by default it
+    is given more to choose from, at the same cost.
 
     Attributes:
         version: the paper's name of a period: G (one plan), S4, S2, S1.
@@ -27,14 +33,17 @@ class Settings(plugins.Settings):
             the id of a vehicle.
         tried_opponents: a first plan is made for so many vehicles with the highest scores; of those
             that have a candidate with at least 95 % of the largest collision mass the highest score
-            attacks. 1 as published: a vehicle that interacts need not be one that can reach the AV.
-            With ``argmax`` and ``partner`` alone.
+            attacks, for a vehicle that interacts need not be one that can reach the AV. 1 as
+            published. More go with ``argmax`` and ``partner`` alone; null is 3 with these, else 1.
         rule: see `factorization.selection`.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
         candidates: modes of the opponent (N1).
         goal_candidates: at most so many ways to goals around the AV's predicted positions besides
             (0 as published).
-        reactions: modes of the AV (N2).
+        shortlist: the AV's reactions are predicted to at most so many candidates: those most likely
+            to meet its futures if nobody attacks, then the likeliest. Null: to all, as with
+            ``sector``, ``fair`` and ``lawful``, which may leave few.
+        reactions: modes of the AV (N2); 6 as published.
         av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
             null takes what the AV's planner is (``human`` for ``replay``).
         conditional: False predicts the AV as if it knew nothing of the opponent's future, by the
@@ -57,12 +66,13 @@ class Settings(plugins.Settings):
     version: Literal["G", "S4", "S2", "S1"] | None = None
     period_s: float | None = Field(default=1.0, ge=DT_S)
     opponent: str = Field(default="argmax", min_length=1)
-    tried_opponents: int = Field(default=1, ge=1, le=16)
+    tried_opponents: int | None = Field(default=None, ge=1, le=16)
     rule: Rule = "expected"
     likelihood_weight: float = Field(default=1.0, ge=0.0)
     candidates: int = Field(default=32, ge=1, le=256)
-    goal_candidates: int = Field(default=32, ge=0, le=256)
-    reactions: int = Field(default=6, ge=1, le=64)
+    goal_candidates: int = Field(default=64, ge=0, le=256)
+    shortlist: int | None = Field(default=32, ge=1, le=256)
+    reactions: int = Field(default=16, ge=1, le=64)
     av_driver: AvDriver | None = None
     conditional: bool = True
     accel_mps2: float = Field(default=3.0, gt=0.0)
@@ -92,7 +102,7 @@ class Settings(plugins.Settings):
 
     @model_validator(mode="after")
     def _several_by_score(self) -> Self:
-        if self.tried_opponents > 1 and self.opponent not in {"argmax", "partner"}:
+        if (self.tried_opponents or 1) > 1 and self.opponent not in _RANKED:
             raise ValueError(
                 f"tried_opponents {self.tried_opponents} goes with opponent argmax or partner, "
                 f"not with {self.opponent!r}"
@@ -104,6 +114,17 @@ class Settings(plugins.Settings):
         """Steps between plans; None plans once."""
         period = self.period_s if self.version is None else _PERIOD_S[self.version]
         return None if period is None else round(period / DT_S)
+
+    @property
+    def tried(self) -> int:
+        """Opponents that a first plan is made for."""
+        return self.tried_opponents or (_TRIED if self.opponent in _RANKED else 1)
+
+    @property
+    def most_candidates(self) -> int | None:
+        """Of which the AV's reactions are predicted; None for all."""
+        steered = self.wanted_sector is not None or self.fair or self.lawful
+        return None if steered else self.shortlist
 
     @property
     def limits(self) -> Limits:
