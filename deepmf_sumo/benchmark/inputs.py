@@ -171,11 +171,6 @@ def _read_by(option: str, value: str, folder: Path) -> Iterator[Path]:
             yield path
 
 
-def weights_digest(name: str) -> str:
-    """Of a set of weights, whose name stays the same when it is trained anew; see `_weights`."""
-    return _joined(map(digest, found)) if (found := _weights(name)) else ""
-
-
 def _weights(name: str) -> list[Path]:
     """The networks of a set of weights, and their cards.
 
@@ -204,4 +199,4 @@ def _origin(module: str) -> Path | None:
     return Path(found.origin).absolute() if found and found.origin else None
 
 
-__all__ = ["Input", "digest", "fingerprinted", "inputs_of", "lacking", "weights_digest"]
+__all__ = ["Input", "digest", "fingerprinted", "inputs_of", "lacking"]

@@ -8,8 +8,8 @@ import pytest
 import tiny_plan
 from test_study_tables import folder, result, rows  # noqa: F401 - a fixture
 
-from deepmf_sumo.benchmark import batch, store, study
-from deepmf_sumo.benchmark.study import entries, layout, outline, paired, tables
+from deepmf_sumo.benchmark import store, study
+from deepmf_sumo.benchmark.study import layout, paired, tables
 from deepmf_sumo.cli.screen import benchmark as screen
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.metrics.statistics import diversity
@@ -125,22 +125,6 @@ def test_names_and_directions_are_not_averaged():
     assert found["avoidance_grade"]["counts"] == {"0": 1, "3": 1}
     assert (found["pdof"]["runs"], "counts" in found["pdof"]) == (2, False)
     assert (found["pet"]["mean"], "counts" in found["pet"]) == (1.5, False)
-
-
-def test_runs_of_weights_that_have_changed_are_not_kept(tiny, tmp_path):
-    weights, out = tmp_path / "mine", tmp_path / "out"
-    for folder in (weights, out):  # noqa: F402
-        folder.mkdir()
-    (weights / "opponent.json").write_text("{}")
-    loaded = study.load(tiny_plan.write(tiny), [f"weights={weights}"])
-    rows = entries.entries_of(loaded, tmp_path)
-    planned = entries.tasks_of(rows, loaded.plan.seeds)
-    outline.layout_of(loaded.plan, rows, planned).write(out)
-    assert list(layout.read(out).weights) == [str(weights)]
-    (weights / "opponent.json").write_text("{ }")
-    with pytest.raises(UsageError, match=r"mine' have changed .*--resume"):
-        study.run(loaded, batch.Options(out=out, resume=True))
-    assert [path.name for path in out.iterdir()] == [layout.FILE]
 
 
 def test_readable_tables_say_where_intervals_are_too_narrow(folder):  # noqa: F811

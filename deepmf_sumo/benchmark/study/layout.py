@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +11,7 @@ from deepmf_sumo.benchmark import files
 from deepmf_sumo.errors import UsageError
 
 FILE: Final = "study.json"
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,6 @@ class Layout:
         equal_seconds, curves: None where the plan has none.
         runs: run id -> key, in the plan's order; all of them, whatever shard this is.
         plan: as written, with all paths absolute.
-        weights: digest of the files of each set of weights that is not part of the program.
     """
 
     name: str
@@ -55,7 +54,6 @@ class Layout:
     curves: Budgeted | None
     runs: dict[str, str]
     plan: dict[str, Any]
-    weights: dict[str, str] = field(default_factory=dict)
 
     def planned(self, method: str, planner: str, most_scenes: int | None = None) -> int:
         """Runs of a method on a planner, with its own budget, on the first scenes of the plan."""

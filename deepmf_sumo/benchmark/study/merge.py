@@ -55,8 +55,7 @@ def _placeless(plan: Layout) -> Layout:
 
     That their contents are the same is in the keys of its runs.
     """
-    weights = {_named(name): digest for name, digest in plan.weights.items()}
-    return replace(plan, plan=_named(plan.plan), weights=weights)
+    return replace(plan, plan=_named(plan.plan))
 
 
 def _named(value: Any) -> Any:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import deepmf_sumo
-from deepmf_sumo.benchmark.inputs import weights_digest
 from deepmf_sumo.benchmark.study.entries import Entry, count
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.plan import Plan, Subset
@@ -44,11 +43,6 @@ def layout_of(plan: Plan, entries: Sequence[Entry], planned: Sequence[Task]) -> 
         curves=_part(plan, curves, points, scenes) if curves else None,
         runs={task.run_id: task.key for task in planned},
         plan=plan.model_dump(mode="json"),
-        weights={
-            name: found
-            for name in dict.fromkeys(task.spec.weights for task in planned)
-            if (found := weights_digest(name))
-        },
     )
 
 

@@ -13,10 +13,8 @@ from deepmf_sumo.benchmark.shards import Shard, note
 from deepmf_sumo.benchmark.store import opened
 from deepmf_sumo.benchmark.study import entries, layout, outline, tables
 from deepmf_sumo.benchmark.study.entries import Entry
-from deepmf_sumo.benchmark.study.layout import Layout
 from deepmf_sumo.benchmark.study.plan import Loaded
 from deepmf_sumo.benchmark.tasks import Part, Task
-from deepmf_sumo.errors import UsageError
 
 
 def run(
@@ -37,7 +35,7 @@ def run(
     planned, read = fingerprinted(entries.tasks_of(rows, plan.seeds))
     outlined = outline.layout_of(plan, rows, planned)
     if options.resume and (options.out / layout.FILE).is_file():
-        _check_weights(layout.read(options.out), outlined, options.out)
+        layout.read(options.out)  # refuses what another version made
     chosen = shard.choose(planned) if shard else planned
     with opened(options.out, resume=options.resume) as store:
         changed = batch.begin(store, chosen, options, read)
@@ -49,16 +47,6 @@ def run(
         finally:
             if (options.out / "runs.csv").is_file():
                 tables.write(options.out)
-
-
-def _check_weights(before: Layout, now: Layout, out: Path) -> None:
-    """Raise UsageError where weights have been made anew since the runs of a folder."""
-    for name, digest in now.weights.items():
-        if before.weights.get(name, digest) != digest:
-            raise UsageError(
-                f"The weights '{name}' have changed since the runs in {out} were made; choose"
-                " another folder, or leave --resume out to begin anew."
-            )
 
 
 def expected(out: Path, shard: Shard | None = None) -> int:
