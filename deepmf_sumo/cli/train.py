@@ -33,7 +33,10 @@ _ABOVE_0 = click.FloatRange(min=0, min_open=True)
     help="Folder of the set, instead of its place in the weights home.",
 )
 @click.option("--from", "begin_from", metavar="NAME", help="Set of weights to begin from.")
-@click.option("--preset", help="Sizes of the networks: light or paper.  [default: light]")
+@click.option(
+    "--preset",
+    help="Sizes of the networks: light, paper or vector (light without images).  [default: light]",
+)
 @click.option(
     "--members",
     type=click.IntRange(min=1, max=8),

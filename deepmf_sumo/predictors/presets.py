@@ -102,11 +102,14 @@ PAPER: Final = Preset(
 )
 """VGG16 at full width on 60 channels at 1 m, as M2I sizes DenseTNT's encoder; needs a GPU."""
 
-PRESETS: Final = {preset.name: preset for preset in (LIGHT, PAPER)}
+VECTOR: Final = replace(LIGHT, name="vector", raster=False)
+"""Without images: as good as `LIGHT` where few scenes are to learn from."""
+
+PRESETS: Final = {preset.name: preset for preset in (LIGHT, PAPER, VECTOR)}
 
 
 def preset_named(name: str) -> Preset:
-    """LIGHT or PAPER. Raises WeightsError for other names."""
+    """A preset. Raises WeightsError for other names."""
     if name not in PRESETS:
         raise WeightsError(f"There is no preset '{name}'; choose one of {', '.join(PRESETS)}.")
     return PRESETS[name]

@@ -12,10 +12,10 @@ from deepmf_sumo.predictors.completion import as_batch
 from deepmf_sumo.predictors.condition import encode
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.features import features
-from deepmf_sumo.predictors.presets import LIGHT, PAPER, Preset, changed
+from deepmf_sumo.predictors.presets import LIGHT, PAPER, VECTOR, Preset, changed
 
 
-@pytest.mark.parametrize("preset", [LIGHT, PAPER])
+@pytest.mark.parametrize("preset", [LIGHT, PAPER, VECTOR])
 def test_a_card_gives_the_preset_back(preset: Preset) -> None:
     assert Preset.from_record(json.loads(json.dumps(preset.record()))) == preset
 
