@@ -82,7 +82,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) marginal --data $(OPEN) --steps 2250 --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open PARTS=8
-	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --steps 2000 --name open $(FEATURES) \
+	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --steps 1000 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) strive --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 

@@ -45,6 +45,11 @@ class _WithSumoOptions(click.Command):
     help="The same vehicles at the same times as in that result folder, to compare with it.",
 )  # fmt: skip
 @click.option(
+    "--prefer", type=click.Choice(["spread", "encounters"]), default="spread", show_default=True,
+    help="At each place moments at any time, or first those before another vehicle crosses the AV's"
+    " way at a junction.",
+)  # fmt: skip
+@click.option(
     "--until", "until_s", metavar="S", type=click.FloatRange(min=1),
     help="Look for moments so far.  [default: the end, or a million steps of vehicles]",
 )  # fmt: skip

@@ -24,7 +24,10 @@ WISHES: Final = {
     "reactions": "4",
 }
 """Of the adversary: a lawful opponent, and little effort for each attack."""
-WHEN: Final = ("--until", "44", "--duration", "16", "--opponents", "one")
+WHEN: Final = (
+    *("--until", "44", "--duration", "16", "--opponents", "one"),
+    *("--prefer", "encounters"),
+)
 
 
 def commands(

@@ -3,6 +3,7 @@
 import csv
 import json
 
+import crossing_network
 import pytest
 
 from deepmf_sumo.cli import main
@@ -114,3 +115,19 @@ def test_attacks_leave_a_risk_map(tiny, tmp_path, capsys, mapped):
     assert attack(tiny, out, *more, *([] if mapped else ["--no-risk"])) == 0
     assert (f"{out}/risk/risk.html" in capsys.readouterr().out) == mapped
     assert (out / "risk" / "edges.xml").is_file() == mapped
+
+
+def test_encounters_are_attacked_first_where_they_are_preferred(tmp_path, capsys):
+    """In a packed left-hand network."""
+    config = crossing_network.build(tmp_path, "--lefthand", net="crossing.net.xml.gz")
+    out = tmp_path / "out"
+    asked = ["--prefer", "encounters", "--moments", 1, "--duration", 4, "--no-pictures"]
+    command = ["attack", config, *asked, "--no-risk", "--set", "adversary=none", "--out", out]
+    assert main._run([str(one) for one in command]) == 0
+    assert "vehicle seconds, 1 of them before an encounter" in capsys.readouterr().err
+    with (out / "moments.csv").open() as table:
+        (moment,) = csv.DictReader(table)
+    assert moment["av"] in {"over1", "up1"}
+    assert float(moment["encounter_s"]) < 2.0
+    assert main._run(["attack", str(config), "--prefer", "crashes"]) == 2
+    assert "'crashes' is not one of 'spread', 'encounters'" in capsys.readouterr().err

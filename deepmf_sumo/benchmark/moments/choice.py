@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from deepmf_sumo.benchmark.moments.encounters import NONE, Encounters, nobody_met
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
 from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable
 from deepmf_sumo.datatypes import Bools, Floats
@@ -21,14 +22,22 @@ LONG_S: Final = 15.0
 """An attack on one opponent is decided by then."""
 _SLOWEST_MPS: Final = 3.0
 """Who stands now may be at the junction in a moment."""
+_MEETS_FROM_M: Final = 80.0
+"""Who meets the AV within seconds may be so far away; who is farther is never chosen to attack."""
 
 Place = tuple[int, int]
 """An edge, and the next one if the vehicle gets there, else -1."""
 Turns = Mapping[tuple[str, str], str]
 
 
-def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
+def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | None = None) -> Found:
     """Draw moments; the same for the same sightings, wish and seed.
+
+    Args:
+        sightings: who is where when.
+        turns: what it is to drive from an edge to another.
+        wish: what the moments shall be like.
+        met: encounters that attacks would begin with; None where nobody meets anybody.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
@@ -37,7 +46,7 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish) -> Found:
     rows = _again(sightings, wish, rows) if wish.again else _staying(sightings, wish, rows)
     moments: list[Moment] = []
     if len(rows):
-        spread = _Spread(sightings, turns, wish, rows)
+        spread = _Spread(sightings, turns, wish, rows, met or nobody_met(sightings))
         moments = spread.draw()
         if len(moments) < wish.count:
             reason = (
@@ -70,6 +79,7 @@ def turns_of(net: NetFile) -> dict[tuple[str, str], str]:
 class _Used:
     """How often something has been chosen already."""
 
+    junctions: Counter[str] = field(default_factory=Counter)
     edges: Counter[int] = field(default_factory=Counter)
     turns: Counter[str] = field(default_factory=Counter)
     places: Counter[Place] = field(default_factory=Counter)
@@ -77,11 +87,18 @@ class _Used:
 
 
 class _Spread:
-    """The edge that was chosen least often is next, and of its places one at a rare time."""
+    """The edge that was chosen least often is next, and of its places one at a rare time.
 
-    def __init__(self, sightings: Sightings, turns: Turns, wish: Wish, rows: Ints) -> None:
+    Where encounters are preferred, the junction that was chosen least often comes first, there
+    places with encounters, and of the place the closest encounter; at last edges of no junction.
+    """
+
+    def __init__(
+        self, sightings: Sightings, turns: Turns, wish: Wish, rows: Ints, met: Encounters
+    ) -> None:
         rng = np.random.default_rng([wish.seed, 0x5EED])
         self._sightings, self._turns, self._wish = sightings, turns, wish
+        self._met, self._prefers = met, wish.prefer == "encounters"
         self._able = opponents(sightings)
         self._used = _Used()
         self._span = _spans(sightings, wish, rows)
@@ -89,6 +106,7 @@ class _Spread:
         self._leaves = _leave(sightings, wish.duration_s)
         self._left: dict[Place, Ints] = {}
         self._spans: dict[Place, Ints] = {}
+        self._kind: dict[Place, int] = {}
         shuffled = rng.permutation(rows)
         near = _gets_there(sightings, wish.duration_s)[shuffled]
         following = np.where(near, sightings.following[shuffled], -1)
@@ -99,6 +117,7 @@ class _Spread:
             mine = shuffled[group.ravel() == rank]
             self._left[int(edge), int(after)] = mine
             self._spans[int(edge), int(after)] = np.unique(self._span[mine])
+            self._kind[int(edge), int(after)] = int(met.kind[mine].min())
 
     def draw(self) -> list[Moment]:
         """As many moments as asked for, if there are."""
@@ -110,10 +129,15 @@ class _Spread:
                 moments.append(moment)
         return moments
 
-    def _order(self, place: Place) -> tuple[int, int, int, int]:
+    def _order(self, place: Place) -> tuple[int, ...]:
         used = self._used
         rarest = int(self._taken[self._spans[place]].min())
-        return used.edges[place[0]], rarest, used.turns[self._turn(place)], used.places[place]
+        spread = used.edges[place[0]], rarest, used.turns[self._turn(place)], used.places[place]
+        if not self._prefers:
+            return spread
+        edge, kind = self._sightings.edges[place[0]], self._kind[place]
+        says_nothing = kind == NONE and edge not in self._met.junctions
+        return says_nothing, used.junctions[self._junction(place)], kind, *spread
 
     def _take(self, place: Place) -> Moment | None:
         """The next moment of a place; None where it was none, which is left out from now on."""
@@ -121,13 +145,20 @@ class _Spread:
         vehicle = self._sightings.vehicle[rows]
         cost = self._taken[self._span[rows]] + self._leaves[rows].astype(float)
         cost += [len(self._used.vehicles.get(int(one), ())) for one in vehicle]
+        if self._prefers:
+            rank = self._met.rank[rows]
+            cost[rank > rank.min()] = np.inf
         best = int(cost.argmin())
         row = int(rows[best])
         self._left[place] = np.delete(rows, best)
-        if not len(self._left[place]):
+        if len(rows) > 1:
+            self._kind[place] = int(self._met.kind[self._left[place]].min())
+        else:
             del self._left[place]
-        count = 0 if self._too_soon(row) else around(self._sightings, self._able, row)
-        if not count:
+        if self._too_soon(row):
+            return None
+        count = around(self._sightings, self._able, row)
+        if not count and not self._comes_near(row):
             return None
         self._note(row, place)
         return self._moment(row, place, count)
@@ -138,8 +169,17 @@ class _Spread:
         now = self._sightings.time_s[row]
         return any(abs(now - start) < self._wish.duration_s for start in starts)
 
+    def _comes_near(self, row: int) -> bool:
+        """Whether somebody who is farther away gets there, as the AV meets another soon."""
+        return (
+            self._prefers
+            and bool(self._met.kind[row] != NONE)
+            and around(self._sightings, self._able, row, _MEETS_FROM_M) > 0
+        )
+
     def _note(self, row: int, place: Place) -> None:
         used, sightings = self._used, self._sightings
+        used.junctions[self._junction(place)] += 1
         used.edges[place[0]] += 1
         used.turns[self._turn(place)] += 1
         used.places[place] += 1
@@ -150,6 +190,7 @@ class _Spread:
         sightings = self._sightings
         body = sightings.bodies[sightings.vehicle[row]]
         following = int(sightings.following[row])
+        apart_s = float(self._met.apart_s[row])
         return Moment(
             av=body.id,
             av_type=body.type,
@@ -159,7 +200,13 @@ class _Spread:
             turn=self._turn(place),
             speed_mps=round(float(sightings.speed_mps[row]), 2),
             around=count,
+            encounter_s=None if np.isnan(apart_s) else round(apart_s, 1),
         )
+
+    def _junction(self, place: Place) -> str:
+        """The one that the edge leads to, or comes from; the edge where nobody meets anybody."""
+        edge = self._sightings.edges[place[0]]
+        return self._met.junctions.get(edge, edge)
 
     def _turn(self, place: Place) -> str:
         if place[1] < 0:

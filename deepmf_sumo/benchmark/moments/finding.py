@@ -9,6 +9,7 @@ from typing import Any
 
 from deepmf_sumo.benchmark import files, pool
 from deepmf_sumo.benchmark.moments.choice import choose, turns_of
+from deepmf_sumo.benchmark.moments.encounters import encounters
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
 from deepmf_sumo.network.net_file import read_once
@@ -55,8 +56,9 @@ def _search(search: _Search) -> None:
     scouting = search.scouting
     try:
         sightings = scout(scouting)
-        net = read_configuration(scouting.config, scouting.sumo_options).net
-        answer: dict[str, Any] = asdict(choose(sightings, turns_of(read_once(net)), search.wish))
+        net = read_once(read_configuration(scouting.config, scouting.sumo_options).net)
+        met = encounters(sightings, net, search.wish.duration_s)
+        answer: dict[str, Any] = asdict(choose(sightings, turns_of(net), search.wish, met))
     except DeepmfError as error:
         answer = {"error": str(error), "usage": isinstance(error, UsageError)}
     files.write_json(search.answer, answer)

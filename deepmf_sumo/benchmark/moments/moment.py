@@ -1,11 +1,14 @@
 """Where and when somebody is attacked, what was asked for, and what was found."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from deepmf_sumo.datatypes import AgentId
 
 VehicleTime = tuple[AgentId, float]
 """A vehicle at a time of the simulation, in seconds to a tenth."""
+
+Preference = Literal["spread", "encounters"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,6 +22,7 @@ class Wish:
         again: only these vehicles at these times; empty leaves them open.
         duration_s: of each attack.
         seed: of the choice.
+        prefer: ``encounters`` chooses first who meets somebody at a junction without any attack.
     """
 
     count: int
@@ -28,6 +32,7 @@ class Wish:
     again: tuple[VehicleTime, ...] = ()
     duration_s: float = 8.0
     seed: int = 0
+    prefer: Preference = "spread"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +45,9 @@ class Moment:
         turn: what it does at the next junction, where it gets that far in the time of an attack:
             straight, left, right, turnaround; else ``along``.
         around: vehicles within reach of it.
+        encounter_s: what time is between it and another vehicle on a way that meets its own, at a
+            junction that it passes in the time of an attack, if nobody attacks: 0 where both are in
+            the junction at once; None where there is no such vehicle.
     """
 
     av: AgentId
@@ -50,6 +58,7 @@ class Moment:
     turn: str
     speed_mps: float
     around: int
+    encounter_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

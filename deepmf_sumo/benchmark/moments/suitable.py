@@ -52,12 +52,12 @@ def opponents(sightings: Sightings) -> Bools:
     return able
 
 
-def around(sightings: Sightings, able: Bools, row: int) -> int:
+def around(sightings: Sightings, able: Bools, row: int, reach_m: float = REACH_M) -> int:
     """How many of the able are within reach of the vehicle of a row, at that moment."""
     time_s = sightings.time_s
     begin, end = np.searchsorted(time_s, time_s[row]), np.searchsorted(time_s, time_s[row], "right")
     away = np.hypot(*(sightings.position_m[begin:end] - sightings.position_m[row]).T)
-    near = (away < REACH_M) & able[begin:end]
+    near = (away < reach_m) & able[begin:end]
     near[row - begin] = False
     return int(near.sum())
 

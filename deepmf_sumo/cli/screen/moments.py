@@ -21,6 +21,9 @@ def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
     click.echo(f"{name}: {found.vehicles} vehicles from {span}{further}", err=True)
     moments = "1 moment" if len(found.moments) == 1 else f"{len(found.moments)} moments"
     chosen = f"{moments} of {found.suitable} vehicle seconds"
+    if wish.prefer == "encounters":
+        before = sum(one.encounter_s is not None for one in found.moments)
+        chosen += f", {before} of them before an encounter"
     if len(found.moments) < wish.count:
         chosen += f", not {wish.count}: {found.reason}"
     click.echo(chosen, err=True)

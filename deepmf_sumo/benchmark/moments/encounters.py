@@ -1,0 +1,124 @@
+"""Who meets somebody at a junction when nobody attacks, and how closely."""
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.benchmark.moments.passages import Passages, passages
+from deepmf_sumo.benchmark.moments.suitable import opponents
+from deepmf_sumo.datatypes import Bools, Floats, Ints
+from deepmf_sumo.network.meeting_ways import Way, junctions, meeting_ways
+from deepmf_sumo.network.net_file import NetFile
+from deepmf_sumo.simulation.scouting import Sightings
+
+NEAR_S: Final = 5.0
+"""Between one vehicle's leaving the junction and another's entering it; more is no encounter."""
+STEP_S: Final = 1.0
+"""Encounters that differ by less are equal: they are not known better."""
+LEAD_S: Final = (3.0, 8.0)
+"""After an attack's beginning: sooner nobody can do much about it, later the traffic is another."""
+_STEPS: Final = int(NEAR_S / STEP_S)
+NONE: Final = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Encounters:
+    """Of each of K sightings the encounter that an attack beginning there would have.
+
+    Attributes:
+        rank: (K) 0 is the best; of the last rank is who has none.
+        apart_s: (K) what time is between the two, 0 where both are in the junction at once; nan
+            where there is none.
+        junctions: by edge, as of `network.meeting_ways`.
+    """
+
+    rank: Ints
+    apart_s: Floats
+    junctions: Mapping[str, str]
+
+    @property
+    def kind(self) -> Ints:
+        """(K) 0 comes when it suits, 1 at another time of the attack, `NONE` not at all."""
+        return self.rank // _STEPS
+
+
+def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encounters:
+    """Look ahead from each sighting, as far as an attack lasts.
+
+    First come those that `LEAD_S` suits, and of them those with the least time between the two.
+    """
+    passed = passages(sightings)
+    place = _places(net, passed)
+    apart = _apart(passed, place, meeting_ways(net, passed.ways), _able(sightings)[passed.vehicle])
+    met = np.flatnonzero(np.isfinite(apart))
+    met = met[np.lexsort((passed.entered_s[met], passed.vehicle[met]))]
+    vehicle, entered, apart = passed.vehicle[met], passed.entered_s[met], apart[met]
+    span = float(sightings.until_s - min(sightings.begin_s, 0.0)) + duration_s + 1.0
+    key = np.append(vehicle * span + entered, np.inf)
+    rank = np.full(len(sightings.time_s), NONE * _STEPS)
+    found = np.full(len(rank), np.nan)
+    ahead = np.searchsorted(key, sightings.vehicle * span + sightings.time_s, "right")
+    rows = np.arange(len(rank))
+    while len(rows):
+        reached = key[ahead] <= sightings.vehicle[rows] * span + sightings.time_s[rows] + duration_s
+        rows, ahead = rows[reached], ahead[reached]
+        lead_s = entered[ahead] - sightings.time_s[rows]
+        suits = (lead_s >= LEAD_S[0]) & (lead_s <= LEAD_S[1])
+        new = np.minimum(apart[ahead] // STEP_S, _STEPS - 1).astype(np.int64) + _STEPS * ~suits
+        better = new < rank[rows]
+        rank[rows[better]] = new[better]
+        found[rows[better]] = apart[ahead[better]]
+        ahead = ahead + 1
+    return Encounters(rank=rank, apart_s=found, junctions=junctions(net))
+
+
+def nobody_met(sightings: Sightings) -> Encounters:
+    """Of sightings on a network without junctions."""
+    many = len(sightings.time_s)
+    return Encounters(rank=np.zeros(many, np.int64), apart_s=np.full(many, np.nan), junctions={})
+
+
+def _able(sightings: Sightings) -> Bools:
+    """(V) who can be met."""
+    able = np.zeros(len(sightings.bodies), bool)
+    able[sightings.vehicle[opponents(sightings)]] = True
+    return able
+
+
+def _places(net: NetFile, passed: Passages) -> Ints:
+    """(P) index of the junction."""
+    number: dict[str, int] = {}
+    ends = [net.edges[way[0]].end if way[0] in net.edges else "" for way in passed.ways]
+    return np.array([number.setdefault(end, len(number)) for end in ends], np.int64)[passed.way]
+
+
+def _apart(passed: Passages, place: Ints, meeting: Set[tuple[Way, Way]], able: Bools) -> Floats:
+    """(P) what time is between a passage and the nearest on a way that meets its own; inf if none.
+
+    Each is compared to those that enter the same junction after it, one after the other, until they
+    come too late.
+    """
+    many = len(passed.ways)
+    number = {way: index for index, way in enumerate(passed.ways)}
+    codes = np.array([number[one] * many + number[two] for one, two in meeting], np.int64)
+    order = np.lexsort((passed.entered_s, place))
+    place, way, entered = place[order], passed.way[order], passed.entered_s[order]
+    vehicle, left, able = passed.vehicle[order], passed.left_s[order], able[order]
+    apart = np.full(len(order), np.inf)
+    first = np.arange(len(order))
+    lag = 1
+    while len(first):
+        first = first[first + lag < len(order)]
+        second = first + lag
+        near = (place[first] == place[second]) & (entered[second] - left[first] <= NEAR_S)
+        first, second = first[near], second[near]
+        meet = np.isin(way[first] * many + way[second], codes) & (vehicle[first] != vehicle[second])
+        between = np.where(meet, np.maximum(entered[second] - left[first], 0.0), np.inf)
+        for one, other in ((first, second), (second, first)):
+            apart[one] = np.minimum(apart[one], np.where(able[other], between, np.inf))
+        lag += 1
+    found = np.empty(len(order))
+    found[order] = apart
+    return found
