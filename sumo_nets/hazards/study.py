@@ -24,14 +24,11 @@ WISHES: Final = {
     "reactions": "4",
 }
 """Of the adversary: a lawful opponent, and little effort for each attack."""
-WHEN: Final = (
-    *("--until", "44", "--duration", "16", "--opponents", "one"),
-    *("--prefer", "encounters"),
-)
+WHEN: Final = ("--until", "44", "--duration", "16", "--opponents", "one")
 
 
 def commands(
-    folder: Path, seeds: list[int], moments: int, flawed: list[str] | None
+    folder: Path, seeds: list[int], moments: int, prefer: str, flawed: list[str] | None
 ) -> Iterator[list[str]]:
     """What is run, one after the other."""
     build = [sys.executable, str(HERE / "build.py"), str(folder / "net")]
@@ -44,7 +41,8 @@ def commands(
         for kind in KINDS:
             yield [
                 *attack, str(folder / "net" / "hazards.sumocfg"), "--av-type", kind, *WHEN,
-                "--moments", str(moments), "--seed", str(seed), "--no-pictures", "--resume",
+                "--moments", str(moments), "--seed", str(seed), "--prefer", prefer,
+                "--no-pictures", "--resume",
                 *wishes, "--out", str(folder / str(seed) / kind),
             ]  # fmt: skip
     rank = [sys.executable, str(HERE / "rank.py"), *(str(folder / str(seed)) for seed in seeds)]
@@ -57,9 +55,10 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="SEED")
     parser.add_argument("--moments", type=int, default=50, help="attacks a seed and kind")
+    parser.add_argument("--prefer", default="spread", help="moments, as of `deepmf-sumo attack`")
     parser.add_argument("--flawed", nargs="*", metavar="PLACE", help="as of build.py")
     given = parser.parse_args()
-    for command in commands(given.folder, given.seeds, given.moments, given.flawed):
+    for command in commands(given.folder, given.seeds, given.moments, given.prefer, given.flawed):
         code = subprocess.run(command, check=False).returncode
         if code:
             return code
