@@ -9,6 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
+from deepmf_sumo.benchmark.live.one_thread import OneThread
 from deepmf_sumo.benchmark.live.results import Stage
 from deepmf_sumo.datatypes import AgentId, TurnRules
 from deepmf_sumo.errors import UsageError
@@ -95,8 +96,9 @@ def policy_of(spec: Spec) -> Policy:
     if settings.opponent == "labelled":
         raise UsageError("adversary.opponent 'labelled': only recordings label an opponent.")
     from deepmf_sumo.predictors import shared as networks  # brings torch along
+    from deepmf_sumo.predictors.threads import one_thread
 
-    return deepmf.build(settings, networks.predictors(spec.weights))
+    return OneThread(deepmf.build(settings, networks.predictors(spec.weights)), one_thread)
 
 
 def session(

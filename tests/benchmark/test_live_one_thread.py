@@ -1,0 +1,46 @@
+"""Beside somebody else's script the networks leave the cores to SUMO."""
+
+from contextlib import contextmanager
+
+import numpy as np
+
+from deepmf_sumo.benchmark.live import assembly
+from deepmf_sumo.benchmark.live.one_thread import OneThread
+
+
+class Noting:
+    """Notes whether it is asked within one thread."""
+
+    period_steps = 20
+
+    def __init__(self):
+        self.within = False
+        self.asked = []
+
+    @contextmanager
+    def one_thread(self):
+        self.within = True
+        yield
+        self.within = False
+
+    def reset(self, view, rng):
+        self.asked.append(("reset", self.within))
+        return "opponent"
+
+    def plan(self, view):
+        self.asked.append(("plan", self.within))
+
+
+def test_choice_and_plans_are_made_with_one_thread():
+    inner = Noting()
+    policy = OneThread(inner, inner.one_thread)
+    assert policy.period_steps == 20
+    assert policy.reset(None, np.random.default_rng(0)) == "opponent"
+    assert policy.plan(None) is None
+    assert inner.asked == [("reset", True), ("plan", True)]
+    assert not inner.within
+
+
+def test_live_attacks_have_such_a_policy():
+    spec = assembly.spec_of(assembly.Wish(av="ego"))
+    assert isinstance(assembly.policy_of(spec), OneThread)
