@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from deepmf_sumo.cli.finite import FiniteRange
+
 
 @click.command(name="attach")
 @click.option(
@@ -15,7 +17,7 @@ import click
     "--order", type=int, default=2, show_default=True, help="This client's number at SUMO."
 )
 @click.option(
-    "--wait", "wait_s", metavar="S", type=click.FloatRange(min=0), default=10.0, show_default=True,
+    "--wait", "wait_s", metavar="S", type=FiniteRange(min=0), default=10.0, show_default=True,
     help="For somebody to listen on the port.",
 )  # fmt: skip
 @click.option(
@@ -23,20 +25,20 @@ import click
     help="time=S, edge=ID or ttc=S; may be repeated.  [default: whenever somebody can attack]",
 )  # fmt: skip
 @click.option(
-    "--duration", metavar="S", type=click.FloatRange(min=3), default=15.0, show_default=True,
+    "--duration", metavar="S", type=FiniteRange(min=3), default=15.0, show_default=True,
     help="Of an attack, at most.",
 )  # fmt: skip
 @click.option(
-    "--pause", metavar="S", type=click.FloatRange(min=0), default=5.0, show_default=True,
+    "--pause", metavar="S", type=FiniteRange(min=0), default=5.0, show_default=True,
     help="After an attack.",
 )  # fmt: skip
 @click.option("--attacks", metavar="N", type=click.IntRange(min=1), help="Leave after so many.")
 @click.option(
-    "--until", "until_s", metavar="S", type=click.FloatRange(min=0),
+    "--until", "until_s", metavar="S", type=FiniteRange(min=0),
     help="Leave at this time of the simulation.",
 )  # fmt: skip
 @click.option(
-    "--patience", metavar="S", type=click.FloatRange(min=0), default=600.0, show_default=True,
+    "--patience", metavar="S", type=FiniteRange(min=0), default=600.0, show_default=True,
     help="Of the simulation's time, for the AV to appear.",
 )  # fmt: skip
 @click.option(

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import click
 
+from deepmf_sumo.cli.finite import FiniteRange
 from deepmf_sumo.cli.sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
 
@@ -37,7 +38,7 @@ class _WithSumoOptions(click.Command):
 @click.option("--av", metavar="ID", help="Attack this vehicle.")
 @click.option("--av-type", metavar="TYPE", help="Attack vehicles of this type.")
 @click.option(
-    "--at", "at_s", metavar="S", multiple=True, type=click.FloatRange(min=0),
+    "--at", "at_s", metavar="S", multiple=True, type=FiniteRange(min=0),
     help="Attack at this time of the simulation; may be repeated.",
 )  # fmt: skip
 @click.option(
@@ -50,7 +51,7 @@ class _WithSumoOptions(click.Command):
     " way at a junction.",
 )  # fmt: skip
 @click.option(
-    "--until", "until_s", metavar="S", type=click.FloatRange(min=1),
+    "--until", "until_s", metavar="S", type=FiniteRange(min=1),
     help="Look for moments so far.  [default: the end, or a million steps of vehicles]",
 )  # fmt: skip
 @click.option(
@@ -152,6 +153,10 @@ def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
     for key, option in names.items():
         if wanted[key]:
             raise UsageError(f"{option} cannot be given with --moments-of: leave one of them out.")
+    if wanted["prefer"] != "spread":
+        raise UsageError(
+            "--prefer encounters cannot be given with --moments-of: leave one of them out."
+        )
 
 
 def _keys(own_seed: int, planner: str | None, **given: Any) -> dict[str, Any]:

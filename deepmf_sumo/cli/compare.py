@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from deepmf_sumo.cli.finite import FiniteRange
+
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
@@ -19,7 +21,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
     help="Compare this instead of the usual ones; may be repeated.",
 )  # fmt: skip
 @click.option(
-    "--confidence", type=click.FloatRange(0.5, 1, max_open=True), default=0.95, show_default=True,
+    "--confidence", type=FiniteRange(0.5, 1, max_open=True), default=0.95, show_default=True,
     help="Of all intervals of a table together.",
 )  # fmt: skip
 def command(

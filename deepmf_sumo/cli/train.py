@@ -6,8 +6,10 @@ from typing import Any
 
 import click
 
+from deepmf_sumo.cli.finite import FiniteRange
+
 _STEPS = click.IntRange(min=1)
-_ABOVE_0 = click.FloatRange(min=0, min_open=True)
+_ABOVE_0 = FiniteRange(min=0, min_open=True)
 
 
 @click.command(name="train")
@@ -45,11 +47,11 @@ _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 @click.option("--steps", type=_STEPS, help="Steps of each network.")
 @click.option("--batch", type=_STEPS, help="Samples a step.")
 @click.option("--rate", type=_ABOVE_0, help="Highest learning rate.")
-@click.option("--weight-decay", type=click.FloatRange(min=0))
+@click.option("--weight-decay", type=FiniteRange(min=0))
 @click.option("--clip", type=_ABOVE_0, help="Largest norm of the gradient.")
 @click.option(
     "--ema",
-    type=click.FloatRange(min=0, max=1, max_open=True),
+    type=FiniteRange(min=0, max=1, max_open=True),
     help="Decay of the average of the weights; 0 for none.",
 )
 @click.option("--precision", type=click.Choice(["auto", "bf16", "fp32"]))

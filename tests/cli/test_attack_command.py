@@ -72,6 +72,14 @@ def test_refusals_are_one_line(tiny, tmp_path, capsys, more, message, code):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("option", ["--at", "--until", "--timeout", "--memory", "--max-minutes"])
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_numbers_are_finite(tiny, tmp_path, capsys, option, value):
+    assert attack(tiny, tmp_path / "out", option, value) == 2
+    assert f"'{option}': {value} is no finite number." in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_moments_of_another_attack_make_pairs(tiny, tmp_path, capsys):
     first, again = tmp_path / "first", tmp_path / "again"
     assert attack(tiny, first, "--moments", 2, "--duration", 1) == 0
@@ -82,6 +90,10 @@ def test_moments_of_another_attack_make_pairs(tiny, tmp_path, capsys):
         (["--moments-of", tmp_path / "nothing"], "cannot be read (No such file or directory)"),
         (["--moments-of", tmp_path / "odd.csv"], "is no table of moments (columns av and start_s)"),
         (["--moments-of", first, "--av", "leader"], "--av cannot be given with --moments-of"),
+        (
+            ["--moments-of", first, "--prefer", "encounters"],
+            "--prefer encounters cannot be given with --moments-of",
+        ),
     ):
         capsys.readouterr()
         assert attack(tiny, tmp_path / "bad", *more) == 2

@@ -10,7 +10,9 @@ from typing import Any, Final
 
 import click
 
-_POSITIVE: Final = click.FloatRange(min=0, min_open=True)
+from deepmf_sumo.cli.finite import FiniteRange
+
+_POSITIVE: Final = FiniteRange(min=0, min_open=True)
 _GIVEN: Final = click.Path(exists=True, path_type=Path)
 
 
