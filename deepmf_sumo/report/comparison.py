@@ -29,7 +29,8 @@ def compare(folders: Sequence[Path]) -> pd.DataFrame:
     ``third_party`` (runs in which the opponent hit somebody else before or instead), ``av_other``
     (runs in which the AV hit somebody else), ``on_road_hits`` (hits within the limits and with the
     opponent on the road at >= 95 % of its steps), means of the metrics in `MEANS`, generation time
-    a run and the median of a cycle. Raises UsageError for a folder without ``runs.csv``.
+    a run and the median of a cycle. Raises UsageError for a folder without
+    ``runs.csv``, and where that or a ``result.json`` is damaged.
     """
     return pd.DataFrame(
         [
@@ -45,7 +46,10 @@ def _runs(folder: Path) -> pd.DataFrame:
     file = folder / "runs.csv"
     if not file.is_file():
         raise UsageError(f"{folder} is no result folder: it has no runs.csv.")
-    table = pd.read_csv(file, dtype={"opponent": str, "scene": str, "perception": str})
+    try:
+        table = pd.read_csv(file, dtype={"opponent": str, "scene": str, "perception": str})
+    except (OSError, ValueError) as error:  # those of pandas among them
+        raise UsageError(f"{file} is damaged ({error}); write it anew with --resume.") from None
     details = [_details(folder, run_id) for run_id in table["run_id"]]
     return pd.concat([table, pd.DataFrame(details)], axis=1)
 
@@ -54,7 +58,12 @@ def _details(folder: Path, run_id: str) -> dict[str, Any]:
     file = folder / "runs" / run_id / "result.json"
     if not file.is_file():
         return {}
-    result = json.loads(file.read_text("utf-8"))
+    try:
+        result = json.loads(file.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise _damaged(file, str(error)) from None
+    if not isinstance(result, dict):
+        raise _damaged(file, "it is no result of a run")
     kinds = {contact["kind"] for contact in result.get("contacts", [])}
     values = {name: one["value"] for name, one in result.get("metrics", {}).items()}
     return {
@@ -62,6 +71,10 @@ def _details(folder: Path, run_id: str) -> dict[str, Any]:
         "av_other": "av_other" in kinds,
         **{f"metric_{name}": values.get(name) for name in MEANS},
     }
+
+
+def _damaged(file: Path, why: str) -> UsageError:
+    return UsageError(f"{file} is damaged ({why}); remove the run's folder and go on with --resume.")
 
 
 def _row(folder: Path, spec: str, runs: pd.DataFrame) -> dict[str, Any]:

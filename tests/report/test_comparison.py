@@ -47,3 +47,17 @@ def test_rates_count_only_runs_that_went_through(tmp_path):
 def test_a_folder_without_results_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"runs\.csv"):
         compare([tmp_path])
+
+
+def test_a_run_that_is_half_written_is_named(tmp_path):
+    made = folder(tmp_path, [("ok", "none", 1.0)])
+    file = made / "runs" / "run0" / "result.json"
+    file.write_text(file.read_text()[:20])
+    with pytest.raises(UsageError, match=r"run0/result\.json is damaged .* --resume"):
+        compare([made])
+    file.write_text("null")
+    with pytest.raises(UsageError, match="it is no result of a run"):
+        compare([made])
+    (made / "runs.csv").write_text("")
+    with pytest.raises(UsageError, match=r"runs\.csv is damaged .* --resume"):
+        compare([made])

@@ -69,17 +69,20 @@ def _rows(file: Path) -> list[dict[str, str]]:
     """Rows of a table; none where there is no file."""
     if not file.is_file():
         return []
-    with file.open(newline="", encoding="utf-8") as lines:
-        return list(csv.DictReader(lines))
+    try:
+        with file.open(newline="", encoding="utf-8") as lines:
+            return list(csv.DictReader(lines))
+    except (OSError, ValueError, csv.Error) as error:
+        raise UsageError(f"{file} is damaged ({error}); write it anew with --resume.") from None
 
 
 def _json(file: Path) -> dict[str, Any]:
     """Content of a file that the page can do without."""
     try:
-        found: dict[str, Any] = json.loads(file.read_text("utf-8"))
+        found: Any = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError):
         return {}
-    return found
+    return found if isinstance(found, dict) else {}
 
 
 def _weights(pages: Iterable[RunPage]) -> list[str]:
