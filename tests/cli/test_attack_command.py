@@ -57,6 +57,7 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
     ("more", "message", "code"),
     [
         (["--av", "laeder"], "--av laeder: no such vehicle is on the road", 2),
+        (["--at", "2.55"], "--at 2.55: the simulation goes in steps of 0.1 s", 2),
         (["--", "--nonsense", "1"], "No option with the name 'nonsense' exists", 3),
         (["--", "--seed", "1"], "SUMO's option --seed cannot be given", 2),
         (["--set", "source.start_s=1"], "the source is chosen by the other options", 2),

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.benchmark.moments.moment import Wish
-from deepmf_sumo.datatypes import Bools
+from deepmf_sumo.datatypes import DT_S, Bools
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.simulation.scouting import EVERY_S, Body, Ints, Sightings
 
@@ -124,6 +124,10 @@ def _check(sightings: Sightings, wish: Wish) -> None:
     """Names and times that are not there are the user's mistakes."""
     span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
     later = "" if sightings.complete else " (--until S looks further)"
+    for between in (one for one in wish.at_s if abs(one - round(one, 1)) > 1e-6):
+        raise UsageError(
+            f"--at {between:.10g}: the simulation goes in steps of {DT_S:g} s; give a multiple."
+        )
     for late in (one for one in wish.at_s if one > sightings.until_s + _ROUNDING_S):
         raise UsageError(f"--at {late:g}: there is traffic {span} only{later}.")
     for early in (one for one in wish.at_s if one < sightings.begin_s + SEEN_S - _ROUNDING_S):
