@@ -203,7 +203,10 @@ def test_the_exceptions_are_those_of_the_connection_though_libsumo_replaces_one(
         ({"trigger": "soon"}, UsageError, "must be time=SECONDS"),
         ({"trigger": ["ttc=3", "edge=abb"]}, UsageError, "no such edge. Did you mean 'ab'?"),
         ({"duration_s": 1.0}, UsageError, "must be 3 s at least"),
+        ({"duration_s": float("nan")}, UsageError, "duration is nan s"),
+        ({"pause_s": -1.0}, UsageError, "pause is -1 s; it must be 0 s at least"),
         ({"sets": ["adversary.period_s=x"]}, SpecError, "period_s"),
+        ({"sets": "adversary.period_s=x"}, SpecError, "period_s"),
         ({"net": "nowhere.net.xml"}, UsageError, "nowhere.net.xml"),
     ],
 )

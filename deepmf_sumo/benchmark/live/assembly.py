@@ -1,6 +1,7 @@
 """A session put together: settings as of a spec, DeepMF, the road of the simulation."""
 
 import difflib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,11 +52,13 @@ class Wish:
 
 
 def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
-    """When attacks begin. Raises UsageError for what is none, or a duration too short."""
-    if wish.duration_s < _SHORTEST_S:
-        raise UsageError(
-            f"duration is {wish.duration_s:g} s; it must be {_SHORTEST_S:g} s at least."
-        )
+    """When attacks begin. Raises UsageError for what is none, or times that cannot be."""
+    for name, value, least in (
+        ("duration", wish.duration_s, _SHORTEST_S),
+        ("pause", wish.pause_s, 0.0),
+    ):
+        if not least <= value < math.inf:  # nan is neither
+            raise UsageError(f"{name} is {value:g} s; it must be {least:g} s at least, and finite.")
     if not wish.triggers:
         return (Always(),)
     return parse([one for one in wish.triggers if one != "call"])

@@ -31,7 +31,7 @@ class Attacker:
         trigger: ``time=S``, ``edge=ID``, ``ttc=S``, several of them, or ``call``: only when
             `attack` is called. None: whenever somebody can attack.
         duration_s: of an attack, at most. pause_s: after it, before the next.
-        sets: ``key=value`` as in specs, of ``adversary``, ``weights`` and ``seed``.
+        sets: ``key=value`` as in specs, or several, of ``adversary``, ``weights`` and ``seed``.
         net: the network file; None asks SUMO, which names it relative to where it was started.
         out: folder for ``attacks.jsonl`` and the attacks as runs of a result folder; None writes
             nothing.
@@ -51,7 +51,7 @@ class Attacker:
         trigger: str | Sequence[str] | None = None,
         duration_s: float = 15.0,
         pause_s: float = 5.0,
-        sets: Sequence[str] = (),
+        sets: str | Sequence[str] = (),
         net: Path | str | None = None,
         out: Path | str | None = None,
     ) -> None:
@@ -61,7 +61,7 @@ class Attacker:
             triggers=texts,
             duration_s=duration_s,
             pause_s=pause_s,
-            sets=tuple(sets),
+            sets=(sets,) if isinstance(sets, str) else tuple(sets),
             net=None if net is None else Path(net),
         )
         api, spec = shared(conn), assembly.spec_of(wish)
