@@ -208,7 +208,7 @@ def test_folder_and_missing_file(tmp_path):
 
 def test_custom_planner(write, monkeypatch):
     module = types.ModuleType("my_planner_module")
-    module.Mine = type("Mine", (), {"Settings": IdmSettings})
+    module.Mine = type("Mine", (), {"Settings": IdmSettings, "build": print})
     monkeypatch.setitem(sys.modules, "my_planner_module", module)
     spec = load(write(GOOD.replace("name: idm", "name: 'my_planner_module:Mine'")))
     assert spec.planner.name == "my_planner_module:Mine"
