@@ -152,6 +152,15 @@ def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, c
         assert json.loads((whole / "summary.json").read_text())["runs"] == 3
 
 
+@pytest.mark.skipif(sys.platform in {"win32", "darwin"}, reason="has a display always")
+def test_without_a_display_the_screen_is_refused(specs, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert call("run", *specs, "--out", tmp_path / "out", "--gui") == 2
+    assert "--gui: there is no display" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_within_five_seconds_and_leaves_no_child(tiny, tmp_path, number):
     names = [tiny_network.spec(tiny, f"many {one}", duration_s="8.0") for one in range(20)]

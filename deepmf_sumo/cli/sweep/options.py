@@ -71,6 +71,13 @@ class Sweep:
             raise UsageError(
                 f"--gui shows runs on this machine: leave --executor {self.executor} out."
             )
+        needs_one = sys.platform not in {"win32", "darwin"}
+        display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+        if self.gui and needs_one and not display:  # the run would wait for sumo-gui for ever
+            raise UsageError(
+                "--gui: there is no display (DISPLAY is not set); leave it out, or put xvfb-run -a"
+                " before the command."
+            )
 
 
 def options(*, out: str, pictures: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
