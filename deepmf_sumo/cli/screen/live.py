@@ -46,8 +46,9 @@ def show(done: Attached, av: str, out: Path) -> None:
     hits = sum(row["contact"] is not None for row in done.rows)
     why = _ENDS[done.end].format(time=done.time_s, count=count, av=av)
     nobody = f" ({done.nobody})" if not count and done.nobody else ""
+    file = f"{out}/{'attacks.jsonl' if count else 'session.json'}"
     console.print(
-        escape(f"{count} attacks, {hits} contacts{nobody}; {why}; {out}/attacks.jsonl"),
+        escape(f"{count} attacks, {hits} contacts{nobody}; {why}; {file}"),
         soft_wrap=True,
     )
     if hits and done.collisions == "teleport":
