@@ -6,7 +6,7 @@ Benchmarks have more to join than runs (`study.merge`); they share `Shard`.
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,7 +69,7 @@ def merge(out: Path, shards: Sequence[Path]) -> tuple[list[Result], list[str]]:
     found = found_in(shards, runs)
     missing = [run_id for run_id in runs if run_id not in found]
     junit_too = any((shard / "junit.xml").is_file() for shard in shards)
-    with joining(out, shards) as store:
+    with joining(out, shards, runs, found) as store:
         results = copied(store, shards, runs, found)
         for name in _WHOLE:
             if (shards[0] / name).is_file():
@@ -101,10 +101,22 @@ def found_in(shards: Sequence[Path], runs: Mapping[str, str]) -> dict[str, Path]
 
 
 @contextmanager
-def joining(out: Path, shards: Sequence[Path]) -> Iterator[Store]:
-    """A new result folder for what the shards hold."""
+def joining(
+    out: Path, shards: Sequence[Path], runs: Iterable[str], found: Mapping[str, Path]
+) -> Iterator[Store]:
+    """A new result folder for what the shards hold.
+
+    Raises UsageError where that would cost runs: where OUT is forgotten, the first shard stands in
+    its place.
+    """
     if out.resolve() in {shard.resolve() for shard in shards}:
         raise UsageError(f"{out} is one of the shards; choose another folder for OUT.")
+    lost = [run_id for run_id in runs if run_id not in found and (out / "runs" / run_id).is_dir()]
+    if lost:
+        raise UsageError(
+            f"{out} holds {len(lost)} runs that no shard has, e.g. {lost[0]}, and would lose them;"
+            " give it as a shard, and another folder for OUT."
+        )
     with opened(out, resume=False) as store:
         yield store
 

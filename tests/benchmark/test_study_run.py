@@ -85,6 +85,8 @@ def test_shards_merge_to_the_whole(whole, tmp_path):
         study.merge(tmp_path / "twice", [tmp_path / "1", tmp_path / "1"])
     with pytest.raises(UsageError, match="one of the shards"):
         study.merge(tmp_path / "1", [tmp_path / "1", tmp_path / "2"])
+    with pytest.raises(UsageError, match="holds 4 runs that no shard has"):
+        study.merge(tmp_path / "1", [tmp_path / "2"])  # OUT was forgotten
 
 
 def test_shards_merge_wherever_their_plans_lay(whole, tmp_path):

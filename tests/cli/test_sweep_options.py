@@ -69,6 +69,8 @@ def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
     )
     assert call("merge", tmp_path / "twice", parts[0], parts[0]) == 2
     assert "give each shard once" in capsys.readouterr().err
+    assert call("merge", *parts) == 2
+    assert "runs that no shard has" in capsys.readouterr().err
 
 
 def test_the_whole_knows_what_its_parts_read(folders, tmp_path):

@@ -22,7 +22,7 @@ def merge(out: Path, folders: Sequence[Path]) -> tuple[list[Result], list[str]]:
     plan = _common(folders)
     found = shards.found_in(folders, plan.runs)
     missing = [run_id for run_id in plan.runs if run_id not in found]
-    with shards.joining(out, folders) as store:
+    with shards.joining(out, folders, plan.runs, found) as store:
         results = shards.copied(store, folders, plan.runs, found)
         plan.write(out)
         store.finish(
