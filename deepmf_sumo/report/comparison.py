@@ -74,7 +74,9 @@ def _details(folder: Path, run_id: str) -> dict[str, Any]:
 
 
 def _damaged(file: Path, why: str) -> UsageError:
-    return UsageError(f"{file} is damaged ({why}); remove the run's folder and go on with --resume.")
+    return UsageError(
+        f"{file} is damaged ({why}); remove the run's folder and go on with --resume."
+    )
 
 
 def _row(folder: Path, spec: str, runs: pd.DataFrame) -> dict[str, Any]:
