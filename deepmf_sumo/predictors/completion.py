@@ -48,29 +48,28 @@ def forecasts(
     *,
     choose: Selection = "medoids",
     shortlist: int | None = None,
+    chosen_at: int | None = None,
 ) -> list[Forecast]:
     """One forecast for each of the K given futures (one where there is none).
 
-    Modes are chosen on the plain probabilities; their mass is then taken at the temperature.
+    Modes are chosen, and their mass is taken, at the temperature: which few ends come nearest to
+    what may happen depends on how likely the tails are. They are chosen by where they are at 8 s,
+    or at the step ``chosen_at`` (0 to 79).
     """
-    logits = goals.logits[0].flatten(1)  # (K, N)
-    ends = goals.ends()[0]  # (K, N, 2)
-    chosen, _ = selection.select(
-        logits.softmax(-1), ends, modes, selection=choose, speed_mps=pose.speed_mps,
-        shortlist=shortlist,
-    )  # fmt: skip
-    warm = (logits / temperature).softmax(-1)
-    mass = selection.mass(warm, ends, ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2)))
-    mass, order = mass.sort(dim=1, descending=True, stable=True)
-    futures = to_scene(pose, *complete(goals, chosen.gather(1, order)))
-    probability = (mass / mass.sum(1, keepdim=True)).double().numpy()
+    probability = (goals.logits[0].flatten(1) / temperature).softmax(-1)  # (K, N)
+    ends = goals.ends()[0] if chosen_at is None else _all_at(goals, chosen_at)  # (K, N, 2)
+    chosen, mass = selection.select(
+        probability, ends, modes, selection=choose, speed_mps=pose.speed_mps, shortlist=shortlist
+    )
+    futures = to_scene(pose, *complete(goals, chosen))
+    shares = (mass / mass.sum(1, keepdim=True)).double().numpy()
     return [
         Forecast(
             futures=Futures(agent_id=pose.agent_id, position_m=position, heading_rad=heading),
             probability=share,
             temperature=temperature,
         )
-        for position, heading, share in zip(*futures, probability, strict=True)
+        for position, heading, share in zip(*futures, shares, strict=True)
     ]
 
 
@@ -100,6 +99,13 @@ def complete(goals: Goals, chosen: Tensor) -> tuple[Tensor, Tensor]:
         goals.paths[0], path.unsqueeze(-1), along, residual[..., 1, :]
     )
     return position, anchors.headings(position, tangent)
+
+
+def _all_at(goals: Goals, step: int) -> Tensor:
+    """(K, N, 2) where all goals are at a step."""
+    _, futures, paths, profiles = goals.logits.shape
+    every = torch.arange(paths * profiles).expand(futures, -1)
+    return complete(goals, every)[0][:, :, step]
 
 
 def to_scene(pose: Pose, position: Tensor, heading: Tensor) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ class Conditional:
 
     Args:
         net: made with ``conditional=True``, in evaluation mode.
-        temperature: of the reported probabilities; modes are chosen at 1.
+        temperature: of the probabilities.
         selection: how modes are chosen among the goals.
     """
 

@@ -28,7 +28,7 @@ class Marginal:
 
     Args:
         nets: the members, of the same sizes, in evaluation mode.
-        temperature: of the reported probabilities of the mixture; modes are chosen at 1.
+        temperature: of the probabilities of the mixture.
         selection: how modes are chosen among the goals.
     """
 
@@ -54,11 +54,23 @@ class Marginal:
         return [self.predict_each(view, agent_id, (modes,))[0] for agent_id in agent_ids]
 
     @torch.inference_mode()
-    def predict_each(self, view: View, agent_id: AgentId, modes: Sequence[int]) -> list[Forecast]:
-        """Forecasts of one agent with different numbers of modes, from one pass."""
+    def predict_each(
+        self,
+        view: View,
+        agent_id: AgentId,
+        modes: Sequence[int],
+        *,
+        chosen_at: int | None = None,
+    ) -> list[Forecast]:
+        """Forecasts of one agent with different numbers of modes, from one pass.
+
+        Modes are chosen to cover where it may be at 8 s, or at the step ``chosen_at`` (0 to 79).
+        """
         pose, goals = completion.pose_of(view, agent_id), self._goals(view, agent_id).whole
         return [
-            completion.forecasts(goals, pose, count, self.temperature, choose=self.selection)[0]
+            completion.forecasts(
+                goals, pose, count, self.temperature, choose=self.selection, chosen_at=chosen_at
+            )[0]
             for count in modes
         ]
 

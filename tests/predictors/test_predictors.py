@@ -8,6 +8,7 @@ from synthetic import scene, view
 from deepmf_sumo.datatypes import Futures
 from deepmf_sumo.predictors import completion, condition, raster, weights
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.presets import LIGHT, PAPER
 from deepmf_sumo.predictors.road_index import ROAD_CHANNELS, road_index
 
@@ -53,6 +54,42 @@ def test_forecasts_turn_with_the_scene(predictors):
     turned = predictors.marginal.predict(view(scene(turn=0.7)), ["av"], 6)[0].futures.position_m
     rotation = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
     assert turned == pytest.approx(plain @ rotation, abs=0.05)
+
+
+@pytest.fixture(scope="module")
+def opinionated():
+    """Scores that differ, so that few goals have most of the mass."""
+    net = weights.random(LIGHT, 0).marginal.net
+    net.score.weight.data *= 30.0
+    return net
+
+
+def test_modes_spread_wider_where_the_temperature_says_that_tails_are_likelier(opinionated):
+    def spread(temperature):
+        ends = (
+            Marginal([opinionated], temperature)
+            .predict(view(), ["av"], 6)[0]
+            .futures.position_m[:, -1]
+        )
+        return np.linalg.norm(ends[:, None] - ends, axis=-1).mean()
+
+    assert spread(20.0) > spread(1.0) + 1.0
+
+
+def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated):
+    marginal = Marginal([opinionated], 1.0)
+    goals = opinionated(completion.as_batch(features(view(), "av", LIGHT)[0]))
+    probability = goals.logits[0, 0].flatten().softmax(0)
+    every = completion.complete(goals, torch.arange(len(probability))[None])
+    pose = completion.pose_of(view(), "av")
+    all_m = completion.to_scene(pose, *(each.detach() for each in every))[0][0, :, 29]
+
+    def expected_error(chosen_at):
+        [found] = marginal.predict_each(view(), "av", (6,), chosen_at=chosen_at)
+        apart = np.linalg.norm(all_m[:, None] - found.futures.position_m[:, 29], axis=-1)
+        return float(apart.min(1) @ probability.detach().numpy())
+
+    assert expected_error(29) < expected_error(None)
 
 
 def test_prediction_is_repeatable(predictors):

@@ -66,8 +66,9 @@ class Marginal:
     temperature: float = 2.0
     off_m = 2.0
 
-    def predict_each(self, view, agent_id, modes):
-        return [forecast(view, agent_id, count, self.off_m, self.temperature) for count in modes]
+    def predict_each(self, view, agent_id, modes, *, chosen_at=79):
+        off_m = self.off_m * (1 + chosen_at) / 80  # who is asked for sooner knows better
+        return [forecast(view, agent_id, count, off_m, self.temperature) for count in modes]
 
     def end_density(self, view, agent_id, ends_m, kernel_m):
         return density(self.off_m)
@@ -173,6 +174,8 @@ def test_marginal_figures_and_calibration_before_and_after(predictors, given):
     assert at_8["on_road"]["recorded"] == 1.0
     assert 0.1 < at_8["on_road"]["6"] < 0.9  # one of six modes is on the lane, some cross another
     assert found["1.0"]["min_fde"] == {"6": 2.0, "16": 2.0, "32": 2.0}
+    assert found["1.0"]["min_fde_of_horizon"] == {"6": 0.25, "16": 0.25, "32": 0.25}
+    assert at_8["min_fde_of_horizon"]["6"] == 2.0
 
 
 def test_opponent_figures_among_all_and_among_scored(predictors, given):

@@ -89,6 +89,9 @@ def _marginal(found: dict[str, Any], modes: Sequence[int]) -> list[Table | str]:
     for count in map(str, modes):
         ends.add_row("network", count, *_ends(found, count))
         ways.add_row("network", count, *_ways(found, count), *(_number(s[count]) for s in shares))
+    for count in map(str, modes):
+        chosen = (_number(found[key]["min_fde_of_horizon"][count]) for key in _SECONDS)
+        ends.add_row("  modes chosen for each time", count, *chosen)
     likeliest = (_number(found[key]["most_probable_fde"]) for key in _SECONDS)
     ends.add_row("  most probable mode", "1", *likeliest)
     for name, title in _BASELINES.items():

@@ -13,7 +13,12 @@ from deepmf_sumo.training import clusters
 from deepmf_sumo.training.clusters import Clusters
 from deepmf_sumo.training.evaluation import baselines, displacement, likelihood, plausibility
 from deepmf_sumo.training.evaluation.calibration import ModeCalibration
-from deepmf_sumo.training.evaluation.displacement import EARLY, HORIZONS, DisplacementErrors
+from deepmf_sumo.training.evaluation.displacement import (
+    EARLY,
+    HORIZONS,
+    STEPS,
+    DisplacementErrors,
+)
 from deepmf_sumo.training.evaluation.estimates import mean, standard_error
 from deepmf_sumo.training.evaluation.targets import Target
 
@@ -39,11 +44,13 @@ class MarginalFigures:
     Attributes:
         modes: numbers of modes, `FEW` among them.
         fitted: map-blind clusters, if there are any beside the weights.
+        of_horizon: final errors by horizon and number of modes, chosen to cover that horizon.
     """
 
     modes: Sequence[int]
     fitted: Clusters | None
     errors: dict[int, DisplacementErrors] = field(init=False)
+    of_horizon: dict[tuple[str, int], list[float]] = field(default_factory=dict)
     likeliest: DisplacementErrors = field(default_factory=DisplacementErrors)
     baselines: dict[str, dict[int, DisplacementErrors]] = field(init=False)
     calibrated: ModeCalibration = field(default_factory=ModeCalibration)
@@ -78,6 +85,7 @@ class MarginalFigures:
             self._plausible(
                 str(modes), target, forecast.futures.position_m, forecast.futures.heading_rad
             )
+        self._of_horizons(marginal, target)
         self._recorded(target)
         _compare(self.likeliest, found[FEW].futures.position_m[:1], target)
         self.calibrated.add(found[FEW], future)
@@ -95,6 +103,17 @@ class MarginalFigures:
                 self.log_likelihood[key].append(value)
         self.targets += 1
         return Marginals(forecasts=found, log_likelihood=logs)
+
+    def _of_horizons(self, marginal: Marginal, target: Target) -> None:
+        """Who needs to know 3 s asks for modes that cover 3 s: those for 8 s are spread too far."""
+        for key, step in STEPS.items():
+            if not target.future.valid[step]:
+                continue
+            found = marginal.predict_each(target.view, target.agent_id, self.modes, chosen_at=step)
+            for modes, forecast in zip(self.modes, found, strict=True):
+                off = forecast.futures.position_m[:, step] - target.future.position_m[step]
+                least = float(np.hypot(*off.T).min())
+                self.of_horizon.setdefault((key, modes), []).append(least)
 
     def _baselines(self, target: Target) -> None:
         known = self.baselines
@@ -131,6 +150,7 @@ class MarginalFigures:
             found[key] = {
                 "objects": len(self.likeliest.fde[key]),
                 **displacement.summary(self.errors, key),
+                "min_fde_of_horizon": self._chosen_for(key),
                 "most_probable_fde": mean(self.likeliest.fde[key]),
                 "baselines": self._baseline_summary(key),
             }
@@ -139,6 +159,7 @@ class MarginalFigures:
             found[key] = {
                 "objects": len(self.likeliest.fde[key]),
                 **displacement.summary(self.errors, key),
+                "min_fde_of_horizon": self._chosen_for(key),
                 "most_probable_fde": mean(self.likeliest.fde[key]),
                 "log_likelihood": mean(logs),
                 "log_likelihood_standard_error": standard_error(logs),
@@ -150,6 +171,9 @@ class MarginalFigures:
                 "baselines": self._baseline_summary(key),
             }
         return found
+
+    def _chosen_for(self, key: str) -> dict[str, float | None]:
+        return {str(modes): mean(self.of_horizon.get((key, modes), [])) for modes in self.modes}
 
     def _baseline_summary(self, key: str) -> dict[str, Any]:
         return {name: displacement.summary(errors, key) for name, errors in self.baselines.items()}

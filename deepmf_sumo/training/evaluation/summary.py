@@ -9,8 +9,8 @@ _OPPONENT: Final = (
     "top1_positive", "partner_top1", "partner_top3", "scenes_with_partner", "ece",
 )  # fmt: skip
 _MARGINAL: Final = (
-    "objects", "min_fde", "min_ade", "miss_rate", "log_likelihood", "ece", "overlap_free",
-    "on_road",
+    "objects", "min_fde", "min_fde_of_horizon", "min_ade", "miss_rate", "log_likelihood", "ece",
+    "overlap_free", "on_road",
 )  # fmt: skip
 _CONDITIONAL: Final = (
     "objects", "min_fde_marginal", "min_fde_given_true", "min_fde_given_shuffled",
