@@ -128,6 +128,11 @@ def row(result: Result) -> dict[str, str]:
     return {key: _text(known[key]) for key in COLUMNS}
 
 
+def attacked(result: Result) -> bool:
+    """Whether the run went through and there was somebody to attack with."""
+    return bool(result["status"] == "ok" and result["opponent"] is not None)
+
+
 def first_contact(result: Result) -> dict[str, Any] | None:
     """The contact that the outcome names."""
     contacts = result.get("contacts", [])

@@ -174,13 +174,19 @@ def _named(out: Path) -> Iterator[None]:
 
 
 def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:
-    """Counts, rates with 95 % intervals, and the metrics over all runs that went through."""
+    """Counts, the rate of hits with its 95 % interval, and metrics over all that went through.
+
+    The rate is of the attacked runs: with nobody to attack nothing was tried.
+    """
     done = [one for one in results if one["status"] == "ok"]
+    attacked = sum(map(result.attacked, done))
     hits = [one for one in done if one["outcome"] == "av_opponent"]
     speeds = [one["relative_mps"] for one in map(result.first_contact, hits) if one]
-    rate = wilson(len(hits), len(done)) if done else None
+    rate = wilson(len(hits), attacked) if attacked else None
     return {
         "runs": len(results),
+        "attacked": attacked,
+        "hits": len(hits),
         "interrupted": interrupted,
         "status": dict(Counter(one["status"] for one in results)),
         "outcome": dict(Counter(one["outcome"] for one in done)),

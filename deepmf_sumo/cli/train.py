@@ -37,7 +37,8 @@ _ABOVE_0 = FiniteRange(min=0, min_open=True)
 @click.option("--from", "begin_from", metavar="NAME", help="Set of weights to begin from.")
 @click.option(
     "--preset",
-    help="Sizes of the networks: light, paper or vector (light without images).  [default: light]",
+    help="Sizes of the networks: light, paper or vector (light without images).  [default: vector"
+    " for marginal and conditional, light for the others]",
 )
 @click.option(
     "--members",

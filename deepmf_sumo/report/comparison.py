@@ -24,13 +24,13 @@ MEANS: Final = {
 def compare(folders: Sequence[Path]) -> pd.DataFrame:
     """One row per folder and spec, in the order given.
 
-    Columns: folder, spec, planner, perception, version, runs (that went through), hits and their
-    rate with the 95 % Wilson interval, contact time and relative speed (means over hits),
-    ``third_party`` (runs in which the opponent hit somebody else before or instead), ``av_other``
-    (runs in which the AV hit somebody else), ``on_road_hits`` (hits within the limits and with the
-    opponent on the road at >= 95 % of its steps), means of the metrics in `MEANS`, generation time
-    a run and the median of a cycle. Raises UsageError for a folder without
-    ``runs.csv``, and where that or a ``result.json`` is damaged.
+    Columns: folder, spec, planner, perception, version, runs (that went through), attacked (those
+    with an opponent), hits and their rate of these with the 95 % Wilson interval, contact time and
+    relative speed (means over hits), ``third_party`` (runs in which the opponent hit somebody else
+    before or instead), ``av_other`` (runs in which the AV hit somebody else), ``on_road_hits``
+    (hits within the limits and with the opponent on the road at >= 95 % of its steps), means of the
+    metrics in `MEANS`, generation time a run and the median of a cycle. Raises UsageError for a
+    folder without ``runs.csv``, and where that or a ``result.json`` is damaged.
     """
     return pd.DataFrame(
         [
@@ -81,6 +81,7 @@ def _damaged(file: Path, why: str) -> UsageError:
 
 def _row(folder: Path, spec: str, runs: pd.DataFrame) -> dict[str, Any]:
     ok = runs[runs["status"] == "ok"]
+    attacked = int(ok["opponent"].notna().sum())
     hits = ok[ok["outcome"] == "av_opponent"]
     first = runs.iloc[0]
     row: dict[str, Any] = {
@@ -91,10 +92,12 @@ def _row(folder: Path, spec: str, runs: pd.DataFrame) -> dict[str, Any]:
         "version": first["version"] if isinstance(first["version"], str) else "",
         "runs": len(ok),
         "not_ok": len(runs) - len(ok),
+        "attacked": attacked,
         "hits": len(hits),
     }
+    if attacked:
+        row |= wilson(len(hits), attacked)._asdict()
     if len(ok):
-        row |= wilson(len(hits), len(ok))._asdict()
         fair = (hits["metric_on_road"] >= 0.95) & (hits["metric_feasible"] >= 1)
         row |= {
             "time_s": hits["contact_time_s"].mean(),

@@ -57,7 +57,8 @@ def totals(summary: dict[str, Any]) -> str:
     rate = summary["collision_rate"]
     if rate:
         parts.append(
-            f"AV hit by opponent in {100 * rate['rate']:.0f} %"
+            f"AV hit by opponent in {summary['hits']} of {summary['attacked']} attacked,"
+            f" {100 * rate['rate']:.0f} %"
             f" (95 % interval {100 * rate['low']:.0f}-{100 * rate['high']:.0f} %)"
         )
     if summary["contact_speed_mps_mean"] is not None:

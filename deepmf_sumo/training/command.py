@@ -1,6 +1,7 @@
 """Command line and configuration -> what to train; flags stand above the file."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,11 @@ def train_named(
         raise UsageError("There is no data to train on; give --data, or a --config with 'data'.")
     config.check_weights(sources)
     flags = config.Optimisation(**optimisation)
-    training = run.Training(
+    training = partial(
+        run.Training,
         data=sources,
         folder=out or weights.place(name),
         cache=cache or weights.home() / ".features",
-        preset=preset_named(preset or settings.preset or "light"),
         optimisation={each: flags.over(settings.of(each)) for each in (*NETWORKS, *BASELINES)},
         begin_from=begin_from or settings.begin_from,
         seed=seed if seed is not None else settings.seed or 0,
@@ -63,7 +64,9 @@ def train_named(
     )
     chosen = [each for each in NETWORKS if network in {each, "all"}]
     chosen += [each for each in BASELINES if network == each]
-    train_each(chosen, training, threads, report)
+    for each in chosen:
+        sizes = preset_named(preset or settings.preset or config.PRESETS[each])
+        train_each([each], training(preset=sizes), threads, report)
 
 
 def train_each(

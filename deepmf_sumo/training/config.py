@@ -22,11 +22,18 @@ DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
         "ema": 0.998,
         "precision": "fp32",
     },
-    "marginal": {"steps": 1500},
-    "conditional": {"steps": 2000, "rate": 1.5e-3},
+    "marginal": {"steps": 4000},
+    "conditional": {"steps": 4000, "rate": 1.5e-3},
     "strive": {"steps": 2000, "batch": 32, "ema": 0.99, "precision": "fp32"},
 }
 """Where they differ from those of `Optimisation.with_defaults`."""
+PRESETS: Final[dict[Network, str]] = {
+    "opponent": "light",
+    "marginal": "vector",
+    "conditional": "vector",
+    "strive": "light",
+}
+"""Sizes of each network. Images add nothing to the trajectories; see docs/results.md."""
 MEMBERS: Final = 1
 """Members of the marginal network. A second lowers errors of 16 and 32 modes, not those of 6."""
 MOST_MEMBERS: Final = 8

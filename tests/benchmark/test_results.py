@@ -23,6 +23,7 @@ from deepmf_sumo.datatypes import (
     Trial,
 )
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.report import table
 
 
 def forecast(modes=3):
@@ -208,6 +209,12 @@ def test_summary(found, task):
     assert summary["status"] == {"ok": 1, "failed": 1}
     assert summary["collision_rate"]["rate"] == 1.0
     assert 0 < summary["collision_rate"]["low"] < 0.3
+    nobody = found | {"opponent": None, "outcome": "none", "contacts": []}
+    with_nobody = store.summary([found, nobody, lost])
+    assert (with_nobody["runs"], with_nobody["attacked"], with_nobody["hits"]) == (3, 1, 1)
+    assert with_nobody["collision_rate"] == summary["collision_rate"]
+    assert "AV hit by opponent in 1 of 1 attacked, 100 %" in table.totals(with_nobody)
+    assert store.summary([nobody])["collision_rate"] is None
     assert summary["metrics"]["feasible"]["mean"] == 1.0
     assert summary["metrics"]["on_road"]["runs"] == 0
     assert summary["timings"]["generation_s"] == 0.25

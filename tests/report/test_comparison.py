@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from deepmf_sumo.benchmark.result import COLUMNS
@@ -9,7 +10,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.comparison import compare
 
 
-def folder(tmp_path, outcomes):
+def folder(tmp_path, outcomes, *, opponents=True):
     lines = [",".join(COLUMNS)]
     for number, (status, outcome, on_road) in enumerate(outcomes):
         run = tmp_path / "runs" / f"run{number}"
@@ -17,6 +18,7 @@ def folder(tmp_path, outcomes):
         row = dict.fromkeys(COLUMNS, "")
         row |= {"run_id": run.name, "spec": "s", "planner": "idm", "status": status}
         row |= {"outcome": outcome, "generation_s": "0.5", "cycle_ms_median": "80"}
+        row |= {"opponent": "7" if opponents else ""}
         row |= {"contact_time_s": str(2 + number), "contact_speed_mps": "5"} if outcome else {}
         lines.append(",".join(str(row[name]) for name in COLUMNS))
         metrics = {"on_road": {"value": on_road}, "feasible": {"value": 1.0}}
@@ -42,6 +44,19 @@ def test_rates_count_only_runs_that_went_through(tmp_path):
     assert row["on_road_hits"] == 1
     assert row["third_party"] == 1
     assert row["on_road"] == pytest.approx(0.875)
+
+
+def test_runs_with_nobody_to_attack_are_no_misses(tmp_path):
+    found = compare(
+        [
+            folder(tmp_path / "some", [("ok", "av_opponent", 1.0), ("ok", "none", 1.0)]),
+            folder(tmp_path / "none", [("ok", "none", 1.0)], opponents=False),
+        ]
+    )
+    assert list(found["runs"]) == [2, 1]
+    assert list(found["attacked"]) == [2, 0]
+    assert found["rate"][0] == 0.5
+    assert np.isnan(found["rate"][1])
 
 
 def test_a_folder_without_results_is_named(tmp_path):

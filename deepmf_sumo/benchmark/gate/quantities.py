@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.study.columns import BY_NAME, Value, attacked, counted, metric
+from deepmf_sumo.benchmark.result import Result, attacked
+from deepmf_sumo.benchmark.study.columns import BY_NAME, Value, counted, metric
 
 TTC_CEILING_S: Final = 10.0
 """What an attacked run counts with whose AV and opponent were never on a collision course."""

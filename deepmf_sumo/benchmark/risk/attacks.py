@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.risk import places
 from deepmf_sumo.benchmark.risk.attacked import Attacked, of_run
 from deepmf_sumo.benchmark.risk.places import Places
-from deepmf_sumo.benchmark.study.columns import attacked
 from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net

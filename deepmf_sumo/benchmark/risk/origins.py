@@ -12,7 +12,7 @@ from typing import Final, Literal
 from deepmf_sumo.benchmark.gate import matching
 from deepmf_sumo.benchmark.gate.matching import Matched
 from deepmf_sumo.benchmark.gate.rows import Row
-from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.risk import attacks
 from deepmf_sumo.benchmark.study import columns
 from deepmf_sumo.errors import UsageError
@@ -58,7 +58,7 @@ def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str,
         results: of `attacks.of_runs`.
         folders: where they stand.
     """
-    hits = {key: one for key, one in results.items() if columns.attacked(one) and columns.hit(one)}
+    hits = {key: one for key, one in results.items() if attacked(one) and columns.hit(one)}
     found = {key: _kinds(one) for key, one in hits.items()}
     try:
         networks = attacks.read(folders)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from deepmf_sumo.benchmark.result import Result, first_contact
+from deepmf_sumo.benchmark.result import Result, attacked, first_contact
 
 Value = Callable[[Result], float | None]
 Better = Literal["lower", "higher", "neither"]
@@ -42,11 +42,6 @@ class Column:
 def counted(column: Column, result: Result) -> bool:
     """Whether a run can have a value in the column."""
     return bool(result["status"] == "ok") if column.of_all else attacked(result)
-
-
-def attacked(result: Result) -> bool:
-    """Whether the run went through and there was somebody to attack with."""
-    return bool(result["status"] == "ok" and result["opponent"] is not None)
 
 
 def hit(result: Result) -> bool:

@@ -7,12 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.study.columns import (
     COLUMNS,
     Column,
     accident,
-    attacked,
     counted,
     hit,
     sector,

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo.benchmark import files
-from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.benchmark.study import layout, paired
-from deepmf_sumo.benchmark.study.columns import accident, attacked, hit, sector
+from deepmf_sumo.benchmark.study.columns import accident, hit, sector
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.rows import Row, row_of
 from deepmf_sumo.errors import UsageError
