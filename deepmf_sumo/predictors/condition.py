@@ -89,7 +89,14 @@ def relations(paths: Tensor, along_m: Tensor, position_m: Tensor) -> tuple[Tenso
         (B, K, P, R, 15): closeness at 2, 4, 6, 8 s, least distance, its closeness and time; order
         at the conflict: arrival after first and after last presence, whether the goal passes the
         place, and by how far; how far the other is ahead on the path at 2, 4, 6, 8 s.
+
+    Always in full precision: in bf16 squares of 100 m are wrong by 40 square metres.
     """
+    with torch.autocast(paths.device.type, enabled=False):
+        return _relations(paths, along_m, position_m)
+
+
+def _relations(paths: Tensor, along_m: Tensor, position_m: Tensor) -> tuple[Tensor, Tensor]:
     other = position_m[:, :, EVERY - 1 :: EVERY]  # (B, K, 16, 2)
     met, enter, leave, where, path, ahead = _on_paths(paths, other)
     goal = _same_time(paths, along_m, other)

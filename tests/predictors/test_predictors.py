@@ -151,6 +151,21 @@ def test_without_a_condition_the_conditional_is_marginal(predictors):
     assert torch.equal(dropped, none)
 
 
+def test_relations_are_those_of_full_precision_where_the_rest_is_computed_in_bf16():
+    along = torch.linspace(0.0, 240.0, 121)
+    beside = torch.arange(4.0) * 3.5
+    line = torch.stack(torch.broadcast_tensors(along, beside[:, None]), -1)
+    profiles = torch.linspace(0.0, 100.0, 16).expand(1, 4, 6, 16)
+    position = torch.stack([torch.linspace(5.0, 105.0, 80), torch.ones(80)], -1)
+    arguments = line[None], profiles, position[None, None]
+    path, goal = condition.relations(*arguments)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        half_path, half_goal = condition.relations(*arguments)
+    assert torch.equal(path, half_path)
+    assert torch.equal(goal, half_goal)
+    assert path[0, 0, :, 1].tolist() == [1.0, 1.0, 0.0, 0.0]  # within 3.5 m of the first two
+
+
 def test_candidates_are_vehicles_near_by_that_are_not_parked(predictors):
     found = predictors.opponent.score(view())
     assert found.ids == ("south",)  # waiting and far are beyond 80 m
