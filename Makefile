@@ -80,19 +80,25 @@ reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=, PARTS=) to l
 
 open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) marginal --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) marginal --preset light --steps 1500 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open PARTS=8
-	$(TRAIN) conditional --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --steps 1000 --name open $(FEATURES) \
+	$(TRAIN) conditional --preset light --steps 1000 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) strive --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
-WOMD_SET = --out .weights/womd $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
+# All networks with images are the set `womd-light`; `womd` has its opponent and its conditional network,
+# and a marginal one without images, trained longer.
+LIGHT = .weights/womd-light
+WOMD_SET = $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
-	$(TRAIN) opponent --data $(WOMD)/train $(WOMD_SET)
-	$(TRAIN) marginal --data $(WOMD)/train $(WOMD_SET)
+	$(TRAIN) opponent --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
+	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
-	$(TRAIN) conditional --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 --steps 2500 $(WOMD_SET)
-	$(TRAIN) strive --data $(WOMD)/train $(WOMD_SET)
+	$(TRAIN) conditional --preset light --steps 2500 --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
+	    --out $(LIGHT) $(WOMD_SET)
+	mkdir -p .weights/womd && cp $(LIGHT)/opponent.* $(LIGHT)/conditional.* .weights/womd
+	$(TRAIN) marginal --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(TRAIN) strive --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val

@@ -23,7 +23,7 @@ DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
         "precision": "fp32",
     },
     "marginal": {"steps": 4000},
-    "conditional": {"steps": 4000, "rate": 1.5e-3},
+    "conditional": {"steps": 4000, "rate": 1.5e-3, "precision": "fp32"},
     "strive": {"steps": 2000, "batch": 32, "ema": 0.99, "precision": "fp32"},
 }
 """Where they differ from those of `Optimisation.with_defaults`."""
