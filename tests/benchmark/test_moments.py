@@ -173,3 +173,21 @@ def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path)
     assert len({task.run_id for task in tasks}) == 4
     assert [task.spec.source.av.vehicle for task in tasks] == [one.av for one in moments]
     assert tasks[3].run_id == "four-way--bus-10s--3"
+
+
+@pytest.mark.parametrize(("asked", "of_first", "of_second"), [("met", "b", None), ("x", "x", "x")])
+def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_second):
+    """Who meets nobody has its opponent chosen as by default."""
+    sets = ["adversary.version=S2", f"adversary.opponent={asked}", "adversary.lawful=true"]
+    spec = plan.base_spec(SUMO_CONFIG, {}, sets, ())
+    moments = [
+        Moment(
+            av="a", av_type="t", start_s=start_s, edge="in", following="", turn="along",
+            speed_mps=5.0, around=1, encounter_s=meets and 1.0, meets=meets,
+        )
+        for start_s, meets in ((10.0, "b"), (30.0, None))
+    ]  # fmt: skip
+    settings = [task.spec.adversary.settings for task in plan._tasks(spec, moments)]
+    assert [one.get("opponent") for one in settings] == [of_first, of_second]
+    assert all(one["lawful"] for one in settings)
+    assert [one.meets for one in moments] == ["b", None]

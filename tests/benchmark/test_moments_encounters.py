@@ -103,16 +103,31 @@ def test_an_attack_looks_for_its_encounter_ahead(net):
         )
     }
     best = rank[0, 14.0]  # 4.3 s ahead, 1 s from one's leaving to the other's entering
-    assert best[0] <= 1
+    assert best[0] <= 3
     assert best[1] == pytest.approx(1.0, abs=0.5)
-    assert rank[1, 14.0] == best
-    assert rank[0, 5.0] == (best[0] + 5, best[1])  # 13.3 s ahead
-    assert rank[0, 17.0] == (best[0] + 5, best[1])  # 1.3 s ahead
-    assert rank[0, 19.0][0] == rank[2, 36.0][0] == rank[3, 46.0][0] == 10  # over; nobody is near
+    assert rank[1, 14.0] == (best[0] - 1, best[1])  # who comes second is sure to meet the other
+    assert rank[0, 5.0] == (best[0] + 10, best[1])  # 13.3 s ahead
+    assert rank[0, 17.0] == (best[0] + 10, best[1])  # 1.3 s ahead
+    assert rank[0, 19.0][0] == rank[2, 36.0][0] == rank[3, 46.0][0] == 20  # over; nobody is near
     assert np.isnan([rank[0, 19.0][1], rank[2, 36.0][1]]).all()
-    assert set(met.kind[met.rank == 10]) == {2}
+    assert set(met.kind[met.rank == 20]) == {2}
     short = encounters(seen, net, 4.0)
     assert np.isnan(short.apart_s[(seen.vehicle == 0) & (seen.time_s == 14.0)]).all()
+
+
+def test_who_is_met_is_known_once_it_is_there(net):
+    seen = drive([(OVER, 18.3), (UP, 20.3)])
+    late = kept(seen, (seen.vehicle == 0) | (seen.time_s > 14.5))
+    for one, other in ((seen, 1), (late, -1)):
+        met = encounters(one, net, 16.0)
+        at = {
+            (int(vehicle), float(time_s)): row
+            for row, (vehicle, time_s) in enumerate(zip(one.vehicle, one.time_s, strict=True))
+        }
+        assert met.other[at[0, 14.0]] == other
+        assert met.kind[at[0, 14.0]] == (0 if other == 1 else 1)
+        assert met.other[at[1, 16.0]] == 0
+        assert met.other[at[0, 30.0]] == -1
 
 
 def test_followers_and_those_who_cannot_attack_are_no_encounters(net):
@@ -134,15 +149,19 @@ def test_the_nearest_on_a_meeting_way_is_found():
     )  # fmt: skip
     place, able = np.where(passed.way < 2, 0, 1), rng.random(many) < 0.8
     pairs = {(ways[0], ways[1]), (ways[1], ways[0]), (ways[2], ways[3]), (ways[3], ways[2])}
-    expected = np.full(many, np.inf)
+    expected, who = np.full((2, many), np.inf), np.full((2, many), -1)
     for one in range(many):
         for two in np.flatnonzero(able):
             if (ways[passed.way[one]], ways[passed.way[two]]) in pairs:
                 gap = max(entered[two] - passed.left_s[one], entered[one] - passed.left_s[two], 0.0)
-                expected[one] = min(expected[one], gap if gap <= NEAR_S else np.inf)
-    found = _apart(passed, place, frozenset(pairs), able)
+                role = int(entered[two] < entered[one])
+                if gap <= NEAR_S and gap < expected[role, one]:
+                    expected[role, one], who[role, one] = gap, two
+    found, whose = _apart(passed, place, frozenset(pairs), able)
     np.testing.assert_allclose(found, expected)
-    assert 50 < np.isfinite(found).sum() < many
+    alone = found[expected == found] > 0  # of several at once any is met
+    assert (whose == who)[expected == found][alone].all()
+    assert (np.isfinite(found).sum(axis=1) > 50).all()
 
 
 def crossings(many=6):
@@ -171,7 +190,7 @@ def test_without_the_wish_nothing_changes_but_the_column(net):
     assert any(one.encounter_s is not None for one in known)
     for one, two in zip(plain, known, strict=True):
         assert one.encounter_s is None
-        assert asdict(one) == asdict(two) | {"encounter_s": None}
+        assert asdict(one) == asdict(two) | {"encounter_s": None, "meets": None}
 
 
 def test_junctions_have_equally_many_attacks_where_encounters_are_preferred(net):
@@ -190,11 +209,12 @@ def test_moments_of_a_configuration_begin_before_its_encounters(config):
     found = find(scouting, Wish(count=2, prefer="encounters"))
     assert {one.av for one in found.moments} == {"over1", "up1"}
     assert {one.encounter_s for one in found.moments} == {1.2}
+    assert {one.av: one.meets for one in found.moments} == {"over1": "up1", "up1": "over1"}
     # over the crossing at 10.1 and 11.7 s; the two are farther apart than 50 m
     assert all(2.0 < one.start_s < 9.0 and one.around == 0 for one in found.moments)
     assert find(scouting, Wish(count=2, prefer="encounters")) == found
     late = find(scouting, Wish(count=1, prefer="encounters", av="over2"))
-    assert [one.encounter_s for one in late.moments] == [None]
+    assert [(one.encounter_s, one.meets) for one in late.moments] == [(None, None)]
 
 
 def test_encounters_are_known_of_moments_that_are_asked_for(config):

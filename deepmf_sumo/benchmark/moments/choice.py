@@ -9,7 +9,7 @@ import numpy as np
 
 from deepmf_sumo.benchmark.moments.encounters import NONE, Encounters, nobody_met
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
-from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable
+from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable, within
 from deepmf_sumo.datatypes import Bools, Floats
 from deepmf_sumo.network.net_file import NetFile
 from deepmf_sumo.simulation.scouting import Ints, Sightings
@@ -201,7 +201,15 @@ class _Spread:
             speed_mps=round(float(sightings.speed_mps[row]), 2),
             around=count,
             encounter_s=None if np.isnan(apart_s) else round(apart_s, 1),
+            meets=self._meets(row),
         )
+
+    def _meets(self, row: int) -> str | None:
+        """Whom the AV is about to meet, if near enough to attack."""
+        other = int(self._met.other[row])
+        near = within(self._sightings, row, _MEETS_FROM_M)
+        there = other >= 0 and other in self._sightings.vehicle[near]
+        return self._sightings.bodies[other].id if there else None
 
     def _junction(self, place: Place) -> str:
         """The one that the edge leads to, or comes from; the edge where nobody meets anybody."""

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.benchmark.moments.passages import Passages, passages
-from deepmf_sumo.benchmark.moments.suitable import opponents
+from deepmf_sumo.benchmark.moments.suitable import SEEN_S, opponents
 from deepmf_sumo.datatypes import Bools, Floats, Ints
 from deepmf_sumo.network.meeting_ways import Way, junctions, meeting_ways
 from deepmf_sumo.network.net_file import NetFile
@@ -20,6 +20,7 @@ STEP_S: Final = 1.0
 LEAD_S: Final = (3.0, 8.0)
 """After an attack's beginning: sooner nobody can do much about it, later the traffic is another."""
 _STEPS: Final = int(NEAR_S / STEP_S)
+_RANKS: Final = 2 * _STEPS
 NONE: Final = 2
 
 
@@ -31,53 +32,83 @@ class Encounters:
         rank: (K) 0 is the best; of the last rank is who has none.
         apart_s: (K) what time is between the two, 0 where both are in the junction at once; nan
             where there is none.
+        other: (K) index of the vehicle that is met; -1 where there is none, or it is not there yet.
         junctions: by edge, as of `network.meeting_ways`.
     """
 
     rank: Ints
     apart_s: Floats
+    other: Ints
     junctions: Mapping[str, str]
 
     @property
     def kind(self) -> Ints:
         """(K) 0 comes when it suits, 1 at another time of the attack, `NONE` not at all."""
-        return self.rank // _STEPS
+        return self.rank // _RANKS
 
 
 def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encounters:
     """Look ahead from each sighting, as far as an attack lasts.
 
-    First come those that `LEAD_S` suits, and of them those with the least time between the two.
+    First come those that `LEAD_S` suits, of them those with the least time between the two, and of
+    these who comes second: who waits for the other meets it at whatever speed its planner would
+    drive, who comes first only if its planner is as fast as SUMO's driver.
     """
     passed = passages(sightings)
     place = _places(net, passed)
-    apart = _apart(passed, place, meeting_ways(net, passed.ways), _able(sightings)[passed.vehicle])
-    met = np.flatnonzero(np.isfinite(apart))
+    able = _able(sightings)[passed.vehicle]
+    roles, others = _apart(passed, place, meeting_ways(net, passed.ways), able)
+    met = np.flatnonzero(np.isfinite(roles).any(axis=0))
     met = met[np.lexsort((passed.entered_s[met], passed.vehicle[met]))]
-    vehicle, entered, apart = passed.vehicle[met], passed.entered_s[met], apart[met]
+    vehicle, entered, roles = passed.vehicle[met], passed.entered_s[met], roles[:, met]
+    order, apart = _order(roles), roles.min(axis=0)
+    other = others[roles.argmin(axis=0), met]
+    appears_s = _first_seen_s(sightings)
     span = float(sightings.until_s - min(sightings.begin_s, 0.0)) + duration_s + 1.0
     key = np.append(vehicle * span + entered, np.inf)
-    rank = np.full(len(sightings.time_s), NONE * _STEPS)
-    found = np.full(len(rank), np.nan)
+    rank = np.full(len(sightings.time_s), NONE * _RANKS)
+    found, who = np.full(len(rank), np.nan), np.full(len(rank), -1)
     ahead = np.searchsorted(key, sightings.vehicle * span + sightings.time_s, "right")
     rows = np.arange(len(rank))
     while len(rows):
         reached = key[ahead] <= sightings.vehicle[rows] * span + sightings.time_s[rows] + duration_s
         rows, ahead = rows[reached], ahead[reached]
         lead_s = entered[ahead] - sightings.time_s[rows]
-        suits = (lead_s >= LEAD_S[0]) & (lead_s <= LEAD_S[1])
-        new = np.minimum(apart[ahead] // STEP_S, _STEPS - 1).astype(np.int64) + _STEPS * ~suits
+        there = appears_s[other[ahead]] <= sightings.time_s[rows] - SEEN_S
+        suits = there & (lead_s >= LEAD_S[0]) & (lead_s <= LEAD_S[1])
+        new = order[ahead] + _RANKS * ~suits
         better = new < rank[rows]
         rank[rows[better]] = new[better]
         found[rows[better]] = apart[ahead[better]]
+        who[rows[better]] = np.where(there, other[ahead], -1)[better]
         ahead = ahead + 1
-    return Encounters(rank=rank, apart_s=found, junctions=junctions(net))
+    return Encounters(rank=rank, apart_s=found, other=who, junctions=junctions(net))
+
+
+def _first_seen_s(sightings: Sightings) -> Floats:
+    """(V) of each vehicle."""
+    first = np.full(len(sightings.bodies), np.inf)
+    np.minimum.at(first, sightings.vehicle, sightings.time_s)
+    return first
+
+
+def _order(roles: Floats) -> Ints:
+    """(M) of `_apart`'s (2, M): 0 is the best."""
+    first, second = np.floor(np.minimum(roles, 2 * NEAR_S) / STEP_S)
+    closest = np.minimum(np.minimum(first, second), _STEPS - 1)
+    order: Ints = (2 * closest + (second > first)).astype(np.int64)
+    return order
 
 
 def nobody_met(sightings: Sightings) -> Encounters:
     """Of sightings on a network without junctions."""
     many = len(sightings.time_s)
-    return Encounters(rank=np.zeros(many, np.int64), apart_s=np.full(many, np.nan), junctions={})
+    return Encounters(
+        rank=np.zeros(many, np.int64),
+        apart_s=np.full(many, np.nan),
+        other=np.full(many, -1),
+        junctions={},
+    )
 
 
 def _able(sightings: Sightings) -> Bools:
@@ -94,11 +125,14 @@ def _places(net: NetFile, passed: Passages) -> Ints:
     return np.array([number.setdefault(end, len(number)) for end in ends], np.int64)[passed.way]
 
 
-def _apart(passed: Passages, place: Ints, meeting: Set[tuple[Way, Way]], able: Bools) -> Floats:
-    """(P) what time is between a passage and the nearest on a way that meets its own; inf if none.
+def _apart(
+    passed: Passages, place: Ints, meeting: Set[tuple[Way, Way]], able: Bools
+) -> tuple[Floats, Ints]:
+    """(2, P) what time is between a passage and the nearest on a way that meets its own, and whose.
 
-    Each is compared to those that enter the same junction after it, one after the other, until they
-    come too late.
+    First of those that it comes before, then of those that it comes after; inf if there are none.
+    Each is compared to those that enter the same junction after it, one after the other, until
+    they come too late.
     """
     many = len(passed.ways)
     number = {way: index for index, way in enumerate(passed.ways)}
@@ -106,7 +140,7 @@ def _apart(passed: Passages, place: Ints, meeting: Set[tuple[Way, Way]], able: B
     order = np.lexsort((passed.entered_s, place))
     place, way, entered = place[order], passed.way[order], passed.entered_s[order]
     vehicle, left, able = passed.vehicle[order], passed.left_s[order], able[order]
-    apart = np.full(len(order), np.inf)
+    apart, whose = np.full((2, len(order)), np.inf), np.full((2, len(order)), -1)
     first = np.arange(len(order))
     lag = 1
     while len(first):
@@ -116,9 +150,11 @@ def _apart(passed: Passages, place: Ints, meeting: Set[tuple[Way, Way]], able: B
         first, second = first[near], second[near]
         meet = np.isin(way[first] * many + way[second], codes) & (vehicle[first] != vehicle[second])
         between = np.where(meet, np.maximum(entered[second] - left[first], 0.0), np.inf)
-        for one, other in ((first, second), (second, first)):
-            apart[one] = np.minimum(apart[one], np.where(able[other], between, np.inf))
+        for role, one, other in ((0, first, second), (1, second, first)):
+            known = np.where(able[other], between, np.inf)
+            nearer = known < apart[role, one]
+            apart[role, one[nearer]] = known[nearer]
+            whose[role, one[nearer]] = vehicle[other[nearer]]
         lag += 1
-    found = np.empty(len(order))
-    found[order] = apart
-    return found
+    back = np.argsort(order)
+    return apart[:, back], whose[:, back]

@@ -48,6 +48,7 @@ class Moment:
         encounter_s: what time is between it and another vehicle on a way that meets its own, at a
             junction that it passes in the time of an attack, if nobody attacks: 0 where both are in
             the junction at once; None where there is no such vehicle.
+        meets: that vehicle, if it is there and within 80 m when the attack begins.
     """
 
     av: AgentId
@@ -59,6 +60,7 @@ class Moment:
     speed_mps: float
     around: int
     encounter_s: float | None = None
+    meets: AgentId | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,10 +15,12 @@ from deepmf_sumo.benchmark.moments.moment import Moment
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task, run_id_of, slug
 from deepmf_sumo.errors import SpecError, UsageError
-from deepmf_sumo.spec import Av, Spec, of_document, takes_turns
+from deepmf_sumo.spec import Av, Plugin, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
 
 TABLE: Final = "moments.csv"
+MET: Final = "met"
+"""The adversary's ``opponent`` that is whoever the AV is about to meet."""
 
 
 def base_spec(
@@ -114,9 +116,20 @@ def _marked(scene: str) -> str:
 def _task(spec: Spec, moment: Moment) -> Task:
     chosen = {"start_s": moment.start_s, "av": Av(vehicle=moment.av)}
     source = spec.source.model_copy(update=chosen)
-    own = spec.model_copy(update={"source": source})
+    own = spec.model_copy(update={"source": source, "adversary": _against(spec, moment)})
     scene = f"{moment.av}-{moment.start_s:g}s"
     return Task(run_id=run_id_of(spec, scene), spec=own, scene=scene)
+
+
+def _against(spec: Spec, moment: Moment) -> Plugin:
+    """The adversary; ``opponent: met`` is whom the AV meets, else chosen as by default."""
+    adversary = spec.adversary
+    if adversary.settings.get("opponent") != MET:
+        return adversary
+    settings = {key: value for key, value in adversary.settings.items() if key != "opponent"}
+    if moment.meets is not None:
+        settings |= {"opponent": moment.meets}
+    return Plugin(name=adversary.name, **settings)
 
 
 def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:
