@@ -3,8 +3,9 @@
 Each OUT is a seed: a result folder of ``deepmf-sumo attack hazards.sumocfg``, or a folder of such.
 An attack belongs to the place where it began, as its edges are named after it. The mean criticality
 of its attacks is drawn to the typical place of its kind as far as the data are thin (the package's
-``benchmark.risk.criticality``). Places are ranked by the excess over the typical one, as road
-authorities rank sites by reference populations: at a stop ways always cross, on a motorway never.
+``benchmark.risk.criticality``). Places are ranked by how far the lower end of the interval is above
+the typical one, as road authorities rank sites by reference populations: at a stop ways always
+cross, on a motorway never. Those that cannot be told from the typical one share one rank.
 """
 
 # ruff: noqa: INP001, T201 - a script beside data, not a package
@@ -20,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepmf_sumo.benchmark.risk import Attacked, read
-from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn
+from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn, ranks
 from deepmf_sumo.errors import DeepmfError
 
 KINDS: Final = ("merge", "signal", "left", "stop")
@@ -45,28 +46,19 @@ def ranked(attacks: Iterable[Attacked]) -> list[Place]:
         groups.get(_place(one), []).append(one)
     values = {name: [one.criticality or 0.0 for one in groups[name]] for name in PLACES}
     risks = drawn(values, {name: name.rstrip("0123456789") for name in PLACES})
-    rank = ranks({name: risks[name].excess for name in PLACES})
+    rank = ranks({name: risks[name].surely for name in PLACES})
     hits = {name: sum(one.hit for one in groups[name]) for name in PLACES}
     table = [Place(name, len(groups[name]), hits[name], risks[name], rank[name]) for name in PLACES]
-    return sorted(table, key=lambda place: (place.rank, place.name))
+    return sorted(table, key=lambda place: (place.rank, -place.risk.excess, place.name))
 
 
-def ranks(values: Mapping[str, float]) -> dict[str, float]:
-    """1 for the largest; equals share the mean of their ranks."""
-    number = np.round(list(values.values()), 6)
-    return {
-        name: float((number > mine).sum() + ((number == mine).sum() + 1) / 2)
-        for name, mine in zip(values, number, strict=True)
-    }
-
-
-def conspicuous(table: Iterable[Place]) -> dict[str, float]:
-    """Ranks of those that stand out; all others are equal, as they cannot be told apart."""
-    return ranks({one.name: one.risk.excess if one.risk.stands_out else -1.0 for one in table})
-
-
-def _all(table: Iterable[Place]) -> dict[str, float]:
+def _ranks(table: Iterable[Place]) -> dict[str, float]:
     return {one.name: one.rank for one in table}
+
+
+def _excesses(table: Iterable[Place]) -> dict[str, float]:
+    """Of all places, those that cannot be told from the typical one as well; less is better."""
+    return {one.name: -round(one.risk.excess, 6) for one in table}
 
 
 def agreement(first: Mapping[str, float], second: Mapping[str, float]) -> float:
@@ -121,12 +113,12 @@ def main() -> int:
         print(f"{out}: first {', '.join(first)}")
     pairs = list(itertools.combinations(each, 2))
     if pairs:
-        whole = [agreement(*map(_all, two)) for two in pairs]
-        out = [agreement(*map(conspicuous, two)) for two in pairs]
+        same = [agreement(*map(_ranks, two)) for two in pairs]
+        whole = [agreement(*map(_excesses, two)) for two in pairs]
         print(
-            f"Kendall's tau-b of {len(pairs)} pairs of folders: mean {np.mean(out):.2f}, least"
-            f" {np.min(out):.2f} where places that do not stand out are equal; mean"
-            f" {np.mean(whole):.2f} of all excesses"
+            f"Kendall's tau-b of {len(pairs)} pairs of folders: ranks {np.mean(same):.2f} in the"
+            f" mean, {np.min(same):.2f} at least; all excesses, of places that cannot be told from"
+            f" the typical one as well, {np.mean(whole):.2f} in the mean"
         )
     return 0
 

@@ -6,7 +6,7 @@ from risk_doubles import NET
 
 from deepmf_sumo.benchmark import risk
 from deepmf_sumo.benchmark.risk import places
-from deepmf_sumo.benchmark.risk.criticality import criticality, drawn
+from deepmf_sumo.benchmark.risk.criticality import criticality, drawn, ranks
 from deepmf_sumo.benchmark.risk.places import Spot
 
 
@@ -39,6 +39,17 @@ def test_a_place_that_is_worse_in_all_its_attacks_stands_out_and_one_attack_does
     once = drawn({**noisy, "once": [1.0]})["once"]
     assert not once.stands_out
     assert once.drawn < 0.7 * once.mean
+
+
+def test_places_that_cannot_be_told_from_the_typical_one_share_a_rank():
+    near_misses = {str(name): [0.0] * 7 + [0.1 * name] for name in range(8)}
+    found = drawn({**near_misses, "worse": [0.6] * 8, "worst": [0.9] * 8})
+    assert len({one.excess for one in found.values()}) == 10
+    rank = ranks({name: one.surely for name, one in found.items()})
+    assert (rank["worst"], rank["worse"]) == (1.0, 2.0)
+    assert {rank[name] for name in near_misses} == {6.5}
+    assert sum(rank.values()) == 55
+    assert ranks({}) == {}
 
 
 def test_more_attacks_are_drawn_less():
@@ -83,3 +94,6 @@ def test_the_table_has_it_by_place_and_leaves_out_what_was_not_measured():
     assert 0.5 < west["criticality"] <= 0.9
     assert found["e_in"]["criticality"] < 0.3
     assert found["n_out"]["criticality"] is None
+    assert found["w_in"]["rank_criticality"] == 1.0
+    assert found["e_in"]["rank_criticality"] == found["n_in"]["rank_criticality"] == 2.5
+    assert found["n_out"]["rank_criticality"] is None

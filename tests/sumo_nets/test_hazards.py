@@ -115,11 +115,11 @@ def test_a_place_that_is_critical_in_all_its_attacks_leads_and_one_near_miss_doe
     table = RANK.ranked(attacks)
     assert [place.name for place in table[:2]] == ["left1", "merge3"]
     assert [place.name for place in table if place.risk.stands_out] == ["left1"]
-    assert {place.rank for place in table[2:]} == {21.5}
+    assert {place.rank for place in table[1:]} == {21.0}
     assert (table[0].attacks, table[0].hits, table[0].risk.mean) == (16, 0, 0.25)
 
 
-def test_agreement_is_kendalls_and_those_that_do_not_stand_out_are_equal():
+def test_agreement_is_kendalls():
     names = list(RANK.PLACES)
     order = {name: float(rank) for rank, name in enumerate(names)}
     back = dict(zip(names, reversed(order.values()), strict=True))
@@ -127,11 +127,25 @@ def test_agreement_is_kendalls_and_those_that_do_not_stand_out_are_equal():
     assert RANK.agreement(order, back) == -1.0
     swapped = order | {names[0]: 1.0, names[1]: 0.0}
     assert RANK.agreement(order, swapped) == pytest.approx(1 - 2 / 780)
-    quiet = [attacked(name, 0.0) for name in names if name not in ("left1", "stop8")] * 8
-    table = RANK.ranked([*quiet, *[attacked("left1", 0.9)] * 8, *[attacked("stop8", 0.7)] * 8])
-    ranks = RANK.conspicuous(table)
-    assert (ranks["left1"], ranks["stop8"]) == (1.0, 2.0)
-    assert {rank for name, rank in ranks.items() if name not in ("left1", "stop8")} == {21.5}
+
+
+def seed(out, near_misses):
+    """Two places that are critical in all attacks, and good ones with a near miss each."""
+    attacks = [attacked(name, 0.0) for name in RANK.PLACES if name not in out] * 8
+    attacks += [attacked(name, value) for name, value in out.items()] * 8
+    return RANK.ranked([*attacks, *[attacked(name, 0.9) for name in near_misses]])
+
+
+def test_near_misses_at_good_places_change_the_order_of_all_but_not_the_ranks():
+    out = {"left1": 0.9, "stop8": 0.7}
+    first, second = seed(out, ["merge1", "signal2"]), seed(out, ["left5", "stop3"])
+    for table in (first, second):
+        assert [(place.name, place.rank) for place in table[:2]] == [("left1", 1), ("stop8", 2)]
+        assert {place.rank for place in table[2:]} == {21.5}
+    assert RANK.agreement(RANK._ranks(first), RANK._ranks(second)) == 1.0
+    assert RANK.agreement(RANK._excesses(first), RANK._excesses(second)) < 0.8
+    other = seed({"left1": 0.9, "merge3": 0.7}, [])
+    assert RANK.agreement(RANK._ranks(first), RANK._ranks(other)) < 0.8
 
 
 def test_results_without_the_measure_are_refused(tmp_path, monkeypatch, capsys):

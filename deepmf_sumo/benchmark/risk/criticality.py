@@ -12,6 +12,8 @@ from math import sqrt
 from statistics import fmean, median
 from typing import Final, NamedTuple
 
+import numpy as np
+
 SPARE_S: Final = 5.0
 """Post-encroachment times above are no conflicts (Gettman et al., FHWA-HRT-08-051, 2008)."""
 _BOUND: Final = 1.645
@@ -37,9 +39,14 @@ class Drawn(NamedTuple):
         return self.drawn - self.typical
 
     @property
+    def surely(self) -> float:
+        """By how much it is worse at least: of the interval's lower end, 0 if it may be typical."""
+        return max(0.0, round(self.low - self.typical, 9))
+
+    @property
     def stands_out(self) -> bool:
         """Whether the whole interval is above the typical place."""
-        return self.low > self.typical
+        return self.surely > 0
 
 
 def criticality(spare_s: float | None) -> float:
@@ -76,6 +83,19 @@ def drawn(
             means.get(place, typical[place]), typical[place], len(values), noise[place], between
         )
         for place, values in groups.items()
+    }
+
+
+def ranks(worse: Mapping[str, float]) -> dict[str, float]:
+    """1 for the place that is worse by most; equals share the mean of their ranks.
+
+    Of `Drawn.surely`: places that cannot be told from the typical one have one rank, not an order
+    by chance.
+    """
+    number = np.round(list(worse.values()), 6)
+    return {
+        place: float((number > mine).sum() + ((number == mine).sum() + 1) / 2)
+        for place, mine in zip(worse, number, strict=True)
     }
 
 

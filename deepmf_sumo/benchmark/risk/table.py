@@ -6,7 +6,7 @@ from statistics import fmean
 from typing import Any, Final, Literal
 
 from deepmf_sumo.benchmark.risk.attacks import Attacked, Network
-from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn
+from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn, ranks
 from deepmf_sumo.benchmark.risk.places import KINDS, SITES, Kind
 from deepmf_sumo.benchmark.risk.shrinkage import Prior, Shrunk, prior, shrink
 from deepmf_sumo.metrics.statistics.wilson import wilson
@@ -51,6 +51,7 @@ class Row:
         risk: chance of such an event in an attack here, see `shrinkage`.
         rank: among the places of its kind, by the lower end of the risk; 1 is the worst.
         criticality: mean of the attacks here, see `criticality`; None where it was not measured.
+        rank_criticality: among the places of its kind, by what it surely is above the typical one.
     """
 
     kind: Kind
@@ -68,6 +69,7 @@ class Row:
     risk: Mapping[Event, Shrunk]
     rank: Mapping[Event, int]
     criticality: Drawn | None
+    rank_criticality: float | None
 
 
 def rows(network: Network) -> list[Row]:
@@ -137,6 +139,7 @@ def columns(row: Row) -> dict[str, Any]:
         "criticality": row.criticality and row.criticality.drawn,
         "criticality_lo": row.criticality and row.criticality.low,
         "criticality_hi": row.criticality and row.criticality.high,
+        "rank_criticality": row.rank_criticality,
         **risks,
     }
 
@@ -180,8 +183,10 @@ def _of_kind(
         }
         for place, group in groups.items()
     }
-    ranks = {event: _ranks({name: one[event] for name, one in risks.items()}) for event in EVENTS}
-    order = sorted(groups, key=lambda place: (ranks["hit"][place], place))
+    rank = {event: _ranks({name: one[event] for name, one in risks.items()}) for event in EVENTS}
+    order = sorted(groups, key=lambda place: (rank["hit"][place], place))
+    measured = [place for place in groups if means[place].attacks]
+    critical = ranks({place: means[place].surely for place in measured})
     return [
         _row(
             groups[place],
@@ -190,8 +195,9 @@ def _of_kind(
             title=network.places.title(kind, place),
             counted=counted,
             risk=risks[place],
-            rank={event: ranks[event][place] for event in EVENTS},
+            rank={event: rank[event][place] for event in EVENTS},
             criticality=means[place] if means[place].attacks else None,
+            rank_criticality=critical.get(place),
         )
         for place in order
     ]
