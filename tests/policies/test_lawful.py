@@ -244,3 +244,32 @@ def test_ways_to_stop_stand_in_the_end():
     standing = np.abs(last).max(axis=(1, 2)) < 1e-6
     assert standing.sum() == len(standing) - 1  # all but the gentlest, which needs 12 s
     assert found.position_m[-1, -1, 0] == pytest.approx(12.0**2 / 8, abs=0.1)
+
+
+def in_junction(x, speed, **more):
+    """It goes before who comes from the south."""
+    road = crossing(**more)
+    up = replace(road.lanes["up"], gives_way_to=("over",))
+    view = view_of({"av": (0, -90, np.pi / 2, 1.0), "b": (x, 0, 0, speed)}, road=road)
+    return replace(view, road=RoadMap(lanes=road.lanes | {"up": up}))
+
+
+def test_nobody_stops_in_the_middle_of_a_junction():
+    halts = np.maximum(8.0 - 2.0 * SECONDS, 0.0)  # after 16 m
+    assert not is_lawful(in_junction(-15.0, 8.0), drive("b", -15, 0, halts), AWAY, halts)
+    for x in (-25.0, -1.0):  # before it, and behind it
+        assert is_lawful(in_junction(x, 8.0), drive("b", x, 0, halts), AWAY, halts)
+    starts = np.minimum(1.5 * SECONDS, 8.0)
+    assert is_lawful(in_junction(-4.0, 0.0), drive("b", -4, 0, starts), AWAY, starts)
+    unknown = view_of({"av": (0, -90, np.pi / 2, 1.0), "b": (-15, 0, 0, 8.0)}, road=crossing())
+    assert is_lawful(unknown, drive("b", -15, 0, halts), AWAY, halts)
+
+
+def test_nobody_halves_its_speed_in_a_junction_with_each_plan():
+    law = Law()
+    slower = np.maximum(8.0 - 2.0 * SECONDS, 4.5)
+    assert is_lawful(in_junction(-4.9, 8.0), drive("b", -4.9, 0, slower), AWAY, slower, law)
+    crawls = np.maximum(4.5 - 2.0 * SECONDS, 2.5)
+    again = in_junction(-1.0, 4.5)
+    assert is_lawful(again, drive("b", -1.0, 0, crawls), AWAY, crawls)
+    assert not is_lawful(again, drive("b", -1.0, 0, crawls), AWAY, crawls, law)

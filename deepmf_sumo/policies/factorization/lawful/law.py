@@ -15,11 +15,13 @@ class Law:
     """Remembers who could have stopped at a line: until its light lets go, that is owed.
 
     Without that memory an opponent could approach a red light until it is too late to stop. And who
-    stood before a sign: it may drive on, also where a plan is made before it is over the line.
+    stood before a sign: it may drive on, also where a plan is made before it is over the line. And
+    how fast an opponent came into a junction: else it could halve its speed with each plan.
     """
 
     _owed: set[tuple[AgentId, str]] = field(default_factory=set)
     _stood: set[tuple[AgentId, str]] = field(default_factory=set)
+    _inside_mps: dict[AgentId, float] = field(default_factory=dict)
 
     def lawful(
         self,
@@ -51,6 +53,7 @@ class Law:
             | rules.speeds(driven)
             | rules.takes_way(view, driven)
             | rules.cuts_in(driven, collision_step)
+            | self._blocks(view, futures.agent_id, driven)
             | rules.hinders(view, driven, touches, halts)
         )
 
@@ -72,6 +75,17 @@ class Law:
                 if key not in self._stood:
                     over |= line.crossed(driven)
         return halts, over
+
+    def _blocks(self, view: View, agent_id: AgentId, driven: Driven) -> Bools:
+        """(N) futures that slow down inside a junction without a cause."""
+        free = rules.through(view, driven)
+        fastest = 0.0
+        if (free & driven.ways.begins).any():
+            row = view.history.row(agent_id)
+            now = float(view.history.speed_mps[row, view.history.valid[row]].max())
+            fastest = max(self._inside_mps.get(agent_id, 0.0), now)
+        self._inside_mps[agent_id] = fastest
+        return rules.blocks(driven, free, fastest)
 
     def _forget(self, view: View) -> None:
         """Of lights that let go; signs stay."""

@@ -56,6 +56,33 @@ def takes_way(view: View, driven: Driven) -> Bools:
     return takes
 
 
+def through(view: View, driven: Driven) -> Bools:
+    """(L) lanes inside a junction at whose end nobody has to be waited for.
+
+    None where the map tells no right of way: there anybody may have to be waited for.
+    """
+    lanes = view.road.lanes
+    known = any(one.gives_way_to for one in lanes.values())
+    free: list[bool] = []
+    for lane in driven.ways.lanes:
+        after = [lanes[name] for name in lane.next if name in lanes]
+        waits = any(one.interpolating and one.gives_way_to for one in after)
+        free.append(known and lane.interpolating and not waits)
+    return np.array(free, bool)
+
+
+def blocks(driven: Driven, free: Bools, so_far_mps: float) -> Bools:
+    """Slows down to less than half inside a junction that it could be through.
+
+    ``free``: as of `through`; ``so_far_mps``: its highest speed there until now.
+    """
+    inside = np.append(free, False)[driven.ways.nearest]  # `OFF` is the last
+    fastest = np.maximum.accumulate(np.where(inside, driven.speed_mps, 0.0), axis=1)
+    slowest = np.maximum(fastest, so_far_mps) / 2 - 0.1
+    broken: Bools = np.asarray((inside & (driven.speed_mps < slowest)).any(axis=1))
+    return broken
+
+
 def cuts_in(driven: Driven, collision_step: Floats) -> Bools:
     """Leaves its lane right before the AV, or is out of it where it touches the AV."""
     ways = driven.ways
