@@ -27,6 +27,7 @@ _EMPTY_STEP: Final = 20
 """What a step without vehicles costs, in vehicles."""
 _MADE_ON_THE_WAY: Final = "!"
 """What names of routes begin with that SUMO computed itself."""
+_BEFORE_LINE_M: Final = 1e-3
 _PARKED: Final = 2
 """Bit of SUMO's stop states."""
 
@@ -69,7 +70,8 @@ class Sightings:
         bodies: (V). edges: names.
         time_s: (K) not decreasing. vehicle, edge: (K) index. following: (K) index of the next edge
             on the route, -1 at its end.
-        position_m: (K, 2) box centres. to_end_m: (K) left of the edge. speed_mps: (K).
+        position_m: (K, 2) box centres. speed_mps: (K).
+        to_end_m: (K) left of the edge; 0 inside the junction at its end, and there alone.
         parked: (K).
     """
 
@@ -159,11 +161,15 @@ class _Notes:
             following = self._edge(route[at + 1]) if at + 1 < len(route) else -1
             parked = bool(vehicle.getStopState(name) & _PARKED)
             self.rows.extend((row, edge, following, parked))
-            left = 0.0 if lane[0] == ":" else self._length(lane) - vehicle.getLanePosition(name)
+            left = 0.0 if lane[0] == ":" else self._left_m(lane, vehicle.getLanePosition(name))
             x, y = vehicle.getPosition(name)
             speed = max(0.0, vehicle.getSpeed(name))
             self.numbers.extend((now, x, y, vehicle.getAngle(name), length, left, speed))
         return len(names)
+
+    def _left_m(self, lane: str, at_m: float) -> float:
+        """Who stopped dead, which SUMO allows at a light without yellow, stands on the line."""
+        return max(self._length(lane) - at_m, _BEFORE_LINE_M)
 
     def sightings(
         self, begin: float, until: float, *, complete: bool, persons: bool, waiting: int
