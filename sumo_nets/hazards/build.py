@@ -33,7 +33,8 @@ APART_M: Final = 600
 FLAWED: Final = ("merge3", "signal6", "left1", "stop8")
 """Spread over the network, for what is chosen first must not be what is found."""
 NETCONVERT: Final = Path(sumo.SUMO_HOME) / "bin" / "netconvert"
-HORIZON_S: Final = 60
+HORIZON_S: Final = 180
+"""Twelve changes of each light."""
 DRAWN: Final = 20
 """Seed of what differs from place to place."""
 HEADER: Final = re.compile(r"<!-- generated on .*?-->\n*", re.DOTALL)

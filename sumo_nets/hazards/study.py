@@ -1,7 +1,8 @@
 """Attacks on the forty places of `build.py`, and their ranking: ``python study.py FOLDER``.
 
-For each seed and kind of place 50 lawful attacks, so that all kinds have as many: FOLDER/SEED/KIND.
-Results that are there already are kept. Then what `rank.py` prints of FOLDER/SEED for all seeds.
+For each seed and kind of place 50 lawful attacks by whom the AV is about to meet, so that all kinds
+have as many: FOLDER/SEED/KIND. Results that are there already are kept. Then what `rank.py` prints
+of FOLDER/SEED for all seeds.
 """
 
 # ruff: noqa: INP001 - a script beside data, not a package
@@ -18,13 +19,14 @@ KINDS: Final = ("left", "merge", "stop", "signal")
 WISHES: Final = {
     "version": "S2",
     "lawful": "true",
-    "tried_opponents": "3",
+    "opponent": "met",
     "candidates": "12",
     "goal_candidates": "16",
     "reactions": "4",
 }
 """Of the adversary: a lawful opponent, and little effort for each attack."""
-WHEN: Final = ("--until", "44", "--duration", "16", "--opponents", "one")
+WHEN: Final = ("--until", "164", "--duration", "16", "--opponents", "one")
+"""Attacks end with the traffic."""
 
 
 def commands(
@@ -55,7 +57,9 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="SEED")
     parser.add_argument("--moments", type=int, default=50, help="attacks a seed and kind")
-    parser.add_argument("--prefer", default="spread", help="moments, as of `deepmf-sumo attack`")
+    parser.add_argument(
+        "--prefer", default="encounters", help="moments, as of `deepmf-sumo attack`"
+    )
     parser.add_argument("--flawed", nargs="*", metavar="PLACE", help="as of build.py")
     given = parser.parse_args()
     for command in commands(given.folder, given.seeds, given.moments, given.prefer, given.flawed):
