@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.benchmark.moments.encounters import NONE, Encounters, nobody_met
+from deepmf_sumo.benchmark.moments.encounters import FROM_M, NONE, Encounters, nobody_met
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
-from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable, within
+from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable
 from deepmf_sumo.datatypes import Bools, Floats
 from deepmf_sumo.network.net_file import NetFile
 from deepmf_sumo.simulation.scouting import Ints, Sightings
@@ -22,8 +22,6 @@ LONG_S: Final = 15.0
 """An attack on one opponent is decided by then."""
 _SLOWEST_MPS: Final = 3.0
 """Who stands now may be at the junction in a moment."""
-_MEETS_FROM_M: Final = 80.0
-"""Who meets the AV within seconds may be so far away; who is farther is never chosen to attack."""
 
 Place = tuple[int, int]
 """An edge, and the next one if the vehicle gets there, else -1."""
@@ -174,7 +172,7 @@ class _Spread:
         return (
             self._prefers
             and bool(self._met.kind[row] != NONE)
-            and around(self._sightings, self._able, row, _MEETS_FROM_M) > 0
+            and around(self._sightings, self._able, row, FROM_M) > 0
         )
 
     def _note(self, row: int, place: Place) -> None:
@@ -190,7 +188,7 @@ class _Spread:
         sightings = self._sightings
         body = sightings.bodies[sightings.vehicle[row]]
         following = int(sightings.following[row])
-        apart_s = float(self._met.apart_s[row])
+        apart_s, other = float(self._met.apart_s[row]), int(self._met.other[row])
         return Moment(
             av=body.id,
             av_type=body.type,
@@ -201,15 +199,8 @@ class _Spread:
             speed_mps=round(float(sightings.speed_mps[row]), 2),
             around=count,
             encounter_s=None if np.isnan(apart_s) else round(apart_s, 1),
-            meets=self._meets(row),
+            meets=sightings.bodies[other].id if other >= 0 else None,
         )
-
-    def _meets(self, row: int) -> str | None:
-        """Whom the AV is about to meet, if near enough to attack."""
-        other = int(self._met.other[row])
-        near = within(self._sightings, row, _MEETS_FROM_M)
-        there = other >= 0 and other in self._sightings.vehicle[near]
-        return self._sightings.bodies[other].id if there else None
 
     def _junction(self, place: Place) -> str:
         """The one that the edge leads to, or comes from; the edge where nobody meets anybody."""

@@ -19,6 +19,8 @@ STEP_S: Final = 1.0
 """Encounters that differ by less are equal: they are not known better."""
 LEAD_S: Final = (3.0, 8.0)
 """After an attack's beginning: sooner nobody can do much about it, later the traffic is another."""
+FROM_M: Final = 80.0
+"""Who meets the AV within seconds may be so far away; who is farther is never chosen to attack."""
 _STEPS: Final = int(NEAR_S / STEP_S)
 _RANKS: Final = 2 * _STEPS
 NONE: Final = 2
@@ -32,7 +34,8 @@ class Encounters:
         rank: (K) 0 is the best; of the last rank is who has none.
         apart_s: (K) what time is between the two, 0 where both are in the junction at once; nan
             where there is none.
-        other: (K) index of the vehicle that is met; -1 where there is none, or it is not there yet.
+        other: (K) index of the vehicle that is met; -1 where there is none, or it is not there yet
+            or farther away than `FROM_M`.
         junctions: by edge, as of `network.meeting_ways`.
     """
 
@@ -63,7 +66,7 @@ def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encount
     vehicle, entered, roles = passed.vehicle[met], passed.entered_s[met], roles[:, met]
     order, apart = _order(roles), roles.min(axis=0)
     other = others[roles.argmin(axis=0), met]
-    appears_s = _first_seen_s(sightings)
+    near = _Near(sightings)
     span = float(sightings.until_s - min(sightings.begin_s, 0.0)) + duration_s + 1.0
     key = np.append(vehicle * span + entered, np.inf)
     rank = np.full(len(sightings.time_s), NONE * _RANKS)
@@ -74,7 +77,7 @@ def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encount
         reached = key[ahead] <= sightings.vehicle[rows] * span + sightings.time_s[rows] + duration_s
         rows, ahead = rows[reached], ahead[reached]
         lead_s = entered[ahead] - sightings.time_s[rows]
-        there = appears_s[other[ahead]] <= sightings.time_s[rows] - SEEN_S
+        there = near(rows, other[ahead])
         suits = there & (lead_s >= LEAD_S[0]) & (lead_s <= LEAD_S[1])
         new = order[ahead] + _RANKS * ~suits
         better = new < rank[rows]
@@ -85,11 +88,31 @@ def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encount
     return Encounters(rank=rank, apart_s=found, other=who, junctions=junctions(net))
 
 
-def _first_seen_s(sightings: Sightings) -> Floats:
-    """(V) of each vehicle."""
-    first = np.full(len(sightings.bodies), np.inf)
-    np.minimum.at(first, sightings.vehicle, sightings.time_s)
-    return first
+class _Near:
+    """Whether a vehicle has been there for a moment, and is near enough to attack another."""
+
+    def __init__(self, sightings: Sightings) -> None:
+        self._sightings = sightings
+        self._order = np.lexsort((sightings.time_s, sightings.vehicle))
+        self._span = 2.0 * float(sightings.until_s) + 1.0
+        self._key = self._keys(sightings.vehicle, sightings.time_s)[self._order]
+        self._first_s = np.full(len(sightings.bodies), np.inf)
+        np.minimum.at(self._first_s, sightings.vehicle, sightings.time_s)
+
+    def __call__(self, rows: Ints, others: Ints) -> Bools:
+        """(M) of sightings and the vehicles that they are compared with."""
+        seen = self._sightings
+        time_s = seen.time_s[rows]
+        at = np.searchsorted(self._key, self._keys(others, time_s))
+        found = self._order[np.minimum(at, len(self._order) - 1)]
+        there = (seen.vehicle[found] == others) & (seen.time_s[found] == time_s)
+        way_m = np.hypot(*(seen.position_m[found] - seen.position_m[rows]).T)
+        near: Bools = there & (way_m < FROM_M) & (self._first_s[others] <= time_s - SEEN_S)
+        return near
+
+    def _keys(self, vehicle: Ints, time_s: Floats) -> Floats:
+        keys: Floats = vehicle * self._span + time_s
+        return keys
 
 
 def _order(roles: Floats) -> Ints:

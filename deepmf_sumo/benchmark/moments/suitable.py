@@ -54,18 +54,12 @@ def opponents(sightings: Sightings) -> Bools:
 
 def around(sightings: Sightings, able: Bools, row: int, reach_m: float = REACH_M) -> int:
     """How many of the able are within reach of the vehicle of a row, at that moment."""
-    return int(able[within(sightings, row, reach_m)].sum())
-
-
-def within(sightings: Sightings, row: int, reach_m: float) -> Ints:
-    """Rows of the others that are within reach of the vehicle of a row, at that moment."""
     time_s = sightings.time_s
     begin, end = np.searchsorted(time_s, time_s[row]), np.searchsorted(time_s, time_s[row], "right")
     away = np.hypot(*(sightings.position_m[begin:end] - sightings.position_m[row]).T)
-    near = away < reach_m
+    near = (away < reach_m) & able[begin:end]
     near[row - begin] = False
-    rows: Ints = begin + np.flatnonzero(near)
-    return rows
+    return int(near.sum())
 
 
 def _no_vehicles(sightings: Sightings) -> str:
