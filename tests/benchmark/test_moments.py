@@ -190,4 +190,5 @@ def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_se
     settings = [task.spec.adversary.settings for task in plan._tasks(spec, moments)]
     assert [one.get("opponent") for one in settings] == [of_first, of_second]
     assert all(one["lawful"] for one in settings)
-    assert [one.meets for one in moments] == ["b", None]
+    long = plan.base_spec(SUMO_CONFIG, {"duration_s": 30.0}, sets[1:2], ())
+    assert long.opponents == ("one" if asked == "met" else "in_turn")

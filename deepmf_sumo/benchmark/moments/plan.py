@@ -35,7 +35,7 @@ def base_spec(
         sumo_options: beside the configuration.
 
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
-    adversary looks for one attack. Raises SpecError as `spec.load`.
+    adversary looks for one attack, or attacks whom the AV meets. Raises SpecError as `spec.load`.
     """
     source = {
         "network": str(config.absolute()),
@@ -52,7 +52,8 @@ def base_spec(
         document.assign(assignment)
         places.setdefault((key,), f"--set {assignment}")
     spec = of_document(document)
-    if spec.duration_s > LONG_S and "opponents" not in document.values and takes_turns(spec):
+    several = takes_turns(spec) and not _of_met(spec)
+    if spec.duration_s > LONG_S and "opponents" not in document.values and several:
         return spec.model_copy(update={"opponents": "in_turn"})
     return spec
 
@@ -124,12 +125,16 @@ def _task(spec: Spec, moment: Moment) -> Task:
 def _against(spec: Spec, moment: Moment) -> Plugin:
     """The adversary; ``opponent: met`` is whom the AV meets, else chosen as by default."""
     adversary = spec.adversary
-    if adversary.settings.get("opponent") != MET:
+    if not _of_met(spec):
         return adversary
     settings = {key: value for key, value in adversary.settings.items() if key != "opponent"}
     if moment.meets is not None:
         settings |= {"opponent": moment.meets}
     return Plugin(name=adversary.name, **settings)
+
+
+def _of_met(spec: Spec) -> bool:
+    return spec.adversary.settings.get("opponent") == MET
 
 
 def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:
