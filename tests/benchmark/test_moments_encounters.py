@@ -115,10 +115,11 @@ def test_an_attack_looks_for_its_encounter_ahead(net):
     assert np.isnan(short.apart_s[(seen.vehicle == 0) & (seen.time_s == 14.0)]).all()
 
 
-def test_who_is_met_is_known_once_it_is_there(net):
+def test_who_is_met_is_known_once_it_is_there_and_near(net):
     seen = drive([(OVER, 18.3), (UP, 20.3)])
     late = kept(seen, (seen.vehicle == 0) | (seen.time_s > 14.5))
-    for one, other in ((seen, 1), (late, -1)):
+    far = drive([(OVER, 18.3), (UP, 20.3)], speed=20.0)  # 152 m apart at 14 s
+    for one, other in ((seen, 1), (late, -1), (far, -1)):
         met = encounters(one, net, 16.0)
         at = {
             (int(vehicle), float(time_s)): row
@@ -126,7 +127,7 @@ def test_who_is_met_is_known_once_it_is_there(net):
         }
         assert met.other[at[0, 14.0]] == other
         assert met.kind[at[0, 14.0]] == (0 if other == 1 else 1)
-        assert met.other[at[1, 16.0]] == 0
+        assert met.other[at[1, 17.0]] == 0
         assert met.other[at[0, 30.0]] == -1
 
 
