@@ -9,6 +9,7 @@ from deepmf_sumo.datatypes import Bools, Floats, Ints
 from deepmf_sumo.simulation.scouting import EVERY_S, Sightings
 
 _ROUNDING_S: Final = 0.05
+_STANDING_MPS: Final = 0.5
 _FASTER_MPS: Final = 10.0
 """In a second nobody gets faster by more: who has gone farther was teleported."""
 
@@ -20,7 +21,8 @@ class Passages:
     Attributes:
         ways: names of the edge before the junction and of the one behind it, each pair once.
         vehicle, way: (P) index.
-        entered_s, left_s: (P) good to about half a second.
+        entered_s, left_s: (P) good to about half a second. Who stands inside, to turn left, enters
+            when it goes on: who passes meanwhile does not meet it.
     """
 
     ways: tuple[tuple[str, str], ...]
@@ -45,7 +47,7 @@ def passages(sightings: Sightings) -> Passages:
     fraction = np.clip(steps.to_end_m[enters] / np.maximum(steps.way_m[enters], 1e-9), 0.0, 1.0)
     took_s = steps.time_s[enters + 1] - steps.time_s[enters]
     first = steps.passed(enters, steps.edge[enters], steps.following[enters])
-    entered_s = steps.time_s[enters] + fraction * took_s
+    entered_s = np.maximum(steps.time_s[enters] + fraction * took_s, steps.waited_s(enters))
     # over a junction and a short edge, and into the next junction or over it
     again = np.flatnonzero(steps.joined & over & inside[1:])
     into = steps.passed(again + 1, steps.edge[again + 1], steps.following[again + 1])
@@ -83,13 +85,25 @@ class _Steps:
         self.inside: Bools = self.to_end_m <= 0.0
         self.way_m: Floats = np.hypot(*np.diff(seen.position_m[order], axis=0).T)
         took_s = np.diff(self.time_s)
-        speed = seen.speed_mps[order]
+        self._speed_mps = speed = seen.speed_mps[order]
         drove = self.way_m <= took_s * (np.maximum(speed[:-1], speed[1:]) + _FASTER_MPS)
         same = self.vehicle[1:] == self.vehicle[:-1]
         self.joined: Bools = same & drove & (took_s <= EVERY_S + _ROUNDING_S)
         self.over: Bools = self.edge[1:] != self.edge[:-1]
         ends = np.flatnonzero(np.append(~same | self.over, True)) if len(order) else order
         self._last = ends
+
+    def waited_s(self, rows: Ints) -> Floats:
+        """Until when who is before a junction in these rows stood inside it; -inf if it did not."""
+        stood = np.where(
+            self.inside & (self._speed_mps < _STANDING_MPS), np.arange(len(self.inside)), -1
+        )
+        latest = np.maximum.accumulate(stood)[self._last[np.searchsorted(self._last, rows)]]
+        then = np.minimum(latest + 1, len(self.time_s) - 1)
+        until: Floats = np.where(
+            latest > rows, (self.time_s[latest] + self.time_s[then]) / 2, -np.inf
+        )
+        return until
 
     def passed(self, rows: Ints, before: Ints, after: Ints) -> tuple[Ints, Ints, Ints, Floats]:
         """Vehicle, edges and when it left: midway between its last sighting there and the next."""
