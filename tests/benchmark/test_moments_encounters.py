@@ -74,6 +74,21 @@ def test_who_passes_a_junction_is_known_to_half_a_second():
     assert passed.left_s[order] == pytest.approx([19.3, 21.65, 35.3], abs=0.5)
 
 
+def test_who_stands_inside_a_junction_enters_it_when_it_goes_on():
+    seen = drive([(UP, 20.3)])
+    seen = kept(seen, seen.time_s < 30.0)
+    (inside,) = np.flatnonzero(seen.to_end_m == 0.0)
+    assert seen.time_s[inside] == 21.0
+    many = np.where(np.arange(len(seen.time_s)) == inside, 6, 1)  # it stands there for 5 s
+    waits = kept(seen, np.repeat(np.arange(len(many)), many))
+    speed = waits.speed_mps * (waits.to_end_m > 0.0)
+    time_s = seen.time_s[0] + np.arange(len(speed))
+    passed = passages(replace(waits, time_s=time_s, speed_mps=speed))
+    assert passed.entered_s == pytest.approx([26.5])
+    assert passed.left_s == pytest.approx([26.5])
+    assert passages(seen).entered_s == pytest.approx([20.3])
+
+
 def test_two_junctions_in_a_second_are_both_passed():
     """The edge between them is 4 m long, and the vehicle is never seen on it."""
     passed = passages(drive([(OVER, 18.3)], speed=30.0, lengths={1: 4.0}))
