@@ -94,7 +94,7 @@ class _Near:
     def __init__(self, sightings: Sightings) -> None:
         self._sightings = sightings
         self._order = np.lexsort((sightings.time_s, sightings.vehicle))
-        self._span = 2.0 * float(sightings.until_s) + 1.0
+        self._span = float(sightings.until_s - min(sightings.begin_s, 0.0)) + 1.0
         self._key = self._keys(sightings.vehicle, sightings.time_s)[self._order]
         self._first_s = np.full(len(sightings.bodies), np.inf)
         np.minimum.at(self._first_s, sightings.vehicle, sightings.time_s)
