@@ -51,6 +51,16 @@ def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]
     )
 
 
+def waiting_ways(net: NetFile) -> frozenset[Way]:
+    """Those with a place to wait inside the junction: two lanes there follow each other."""
+    onward = {link.origin: link for link in net.links if link.origin.startswith(":")}
+    return frozenset(
+        (_edge(link.origin), _edge(link.target))
+        for link in net.links
+        if not link.origin.startswith(":") and link.via in onward and onward[link.via].via
+    )
+
+
 def junctions(net: NetFile) -> dict[str, str]:
     """Where vehicles of several edges come together, by the edges that lead there.
 

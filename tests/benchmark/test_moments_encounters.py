@@ -74,7 +74,7 @@ def test_who_passes_a_junction_is_known_to_half_a_second():
     assert passed.left_s[order] == pytest.approx([19.3, 21.65, 35.3], abs=0.5)
 
 
-def test_who_stands_inside_a_junction_enters_it_when_it_goes_on():
+def test_who_waits_inside_a_junction_enters_it_when_it_goes_on():
     seen = drive([(UP, 20.3)])
     seen = kept(seen, seen.time_s < 30.0)
     (inside,) = np.flatnonzero(seen.to_end_m == 0.0)
@@ -83,10 +83,15 @@ def test_who_stands_inside_a_junction_enters_it_when_it_goes_on():
     waits = kept(seen, np.repeat(np.arange(len(many)), many))
     speed = waits.speed_mps * (waits.to_end_m > 0.0)
     time_s = seen.time_s[0] + np.arange(len(speed))
-    passed = passages(replace(waits, time_s=time_s, speed_mps=speed))
+    waits = replace(waits, time_s=time_s, speed_mps=speed)
+    ways = {("south", "north")}
+    passed = passages(waits, ways)
     assert passed.entered_s == pytest.approx([26.5])
     assert passed.left_s == pytest.approx([26.5])
-    assert passages(seen).entered_s == pytest.approx([20.3])
+    assert passages(seen, ways).entered_s == pytest.approx([20.3])
+    # where there is no place to wait it is in everybody's way
+    assert passages(waits).entered_s == pytest.approx([20.3])
+    assert passages(waits).left_s == pytest.approx([26.5])
 
 
 def test_two_junctions_in_a_second_are_both_passed():

@@ -9,7 +9,7 @@ import numpy as np
 from deepmf_sumo.benchmark.moments.passages import Passages, passages
 from deepmf_sumo.benchmark.moments.suitable import SEEN_S, opponents
 from deepmf_sumo.datatypes import Bools, Floats, Ints
-from deepmf_sumo.network.meeting_ways import Way, junctions, meeting_ways
+from deepmf_sumo.network.meeting_ways import Way, junctions, meeting_ways, waiting_ways
 from deepmf_sumo.network.net_file import NetFile
 from deepmf_sumo.simulation.scouting import Sightings
 
@@ -57,7 +57,7 @@ def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encount
     these who comes second: who waits for the other meets it at whatever speed its planner would
     drive, who comes first only if its planner is as fast as SUMO's driver.
     """
-    passed = passages(sightings)
+    passed = passages(sightings, waiting_ways(net))
     place = _places(net, passed)
     able = _able(sightings)[passed.vehicle]
     roles, others = _apart(passed, place, meeting_ways(net, passed.ways), able)

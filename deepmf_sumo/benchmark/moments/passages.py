@@ -1,11 +1,13 @@
 """Sightings -> who passed which junction when."""
 
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints
+from deepmf_sumo.network.meeting_ways import Way
 from deepmf_sumo.simulation.scouting import EVERY_S, Sightings
 
 _ROUNDING_S: Final = 0.05
@@ -21,7 +23,7 @@ class Passages:
     Attributes:
         ways: names of the edge before the junction and of the one behind it, each pair once.
         vehicle, way: (P) index.
-        entered_s, left_s: (P) good to about half a second. Who stands inside, to turn left, enters
+        entered_s, left_s: (P) good to about half a second. Who waits inside, to turn left, enters
             when it goes on: who passes meanwhile does not meet it.
     """
 
@@ -32,12 +34,12 @@ class Passages:
     left_s: Floats
 
 
-def passages(sightings: Sightings) -> Passages:
+def passages(sightings: Sightings, waiting: Set[Way] = frozenset()) -> Passages:
     """Who was on an edge, and within a second in or behind the junction at its end.
 
     Who passes two junctions in a second is seen at both, who passes more not at those between.
     Jumps of teleported vehicles are none, and of who is inside a junction when first seen nothing
-    is known.
+    is known. ``waiting`` are ways with a place to wait inside.
     """
     steps = _Steps(sightings)
     over = steps.over
@@ -47,7 +49,7 @@ def passages(sightings: Sightings) -> Passages:
     fraction = np.clip(steps.to_end_m[enters] / np.maximum(steps.way_m[enters], 1e-9), 0.0, 1.0)
     took_s = steps.time_s[enters + 1] - steps.time_s[enters]
     first = steps.passed(enters, steps.edge[enters], steps.following[enters])
-    entered_s = np.maximum(steps.time_s[enters] + fraction * took_s, steps.waited_s(enters))
+    entered_s = steps.time_s[enters] + fraction * took_s
     # over a junction and a short edge, and into the next junction or over it
     again = np.flatnonzero(steps.joined & over & inside[1:])
     into = steps.passed(again + 1, steps.edge[again + 1], steps.following[again + 1])
@@ -57,15 +59,20 @@ def passages(sightings: Sightings) -> Passages:
     parts = [first, into, short]
     vehicle, before, after, left_s = (np.concatenate(one) for one in zip(*parts, strict=True))
     entered_s = np.concatenate([entered_s, *late_s])
+    stood_s = np.full(len(entered_s), -np.inf)
+    stood_s[: len(enters)] = steps.stood_s(enters)
     known = (before >= 0) & (after >= 0)
     both = np.column_stack([before, after])[known].reshape(-1, 2)
-    ways, way = np.unique(both, axis=0, return_inverse=True)
+    pairs, way = np.unique(both, axis=0, return_inverse=True)
+    ways = tuple((sightings.edges[one], sightings.edges[two]) for one, two in pairs)
+    may_wait = np.array([one in waiting for one in ways], bool)[way.ravel()]
+    entered_s = np.where(may_wait, np.maximum(entered_s, stood_s)[known], entered_s[known])
     return Passages(
-        ways=tuple((sightings.edges[one], sightings.edges[two]) for one, two in ways),
+        ways=ways,
         vehicle=vehicle[known],
         way=way.ravel(),
-        entered_s=entered_s[known],
-        left_s=np.maximum(left_s, entered_s)[known],
+        entered_s=entered_s,
+        left_s=np.maximum(left_s[known], entered_s),
     )
 
 
@@ -93,7 +100,7 @@ class _Steps:
         ends = np.flatnonzero(np.append(~same | self.over, True)) if len(order) else order
         self._last = ends
 
-    def waited_s(self, rows: Ints) -> Floats:
+    def stood_s(self, rows: Ints) -> Floats:
         """Until when who is before a junction in these rows stood inside it; -inf if it did not."""
         stood = np.where(
             self.inside & (self._speed_mps < _STANDING_MPS), np.arange(len(self.inside)), -1
