@@ -1,13 +1,15 @@
 """Attacks on the forty places of `build.py`, and their ranking: ``python study.py FOLDER``.
 
-For each seed and kind of place 50 lawful attacks by whom the AV is about to meet, so that all kinds
-have as many: FOLDER/SEED/KIND. Results that are there already are kept. Then what `rank.py` prints
-of FOLDER/SEED for all seeds.
+For each seed and kind of place 50 lawful attacks at moments that are spread, and 50 before
+encounters: how often anything happens, and what happens then. The opponent is whom the AV is about
+to meet, if anybody: FOLDER/SEED/KIND-PREFERENCE. Results that are there already are kept. Then what
+`rank.py` prints of FOLDER/SEED for all seeds.
 """
 
 # ruff: noqa: INP001 - a script beside data, not a package
 
 import argparse
+import itertools
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -30,7 +32,7 @@ WHEN: Final = ("--until", "164", "--duration", "16", "--opponents", "one")
 
 
 def commands(
-    folder: Path, seeds: list[int], moments: int, prefer: str, flawed: list[str] | None
+    folder: Path, seeds: list[int], moments: int, prefer: list[str], flawed: list[str] | None
 ) -> Iterator[list[str]]:
     """What is run, one after the other."""
     build = [sys.executable, str(HERE / "build.py"), str(folder / "net")]
@@ -39,14 +41,12 @@ def commands(
         part for key, value in WISHES.items() for part in ("--set", f"adversary.{key}={value}")
     ]
     attack = [sys.executable, "-m", "deepmf_sumo.cli.main", "attack"]
-    for seed in seeds:
-        for kind in KINDS:
-            yield [
-                *attack, str(folder / "net" / "hazards.sumocfg"), "--av-type", kind, *WHEN,
-                "--moments", str(moments), "--seed", str(seed), "--prefer", prefer,
-                "--no-pictures", "--resume",
-                *wishes, "--out", str(folder / str(seed) / kind),
-            ]  # fmt: skip
+    for seed, wish, kind in itertools.product(seeds, prefer, KINDS):
+        yield [
+            *attack, str(folder / "net" / "hazards.sumocfg"), "--av-type", kind, *WHEN,
+            "--moments", str(moments), "--seed", str(seed), "--prefer", wish, "--no-pictures",
+            "--resume", *wishes, "--out", str(folder / str(seed) / f"{kind}-{wish}"),
+        ]  # fmt: skip
     rank = [sys.executable, str(HERE / "rank.py"), *(str(folder / str(seed)) for seed in seeds)]
     yield rank if flawed is None else [*rank, "--flawed", *flawed]
 
@@ -56,9 +56,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Do attacks find the planted hazards?")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="SEED")
-    parser.add_argument("--moments", type=int, default=50, help="attacks a seed and kind")
+    parser.add_argument("--moments", type=int, default=50, help="a seed, kind and preference")
     parser.add_argument(
-        "--prefer", default="encounters", help="moments, as of `deepmf-sumo attack`"
+        "--prefer", nargs="+", default=["spread", "encounters"], help="as of `deepmf-sumo attack`"
     )
     parser.add_argument("--flawed", nargs="*", metavar="PLACE", help="as of build.py")
     given = parser.parse_args()

@@ -187,7 +187,10 @@ def test_a_study_builds_attacks_every_kind_with_every_seed_and_ranks(tmp_path, m
     build, *attacks, rank = done
     assert build[-1] == "--flawed"
     assert [Path(one[-1]).relative_to(tmp_path).parts for one in attacks] == [
-        (seed, kind) for seed in ("4", "5") for kind in STUDY.KINDS
+        (seed, f"{kind}-{prefer}")
+        for seed in ("4", "5")
+        for prefer in ("spread", "encounters")
+        for kind in STUDY.KINDS
     ]
     assert set(STUDY.KINDS) == set(BUILD.KINDS)
     assert rank[-3:] == [str(tmp_path / "4"), str(tmp_path / "5"), "--flawed"]
