@@ -10,6 +10,8 @@ import yaml
 from deepmf_sumo import plugins
 from deepmf_sumo.benchmark.risk import Attacked, Network
 from deepmf_sumo.benchmark.risk.places import Spot, read
+from deepmf_sumo.network.meeting_ways import waiting_ways
+from deepmf_sumo.network.net_file import read_net
 from deepmf_sumo.network.sumo_road import road_of_net
 
 FOLDER = Path(__file__).resolve().parents[2] / "sumo_nets" / "hazards"
@@ -98,6 +100,11 @@ def test_who_gives_way_is_read_from_the_network(config):
     [behind] = [lane for lane in lanes.values() if name in lane.previous]
     assert behind.gives_way_to == (towards,)
     assert "left1_east_in_0" in lanes[towards].previous
+
+
+def test_only_the_left_turn_through_gaps_has_a_place_to_wait(config):
+    net = read_net(config.parent / "hazards.net.xml")
+    assert waiting_ways(net) == {("left1_west_in", "left1_north_out")}
 
 
 def attacked(place, value, *, hit=False):
