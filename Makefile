@@ -84,7 +84,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open PARTS=8
 	$(TRAIN) conditional --preset light --steps 1000 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) strive --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) strive --steps 800 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
 # All networks with images are the set `womd-light`; `womd` has its opponent and its conditional network,
 # and a marginal one without images, trained longer.
@@ -98,7 +98,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	    --out $(LIGHT) $(WOMD_SET)
 	mkdir -p .weights/womd && cp $(LIGHT)/opponent.* $(LIGHT)/conditional.* .weights/womd
 	$(TRAIN) marginal --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
-	$(TRAIN) strive --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
