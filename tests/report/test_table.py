@@ -40,12 +40,14 @@ def test_failures_and_broken_expectations_are_said():
 def test_totals():
     summary = {
         "runs": 3,
+        "attacked": 2,
+        "hits": 1,
         "status": {"ok": 2, "failed": 1},
         "collision_rate": {"rate": 0.5, "low": 0.09, "high": 0.91},
         "contact_speed_mps_mean": 6.04,
         "expectations_broken": {"a": ["b"]},
     }
     assert table.totals(summary) == (
-        "3 runs: 2 ok, 1 failed; AV hit by opponent in 50 % (95 % interval 9-91 %);"
+        "3 runs: 2 ok, 1 failed; AV hit by opponent in 1 of 2 attacked, 50 % (95 % interval 9-91 %);"
         " mean contact speed 6.0 m/s; 1 with broken expectations"
     )
