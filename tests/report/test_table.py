@@ -48,6 +48,6 @@ def test_totals():
         "expectations_broken": {"a": ["b"]},
     }
     assert table.totals(summary) == (
-        "3 runs: 2 ok, 1 failed; AV hit by opponent in 1 of 2 attacked, 50 % (95 % interval 9-91 %);"
-        " mean contact speed 6.0 m/s; 1 with broken expectations"
+        "3 runs: 2 ok, 1 failed; AV hit by opponent in 1 of 2 attacked, 50 %"
+        " (95 % interval 9-91 %); mean contact speed 6.0 m/s; 1 with broken expectations"
     )
