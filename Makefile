@@ -94,11 +94,11 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	$(TRAIN) opponent --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
-	$(TRAIN) conditional --preset light --steps 2500 --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
+	$(TRAIN) conditional --preset light --steps 2500 --precision bf16 --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
 	    --out $(LIGHT) $(WOMD_SET)
 	mkdir -p .weights/womd && cp $(LIGHT)/opponent.* $(LIGHT)/conditional.* .weights/womd
-	$(TRAIN) marginal --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
-	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(TRAIN) strive --steps 800 --threads 1 --data $(WOMD)/train --out .weights/womd $(WOMD_SET) & other=$$!; \
+	    $(TRAIN) marginal --threads 1 --data $(WOMD)/train --out .weights/womd $(WOMD_SET) && wait $$other
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
@@ -115,6 +115,7 @@ VERSIONS ?= S1 G
 OPPONENTS ?= argmax
 RULES ?= expected likeliest
 LIKELIHOOD_WEIGHTS ?= 1
+COMFORT ?= 1
 TRIED ?= 3
 REACTIONS ?= 16
 GOALS ?= 64
@@ -129,8 +130,9 @@ attack-results: $(READY)  ## DeepMF on recorded scenes, for docs/results.md
 	    $(STUDY) --set weights=$(WEIGHTS) --set "planner=$(call driven,$(planner))" \
 	    --set "name=$$opponent $$rule $$weight" --set "adversary={name: deepmf, version: $$version, \
 	    opponent: $$opponent, tried_opponents: $(TRIED), reactions: $(REACTIONS), goal_candidates: $(GOALS), shortlist: $(SHORTLIST), \
-	    conditional: $(CONDITIONAL), rule: $$rule, likelihood_weight: $$weight}" \
-	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$(TRIED)-$(REACTIONS)-$(GOALS)-$(SHORTLIST)-$(CONDITIONAL)-$$rule-$$weight \
+	    conditional: $(CONDITIONAL), rule: $$rule, likelihood_weight: $$weight, \
+	    comfort_weight: $(COMFORT)}" \
+	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$(TRIED)-$(REACTIONS)-$(GOALS)-$(SHORTLIST)-$(CONDITIONAL)-$$rule-$$weight-$(COMFORT) \
 	    > /dev/null || exit 1; \
 	done; done; done; done; )
 	$(RUN) table $(RESULTS)/$(WEIGHTS)-*

@@ -176,6 +176,10 @@ class DeepMF:
         watch.lap("track")
         probability = candidates.weights(modes, tracked.position_m[count:], marginal, view)
         watch.lap("marginal")
+        if settings.comfort_weight > 0.0:
+            probability = candidates.comfortable(
+                probability, tracked.speed_mps, start.speed_mps, view.dt_s, settings.comfort_weight
+            )
         return candidates.ranked(references, tracked, probability, modes)
 
     def _shortlisted(self, view: View, own: Candidates, alone: Forecast | None) -> Candidates:

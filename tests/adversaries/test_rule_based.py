@@ -61,9 +61,9 @@ def test_it_meets_an_av_that_does_not_react():
 def test_within_limits_it_drives_like_a_car_and_hits_earliest():
     found = attack(World(), {"within_limits": True, "meeting_share": None})
     accel, brake, lateral = driven_limits(found.rollout)
-    assert accel <= 3.0 + 1e-6
-    assert brake <= 4.0 + 1e-6
-    assert lateral <= 3.0 * 1.05
+    assert accel <= 3.5 + 1e-6
+    assert brake <= 5.0 + 1e-6
+    assert lateral <= 3.5 * 1.05
     contact = found.rollout.first("av_opponent")
     late = attack(World(), {"within_limits": True, "meeting_share": 1.0})
     assert contact.step < late.rollout.first("av_opponent").step

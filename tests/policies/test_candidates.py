@@ -43,6 +43,18 @@ def test_without_made_candidates_the_prediction_is_kept():
     np.testing.assert_array_equal(shares, [0.6, 0.4])
 
 
+def test_comfort_weighs_the_mean_square_acceleration_of_the_next_three_seconds():
+    steady = np.full(80, 10.0)
+    speeding = 10.0 + 0.2 * np.minimum(np.arange(1, 81), 30)  # 2 m/s2 for 3 s
+    later = np.where(np.arange(80) < 30, 10.0, 20.0)  # after what counts
+    speed = np.stack([steady, speeding, later])
+    shares = candidates.comfortable(np.full(3, 1 / 3), speed, 10.0, 0.1, 0.5)
+    weight = np.array([1.0, np.exp(-0.5 * 4.0), 1.0])
+    np.testing.assert_allclose(shares, weight / weight.sum())
+    kept = candidates.comfortable(np.array([0.5, 0.3, 0.2]), speed, 10.0, 0.1, 0.0)
+    np.testing.assert_allclose(kept, [0.5, 0.3, 0.2])
+
+
 def test_tail_is_the_rest_of_the_plan_and_its_straight_continuation():
     view = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)}, step=20)
     along = np.arange(80.0)

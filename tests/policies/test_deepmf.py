@@ -238,13 +238,26 @@ def test_what_is_checked_is_what_is_driven():
 
 
 def test_published_algorithm_without_goals():
-    plan = first_plan(goal_candidates=0)
+    plan = first_plan(goal_candidates=0, comfort_weight=0)
     reason = plan.reason
     assert set(reason.origin) == {"mode"}
     (modes,) = Doubles().marginal.predict(view_of(AGENTS), ["near"], 32)
     np.testing.assert_array_equal(
         np.sort(reason.candidates.probability), np.sort(modes.probability)
     )
+
+
+def test_comfort_makes_hard_accelerations_unlikely():
+    published, calm = (first_plan(rule="likeliest", comfort_weight=weight) for weight in (0, 5))
+    assert expected_square(calm) < 0.8 * expected_square(published)
+
+
+def expected_square(plan):
+    """Mean square acceleration over 3 s, by the candidates' probabilities."""
+    found = plan.reason.candidates
+    speed = np.linalg.norm(np.diff(found.futures.position_m[:, :30], axis=1), axis=-1) / 0.1
+    square = (np.diff(speed, axis=1) / 0.1) ** 2
+    return float(found.probability @ square.mean(axis=1))
 
 
 def test_only_the_time_that_is_left_counts():

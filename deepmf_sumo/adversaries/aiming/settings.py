@@ -14,9 +14,9 @@ class AimedSettings(OpponentSettings):
         rounds: attacks that are driven, until one hits, where the budget says nothing.
     """
 
-    accel_mps2: float = Field(default=3.0, gt=0.0)
-    brake_mps2: float = Field(default=4.0, gt=0.0)
-    lateral_mps2: float = Field(default=3.0, gt=0.0)
+    accel_mps2: float = Field(default=3.5, gt=0.0)
+    brake_mps2: float = Field(default=5.0, gt=0.0)
+    lateral_mps2: float = Field(default=3.5, gt=0.0)
     rounds: int = Field(default=1, ge=1)
 
     @property

@@ -8,6 +8,12 @@ of futures as the modes do on average, with V the P-weighted geometric mean of P
 
 so that no made candidate is likelier than the likeliest mode, and candidates that the predictor
 thinks unlikely remain so.
+
+Comfort. The predictor knows where vehicles go better than how hard they accelerate on the way, and
+of the many candidates that meet the AV some do so by driving harder than others. With a_j(t) the
+acceleration along candidate j and the weight c (``comfort_weight``; 0 as published):
+
+    P'_j  ~  P_j exp(-c mean over the first 3 s of a_j(t)^2)
 """
 
 from collections.abc import Sequence
@@ -24,6 +30,7 @@ from deepmf_sumo.policies.factorization.tracking import Limits, Tracked
 Origin = Literal["mode", "goal", "aim", "tail", "stop"]
 
 _LEAST = 1e-12  # probabilities below are rounding
+_COMFORT_STEPS = 30  # what is driven before the next plans; later ones will change the rest
 
 
 class Density(Protocol):
@@ -89,6 +96,18 @@ def weights(modes: Forecast, made_m: Floats, density: Density, view: View) -> Fl
     own, made = log_density[: len(mass)], log_density[len(mass) :]
     volume = float((modes.probability * (mass - own)).sum() / modes.probability.sum())
     return softmax(np.concatenate([mass, np.minimum(made + volume, mass.max())]))
+
+
+def comfortable(
+    probability: Floats, speed_mps: Floats, start_mps: float, dt_s: float, weight: float
+) -> Floats:
+    """(N1) probabilities that fall with the acceleration along the speeds (N1, F), see above.
+
+    ``weight`` is in s4/m2, ``start_mps`` the present speed.
+    """
+    speed = np.column_stack([np.full(len(speed_mps), start_mps), speed_mps[:, :_COMFORT_STEPS]])
+    square = ((np.diff(speed, axis=1) / dt_s) ** 2).mean(axis=1)
+    return softmax(np.log(np.maximum(probability, _LEAST)) - weight * square)
 
 
 def ranked(

@@ -37,6 +37,8 @@ class Settings(plugins.Settings):
             published. More go with ``argmax`` and ``partner`` alone; null is 3 with these, else 1.
         rule: see `factorization.selection`.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
+        comfort_weight: P(OV) falls with the mean square acceleration, see
+            `factorization.candidates`, s4/m2; 0 as published.
         candidates: modes of the opponent (N1).
         goal_candidates: at most so many ways to goals around the AV's predicted positions besides
             (0 as published).
@@ -69,15 +71,16 @@ class Settings(plugins.Settings):
     tried_opponents: int | None = Field(default=None, ge=1, le=16)
     rule: Rule = "expected"
     likelihood_weight: float = Field(default=1.0, ge=0.0)
+    comfort_weight: float = Field(default=1.0, ge=0.0)
     candidates: int = Field(default=32, ge=1, le=256)
     goal_candidates: int = Field(default=64, ge=0, le=256)
     shortlist: int | None = Field(default=32, ge=1, le=256)
     reactions: int = Field(default=16, ge=1, le=64)
     av_driver: AvDriver | None = None
     conditional: bool = True
-    accel_mps2: float = Field(default=3.0, gt=0.0)
-    brake_mps2: float = Field(default=4.0, gt=0.0)
-    lateral_mps2: float = Field(default=3.0, gt=0.0)
+    accel_mps2: float = Field(default=3.5, gt=0.0)
+    brake_mps2: float = Field(default=5.0, gt=0.0)
+    lateral_mps2: float = Field(default=3.5, gt=0.0)
     keep_tail: bool = False
     sector: SectorName | Annotated[int, Field(ge=0, le=7)] | None = None
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
