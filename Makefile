@@ -80,7 +80,7 @@ reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=, PARTS=) to l
 
 open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) marginal --preset light --steps 1500 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) marginal --steps 1500 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open PARTS=8
 	$(TRAIN) conditional --preset light --steps 1000 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
