@@ -15,7 +15,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import shapely
 
-from deepmf_sumo.datatypes import Bools, Case, Floats, RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes import Bools, Case, RoadMap, Rollout, Tracks
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.geometry import boxes, sumo_frame
 from deepmf_sumo.plugins import Settings as PluginSettings
@@ -176,17 +176,20 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
     front, angle = sumo_frame.to_sumo(
         tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0]
     )
-    speed: Floats = tracks.speed_mps
+    begun = [f"        <vehicle id={quoteattr(agent)} x=" for agent in tracks.ids]
+    # Lists, for formatting numbers of numpy takes several times as long.
+    values = np.concatenate([front, angle[..., None], tracks.speed_mps[..., None]], axis=-1)
     lines = ["<fcd-export>"]
     for step in range(tracks.steps):
         lines.append(f'    <timestep time="{step * rollout.dt_s:.2f}">')
-        for row in np.flatnonzero(present[:, step]):
-            agent = tracks.ids[row]
-            lines.append(
-                f'        <vehicle id={quoteattr(agent)} x="{front[row, step, 0]:.4f}" '
-                f'y="{front[row, step, 1]:.4f}" angle="{angle[row, step]:.4f}" '
-                f'type="type_{row}" speed="{speed[row, step]:.4f}"/>'
+        rows = np.flatnonzero(present[:, step])
+        lines += [
+            f'{begun[row]}"{x:.4f}" y="{y:.4f}" angle="{turned:.4f}" type="type_{row}" '
+            f'speed="{speed:.4f}"/>'
+            for row, (x, y, turned, speed) in zip(
+                rows.tolist(), values[rows, step].tolist(), strict=True
             )
+        ]
         lines.append("    </timestep>")
     lines.append("</fcd-export>\n")
     return "\n".join(lines)

@@ -52,6 +52,6 @@ def _trip(rollout: Rollout, row: int) -> encounters.Trip:
         step=step,
         position_m=tracks.position_m[row, step],
         heading_rad=tracks.heading_rad[row, step],
-        speed_mps=tracks.speed_mps[row, step],
+        speed_mps=np.hypot(*tracks.velocity_mps[row, step].T),
         size_m=tracks.size_m[row, :2],
     )
