@@ -28,13 +28,18 @@ class Settings(BaseModel):
 
 def names(kind: Kind) -> list[str]:
     """Names of all plug-ins of a kind, sorted."""
+    return sorted({*_own(kind), *(point.name for point in _entry_points(kind))})
+
+
+@functools.cache
+def _own(kind: Kind) -> tuple[str, ...]:
+    """Of this package. Every run asks for each metric by name, and folders are slow to list."""
     package = importlib.import_module(f"deepmf_sumo.{kind}")
-    own = [
+    return tuple(
         module.name
         for module in pkgutil.iter_modules(package.__path__)
         if module.name != "base" and not module.name.startswith("_") and not module.ispkg
-    ]
-    return sorted({*own, *(point.name for point in _entry_points(kind))})
+    )
 
 
 def load(kind: Kind, name: str) -> Any:
