@@ -2,8 +2,9 @@
 
 Source: Zhang et al., CAT: Closed-loop Adversarial Training for Safe End-to-End Driving, CoRL 2023.
 The largest P(Y_OV | X) * sum over the AV's rollouts of P(Y_AV) * Coll: the AV is not predicted but
-looked up, and does not react to the candidate. Against DeepMF's version G, with which it shares
-the opponent, the candidates and their limits, it isolates what conditional prediction is worth.
+looked up, and does not react to the candidate. Against DeepMF's version G with ``comfort_weight: 0``
+and ``rule: expected``, with which it shares the opponent, the candidates and their limits, it
+isolates what conditional prediction is worth.
 
 Adapted: our marginal network; candidates are tracked within limits before they are judged, and
 include ways to goals around the AV's rollout (``goal_candidates: 0`` as published); contacts are
@@ -16,7 +17,6 @@ AV answered the attack before (the last five are kept, as in CAT's training), un
 """
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from pydantic import Field
@@ -32,14 +32,10 @@ from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Budget, Case, Plan, Plan
 from deepmf_sumo.policies.factorization import candidates
 from deepmf_sumo.policies.factorization.candidates import Candidates, References
 from deepmf_sumo.policies.factorization.goals import goal_paths
+from deepmf_sumo.policies.factorization.proposals import DensePredictor
 from deepmf_sumo.policies.factorization.tracking import Start, track
-from deepmf_sumo.predictors.base import MarginalPredictor
 
 FORESIGHT = "the AV's un-attacked motion"
-
-
-class DensePredictor(MarginalPredictor, candidates.Density, Protocol):
-    """A marginal predictor that also knows the density of futures that it did not propose."""
 
 
 class Settings(AimedSettings):

@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 
 from deepmf_sumo.datatypes import (
-    FUTURE_STEPS,
     AgentId,
     AvDriver,
     Forecast,
@@ -19,23 +18,16 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     View,
 )
-from deepmf_sumo.policies.factorization import candidates, opponent, pairing, selection, steering
-from deepmf_sumo.policies.factorization.aims import aimed_paths
-from deepmf_sumo.policies.factorization.candidates import Candidates, References
-from deepmf_sumo.policies.factorization.collision import collisions, footprint
-from deepmf_sumo.policies.factorization.goals import goal_paths
-from deepmf_sumo.policies.factorization.lawful import Law, stops
+from deepmf_sumo.policies.factorization import opponent, pairing, selection, steering
+from deepmf_sumo.policies.factorization.candidates import Candidates
+from deepmf_sumo.policies.factorization.lawful import Law
+from deepmf_sumo.policies.factorization.proposals import DensePredictor, propose, shortlisted
 from deepmf_sumo.policies.factorization.selection import Choice
 from deepmf_sumo.policies.factorization.settings import Settings
 from deepmf_sumo.policies.factorization.stopwatch import Stopwatch
-from deepmf_sumo.policies.factorization.tracking import Start, track
+from deepmf_sumo.predictors.base import ConditionalPredictor, OpponentPredictor
 
 __all__ = ["DeepMF", "Predictors", "Settings", "build"]
-from deepmf_sumo.predictors.base import ConditionalPredictor, MarginalPredictor, OpponentPredictor
-
-
-class DensePredictor(MarginalPredictor, candidates.Density, Protocol):
-    """A marginal predictor that also knows the density of futures that it did not propose."""
 
 
 class Predictors(Protocol):
@@ -134,7 +126,7 @@ class DeepMF:
     def _plan(self, view: View) -> Plan:
         watch = Stopwatch()
         alone = self._alone(view, watch)
-        own = self._shortlisted(view, self._candidates(view, alone, watch), alone)
+        own = self._proposed(view, alone, watch)
         watch.lap("collision")
         reactions = self._reactions(view, own)
         watch.lap("conditional")
@@ -151,60 +143,15 @@ class DeepMF:
         watch.lap("conditional")
         return av
 
-    def _candidates(self, view: View, alone: Forecast | None, watch: Stopwatch) -> Candidates:
-        """Predicted and made candidates of the opponent, drivable, with P(OV)."""
-        settings, marginal = self._settings, self._predictors.marginal
+    def _proposed(self, view: View, alone: Forecast | None, watch: Stopwatch) -> Candidates:
+        """Candidates of the opponent that reactions are predicted to."""
+        settings = self._settings
         assert self._opponent_id is not None
-        start = Start.of(view, self._opponent_id)
-        (modes,) = marginal.predict(view, [self._opponent_id], settings.candidates)
-        limits = settings.limits
-        count = len(modes.probability)
-        parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
-        watch.lap("marginal")
-        if settings.goal_candidates:
-            assert alone is not None
-            parts += self._goals(view, modes, alone, start)
-            watch.lap("goals")
-        if self._law is not None:
-            parts.append(stops(modes, start, limits))
         kept = settings.keep_tail or self._committed or settings.wanted_sector is not None
-        if kept and self._last is not None:
-            rest = candidates.tail(self._last, view, limits, FUTURE_STEPS)
-            parts += [rest] if rest else []
-        references = References.joined(parts)
-        tracked = track(references.position_m, start, references.limits)
-        watch.lap("track")
-        probability = candidates.weights(modes, tracked.position_m[count:], marginal, view)
-        watch.lap("marginal")
-        if settings.comfort_weight > 0.0:
-            probability = candidates.comfortable(
-                probability, tracked.speed_mps, start.speed_mps, view.dt_s, settings.comfort_weight
-            )
-        return candidates.ranked(references, tracked, probability, modes)
-
-    def _shortlisted(self, view: View, own: Candidates, alone: Forecast | None) -> Candidates:
-        """What reactions are worth predicting to; all where the settings do not limit them."""
-        most = self._settings.most_candidates
-        if most is None or alone is None or len(own.origin) <= most:
-            return own
-        futures, horizon = own.forecast.futures, min(FUTURE_STEPS, view.steps_left)
-        sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
-        meets, _ = collisions(futures, [alone] * len(own.origin), *sizes, horizon)
-        return candidates.of_use(own, meets @ alone.probability, most)
-
-    def _goals(self, view: View, modes: Forecast, av: Forecast, start: Start) -> list[References]:
-        """Ways to the AV, and ways to the wanted side of it."""
-        settings, av_size = self._settings, footprint(view, view.av_id)
-        limits, count = settings.limits, settings.goal_candidates
-        horizon = min(FUTURE_STEPS, view.steps_left)
-        paths = goal_paths(modes, av, start, av_size, limits, horizon, count)
-        found = [References.of("goal", paths.reference_m, paths.limits)]
-        if settings.wanted_sector is not None:
-            sizes = footprint(view, modes.futures.agent_id), av_size
-            sector = settings.wanted_sector
-            aimed = aimed_paths(modes, av, start, sizes, sector, limits, horizon, count)
-            found.append(References.of("aim", aimed.reference_m, aimed.limits))
-        return found
+        last = self._last if kept else None
+        marginal = self._predictors.marginal
+        own = propose(view, self._opponent_id, marginal, alone, last, settings, watch)
+        return shortlisted(view, own, alone, settings)
 
     def _reactions(self, view: View, own: Candidates) -> list[Forecast]:
         """The AV's futures under each candidate; without condition the same ones under all."""
