@@ -2,8 +2,8 @@
 
 Source: Zhang et al., CAT: Closed-loop Adversarial Training for Safe End-to-End Driving, CoRL 2023.
 The largest P(Y_OV | X) * sum over the AV's rollouts of P(Y_AV) * Coll: the AV is not predicted but
-looked up, and does not react to the candidate. Against DeepMF's version G with ``comfort_weight: 0``
-and ``rule: expected``, with which it shares the opponent, the candidates and their limits, it
+looked up, and does not react to the candidate. Against DeepMF's version G with
+``comfort_weight: 0``, with which it shares the opponent, the candidates and their limits, it
 isolates what conditional prediction is worth.
 
 Adapted: our marginal network; candidates are tracked within limits before they are judged, and
