@@ -15,7 +15,7 @@ class PlanReason:
 
     Attributes:
         scores: of the surrounding vehicles, or None where the opponent was given.
-        candidates: N1 futures of the opponent with P(OV).
+        candidates: N1 futures of the opponent with P(OV), weighed by comfort if the policy does so.
         reactions: N1 forecasts of the AV, N2 modes each, given the candidate.
         collides: (N1, N2) boxes overlap at the same time.
         collision_step: (N1, N2) first step of overlap, counted from 0; F where there is none.

@@ -211,7 +211,7 @@ def test_how_many_opponents_are_tried(values, tried):
 def test_the_product_is_kept_beside_other_rules():
     plain = first_plan().reason
     for values in ({"rule": "pair"}, {"rule": "likeliest"}, {"likelihood_weight": 0.1}):
-        other = first_plan(**values).reason
+        other = first_plan(**values, comfort_weight=0.0).reason
         np.testing.assert_array_equal(other.product, plain.product)
         assert not np.array_equal(other.value, plain.value)
 
@@ -238,7 +238,7 @@ def test_what_is_checked_is_what_is_driven():
 
 
 def test_published_algorithm_without_goals():
-    plan = first_plan(goal_candidates=0, comfort_weight=0)
+    plan = first_plan(goal_candidates=0)
     reason = plan.reason
     assert set(reason.origin) == {"mode"}
     (modes,) = Doubles().marginal.predict(view_of(AGENTS), ["near"], 32)
@@ -250,6 +250,21 @@ def test_published_algorithm_without_goals():
 def test_comfort_makes_hard_accelerations_unlikely():
     published, calm = (first_plan(rule="likeliest", comfort_weight=weight) for weight in (0, 5))
     assert expected_square(calm) < 0.8 * expected_square(published)
+
+
+@pytest.mark.parametrize(
+    ("values", "weight"),
+    [
+        ({}, 0.0),
+        ({"rule": "pair"}, 0.0),
+        ({"rule": "likeliest"}, 1.0),
+        ({"aggressiveness": 0.3}, 1.0),
+        ({"rule": "likeliest", "comfort_weight": 0.0}, 0.0),
+        ({"comfort_weight": 0.5}, 0.5),
+    ],
+)
+def test_comfort_belongs_to_the_likeliest_of_what_serves(values, weight):
+    assert policy(**values)._settings.comfort == weight
 
 
 def expected_square(plan):

@@ -11,7 +11,7 @@ thinks unlikely remain so.
 
 Comfort. The predictor knows where vehicles go better than how hard they accelerate on the way, and
 of the many candidates that meet the AV some do so by driving harder than others. With a_j(t) the
-acceleration along candidate j and the weight c (``comfort_weight``; 0 as published):
+acceleration along candidate j and the weight c (`settings.Settings.comfort`; 0 as published):
 
     P'_j  ~  P_j exp(-c mean over the first 3 s of a_j(t)^2)
 """

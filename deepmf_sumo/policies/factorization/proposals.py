@@ -62,9 +62,9 @@ def propose(
     watch.lap("track")
     probability = candidates.weights(modes, tracked.position_m[count:], marginal, view)
     watch.lap("marginal")
-    if settings.comfort_weight > 0.0:
+    if settings.comfort > 0.0:
         probability = candidates.comfortable(
-            probability, tracked.speed_mps, start.speed_mps, view.dt_s, settings.comfort_weight
+            probability, tracked.speed_mps, start.speed_mps, view.dt_s, settings.comfort
         )
     return candidates.ranked(references, tracked, probability, modes)
 

@@ -16,6 +16,7 @@ SectorName = Literal[
 _RANKED = frozenset({"argmax", "partner"})
 """Opponents that a score puts in an order."""
 _TRIED = 3
+_COMFORT = 1.0
 _PERIOD_S = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
 
 
@@ -38,7 +39,8 @@ class Settings(plugins.Settings):
         rule: see `factorization.selection`.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
         comfort_weight: P(OV) falls with the mean square acceleration, see
-            `factorization.candidates`, s4/m2; 0 as published.
+            `factorization.candidates`, s4/m2. Null: 1 where the likeliest of what serves is wanted
+            (``likeliest``, ``aggressiveness``), 0, as published, in the paper's product.
         candidates: modes of the opponent (N1).
         goal_candidates: at most so many ways to goals around the AV's predicted positions besides
             (0 as published).
@@ -71,7 +73,7 @@ class Settings(plugins.Settings):
     tried_opponents: int | None = Field(default=None, ge=1, le=16)
     rule: Rule = "expected"
     likelihood_weight: float = Field(default=1.0, ge=0.0)
-    comfort_weight: float = Field(default=1.0, ge=0.0)
+    comfort_weight: float | None = Field(default=None, ge=0.0)
     candidates: int = Field(default=32, ge=1, le=256)
     goal_candidates: int = Field(default=64, ge=0, le=256)
     shortlist: int | None = Field(default=32, ge=1, le=256)
@@ -128,6 +130,14 @@ class Settings(plugins.Settings):
         """Of which the AV's reactions are predicted; None for all."""
         steered = self.wanted_sector is not None or self.fair or self.lawful
         return None if steered else self.shortlist
+
+    @property
+    def comfort(self) -> float:
+        """The weight of comfort in P(OV), s4/m2."""
+        if self.comfort_weight is not None:
+            return self.comfort_weight
+        served = self.aggressiveness is not None or self.rule == "likeliest"
+        return _COMFORT if served else 0.0
 
     @property
     def limits(self) -> Limits:
