@@ -97,8 +97,10 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	$(TRAIN) conditional --preset light --steps 2500 --precision bf16 --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
 	    --out $(LIGHT) $(WOMD_SET)
 	mkdir -p .weights/womd && cp $(LIGHT)/opponent.* $(LIGHT)/conditional.* .weights/womd
-	$(TRAIN) strive --steps 800 --threads 1 --data $(WOMD)/train --out .weights/womd $(WOMD_SET) & other=$$!; \
-	    $(TRAIN) marginal --threads 1 --data $(WOMD)/train --out .weights/womd $(WOMD_SET) && wait $$other
+	$(TRAIN) marginal --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+
+womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
+	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
@@ -141,4 +143,4 @@ docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights docs no-attack-results attack-results
+.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-strive docs no-attack-results attack-results
