@@ -15,6 +15,7 @@ from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation import replayed
 from deepmf_sumo.simulation import stage as stages
 from deepmf_sumo.simulation.contacts import Judge
+from deepmf_sumo.simulation.frame import Frame
 from deepmf_sumo.simulation.recorder import Recorder
 from deepmf_sumo.simulation.stage import Stage
 from deepmf_sumo.simulation.sumo_api import Backend
@@ -62,12 +63,8 @@ def _episode(
     case: Case, stage: Stage, planner: Planner, policy: Policy | None, rng: np.random.Generator
 ) -> Rollout:
     seconds: dict[str, float] = defaultdict(float)
-    history = stage.history()
-    end = len(history) - 1 + case.duration_steps
-    recorder = Recorder(end + 1, stage.body)
-    for frame in history:
-        recorder.add(frame)
-    now = recorder.step
+    recorder, frame = _recorded(stage, case.duration_steps)
+    now, end = recorder.step, recorder.step + case.duration_steps
 
     def look(path: Floats | None = None) -> View:
         left = end - recorder.step
@@ -121,6 +118,15 @@ def _episode(
         signals=tuple(lights),
         turns=attack.closed,
     )
+
+
+def _recorded(stage: Stage, steps: int) -> tuple[Recorder, Frame]:
+    """What was before, with room for so many more steps, and the last frame of it."""
+    history = stage.history()
+    recorder = Recorder(len(history) + steps, stage.body)
+    for frame in history:
+        recorder.add(frame)
+    return recorder, history[-1]
 
 
 @contextmanager
