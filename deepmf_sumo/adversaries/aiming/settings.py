@@ -3,6 +3,7 @@
 from pydantic import Field
 
 from deepmf_sumo.adversaries.search.opponents import OpponentSettings
+from deepmf_sumo.policies.factorization.settings import LIMITS
 from deepmf_sumo.policies.factorization.tracking import Limits
 
 
@@ -14,9 +15,9 @@ class AimedSettings(OpponentSettings):
         rounds: attacks that are driven, until one hits, where the budget says nothing.
     """
 
-    accel_mps2: float = Field(default=3.5, gt=0.0)
-    brake_mps2: float = Field(default=5.0, gt=0.0)
-    lateral_mps2: float = Field(default=3.5, gt=0.0)
+    accel_mps2: float = Field(default=LIMITS.accel, gt=0.0)
+    brake_mps2: float = Field(default=LIMITS.brake, gt=0.0)
+    lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
     rounds: int = Field(default=1, ge=1)
 
     @property

@@ -30,7 +30,7 @@ from deepmf_sumo.policies.factorization.tracking import Limits, Tracked
 Origin = Literal["mode", "goal", "aim", "tail", "stop"]
 
 _LEAST = 1e-12  # probabilities below are rounding
-_COMFORT_STEPS = 30  # what is driven before the next plans; later ones will change the rest
+_COMFORT_STEPS = 30  # 3 s; most of what comes after is planned anew before it is driven
 
 
 class Density(Protocol):

@@ -1,6 +1,6 @@
 """How DeepMF attacks: the keys of ``adversary: {name: deepmf, ...}``."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,6 +13,8 @@ from deepmf_sumo.policies.factorization.tracking import Limits
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
 ]
+LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
+"""Of what an opponent drives, where the settings say nothing: the same for all aimed methods."""
 _RANKED = frozenset({"argmax", "partner"})
 """Opponents that a score puts in an order."""
 _TRIED = 3
@@ -80,9 +82,9 @@ class Settings(plugins.Settings):
     reactions: int = Field(default=16, ge=1, le=64)
     av_driver: AvDriver | None = None
     conditional: bool = True
-    accel_mps2: float = Field(default=3.5, gt=0.0)
-    brake_mps2: float = Field(default=5.0, gt=0.0)
-    lateral_mps2: float = Field(default=3.5, gt=0.0)
+    accel_mps2: float = Field(default=LIMITS.accel, gt=0.0)
+    brake_mps2: float = Field(default=LIMITS.brake, gt=0.0)
+    lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
     keep_tail: bool = False
     sector: SectorName | Annotated[int, Field(ge=0, le=7)] | None = None
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
