@@ -176,7 +176,7 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
     front, angle = sumo_frame.to_sumo(
         tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0]
     )
-    begun = [f"        <vehicle id={quoteattr(agent)} x=" for agent in tracks.ids]
+    begun = [f'        <vehicle id={quoteattr(agent)} x="' for agent in tracks.ids]
     # Lists, for formatting numbers of numpy takes several times as long.
     values = np.concatenate([front, angle[..., None], tracks.speed_mps[..., None]], axis=-1)
     lines = ["<fcd-export>"]
@@ -184,7 +184,7 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
         lines.append(f'    <timestep time="{step * rollout.dt_s:.2f}">')
         rows = np.flatnonzero(present[:, step])
         lines += [
-            f'{begun[row]}"{x:.4f}" y="{y:.4f}" angle="{turned:.4f}" type="type_{row}" '
+            f'{begun[row]}{x:.4f}" y="{y:.4f}" angle="{turned:.4f}" type="type_{row}" '
             f'speed="{speed:.4f}"/>'
             for row, (x, y, turned, speed) in zip(
                 rows.tolist(), values[rows, step].tolist(), strict=True
