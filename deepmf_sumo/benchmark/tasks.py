@@ -4,6 +4,7 @@ import difflib
 import hashlib
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +42,7 @@ class Task:
 
     Attributes:
         run_id: ``<spec>--<scene>--<seed>``, safe as a file name, unique in a batch.
-        scene: id in the recording, or the network's file name without suffix.
+        scene: id in the recording; of a network its file name without suffix, or the moment.
         label: in a benchmark; None takes the names of spec and planner.
         inputs: digest of what is in the files that it reads, see `inputs.fingerprinted`.
     """
@@ -94,24 +95,39 @@ class Task:
 def plan(specs: Sequence[Spec], cache: Path, name_filter: str = "") -> list[Task]:
     """All runs of the specs whose id holds ``name_filter``, in order.
 
-    Raises SpecError where a recording holds no scene, or not the one asked for, or where two runs
-    would have one id; UsageError where the filter leaves nothing.
+    Specs of one name on a network, such as ``attack`` writes for its runs, are called after their
+    moments. Raises SpecError where a recording holds no scene, or not the one asked for, or where
+    two runs would have one id; UsageError where the filter leaves nothing.
     """
+    wanted = [(spec, scene) for spec in specs for scene in scenes(spec, cache)]
+    times = Counter(run_id_of(spec, scene) for spec, scene in wanted)
     tasks: dict[str, Task] = {}
-    for spec in specs:
-        for scene in scenes(spec, cache):
-            run_id = run_id_of(spec, scene)
-            if run_id in tasks:
-                raise SpecError(
-                    f"Two runs are called '{run_id}'; give the specs different names or seeds."
-                )
-            tasks[run_id] = Task(run_id=run_id, spec=spec, scene=scene)
+    for spec, named in wanted:
+        scene = named if times[run_id_of(spec, named)] == 1 else _told_apart(spec, named)
+        run_id = run_id_of(spec, scene)
+        if run_id in tasks:
+            raise SpecError(
+                f"Two runs are called '{run_id}'; give the specs different names or seeds."
+            )
+        tasks[run_id] = Task(run_id=run_id, spec=spec, scene=scene)
     chosen = [task for task in tasks.values() if name_filter.lower() in task.run_id.lower()]
     if not chosen:
         raise UsageError(
             f"-k {name_filter} leaves none of {len(tasks)} runs; e.g. {next(iter(tasks), 'none')}."
         )
     return chosen
+
+
+def _told_apart(spec: Spec, scene: str) -> str:
+    source = spec.source
+    return (
+        moment_name(source.av.vehicle, source.start_s) if isinstance(source, FromNetwork) else scene
+    )
+
+
+def moment_name(av: str, start_s: float) -> str:
+    """What stands for the scene where a network is attacked at several moments."""
+    return f"{av}-{start_s:g}s"
 
 
 def run_id_of(spec: Spec, scene: str) -> str:

@@ -166,7 +166,7 @@ def test_refused_before_anything_runs(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(pool, "run", None)
     one = spec.load(tiny_network.spec(tiny, "one"))
     out = tmp_path / "out"
-    with pytest.raises(SpecError, match="Two runs are called 'one--tiny--0'"):
+    with pytest.raises(SpecError, match="Two runs are called 'one--av-2s--0'"):
         batch.run([one, one], batch.Options(out=out))
     with pytest.raises(UsageError, match="-k nothing leaves none of 1 runs"):
         batch.run([one], batch.Options(out=out, name_filter="nothing"))

@@ -51,6 +51,16 @@ def test_unknown_scene(recording, tmp_path):
         tasks.plan([recording("[b22]")], tmp_path)
 
 
+def test_specs_of_one_name_on_a_network_are_called_after_their_moments(tiny, tmp_path):
+    path = tiny_network.spec(tiny, "hits")
+    early, late = (spec.load(path, [f"source.start_s={start}"]) for start in (1.5, 3))
+    names = [task.run_id for task in tasks.plan([early, late], tmp_path)]
+    assert names == ["hits--av-1-5s--0", "hits--av-3s--0"]
+    assert [task.run_id for task in tasks.plan([early], tmp_path)] == ["hits--tiny--0"]
+    with pytest.raises(SpecError, match="Two runs are called 'hits--av-3s--0'"):
+        tasks.plan([early, late, late], tmp_path)
+
+
 def test_filter(recording, tmp_path):
     assert [task.scene for task in tasks.plan([recording("all")], tmp_path, "B2")] == ["b2"]
 

@@ -13,7 +13,7 @@ from deepmf_sumo.benchmark import batch, files
 from deepmf_sumo.benchmark.moments.choice import LONG_S
 from deepmf_sumo.benchmark.moments.moment import Moment
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.tasks import Task, run_id_of, slug
+from deepmf_sumo.benchmark.tasks import Task, moment_name, run_id_of, slug
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.spec import Av, Plugin, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
@@ -118,7 +118,7 @@ def _task(spec: Spec, moment: Moment) -> Task:
     chosen = {"start_s": moment.start_s, "av": Av(vehicle=moment.av)}
     source = spec.source.model_copy(update=chosen)
     own = spec.model_copy(update={"source": source, "adversary": _against(spec, moment)})
-    scene = f"{moment.av}-{moment.start_s:g}s"
+    scene = moment_name(moment.av, moment.start_s)
     return Task(run_id=run_id_of(spec, scene), spec=own, scene=scene)
 
 
