@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from deepmf_sumo.benchmark import episode, executors, result, shards, tasks
+from deepmf_sumo.benchmark import branches, episode, executors, result, shards, tasks
 from deepmf_sumo.benchmark.executors import Limits
 from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.benchmark.inputs import Input, fingerprinted
@@ -143,6 +143,8 @@ def fill(
         store.forget_views()
     if queue:
         left.sort(key=queue)
+    elif options.minutes is None:  # else those that are done shall be spread over all moments
+        left = branches.in_order(left)
     now = Progress(
         done=len(found),
         of=len(planned),

@@ -1,14 +1,11 @@
 """One task in a worker: case, attack, metrics, files."""
 
-import contextlib
 import functools
 import json
-import os
 import shutil
-import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +14,8 @@ import numpy as np
 import yaml
 
 from deepmf_sumo import network, plugins, readers, simulation
-from deepmf_sumo.benchmark import artifacts, expectations, files, result, turns
+from deepmf_sumo.benchmark import artifacts, branches, expectations, files, result, turns
+from deepmf_sumo.benchmark.logs import logged
 from deepmf_sumo.benchmark.rollout_scene import scene_of
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import (
@@ -61,13 +59,21 @@ class Episode:
 
     def __call__(self, task: Task) -> None:
         """Run the task. A run that fails leaves its reason in ``result.json``."""
+
+        def run() -> None:
+            self._run(task)
+
+        if self.gui or not branches.branch(task, lambda: make_case(task, self.cache), run):
+            run()
+
+    def _run(self, task: Task) -> None:
         folder = working_folder(self.runs, task)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         resolved = yaml.safe_dump(task.resolved(), sort_keys=False, allow_unicode=True)
         files.write(folder / "spec.yaml", resolved)
         begin = time.perf_counter()
-        with _logged(folder / "log.txt"):
+        with logged(folder / "log.txt"):
             try:
                 found = self._attack(task, folder)
             except ReaderError as error:
@@ -209,25 +215,3 @@ def finish(runs: Path, task: Task, found: result.Result) -> None:
     if place.exists():
         shutil.rmtree(place)
     folder.rename(place)
-
-
-@contextlib.contextmanager
-def _logged(path: Path) -> Iterator[None]:
-    """Let standard output and error end in a file, SUMO's own included."""
-    with path.open("wb") as log:
-        kept = [os.dup(number) for number in (1, 2)]
-        _flush()
-        for number in (1, 2):
-            os.dup2(log.fileno(), number)
-        try:
-            yield
-        finally:
-            _flush()
-            for number, copy in zip((1, 2), kept, strict=True):
-                os.dup2(copy, number)
-                os.close(copy)
-
-
-def _flush() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()

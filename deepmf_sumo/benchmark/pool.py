@@ -41,6 +41,9 @@ _LOOK_S: Final = 0.2
 _LAST_WORDS_S: Final = 5.0
 """A worker that cannot be heard any more may take to end by itself, which its exit code tells."""
 
+WATCHER: Final = "watches the parent"
+"""A thread of every worker, which sleeps and holds no lock."""
+
 _PR_SET_PDEATHSIG: Final = 1
 
 Status = Literal["done", "raised", "crashed", "timeout", "memory", "lost"]
@@ -188,7 +191,7 @@ class Worker:
         """Of the limit."""
         if not self.memory_mb or not self.process.pid:
             return False
-        return memory.resident_mb(self.process.pid) > share * self.memory_mb
+        return memory.more_than(share * self.memory_mb, self.process.pid)
 
     def kill(self) -> None:
         """End the process and its children, which outlive one that died by itself."""
@@ -231,10 +234,9 @@ def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> 
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # forgets what came before the group was its own
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    if sys.platform == "linux":  # at once, so that no folder has two writers after a resume
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent,), name=WATCHER, daemon=True).start()
     connection.send(("ready", ""))
     while True:
         try:
@@ -247,6 +249,15 @@ def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> 
             connection.send(("raised", f"{type(error).__name__}: {error}"))
         else:
             connection.send(("done", ""))
+
+
+def end_with_parent() -> None:
+    """Let the system kill this process with its parent.
+
+    At once, so that no folder has two writers after a resume; on Linux alone.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _end_with(parent: int) -> None:

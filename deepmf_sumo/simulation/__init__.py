@@ -2,5 +2,6 @@
 
 from deepmf_sumo.simulation.cases import network_case
 from deepmf_sumo.simulation.loop import simulate
+from deepmf_sumo.simulation.traffic import hold, release
 
-__all__ = ["network_case", "simulate"]
+__all__ = ["hold", "network_case", "release", "simulate"]

@@ -1,9 +1,7 @@
 """A user's SUMO scenario as a stage: SUMO's own traffic, up to the start and on from there."""
 
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 
@@ -29,49 +27,26 @@ from deepmf_sumo.simulation.places import Places
 from deepmf_sumo.simulation.reading import TrafficReader
 from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.stage import Stage
-from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi
+from deepmf_sumo.simulation.sumo_api import Backend, SumoApi
 from deepmf_sumo.simulation.takeover import Crowd, Takeover
-from deepmf_sumo.simulation.vehicle_types import AV_TYPE, write_types
+from deepmf_sumo.simulation.traffic import Traffic, begun
+from deepmf_sumo.simulation.vehicle_types import AV_TYPE
 
-_TO_ROOT = "../" * 64
-"""SUMO puts its prefix between an output's folder and its name; there are no folders above /."""
 _LOOK_FURTHER_S = 300.0
 """How far beyond the start a missing AV is looked for, for the message."""
 
 
 @contextmanager
 def opening(
-    case: Case, model: VehicleModel | None
-) -> Iterator[tuple[list[str], Callable[[SumoApi], Stage]]]:
-    """Arguments for SUMO, and what makes the stage of it once it runs."""
+    case: Case, model: VehicleModel | None, backend: Backend
+) -> Iterator[tuple[SumoApi, Stage]]:
+    """SUMO, and the stage of it."""
     assert case.network is not None
     source = case.network
     configuration = read_configuration(source.config, source.sumo_options)
-    with started(configuration, case.seed, model) as arguments:
-        yield arguments, lambda api: NetworkStage(api, case, configuration, model)
-
-
-@contextmanager
-def started(
-    configuration: Configuration, seed: int, model: VehicleModel | None = None
-) -> Iterator[list[str]]:
-    """Arguments for SUMO: the same traffic up to the start, whoever looks at it and why.
-
-    What the configuration wants to have written goes to a temporary folder: parallel runs would
-    write into one another's files, and over the user's.
-    """
-    with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
-        types = write_types(Path(folder) / "types.add.xml", model)
-        additional = ",".join(str(path) for path in (*configuration.additional, types))
-        yield [
-            *("-c", str(configuration.file)),
-            *configuration.options,
-            *("--additional-files", additional),
-            *("--seed", str(seed)),
-            *("--random", "false"),
-            *("--output-prefix", f"{_TO_ROOT}{folder.lstrip('/')}/"),
-            *STEP_OPTIONS,
-        ]
+    traffic = Traffic(configuration=configuration, seed=case.seed, model=model)
+    with begun(traffic, backend) as api:
+        yield api, NetworkStage(api, case, configuration, model)
 
 
 class NetworkStage:

@@ -1,7 +1,7 @@
 """A recording as a stage: everybody replays the log, or SUMO drives on from the recorded start."""
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from deepmf_sumo.simulation.placed import (
 )
 from deepmf_sumo.simulation.signals import ReplayedSignals
 from deepmf_sumo.simulation.stage import Stage
-from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi
+from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, Backend, SumoApi, running
 from deepmf_sumo.simulation.takeover import Takeover
 from deepmf_sumo.simulation.vehicle_types import ANY_ROUTE, AV_TYPE, TRAFFIC_TYPE, write_types
 
@@ -47,9 +47,9 @@ _FOLLOW_ROUTE = 513
 
 @contextmanager
 def opening(
-    case: Case, model: VehicleModel | None
-) -> Iterator[tuple[list[str], Callable[[SumoApi], Stage]]]:
-    """Arguments for SUMO, and what makes the stage of it once it runs."""
+    case: Case, model: VehicleModel | None, backend: Backend
+) -> Iterator[tuple[SumoApi, Stage]]:
+    """SUMO, and the stage of it."""
     assert case.net is not None
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         types = write_types(Path(folder) / "types.add.xml", model)
@@ -60,7 +60,8 @@ def opening(
             *STEP_OPTIONS,
             *_OPTIONS,
         ]
-        yield arguments, lambda api: RecordedStage(api, case, model)
+        with running(arguments, backend) as api:
+            yield api, RecordedStage(api, case, model)
 
 
 class RecordedStage:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from deepmf_sumo.datatypes import DT_S, Bools, Floats
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.configuration import Configuration, read_configuration
-from deepmf_sumo.simulation.network_stage import started
-from deepmf_sumo.simulation.sumo_api import SumoApi, running
+from deepmf_sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.simulation.traffic import Traffic, begun
 
 Ints = NDArray[np.int64]
 
@@ -98,7 +98,7 @@ def scout(scouting: Scouting) -> Sightings:
     Raises SimulationError, with SUMO's own words, where it cannot be run.
     """
     configuration = read_configuration(scouting.config, scouting.sumo_options)
-    with started(configuration, scouting.seed) as arguments, running(arguments) as api:
+    with begun(Traffic(configuration=configuration, seed=scouting.seed)) as api:
         return _scout(api, scouting, configuration)
 
 

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from deepmf_sumo.datatypes import AgentId, Case, Command, Event, Floats, SignalState, VehicleModel
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.simulation.sumo_api import Backend, running
+from deepmf_sumo.simulation.sumo_api import Backend
 
 
 class Stage(Protocol):
@@ -51,8 +51,7 @@ def opened(case: Case, model: VehicleModel | None, backend: Backend) -> Iterator
         from deepmf_sumo.simulation.network_stage import opening
     else:
         from deepmf_sumo.simulation.recorded_stage import opening
-    with opening(case, model) as (arguments, build), running(arguments, backend) as api:
-        stage = build(api)
+    with opening(case, model, backend) as (api, stage):
         if backend != "gui":
             yield stage
             return

@@ -61,14 +61,20 @@ class SumoApi(Protocol):
 
 
 @contextmanager
-def running(arguments: Sequence[str], backend: Backend = "libsumo") -> Iterator[SumoApi]:
-    """SUMO from start to end; what SUMO raises inside comes out as SimulationError."""
+def running(
+    arguments: Sequence[str], backend: Backend = "libsumo", *, runs_already: bool = False
+) -> Iterator[SumoApi]:
+    """SUMO from start to end; what SUMO raises inside comes out as SimulationError.
+
+    ``runs_already``: it was started with these arguments, and is left alone at its moment.
+    """
     api = _api(backend)
     refusals = (api.TraCIException, api.FatalTraCIError)
     command = [_binary(backend), *arguments, *_of_backend(backend)]
-    started = False
+    started = runs_already
     try:
-        api.start(command)
+        if not runs_already:
+            api.start(command)
         started = True
         yield api
     except refusals as error:

@@ -1,0 +1,134 @@
+"""A run as a copy of a worker in which SUMO has come to the run's moment.
+
+A worker that does the runs of one network in the order of their moments need not let SUMO begin
+anew for each: `simulation.hold` brings it there, and a copy of the process does the run. However
+the copy ends, the worker passes it on: what it raised is raised again, and as it died, so the
+worker dies.
+"""
+
+import contextlib
+import gc
+import os
+import pickle
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+from deepmf_sumo import simulation
+from deepmf_sumo.benchmark import pool
+from deepmf_sumo.benchmark.logs import logged
+from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo.datatypes import Case
+from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.spec import FromNetwork
+
+_DONE: Final = b"done"
+_before: tuple[Any, float] | None = None  # the passage and the start of this process's last run
+
+
+def passage(task: Task) -> tuple[Any, ...] | None:
+    """What the runs of one passage through a network's traffic have in common; else None."""
+    spec, source = task.spec, task.spec.source
+    if not isinstance(source, FromNetwork):
+        return None
+    return source.network, source.sumo_options, spec.seed, spec.planner.model_dump_json()
+
+
+def in_order(tasks: Sequence[Task]) -> list[Task]:
+    """The runs of a passage in the order of their moments, at the place of its first."""
+    first: dict[Any, int] = {}
+    keys = []
+    for number, task in enumerate(tasks):
+        what, source = passage(task), task.spec.source
+        place = number if what is None else first.setdefault(what, number)
+        start_s = source.start_s if isinstance(source, FromNetwork) else 0.0
+        keys.append((place, start_s, number))
+    return [tasks[number] for _, _, number in sorted(keys)]
+
+
+def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) -> bool:
+    """Do a task's work in a copy of this process, if SUMO can be brought to its moment before.
+
+    False: nothing was done, and the work is to be done here. So is that of the first run of a
+    passage, for all that it loads the others have, too.
+    """
+    global _before  # noqa: PLW0603
+    what, source, before = passage(task), task.spec.source, _before
+    _before = (what, source.start_s) if isinstance(source, FromNetwork) else None
+    follows = before and _before and before[0] == what and before[1] <= _before[1]
+    if follows and _alone() and _held(make_case):
+        _copied(work)
+        return True
+    simulation.release()
+    return False
+
+
+def _held(make_case: Callable[[], Case]) -> bool:
+    """Whether SUMO has come to the moment, and can be copied: it may have threads of its own."""
+    with contextlib.suppress(DeepmfError), logged(Path(os.devnull)):  # the run itself will say it
+        simulation.hold(make_case())
+        return _alone()
+    return False
+
+
+def _alone() -> bool:
+    """Whether a copy of this process would lack nothing: threads are not copied."""
+    if sys.platform != "linux":
+        return False
+    threads = threading.enumerate()
+    known = all(one is threading.main_thread() or one.name == pool.WATCHER for one in threads)
+    return known and sum(1 for _ in Path("/proc/self/task").iterdir()) == len(threads)
+
+
+def _copied(work: Callable[[], None]) -> None:
+    """Do the work in a copy; returns when it is done, raises what it raised, dies as it died."""
+    ours, theirs = os.pipe()
+    here = os.getpid()
+    gc.freeze()
+    pid = os.fork()
+    if pid == 0:
+        os.close(ours)
+        _work(work, theirs, here)
+    os.close(theirs)
+    _, status = os.waitpid(pid, 0)
+    os.set_blocking(ours, False)  # whatever it started may have the pipe open still
+    try:
+        said = os.read(ours, 1 << 16)
+    except BlockingIOError:
+        said = b""
+    os.close(ours)
+    if not said:
+        _die(os.waitstatus_to_exitcode(status))
+    if said != _DONE:
+        raise pickle.loads(said)  # noqa: S301 - its own copy said it
+
+
+def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
+    """The copy's life."""
+    pool.end_with_parent()
+    if os.getppid() != parent:
+        os._exit(1)
+    code, said = 1, b""
+    try:
+        work()
+        code, said = 0, _DONE
+    except SystemExit as leaving:
+        code = leaving.code if isinstance(leaving.code, int) else 1
+    except Exception as error:  # noqa: BLE001 - raised again by who waits
+        said = pickle.dumps(error)
+    finally:
+        with contextlib.suppress(OSError):  # a hostile planner may have closed it
+            os.write(pipe, said)
+        os._exit(code)
+
+
+def _die(code: int) -> NoReturn:
+    """End this process with an exit code, or by a signal where it is negative."""
+    if code < 0:
+        with contextlib.suppress(OSError, ValueError):  # of SIGKILL it cannot be set
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code)
