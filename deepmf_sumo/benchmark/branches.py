@@ -87,11 +87,12 @@ def _copied(work: Callable[[], None]) -> None:
     """Do the work in a copy; returns when it is done, raises what it raised, dies as it died."""
     ours, theirs = os.pipe()
     here = os.getpid()
-    gc.freeze()
+    gc.freeze()  # else the copy's first collection touches, and so copies, all that there is
     pid = os.fork()
     if pid == 0:
         os.close(ours)
         _work(work, theirs, here)
+    gc.unfreeze()
     os.close(theirs)
     _, status = os.waitpid(pid, 0)
     os.set_blocking(ours, False)  # whatever it started may have the pipe open still
