@@ -94,7 +94,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	$(TRAIN) opponent --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
-	$(TRAIN) conditional --preset light --steps 2500 --precision bf16 --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
+	$(TRAIN) conditional --preset light --steps 2500 --precision auto --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
 	    --out $(LIGHT) $(WOMD_SET)
 	mkdir -p .weights/womd && cp $(LIGHT)/opponent.* $(LIGHT)/conditional.* .weights/womd
 	$(TRAIN) marginal --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
