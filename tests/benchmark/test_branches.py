@@ -1,15 +1,17 @@
 """Runs that a worker does in copies of itself, SUMO standing at their moments."""
 
 import json
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 import tiny_network
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch, branches, compare, tasks
+from deepmf_sumo.benchmark import batch, branches, compare, memory, tasks
 
 PLANNERS = """
 import os, signal, sys, threading, time
@@ -145,6 +147,30 @@ def test_what_goes_wrong_in_a_copy_costs_its_run_alone(
     results = batch.run([spec.load(path) for path in specs], wanted)
     assert [one["status"] for one in results][::2] == ["ok", "ok"]
     assert said in results[1]["error"]
+
+
+def test_nobody_outlives_a_killed_sweep(tiny, paths, tmp_path):
+    specs = [str(path) for path in paths("late_planners:Hang")[:2]]
+    sweep = subprocess.Popen(
+        [sys.executable, "-m", "deepmf_sumo.cli.main", "run", *specs, "--out", tmp_path / "out"],
+        env={**os.environ, "PYTHONPATH": str(tiny)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    one_done = tmp_path / "out" / "runs" / "at-2-0--tiny--0"
+    wait_until(one_done.is_dir)
+    wait_until(lambda: len(list(memory._family(sweep.pid))) > 3)  # the worker and its copy
+    family = list(memory._family(sweep.pid))
+    sweep.kill()
+    sweep.wait()
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))
+
+
+def wait_until(true, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 def test_the_order_is_that_of_the_moments_within_a_passage(tiny, tmp_path):
