@@ -3,7 +3,7 @@
 import csv
 import gzip
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -68,7 +68,7 @@ def read(file: Path, opponents: Sequence[str]) -> Driven:
     rows: dict[str, list[list[float]]] = {one: [] for one in ("", *opponents)}
     try:
         with gzip.open(file, "rt", encoding="utf-8", newline="") as lines:
-            for row in csv.DictReader(lines):
+            for row in csv.DictReader(_of_interest(lines, opponents)):
                 one = "" if row["role"] == "av" else row["id"]
                 if one in rows:
                     rows[one].append([float(row[name]) for name in _NUMBERS])
@@ -77,6 +77,14 @@ def read(file: Path, opponents: Sequence[str]) -> Driven:
         raise UsageError(f"{file} is missing; run it anew.") from None
     except (OSError, EOFError, zlib.error, ValueError, LookupError, TypeError) as error:
         raise UsageError(f"{file} is damaged ({error}); run it anew.") from None
+
+
+def _of_interest(lines: Iterable[str], opponents: Sequence[str]) -> Iterator[str]:
+    """The first line, and those that may be of the AV or an opponent: most are of others."""
+    marks = (",av,", *(one.replace('"', '""') for one in opponents))
+    for number, line in enumerate(lines):
+        if number == 0 or any(mark in line for mark in marks):
+            yield line
 
 
 def _driven(tables: Mapping[str, Floats]) -> Driven:
