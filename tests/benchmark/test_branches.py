@@ -11,7 +11,7 @@ import pytest
 import tiny_network
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch, branches, compare, memory, tasks
+from deepmf_sumo.benchmark import batch, branches, compare, memory, pool, tasks
 
 PLANNERS = """
 import os, signal, sys, threading, time
@@ -93,7 +93,10 @@ def paths(tiny):
 def done(runs, paths, folder):
     """How many runs were done in copies, in a process of its own."""
     command = [sys.executable, "-c", COUNTED, str(runs), *map(str, paths)]
-    found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    env = {**os.environ, **pool.SINGLE_THREAD}  # as a worker has it
+    found = subprocess.run(
+        command, cwd=folder, env=env, capture_output=True, text=True, check=False
+    )
     assert found.returncode == 0, found.stderr
     return int(found.stdout)
 
