@@ -27,6 +27,7 @@ from deepmf_sumo.spec import FromNetwork
 
 _DONE: Final = b"done"
 _before: tuple[Any, float] | None = None  # the passage and the start of this process's last run
+_unfit: set[Any] = set()  # passages on which SUMO cannot be held, or not be copied
 
 
 def passage(task: Task) -> tuple[Any, ...] | None:
@@ -59,9 +60,11 @@ def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) 
     what, source, before = passage(task), task.spec.source, _before
     _before = (what, source.start_s) if isinstance(source, FromNetwork) else None
     follows = before and _before and before[0] == what and before[1] <= _before[1]
-    if follows and _alone() and _held(make_case):
-        _copied(work)
-        return True
+    if follows and what not in _unfit and _alone():
+        if _held(make_case):
+            _copied(work)
+            return True
+        _unfit.add(what)  # it is not tried again: SUMO would come to each moment twice
     simulation.release()
     return False
 

@@ -59,11 +59,9 @@ class Episode:
 
     def __call__(self, task: Task) -> None:
         """Run the task. A run that fails leaves its reason in ``result.json``."""
-
-        def run() -> None:
-            self._run(task)
-
-        if self.gui or not branches.branch(task, lambda: make_case(task, self.cache), run):
+        run = functools.partial(self._run, task)
+        case = functools.partial(make_case, task, self.cache)
+        if self.gui or not branches.branch(task, case, run):
             run()
 
     def _run(self, task: Task) -> None:

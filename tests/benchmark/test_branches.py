@@ -63,11 +63,15 @@ from deepmf_sumo.benchmark import branches, episode, tasks
 
 runs, copies, copied = Path(sys.argv[1]), [], branches._copied
 branches._copied = lambda work: (copies.append(1), copied(work))
+if "many threads" in sys.argv:  # as if SUMO had brought them
+    sys.argv.remove("many threads")
+    held, tries = branches._held, []
+    branches._held = lambda case: (tries.append(1), held(case)) and False
 planned = tasks.plan([spec.load(Path(name)) for name in sys.argv[2:]], runs)
 work = episode.Episode(runs=runs, cache=runs / "cache")
 for task in planned:
     work(task)
-print(len(copies))
+print(len(copies) if copies or "tries" not in globals() else -len(tries))
 """
 
 STARTS = (2.0, 3.0, 4.5)
@@ -112,6 +116,11 @@ def test_copies_do_what_a_simulation_of_ones_own_does(tiny, paths, tmp_path):
 def test_a_planner_with_threads_is_not_copied(tiny, paths, tmp_path):
     assert done(tmp_path / "fine", paths("late_planners:Fine"), tiny) == 2
     assert done(tmp_path / "threads", paths("late_planners:Threads"), tiny) == 0
+
+
+def test_sumo_that_cannot_be_copied_is_held_once_alone(tiny, paths, tmp_path):
+    assert done(tmp_path / "threads", ["many threads", *paths()], tiny) == -1
+    assert len(list((tmp_path / "threads").glob("at-*"))) == 3
 
 
 def test_traffic_that_breaks_off_is_said_by_the_run(tiny, tmp_path):
