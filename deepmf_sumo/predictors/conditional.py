@@ -1,16 +1,28 @@
 """phi_C(X, Y_OV): where the AV may go if the opponent drives as given (paper, section IV-C2)."""
 
+from dataclasses import dataclass, replace
+
 import torch
+from torch import Tensor
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
-from deepmf_sumo.predictors import completion, condition
+from deepmf_sumo.predictors import completion, condition, second_opinion
 from deepmf_sumo.predictors.completion import Pose
 from deepmf_sumo.predictors.densetnt import DenseTNT, Encoding, Goals
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.selection import Selection
 
 _SHORTLIST = 64
 """Goals of each reaction that may become modes: half of the time of choosing among all."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What does not depend on the given futures: the encoding, and what is added to the logits."""
+
+    encoding: Encoding
+    gain: Tensor | float
 
 
 class Conditional:
@@ -20,13 +32,26 @@ class Conditional:
         net: made with ``conditional=True``, in evaluation mode.
         temperature: of the probabilities.
         selection: how modes are chosen among the goals.
+        marginal: what it knows of people counts too, see `second_opinion`. It has not seen
+            planners drive, so of them it is not asked.
+        share: weight of what ``marginal`` knows.
     """
 
-    def __init__(self, net: DenseTNT, temperature: float, selection: Selection = "medoids") -> None:
+    def __init__(
+        self,
+        net: DenseTNT,
+        temperature: float,
+        selection: Selection = "medoids",
+        *,
+        marginal: Marginal | None = None,
+        share: float = 0.75,
+    ) -> None:
         self.net = net.eval()
         self.temperature = temperature
         self.selection = selection
-        self._last: tuple[View, tuple[AgentId, bool], Encoding] | None = None
+        self.marginal = marginal
+        self.share = share
+        self._last: tuple[View, tuple[AgentId, bool], _Known] | None = None
 
     @torch.inference_mode()
     def react(
@@ -77,12 +102,19 @@ class Conditional:
             position, heading = completion.to_pose(pose, given)
             there = torch.ones(1, position.shape[1])
             future = condition.encode(position, heading, there, self.net.preset)
-        return self.net.decode(self._encoding(view, pose.agent_id, planner), future)
+        known = self._known(view, pose.agent_id, planner)
+        goals = self.net.decode(known.encoding, future)
+        return replace(goals, logits=goals.logits + known.gain)
 
-    def _encoding(self, view: View, agent_id: AgentId, planner: bool) -> Encoding:
+    def _known(self, view: View, agent_id: AgentId, planner: bool) -> _Known:
         """Of the last view it is kept, since a plan asks more than once."""
         asked = (agent_id, planner)
         if self._last is None or self._last[0] is not view or self._last[1] != asked:
             arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
-            self._last = (view, asked, self.net.encode(completion.as_batch(arrays)))
+            encoding = self.net.encode(completion.as_batch(arrays))
+            gain: Tensor | float = 0.0
+            if self.marginal is not None and not planner:
+                others = self.marginal.goals(view, agent_id)
+                gain = self.share * second_opinion.gain(self.net.decode(encoding), others)
+            self._last = (view, asked, _Known(encoding, gain))
         return self._last[2]

@@ -75,6 +75,11 @@ class Marginal:
         ]
 
     @torch.inference_mode()
+    def goals(self, view: View, agent_id: AgentId) -> list[Goals]:
+        """All goals of an agent, of each member. Raises KeyError if it is not in view."""
+        return self._goals(view, agent_id).members
+
+    @torch.inference_mode()
     def end_density(self, view: View, agent_id: AgentId, ends_m: Floats, kernel_m: float) -> Floats:
         """(Q) see `completion.end_density`."""
         pose = completion.pose_of(view, agent_id)

@@ -68,6 +68,7 @@ def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
     conditional, conditional_card = read_network(folder, "conditional")
     assert isinstance(opponent, OpponentNet)
     assert isinstance(conditional, DenseTNT)
+    alone = Marginal(marginal, marginal_card["temperature"], selection)
     return Predictors(
         name=str(name),
         folder=folder,
@@ -77,8 +78,10 @@ def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
             opponent_card["partner_temperature"],
             opponent_card.get("offset", 0.0),
         ),
-        marginal=Marginal(marginal, marginal_card["temperature"], selection),
-        conditional=Conditional(conditional, conditional_card["temperature"], selection),
+        marginal=alone,
+        conditional=Conditional(
+            conditional, conditional_card["temperature"], selection, marginal=alone
+        ),
     )
 
 

@@ -62,6 +62,7 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
         (["--", "--seed", "1"], "SUMO's option --seed cannot be given", 2),
         (["--set", "source.start_s=1"], "the source is chosen by the other options", 2),
         (["--set", "planer.x=1"], "--set planer.x=1: key 'planer': unknown key", 2),
+        (["--set", "weights=nope"], "There are no weights 'nope'", 2),
         (["--planner", "imd"], "--planner: key 'planner.name': No plug-in 'imd'", 2),
     ],
 )

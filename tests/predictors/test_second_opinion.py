@@ -1,0 +1,111 @@
+"""What the marginal network knows of people, added to the conditional network's goals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import view
+
+from deepmf_sumo.datatypes import Futures
+from deepmf_sumo.predictors import second_opinion, weights
+from deepmf_sumo.predictors.conditional import Conditional
+from deepmf_sumo.predictors.densetnt import Goals
+from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.presets import LIGHT
+
+SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=6)
+
+
+def goals(ends_m, logits):
+    """Goals of one vehicle that end so far along its paths (P, R)."""
+    ends_m, logits = torch.tensor(ends_m), torch.tensor(logits)
+    paths, profiles = ends_m.shape
+    return Goals(
+        logits=logits[None, None],
+        along_m=ends_m[None, :, :, None] * torch.arange(1, 81) / 80,
+        knots=torch.zeros(1, 1, paths, profiles, 5, 2),
+        paths=torch.zeros(1, paths, 121, 2),
+    )
+
+
+@pytest.fixture(scope="module")
+def nets():
+    """A marginal and a conditional network with opinions."""
+    made = weights.random(SMALL, 0)
+    for net in (made.marginal.net, made.conditional.net):
+        net.score.weight.data *= 20.0
+    return made.marginal.net, made.conditional.net
+
+
+def shares(found):
+    return np.sort(found.probability)
+
+
+def test_who_agrees_adds_nothing():
+    own = goals([[10.0, 30.0], [5.0, 80.0]], [[0.3, 1.0], [-2.0, 0.0]])
+    assert second_opinion.gain(own, [own]).abs().max() < 1e-6
+    assert second_opinion.gain(own, [own, own]).abs().max() < 1e-6
+
+
+def test_a_goal_gains_what_others_hold_of_it_more():
+    own = goals([[0.0, 500.0], [0.0, 500.0]], [[0.0, 0.0], [0.0, 0.0]])
+    other = goals([[500.0, 0.0], [0.0, 500.0]], [[0.0, 2.0], [1.0, 0.0]])  # in another order
+    found = second_opinion.gain(own, [other])[0, 0]
+    expected = torch.tensor([[2.0, 0.0], [1.0, 0.0]])
+    assert torch.allclose(found - found[0, 1], expected, atol=1e-4)
+
+
+def test_goals_that_end_near_by_are_much_alike():
+    own = goals([[20.0, 60.0]], [[0.0, 0.0]])
+    other = goals([[24.0, 100.0]], [[0.0, 0.0]])
+    near, far = second_opinion.gain(own, [other])[0, 0, 0]
+    assert near == pytest.approx(-4.0 / 4.0, abs=0.01)
+    assert far < near - 5.0
+
+
+def test_a_path_that_does_not_exist_stays_out():
+    own = goals([[10.0], [20.0]], [[0.0], [float("-inf")]])
+    found = second_opinion.gain(own, [own])[0, 0]
+    assert torch.isfinite(found).all()
+    assert (own.logits + found)[0, 0, 1].isneginf()
+
+
+def test_of_people_the_marginal_network_is_asked_and_of_planners_not(nets):
+    alone, told = (
+        Conditional(nets[1], 1.0),
+        Conditional(nets[1], 1.0, marginal=Marginal([nets[0]], 1.0)),
+    )
+    for planner in (False, True):
+        before = alone.react(view(), "av", None, 6, planner=planner)[0]
+        after = told.react(view(), "av", None, 6, planner=planner)[0]
+        assert np.allclose(shares(before), shares(after), atol=1e-6) == planner
+
+
+def test_with_all_the_weight_and_nothing_given_it_is_nearer_to_the_marginal_network(nets):
+    marginal, now = Marginal([nets[0]], 1.0), view()
+    row = now.history.row("av")
+    ahead = now.history.position_m[row, -1] + np.array([[30.0, 0.0], [60.0, 0.0], [90.0, 0.0]])
+    expected = marginal.end_density(now, "av", ahead, 4.0)
+
+    def off(share):
+        told = Conditional(nets[1], 1.0, marginal=marginal, share=share)
+        return np.abs(told.end_density(now, "av", None, ahead, 4.0) - expected).mean()
+
+    assert off(1.0) < 0.7 * off(0.0)
+
+
+def test_the_opinion_is_one_for_all_given_futures(nets):
+    now = view()
+    row = now.history.row("av")
+    there = now.history.position_m[row, -1] + np.arange(1, 81)[:, None] * np.array([1.0, 0.0])
+    given = Futures(
+        agent_id="other", position_m=np.stack([there, there + 50.0]), heading_rad=np.zeros((2, 80))
+    )
+    told = Conditional(nets[1], 1.0, marginal=Marginal([nets[0]], 1.0))
+    both = told.react(now, "av", given, 6)
+    second = Futures(
+        agent_id="other", position_m=given.position_m[1:], heading_rad=given.heading_rad[1:]
+    )
+    (alone,) = told.react(now, "av", second, 6)
+    assert np.allclose(both[1].probability, alone.probability, atol=1e-5)
