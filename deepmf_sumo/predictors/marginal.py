@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 
@@ -11,6 +12,9 @@ from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.selection import Selection
+
+_SHORTLIST: Final = 256
+"""Goals that may become modes: of one network seldom fewer than all, of two half of the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +73,13 @@ class Marginal:
         pose, goals = completion.pose_of(view, agent_id), self._goals(view, agent_id).whole
         return [
             completion.forecasts(
-                goals, pose, count, self.temperature, choose=self.selection, chosen_at=chosen_at
+                goals,
+                pose,
+                count,
+                self.temperature,
+                choose=self.selection,
+                shortlist=_SHORTLIST,
+                chosen_at=chosen_at,
             )[0]
             for count in modes
         ]

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from deepmf_sumo.predictors.densetnt import Goals
 
-_REACH_M: Final = 4.0
+_REACH_M: Final = 3.0
 """Goals that end so far apart on a path are much alike (Laplace)."""
 
 

@@ -60,7 +60,7 @@ def test_goals_that_end_near_by_are_much_alike():
     own = goals([[20.0, 60.0]], [[0.0, 0.0]])
     other = goals([[24.0, 100.0]], [[0.0, 0.0]])
     near, far = second_opinion.gain(own, [other])[0, 0, 0]
-    assert near == pytest.approx(-4.0 / 4.0, abs=0.01)
+    assert near == pytest.approx(-4.0 / 3.0, abs=0.01)
     assert far < near - 5.0
 
 
