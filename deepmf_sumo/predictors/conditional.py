@@ -114,7 +114,8 @@ class Conditional:
             encoding = self.net.encode(completion.as_batch(arrays))
             gain: Tensor | float = 0.0
             if self.marginal is not None and not planner:
-                others = self.marginal.goals(view, agent_id)
+                images = self.marginal.net.preset.raster  # of sizes of its own
+                others = self.marginal.goals(view, agent_id, None if images else arrays)
                 gain = self.share * second_opinion.gain(self.net.decode(encoding), others)
             self._last = (view, asked, _Known(encoding, gain))
         return self._last[2]

@@ -210,9 +210,9 @@ class DenseTNT(nn.Module):
         width = self.widths.exp().clamp_min(0.1)
         log_kernel = -ahead.abs() / width[:, 0] - left.abs() / width[:, 1]
         log_kernel = log_kernel - (4 * width[:, 0] * width[:, 1]).log()
-        fit = (log_kernel * valid.unsqueeze(2)).sum(-1).unflatten(2, goals.logits.shape[2:])
-        score = goals.logits.flatten(2).log_softmax(-1).view_as(goals.logits)
-        return score + fit
+        fit = (log_kernel * valid.unsqueeze(2)).sum(-1)  # (B, K, N)
+        score = goals.logits.flatten(2).log_softmax(-1)
+        return (score + fit).view(*fit.shape[:2], *goals.logits.shape[2:])
 
     def _lines(self, batch: dict[str, Tensor], elements: Tensor, there: Tensor) -> Tensor:
         """(B, P, H) features of the paths: shape, what stands on them, surroundings, each other."""

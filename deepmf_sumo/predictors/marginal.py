@@ -10,7 +10,7 @@ from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.predictors import completion, mixture
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
-from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.features import Features, features
 from deepmf_sumo.predictors.selection import Selection
 
 _SHORTLIST: Final = 256
@@ -85,9 +85,12 @@ class Marginal:
         ]
 
     @torch.inference_mode()
-    def goals(self, view: View, agent_id: AgentId) -> list[Goals]:
-        """All goals of an agent, of each member. Raises KeyError if it is not in view."""
-        return self._goals(view, agent_id).members
+    def goals(self, view: View, agent_id: AgentId, arrays: Features | None = None) -> list[Goals]:
+        """All goals of an agent, of each member. Raises KeyError if it is not in view.
+
+        ``arrays`` are its features, where another network has had them made already.
+        """
+        return self._goals(view, agent_id, arrays).members
 
     @torch.inference_mode()
     def end_density(self, view: View, agent_id: AgentId, ends_m: Floats, kernel_m: float) -> Floats:
@@ -120,13 +123,14 @@ class Marginal:
         )
         return density
 
-    def _goals(self, view: View, agent_id: AgentId) -> _Known:
+    def _goals(self, view: View, agent_id: AgentId, arrays: Features | None = None) -> _Known:
         """Goals of an agent; those of the last view are kept, since a plan asks more than once."""
         if self._last is None or self._last[0] is not view:
             self._last = (view, {})
         known = self._last[1]
         if agent_id not in known:
-            arrays, _ = features(view, agent_id, self.net.preset)
+            if arrays is None:
+                arrays, _ = features(view, agent_id, self.net.preset)
             batch = completion.as_batch(arrays)
             members = [net(batch) for net in self.nets]
             known[agent_id] = _Known(members, mixture.pooled(members))
