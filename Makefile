@@ -87,7 +87,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 	$(TRAIN) strive --steps 800 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
 # All networks with images are the set `womd-light`; `womd` has its opponent and its conditional network,
-# and a marginal one without images, trained longer.
+# and a marginal one without images, trained longer, of two members.
 LIGHT = .weights/womd-light
 WOMD_SET = $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
@@ -97,7 +97,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	$(TRAIN) conditional --preset light --steps 2500 --precision auto --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
 	    --out $(LIGHT) $(WOMD_SET)
 	mkdir -p .weights/womd && cp $(LIGHT)/opponent.* $(LIGHT)/conditional.* .weights/womd
-	$(TRAIN) marginal --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(TRAIN) marginal --members 2 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
 womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)

@@ -8,7 +8,7 @@ import torch
 from synthetic import view
 
 from deepmf_sumo.datatypes import Futures
-from deepmf_sumo.predictors import second_opinion, weights
+from deepmf_sumo.predictors import marginal, second_opinion, weights
 from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.predictors.densetnt import Goals
 from deepmf_sumo.predictors.marginal import Marginal
@@ -109,3 +109,11 @@ def test_the_opinion_is_one_for_all_given_futures(nets):
     )
     (alone,) = told.react(now, "av", second, 6)
     assert np.allclose(both[1].probability, alone.probability, atol=1e-5)
+
+
+def test_features_are_made_once_where_the_marginal_network_sees_no_image(nets, monkeypatch):
+    blind = weights.random(replace(SMALL, raster=False), 0).marginal
+    expected = Conditional(nets[1], 1.0, marginal=blind).react(view(), "av", None, 6)[0]
+    monkeypatch.setattr(marginal, "features", None)  # nobody calls it
+    found = Conditional(nets[1], 1.0, marginal=Marginal(blind.nets, 1.0))
+    assert np.array_equal(found.react(view(), "av", None, 6)[0].probability, expected.probability)
