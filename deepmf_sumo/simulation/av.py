@@ -5,6 +5,7 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.glide import Glide
+from deepmf_sumo.simulation.lane_change import LaneChange
 from deepmf_sumo.simulation.path import RouteAhead
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -41,6 +42,7 @@ class Av:
         self.placed: Pose | None = None
         self.leaders: tuple[AgentId, ...] | None = None
         self._glide = Glide(start)
+        self._lane_change = LaneChange(api)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
         self._path: Floats | None = None
@@ -64,12 +66,14 @@ class Av:
 
     def drive(self, command: Command) -> None:
         """Ask for the command in the coming step."""
-        self.placed = None
+        driven, self.placed = self.placed is None, None
         self.leaders = self._followed(command)
         commanded = None
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
         if command.kind == "pose":
+            if driven:
+                self._lane_change.end(self.id)
             self._place(command)
         elif command.kind == "sumo":
             vehicle.setSpeedMode(self.id, _OWN_DECISION)
@@ -88,6 +92,7 @@ class Av:
     def after_step(self) -> None:
         """What SUMO has to be told after the step."""
         self._path_known = False
+        self._lane_change.after_step()
         if self.placed is not None:
             self._api.vehicle.setPreviousSpeed(self.id, max(0.0, self.placed.speed_mps))
 

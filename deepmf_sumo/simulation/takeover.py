@@ -9,6 +9,7 @@ from deepmf_sumo.datatypes import AgentId, Event, Floats
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.av import move
 from deepmf_sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.simulation.lane_change import LaneChange
 from deepmf_sumo.simulation.places import Place, Places, overlapped
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -61,6 +62,7 @@ class Takeover:
         self._events = events
         self._places = places
         self._may_remove = may_remove
+        self._lane_change = LaneChange(api)
         self._taken: _Taken | None = None
         self._moved: tuple[_Taken, float] | None = None
         self._gone: set[AgentId] = set()
@@ -77,11 +79,13 @@ class Takeover:
         if self._taken is None or self._taken.agent != agent:  # the last one may have left
             route = tuple(self._api.vehicle.getRoute(agent))
             self._taken = _Taken(agent=agent, length_m=length_m, route=route, pose=pose)
+            self._lane_change.end(agent)
         self._taken.pose = pose
         move(self._api, agent, pose, length_m, _MATCH_M)
 
     def after_step(self, step: int) -> None:
         """Tell SUMO the speed: it would otherwise be that of the jump, cut to what it allows."""
+        self._lane_change.after_step()
         there = self._api.vehicle.getIDList()
         if self._taken is not None and self._taken.agent in there:
             self._api.vehicle.setPreviousSpeed(self._taken.agent, self._taken.pose.speed_mps)

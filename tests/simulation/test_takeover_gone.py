@@ -14,6 +14,7 @@ def simulation(there):
         setSpeed=lambda *_: None,
         setSpeedMode=lambda *_: None,
         setPreviousSpeed=lambda *_: None,
+        getLateralSpeed=lambda _: 0.0,
     )
     return SimpleNamespace(vehicle=vehicle)
 
