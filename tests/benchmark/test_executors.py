@@ -184,6 +184,35 @@ def test_without_ray_and_without_an_answer(monkeypatch):
         executors.chosen("ray://127.0.0.1:9").check()
 
 
+class Shy(Ray):
+    """Says something against a program that wants to join, and each time something else."""
+
+    def __init__(self, *said):
+        super().__init__()
+        self.said = list(said)
+
+    def init(self, **options):
+        if self.said:
+            raise ConnectionAbortedError(self.said.pop(0))
+        return super().init(**options)
+
+
+BUSY = "Initialization failure from server: Starting Ray client server failed. See ray_client.err"
+
+
+def test_a_cluster_that_is_busy_is_asked_again(runs, use):
+    use(Shy(BUSY, BUSY))
+    assert [one.status for one in do(runs, tasks("a"))] == ["done"]
+
+
+@pytest.mark.parametrize("said", [(BUSY,) * 3, ("Version mismatch",)])
+def test_a_cluster_that_cannot_be_joined(runs, use, said):
+    ray = use(Shy(*said, "never asked"))
+    with pytest.raises(UsageError, match=f"'ray' cannot be joined: {said[-1][:16]}"):
+        do(runs, tasks("a"))
+    assert ray.said == ["never asked"]
+
+
 def test_digests_tell_files_apart(tmp_path):
     (tmp_path / "a").write_text("x")
     (tmp_path / "folder").mkdir()

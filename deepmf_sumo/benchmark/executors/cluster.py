@@ -26,7 +26,10 @@ _KNOCK_S: Final = 5.0
 """Ray itself tries for half a minute to reach an address where nobody is."""
 
 _TRIES: Final = 3
-"""A task that was running whenever its machine was lost may be why."""
+"""A task that was running whenever its machine was lost may be why. A busy cluster: as often."""
+
+_BUSY: Final = "client server failed"
+"""Ray's words where the process that serves a program was not up in time, as on a busy machine."""
 
 _ENVIRONMENT: Final = ("DEEPMF_SUMO_HOME", "XDG_DATA_HOME")
 
@@ -89,14 +92,26 @@ class Cluster:
         ray = _ray()
         kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
-            ray.init(address=self.name if self.host else None, **_quiet(new=not self.host))
-        except Exception as error:  # noqa: BLE001 - Ray's own, and what it is made of
-            said = " ".join(str(error).split())[:300]
-            raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {said}") from None
+            for left in reversed(range(_TRIES)):
+                said = self._joined(ray)
+                if not said:
+                    break
+                if not left or _BUSY not in said:
+                    raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {said}")
         finally:
             for number, handler in kept.items():  # Ray's own for SIGTERM loses the tables
                 signal.signal(number, handler)
         return ray
+
+    def _joined(self, ray: Any) -> str:
+        """What Ray says against it; nothing where this program is part of the cluster now."""
+        try:
+            ray.init(address=self.name if self.host else None, **_quiet(new=not self.host))
+        except Exception as error:  # noqa: BLE001 - Ray's own, and what it is made of
+            with contextlib.suppress(Exception):
+                ray.shutdown()
+            return " ".join(str(error).split())[:300] or type(error).__name__
+        return ""
 
     def _knock(self, host: str) -> None:
         try:
