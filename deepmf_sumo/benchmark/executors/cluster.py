@@ -26,7 +26,10 @@ _KNOCK_S: Final = 5.0
 """Ray itself tries for half a minute to reach an address where nobody is."""
 
 _TRIES: Final = 3
-"""A task that was running whenever its machine was lost may be why. A busy cluster: as often."""
+"""A task that was running whenever its machine was lost may be why."""
+
+_JOINS: Final = 3
+"""So often a cluster is asked that says that it is busy."""
 
 _BUSY: Final = "client server failed"
 """Ray's words where the process that serves a program was not up in time, as on a busy machine."""
@@ -92,19 +95,19 @@ class Cluster:
         ray = _ray()
         kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
-            for left in reversed(range(_TRIES)):
-                said = self._joined(ray)
-                if not said:
-                    break
-                if not left or _BUSY not in said:
-                    raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {said}")
+            refusal = _BUSY
+            for _ in range(_JOINS):
+                if _BUSY in refusal:
+                    refusal = self._refusal(ray)
         finally:
             for number, handler in kept.items():  # Ray's own for SIGTERM loses the tables
                 signal.signal(number, handler)
+        if refusal:
+            raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {refusal}")
         return ray
 
-    def _joined(self, ray: Any) -> str:
-        """What Ray says against it; nothing where this program is part of the cluster now."""
+    def _refusal(self, ray: Any) -> str:
+        """Join the cluster; what Ray says against it, nothing where this program is part of it."""
         try:
             ray.init(address=self.name if self.host else None, **_quiet(new=not self.host))
         except Exception as error:  # noqa: BLE001 - Ray's own, and what it is made of
