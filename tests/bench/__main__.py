@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         cases = conversion(options.scenes, Path(folder))
         steps(cases)
-        cycles(cases, options.weights)
+        for driver in ("planner", "human"):
+            cycles([replace(case, av_driver=driver) for case in cases], options.weights)
         memory(cases, options.episodes)
 
 
@@ -139,8 +141,8 @@ def cycles(cases: list[Case], weights: str) -> None:
             f"{name} {statistics.median(part[name] for part in parts):.0f}" for name in parts[0]
         )
         print(
-            f"a cycle, {threads} threads: median {total:.0f} ms ({detail}); S1 generation median "
-            f"{statistics.median(generation):.2f} s a scene"
+            f"a cycle, AV of a {cases[0].av_driver}, {threads} threads: median {total:.0f} ms "
+            f"({detail}); S1 generation median {statistics.median(generation):.2f} s a scene"
         )
 
 
