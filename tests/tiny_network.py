@@ -19,6 +19,7 @@ CONFIG = """<configuration><input><net-file value="tiny.net.xml"/>
 
 CRASHING = """
 import os, signal, time
+from pathlib import Path
 from deepmf_sumo.planners.idm import Settings, build as build_idm
 
 class _Planner:
@@ -41,6 +42,15 @@ class Hang(_Planner):
 
 class Raise(_Planner):
     def go_wrong(self): raise ZeroDivisionError("a bug\\nof the planner")
+
+class Wait(_Planner):
+    def go_wrong(self):
+        here = Path(__file__).parent
+        (here / f"waits-{os.getpid()}").touch()
+        for _ in range(1200):
+            if (here / "go").exists(): return
+            time.sleep(0.1)
+        raise TimeoutError("nobody said go")
 """
 
 

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -95,6 +96,23 @@ def test_a_task_whose_machine_is_lost_again_and_again_is_a_failed_one(runs, use)
         "the machine was lost 3 times while it did this: its machine is gone"
     )
     assert [one.index for one in endings] == [0, 0, 0, 1]
+
+
+class OneMachine(Ray):
+    """Its first actors are gone as soon as all of them but one have nothing left to do."""
+
+    def wait(self, calls, **options):
+        if len(calls) == 1 and len(self.actors) == self.cpus:
+            for actor in self.actors:
+                actor.place.leave()
+                actor.alive = False
+        return super().wait(calls, **options)
+
+
+def test_a_task_is_not_given_to_idle_actors_of_a_lost_machine(runs, use):
+    use(OneMachine(cpus=4))
+    endings = do(runs, tasks(*"abcd"), jobs=4)
+    assert Counter(one.status for one in endings) == {"done": 4, "lost": 1}
 
 
 def test_a_machine_without_the_files_is_refused(runs, tmp_path, use):

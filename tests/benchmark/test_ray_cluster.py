@@ -5,6 +5,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,9 @@ pytestmark = [
     pytest.mark.timeout(1200),
     pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning"),
 ]
+
+MACHINES = 2
+"""Of `ray_machines`."""
 
 START_TRIES = 2
 """Ray's agents must start within 15 s of its daemon, which a busy machine does not grant."""
@@ -97,20 +102,39 @@ def test_results_are_those_of_this_machine(machines, specs, here, tmp_path):
     assert compare.differences(here, tmp_path / "far") == []
 
 
-def test_a_lost_machine_costs_its_runs_a_second_try(machines, specs, here, tmp_path):
+def test_a_lost_machine_costs_its_run_a_second_try(machines, tiny, tmp_path, monkeypatch):
+    """It is lost while both machines wait in the middle of a run."""
+    own = tmp_path / "own"
+    shutil.copytree(tiny, own)
+    monkeypatch.syspath_prepend(str(own))
+    planner = "{name: 'bad_planners:Wait'}"
+    waiting = [
+        spec.load(tiny_network.spec(own, f"waits {number}", seed=str(number), planner=planner))
+        for number in range(4)
+    ]
+    go = own / "go"
+    go.touch()
+    run(waiting, tmp_path / "here")
+    go.unlink()
+
+    def lose():
+        while len(list(own.glob("waits-*"))) < MACHINES:
+            time.sleep(0.1)
+        machines.tell("lose")
+        while not any(progress.lost for progress in seen):  # Ray's processes take their time to die
+            time.sleep(0.1)
+        go.touch()
+
     seen = []
-
-    def lose(progress):
-        seen.append(progress)
-        if progress.done == 3 and not progress.lost:
-            machines.tell("lose")
-
-    results = run(specs, tmp_path / "lost", lose, executor=machines.name)
+    for old in own.glob("waits-*"):
+        old.unlink()
+    threading.Thread(target=lose, daemon=True).start()
+    results = run(waiting, tmp_path / "lost", seen.append, executor=machines.name)
     machines.tell("complete")
-    assert [one["status"] for one in results] == ["ok"] * len(specs)
+    assert [one["status"] for one in results] == ["ok"] * len(waiting)
     assert seen[-1].lost == 1
-    assert seen[-1].done == len(specs)
-    assert compare.differences(here, tmp_path / "lost") == []
+    assert seen[-1].done == len(waiting)
+    assert compare.differences(tmp_path / "here", tmp_path / "lost") == []
 
 
 def test_bad_runs_are_rows_there_too(machines, tiny, tmp_path, monkeypatch):

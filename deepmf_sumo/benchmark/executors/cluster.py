@@ -251,6 +251,9 @@ class _Crew:
                 " installed on all of them?)"
             )
         self._hire()
+        for other in self.idle:  # those beside it are gone as well: no task is to find out
+            self.calls[other.actor.present.remote()] = other
+        self.idle.clear()
         if seat.index is None:
             return
         self.tries[seat.index] += 1

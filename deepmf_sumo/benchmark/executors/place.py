@@ -89,6 +89,10 @@ class Place:
         self._worker = self._new()
         return Answer()
 
+    def present(self) -> Answer:
+        """Answered by every actor whose machine is still there."""
+        return Answer()
+
     def turn(self, task: tuple[int, Task] | None = None) -> Answer:
         """Begin a task, or go on with the one before; returns when it ends, or soon."""
         self._given = task or self._given
