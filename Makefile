@@ -86,18 +86,19 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 	    --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) strive --steps 800 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
-# All networks with images are the set `womd-light`; `womd` has its opponent and its conditional network,
-# and a marginal one without images, trained longer, of two members.
-LIGHT = .weights/womd-light
 WOMD_SET = $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
+WOMD_DATA = --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
-	$(TRAIN) opponent --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
-	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
-	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
-	$(TRAIN) conditional --preset light --steps 2500 --precision auto --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45 \
-	    --out $(LIGHT) $(WOMD_SET)
-	mkdir -p .weights/womd && cp $(LIGHT)/opponent.* $(LIGHT)/conditional.* .weights/womd
+	$(TRAIN) opponent --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 	$(TRAIN) marginal --members 2 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
+	$(TRAIN) conditional --precision auto $(WOMD_DATA) --out .weights/womd $(WOMD_SET)
+
+LIGHT = .weights/womd-light
+womd-light-weights: womd-weights  ## besides, the paper's form: the set `womd-light`, all networks with images
+	mkdir -p $(LIGHT) && cp .weights/womd/opponent.* $(LIGHT)
+	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
+	$(TRAIN) conditional --preset light --steps 2500 --precision auto $(WOMD_DATA) --out $(LIGHT) $(WOMD_SET)
 
 womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
@@ -143,4 +144,4 @@ docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-strive docs no-attack-results attack-results
+.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results

@@ -18,6 +18,8 @@ class View:
         signals: lane id -> state as it is now.
         steps_left: steps until the case ends.
         av_path_m: (P, 2) centre line ahead of the AV. Given to planners alone: policies get None.
+        av_recorded_steps: of the last 10 steps those in which the AV moved as recorded: a planner
+            that has just taken over goes on otherwise than its history says.
     """
 
     step: int
@@ -28,3 +30,4 @@ class View:
     signals: dict[str, SignalState]
     steps_left: int
     av_path_m: Floats | None = None
+    av_recorded_steps: int = 0

@@ -42,6 +42,12 @@ class Condition:
         """K."""
         return int(self.given.shape[1])
 
+    @property
+    def facing(self) -> Tensor:
+        """(B, K, 16, 2) cosine and sine of the headings at 2 Hz."""
+        _, steps, columns = self.tokens.shape
+        return self.tokens.view(-1, self.futures, steps, columns)[..., 2:4]
+
 
 def encode(position_m: Tensor, heading_rad: Tensor, given: Tensor, preset: Preset) -> Condition:
     """A condition from positions (B, K, 80, 2) and headings (B, K, 80) in the target's frame."""
@@ -132,10 +138,9 @@ def _on_paths(
 
     And at each time (B, K, 16, P) the place on the path and whether it is on it.
     """
-    batch, futures, steps, _ = other.shape
-    count, nodes = paths.shape[1], paths.shape[2]
-    square = _squares(other.flatten(1, 2), paths.flatten(1, 2))
-    least, node = square.view(batch, futures, steps, count, nodes).min(-1)  # (B, K, 16, P)
+    steps = other.shape[2]
+    shape = (*other.shape[:3], paths.shape[1])  # (B, K, 16, P)
+    least, node = (each.view(shape) for each in nearest_nodes(paths, other.flatten(1, 2)))
     distance = least.clamp_min(0.0).sqrt()
     close = distance < _CLOSE_M
     met = close.any(2).float()  # (B, K, P)
@@ -165,6 +170,13 @@ def _on_paths(
         -1,
     )
     return met, enter, leave, where, path, (node * NODE_SPACING_M, close)
+
+
+def nearest_nodes(paths: Tensor, points_m: Tensor) -> tuple[Tensor, Tensor]:
+    """(B, N, P) squared distance and number of the path's node that is nearest to each point."""
+    square = _squares(points_m, paths.flatten(1, 2))
+    least, node = square.view(*points_m.shape[:2], *paths.shape[1:3]).min(-1)
+    return least, node
 
 
 def _squares(one: Tensor, other: Tensor) -> Tensor:

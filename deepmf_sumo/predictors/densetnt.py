@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from deepmf_sumo.predictors import anchors, condition
+from deepmf_sumo.predictors import anchors, car_following, condition
 from deepmf_sumo.predictors.anchors import BRAKING, KNOT_STEPS, START_SPEEDS_MPS
-from deepmf_sumo.predictors.condition import Condition
+from deepmf_sumo.predictors.car_following import Road
+from deepmf_sumo.predictors.condition import EVERY, Condition
 from deepmf_sumo.predictors.goal_features import GOAL, goal_features
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
 from deepmf_sumo.predictors.presets import Preset
@@ -64,6 +65,7 @@ class Encoding:
         paths: (B, P, 121, 2). exists: (B, P). along_m: (B, P, R, 80).
         elements, there: (B, E, H), (B, E) of VectorNet.
         target, around: (B, 1, H) the vehicle, and what it attends to.
+        road: what a follower of cars looks at.
         image: (B, C, S', S') of the blocks of VGG16 that all given futures share.
     """
 
@@ -75,6 +77,7 @@ class Encoding:
     goals: Tensor
     target: Tensor
     around: Tensor
+    road: Road
     image: Tensor | None
 
 
@@ -128,6 +131,8 @@ class DenseTNT(nn.Module):
             self.film = nn.Linear(hidden, 2 * hidden)
             self.goal_met_path = nn.Linear(condition.PATH_RELATION, hidden)
             self.goal_met = nn.Linear(condition.GOAL_RELATION, hidden)
+            if preset.reactive:
+                self.goal_follow = nn.Linear(car_following.FOLLOWING, hidden, bias=False)
         nn.init.zeros_(self.complete.bias)
         nn.init.normal_(self.complete.weight, std=0.01)
 
@@ -144,8 +149,7 @@ class DenseTNT(nn.Module):
         elements, there = self._elements(batch)  # (B, E, H)
         lines = self._lines(batch, elements, there)  # (B, P, H)
         goals = self.goal(goal_features(batch, along, self.log_prior(speed)))
-        scale = batch["motion"].new_tensor([1 / 15, 0.5, 2, 0.2, 0.5, 1, 1])
-        target = elements[:, :1] + self.motion(batch["motion"] * scale).unsqueeze(1)  # (B, 1, H)
+        target = elements[:, :1] + self.motion(self._motion(batch["motion"])).unsqueeze(1)
         image = self.image.shared(unpack(batch["raster"], self.preset)) if self.image else None
         return Encoding(
             paths=paths,
@@ -156,6 +160,7 @@ class DenseTNT(nn.Module):
             goals=goals + self.goal_path(lines).unsqueeze(2) + self.profile,
             target=target,
             around=self.target_to_elements(target, elements, there),
+            road=Road.of(batch),
             image=image,
         )
 
@@ -164,11 +169,15 @@ class DenseTNT(nn.Module):
         target = self._target(scene, given)  # (B, K, 3H)
         context = self.goal_target(target).unsqueeze(2)  # (B, K, 1, H)
         if self.conditional and given is not None:
-            met = condition.relations(scene.paths, scene.along_m[..., 4::5], given.position_m)
+            along = scene.along_m[..., EVERY - 1 :: EVERY]
+            met = condition.relations(scene.paths, along, given.position_m)
             gate = given.given[:, :, None, None]
             context = context + (self.goal_met_path(met[0]) + self.goal_met.bias) * gate
             goals = scene.goals.unsqueeze(1) + context.unsqueeze(3)
             goals += nn.functional.linear(met[1] * gate.unsqueeze(4), self.goal_met.weight)
+            if self.preset.reactive:
+                follow = car_following.relations(scene.road, along, given)
+                goals += self.goal_follow(follow * gate.unsqueeze(4))
         else:
             goals = scene.goals.unsqueeze(1) + context.unsqueeze(3)
         score, residual = self._heads(self.goal_hidden(goals))
@@ -247,6 +256,13 @@ class DenseTNT(nn.Module):
         scale, shift = (self.film(line) * gate).chunk(2, -1)
         picture = self._picture(scene, future)
         return torch.cat([target * (1 + scale) + shift, scene.around + aware, picture], -1)
+
+    def _motion(self, motion: Tensor) -> Tensor:
+        """(B, 7) of `features.Features`, scaled; when a planner took over only if it is asked."""
+        scaled = motion * motion.new_tensor([1 / 15, 0.5, 2, 0.2, 0.5, 1, 1])
+        if not self.preset.reactive:
+            scaled[:, 6].clamp_(max=1.0)
+        return scaled
 
     def _elements(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """(B, E, H) of VectorNet, the vehicle first, and the mask (B, E); one zero without it."""

@@ -19,6 +19,8 @@ NEIGHBOURS: Final = 24
 AGENTS: Final = NEIGHBOURS + 1
 LANES: Final = 48
 PATH_AGENTS: Final = 8
+MEANING: Final = 2
+"""Counts changes of what the numbers mean: kept features of another meaning are of no use."""
 
 Features = dict[str, NDArray[np.float32] | NDArray[np.uint8]]
 """What a trajectory network reads of one vehicle:
@@ -31,7 +33,8 @@ lane_info    (48, 10)       freeway, street, bike, interpolating, limit, red..un
 paths        (16, 121, 2)   see `paths.PathSet`
 path_info    (16, 14)       see `paths.PathSet`
 path_agents  (16, 8, 8)     s, d, vs, vd, cos, sin, length, there, of the vehicles nearest to each
-motion       (7)            speed, acceleration, yaw rate, length, width, is AV, planner drives
+motion       (7)            speed, acceleration, yaw rate, length, width, is AV, planner drives:
+                            0 no, 1 yes, up to 2 where it has just taken over from a recording
 raster       (bytes)        bits of `raster.draw`; not where the preset has no image
 ===========  ============== ====================================================================
 """
@@ -58,7 +61,8 @@ def features(
     agents, agent_info = agent_arrays(view, near, AGENTS, origin, heading)
     lanes, lane_info = lane_arrays(view, index, origin, heading, speed, LANES)
     paths = path_set(index, origin, heading, speed, view.signals)
-    motion = np.append(_motion(view, row), float(planner))
+    driver = 1.0 + view.av_recorded_steps / (HISTORY_STEPS - 1) if planner else 0.0
+    motion = np.append(_motion(view, row), driver)
     arrays: Features = {
         "agents": agents.astype(np.float32),
         "agent_info": agent_info.astype(np.float32),

@@ -27,6 +27,8 @@ class Preset:
         condition_channels: channels of that future; 80 is one a step.
         dropout: of the heads.
         raster, vectors: False leaves the VGG16 or the VectorNet branch out (ablations).
+        reactive: a conditional network is told what a driver who follows cars would do, and for
+            how long a planner has driven.
         profiles: speed profiles a path that are fitted on data; a conditional network has
             those of `anchors.BRAKING` on top.
     """
@@ -44,6 +46,7 @@ class Preset:
     dropout: float = 0.1
     raster: bool = True
     vectors: bool = True
+    reactive: bool = False
     profiles: int = 24
 
     @property
@@ -85,6 +88,7 @@ LIGHT: Final = Preset(
     vgg_widths=(8, 16, 32, 32, 32),
     condition_stage=3,
     condition_channels=8,
+    reactive=True,
 )
 """20 channels at 3 m: 126 m ahead, 42 m behind, 84 m to each side."""
 
@@ -99,6 +103,7 @@ PAPER: Final = Preset(
     vgg_widths=(64, 128, 256, 512, 512),
     condition_stage=0,
     condition_channels=80,
+    reactive=True,
 )
 """VGG16 at full width on 60 channels at 1 m, as M2I sizes DenseTNT's encoder; needs a GPU."""
 

@@ -88,7 +88,13 @@ class Recorder:
             signals=signals,
             steps_left=steps_left,
             av_path_m=av_path_m,
+            av_recorded_steps=self._recorded_steps(av_id, start + 1),
         )
+
+    def _recorded_steps(self, agent: AgentId, start: int) -> int:
+        """Steps from ``start`` on in which an agent moved as recorded."""
+        driver = self._driver[self._row_of(agent), start : self.step + 1]
+        return int((driver == Driver.LOG).sum())
 
     def tracks(self) -> tuple[Tracks, Bytes]:
         """Everything recorded so far, and the drivers (A, T)."""

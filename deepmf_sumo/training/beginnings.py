@@ -14,8 +14,8 @@ from deepmf_sumo.training.cache import Progress
 
 MARGINAL: Final = "marginal"
 """A conditional network began from the marginal one of its own set."""
-_NO_SIZES: Final = ("name", "dropout")
-"""Fields of a preset that the tensors do not depend on."""
+_NO_SIZES: Final = ("name", "dropout", "reactive")
+"""Fields of a preset that the tensors of a marginal network do not depend on."""
 
 
 def file_of(

@@ -15,7 +15,7 @@ from torch import nn
 
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import OutputError, RunError, WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import features, weights
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.opponent import OpponentNet
 from deepmf_sumo.predictors.presets import Preset
@@ -165,10 +165,8 @@ def _features(network: Network, preset: Preset) -> tuple[str, str]:
     if network == "opponent":
         return "opponent", opponent_samples.settings(preset)
     image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
-    return (
-        "trajectory",
-        f"{json.dumps(image, sort_keys=True)} {samples.WINDOW_STEPS} {samples.SIMULATED_TARGETS}",
-    )
+    counts = f"{samples.WINDOW_STEPS} {samples.SIMULATED_TARGETS} {features.MEANING}"
+    return "trajectory", f"{json.dumps(image, sort_keys=True)} {counts}"
 
 
 def _schedule(network: Network, training: Training, *, began: bool) -> Schedule:

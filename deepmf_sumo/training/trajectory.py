@@ -21,7 +21,7 @@ _GIVEN = 0.6
 """Share of samples whose partner's future is given; the others keep the network marginal too."""
 _NEAR_M = 15.0
 """The conditional network learns from pairs whose ways come as near as this, at any two times."""
-CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met")
+CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met", "goal_follow")
 """Begin anew where the conditional network begins from the marginal one."""
 _TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
 

@@ -73,7 +73,15 @@ def view_at(scene: Scene, step: int) -> View:
         road=scene.road,
         signals=scene.signals.at(step),
         steps_left=scene.tracks.steps - 1 - step,
+        av_recorded_steps=_recorded_steps(scene, step),
     )
+
+
+def _recorded_steps(scene: Scene, step: int) -> int:
+    """Of the last 10 steps before a window those before the planner of an attacked AV took over."""
+    if scene.source.dataset != ROLLOUT:
+        return 0
+    return min(max(scene.now + HISTORY_STEPS - 1 - step, 0), HISTORY_STEPS - 1)
 
 
 def future_of(scene: Scene, agent_id: AgentId, step: int) -> Future:

@@ -269,6 +269,16 @@ def test_policy_sees_neither_the_av_path_nor_the_future(following):
         assert view.step == NOW
 
 
+def test_a_view_tells_since_when_the_planner_drives(following):
+    class Often(Follow):
+        period_steps = 6
+
+    policy = Often("lead", 84.0, 0.0, EAST, 10.0)
+    run(following, lane_idm(), policy)
+    told = {view.step: view.av_recorded_steps for view in policy.views}
+    assert [told[NOW + later] for later in (0, 6, 12)] == [10, 4, 0]
+
+
 def test_planner_sees_the_way_ahead_from_its_bumper(following):
     class Looking(idm.IdmPlanner):
         def act(self, view):
