@@ -16,6 +16,7 @@ MEANS: Final = {
     "on_road": "on_road",
     "candidate_perplexity": "perplexity",
     "colliding_plans": "colliding_plans",
+    "predicted_contact": "predicted_rate",
     "av_ade": "av_ade_m",
 }
 """Metrics of ``result.json`` that are averaged over all runs, and their columns."""

@@ -168,12 +168,17 @@ def test_metrics_of_plans():
     ]
     rollout = rollout_of({"av": AV, "b": straight(-8, 3.5, 12)}, plans=plans)
     assert measured("colliding_plans", rollout).value == 0.5
+    reason = plans[0].reason
+    mass = reason.reactions[reason.chosen].probability @ reason.collides[reason.chosen]
+    assert 0.0 < mass < 1.0
+    assert measured("predicted_contact", rollout).value == pytest.approx(mass)
     shares = [plan.reason.candidates.probability for plan in plans]
     expected = np.mean([np.exp(scipy.stats.entropy(share)) for share in shares])
     assert measured("candidate_perplexity", rollout).value == pytest.approx(expected)
     assert (
         "does not say" in measured("colliding_plans", with_opponent(straight(-8, 3.5, 12))).reason
     )
+    assert measured("predicted_contact", with_opponent(straight(-8, 3.5, 12))).value is None
 
 
 def test_a_gap_in_the_recording_is_no_change_of_speed():
