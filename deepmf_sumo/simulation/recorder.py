@@ -93,8 +93,10 @@ class Recorder:
 
     def _recorded_steps(self, agent: AgentId, start: int) -> int:
         """Steps from ``start`` on in which an agent moved as recorded."""
-        driver = self._driver[self._row_of(agent), start : self.step + 1]
-        return int((driver == Driver.LOG).sum())
+        row = self._row.get(agent)
+        if row is None:
+            return 0
+        return int((self._driver[row, start : self.step + 1] == Driver.LOG).sum())
 
     def tracks(self) -> tuple[Tracks, Bytes]:
         """Everything recorded so far, and the drivers (A, T)."""

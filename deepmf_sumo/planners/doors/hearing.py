@@ -63,7 +63,7 @@ def case_of(told: Reset) -> Case:
 
 
 def view_of(told: ViewMessage, road: RoadMap) -> View:
-    """The view, equal to the simulation's but for what the map leaves out."""
+    """The view, equal to the simulation's but for what the map leaves out, and who drove before."""
     agents = told.agents
     steps = len(agents[0].valid) if agents else 0
     shape = (len(agents), steps)
