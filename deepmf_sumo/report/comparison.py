@@ -9,6 +9,7 @@ import pandas as pd
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.report.run_table import runs_of
 
 MEANS: Final = {
     "opponent_rms_acceleration": "rms_a_mps2",
@@ -44,9 +45,8 @@ def compare(folders: Sequence[Path]) -> pd.DataFrame:
 
 def _runs(folder: Path) -> pd.DataFrame:
     """``runs.csv`` with the contacts and metrics of each run's ``result.json``."""
+    runs_of(folder)  # says what is wrong with it
     file = folder / "runs.csv"
-    if not file.is_file():
-        raise UsageError(f"{folder} is no result folder: it has no runs.csv.")
     try:
         table = pd.read_csv(file, dtype={"opponent": str, "scene": str, "perception": str})
     except (OSError, ValueError) as error:  # those of pandas among them

@@ -74,5 +74,5 @@ def test_a_run_that_is_half_written_is_named(tmp_path):
     with pytest.raises(UsageError, match="it is no result of a run"):
         compare([made])
     (made / "runs.csv").write_text("")
-    with pytest.raises(UsageError, match=r"runs\.csv is damaged .* --resume"):
+    with pytest.raises(UsageError, match=r"runs\.csv is cut short; .* --resume"):
         compare([made])

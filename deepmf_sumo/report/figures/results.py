@@ -1,6 +1,5 @@
 """A result folder as figures need it: its runs, what each did, and the road that it was on."""
 
-import csv
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -17,6 +16,7 @@ from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.report.figures import tracks
+from deepmf_sumo.report.run_table import runs_of
 from deepmf_sumo.report.table import SECTORS
 
 HIT: Final = "av_opponent"
@@ -174,12 +174,8 @@ def _recorded_road(recording: Path, scene: str) -> RoadMap:
 
 
 def read(out: Path) -> Results:
-    """The runs of a result folder. Raises UsageError where it is none."""
-    file = out / "runs.csv"
-    if not file.is_file():
-        raise UsageError(f"{out} is no result folder: it has no runs.csv.")
-    with file.open(newline="", encoding="utf-8") as rows:
-        every = list(csv.DictReader(rows))
+    """The runs of a result folder. Raises UsageError where it is none, or its table is damaged."""
+    every = runs_of(out)
     main = [row for row in every if row.get("part") in {None, "", "main"}]
     done = [row for row in main if row["status"] == "ok"]
     steered = [row for row in every if row.get("part") == "figures" and row["status"] == "ok"]

@@ -1,6 +1,5 @@
 """A result folder -> ``report.html``."""
 
-import csv
 import json
 from collections.abc import Iterable, Iterator
 from importlib import resources
@@ -8,11 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo.benchmark import files
-from deepmf_sumo.errors import OutputError, UsageError, WeightsError
+from deepmf_sumo.errors import OutputError, WeightsError
 from deepmf_sumo.report.page.places import ELEMENTS
 from deepmf_sumo.report.page.roads import Roads
 from deepmf_sumo.report.page.rows import COLUMNS, SPEED_KINDS
 from deepmf_sumo.report.page.run_pages import RunPage, run_page
+from deepmf_sumo.report.run_table import rows_of, runs_of
 from deepmf_sumo.report.table import SECTORS
 
 _SCRIPTS: Final = (
@@ -52,28 +52,9 @@ def write(out: Path) -> Path:
 
 def _table(out: Path) -> list[dict[str, str]]:
     """Rows of ``runs.csv``, with where the AV was where an attack chose moments by itself."""
-    file = out / "runs.csv"
-    if not file.is_file():
-        begun = (out / "manifest.json").is_file()
-        rest = "finish it with --resume" if begun else "give the --out of an earlier command"
-        raise UsageError(f"{out} is no complete result folder: it has no runs.csv; {rest}.")
-    table = _rows(file)
-    lost = {"run_id", "status", "spec", "scene", "planner"} - set(table[0] if table else ())
-    if table and lost:
-        raise UsageError(f"{file} has no column '{min(lost)}': it is not of deepmf-sumo.")
-    moments = {row["run_id"]: row for row in _rows(out / "moments.csv")}
-    return [{**moments.get(row["run_id"], {}), **row} for row in table]
-
-
-def _rows(file: Path) -> list[dict[str, str]]:
-    """Rows of a table; none where there is no file."""
-    if not file.is_file():
-        return []
-    try:
-        with file.open(newline="", encoding="utf-8") as lines:
-            return list(csv.DictReader(lines))
-    except (OSError, ValueError, csv.Error) as error:
-        raise UsageError(f"{file} is damaged ({error}); write it anew with --resume.") from None
+    moments = out / "moments.csv"
+    known = {row["run_id"]: row for row in rows_of(moments)} if moments.is_file() else {}
+    return [{**known.get(row["run_id"], {}), **row} for row in runs_of(out)]
 
 
 def _json(file: Path) -> dict[str, Any]:
