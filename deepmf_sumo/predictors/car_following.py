@@ -23,13 +23,14 @@ FOLLOWING: Final = 6
 
 _SUBSTEPS: Final = 2
 _ACCEL_MPS2, _DECEL_MPS2, _HARD_MPS2, _HEADWAY_S, _GAP_M = 1.5, 2.0, 8.0, 1.5, 2.0
+"""As `planners.idm.TREIBER`, which lies above the predictors."""
 _LENGTH_M, _WIDTH_M, _MARGIN_M = 4.8, 2.0, 0.2
 """Of both vehicles, and how much wider than the own one the way is kept free."""
 _SLOW_MPS, _FREE_MPS = 3.0, 12.0
 """Least speed that is wanted, and what is wanted where no limit is known."""
 _BESIDE_M, _SAME_M, _FAR_M = 1.8, 3.0, 1e3
 
-Singles = NDArray[np.float32]
+_Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +84,7 @@ def followed(road: Road, given: Condition) -> Tensor:
     return torch.from_numpy(_driven(*arrays)).to(ahead.device)
 
 
-def _driven(ahead: Singles, pace: Singles, start: Singles, slowness: Singles) -> Singles:
+def _driven(ahead: _Singles, pace: _Singles, start: _Singles, slowness: _Singles) -> _Singles:
     """The model's steps, see `followed`."""
     seconds, brisk = EVERY * DT_S / _SUBSTEPS, 0.5 / (_ACCEL_MPS2 * _DECEL_MPS2) ** 0.5
     along = np.zeros(ahead.shape[2:], np.float32)

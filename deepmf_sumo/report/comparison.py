@@ -46,11 +46,8 @@ def compare(folders: Sequence[Path]) -> pd.DataFrame:
 def _runs(folder: Path) -> pd.DataFrame:
     """``runs.csv`` with the contacts and metrics of each run's ``result.json``."""
     runs_of(folder)  # says what is wrong with it
-    file = folder / "runs.csv"
-    try:
-        table = pd.read_csv(file, dtype={"opponent": str, "scene": str, "perception": str})
-    except (OSError, ValueError) as error:  # those of pandas among them
-        raise UsageError(f"{file} is damaged ({error}); write it anew with --resume.") from None
+    texts = {"opponent": str, "scene": str, "perception": str}
+    table = pd.read_csv(folder / "runs.csv", dtype=texts)
     details = [_details(folder, run_id) for run_id in table["run_id"]]
     return pd.concat([table, pd.DataFrame(details)], axis=1)
 
