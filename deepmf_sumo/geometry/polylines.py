@@ -18,8 +18,10 @@ class Projection(NamedTuple):
 
 def arc_lengths(points_m: Floats) -> Floats:
     """(P) distance along the polyline at each point; the first is 0."""
-    steps = np.hypot(*np.diff(np.asarray(points_m, float), axis=0).T)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    x, y = np.asarray(points_m, float).T
+    length = np.zeros(len(x))
+    np.cumsum(np.hypot(x[1:] - x[:-1], y[1:] - y[:-1]), out=length[1:])
+    return length
 
 
 class Measured:
@@ -56,21 +58,19 @@ def points_at(points_m: Floats, along_m: Floats) -> tuple[Floats, Floats]:
 def project(points_m: Floats, query_m: Floats) -> Projection:
     """Nearest point of the polyline (P, 2), P >= 2, for each query (..., 2)."""
     points, query = np.asarray(points_m, float), np.asarray(query_m, float)
-    start, delta = points[:-1], np.diff(points, axis=0)
-    square = np.maximum((delta**2).sum(-1), 1e-12)
-    offset = query[..., None, :] - start
-    share = np.clip((offset * delta).sum(-1) / square, 0.0, 1.0)
-    away = offset - share[..., None] * delta
-    distance = np.hypot(away[..., 0], away[..., 1])
+    # Each axis by itself, and one flat look-up each: this is asked for every box at every step of
+    # a simulation, and numpy is slow at sums over the two of them.
+    step_x, step_y = (points[1:] - points[:-1]).T
+    square = np.maximum(step_x**2 + step_y**2, 1e-12)
+    off_x, off_y = (query[..., axis, None] - points[:-1, axis] for axis in range(2))
+    share = np.clip((off_x * step_x + off_y * step_y) / square, 0.0, 1.0)
+    distance = np.hypot(off_x - share * step_x, off_y - share * step_y)
     best = distance.argmin(-1)
-    # one flat look-up each: this is asked for every box at every step of a simulation
-    place = np.arange(best.size) * len(delta) + best.ravel()
+    place = np.arange(best.size) * len(square) + best.ravel()
     share, left_x, left_y, nearest = (
-        values.ravel()[place].reshape(best.shape)
-        for values in (share, offset[..., 0], offset[..., 1], distance)
+        values.ravel()[place].reshape(best.shape) for values in (share, off_x, off_y, distance)
     )
-    step = delta[best]
-    heading = np.arctan2(step[..., 1], step[..., 0])
+    heading = np.arctan2(step_y[best], step_x[best])
     return Projection(
         along_m=arc_lengths(points)[best] + share * np.sqrt(square)[best],
         left_m=left_y * np.cos(heading) - left_x * np.sin(heading),

@@ -19,10 +19,16 @@ _SHORTLIST = 64
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What does not depend on the given futures: the encoding, and what is added to the logits."""
+    """What does not depend on the given futures.
+
+    Attributes:
+        encoding: of the scene. gain: what is added to the logits.
+        alone: goals under no future, without the gain, where that was computed from them.
+    """
 
     encoding: Encoding
-    gain: Tensor | float
+    gain: Tensor | float = 0.0
+    alone: Goals | None = None
 
 
 class Conditional:
@@ -103,7 +109,8 @@ class Conditional:
             there = torch.ones(1, position.shape[1])
             future = condition.encode(position, heading, there, self.net.preset)
         known = self._known(view, pose.agent_id, planner)
-        goals = self.net.decode(known.encoding, future)
+        goals = known.alone if future is None else None
+        goals = goals or self.net.decode(known.encoding, future)
         return replace(goals, logits=goals.logits + known.gain)
 
     def _known(self, view: View, agent_id: AgentId, planner: bool) -> _Known:
@@ -112,10 +119,11 @@ class Conditional:
         if self._last is None or self._last[0] is not view or self._last[1] != asked:
             arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
             encoding = self.net.encode(completion.as_batch(arrays))
-            gain: Tensor | float = 0.0
+            known = _Known(encoding)
             if self.marginal is not None and not planner:
                 images = self.marginal.net.preset.raster  # of sizes of its own
                 others = self.marginal.goals(view, agent_id, None if images else arrays)
-                gain = self.share * second_opinion.gain(self.net.decode(encoding), others)
-            self._last = (view, asked, _Known(encoding, gain))
+                alone = self.net.decode(encoding)
+                known = _Known(encoding, self.share * second_opinion.gain(alone, others), alone)
+            self._last = (view, asked, known)
         return self._last[2]

@@ -42,6 +42,28 @@ def test_against_polygons():
     assert 5 < collides.sum() < 24
 
 
+def test_one_reaction_to_all_candidates():
+    rng = np.random.default_rng(2)
+    own, size = wander(rng, 12, 30, 7), np.array([4.8, 2.0])
+    alone = Forecast(futures=wander(rng, 5, 30, 7), probability=np.full(5, 0.2))
+    copies = [
+        Forecast(
+            futures=Futures(
+                agent_id="b",
+                position_m=alone.futures.position_m.copy(),
+                heading_rad=alone.futures.heading_rad.copy(),
+            ),
+            probability=alone.probability,
+        )
+        for _ in range(12)
+    ]
+    collides, first = collisions(own, [alone] * 12, size, size, 25)
+    expected, when = collisions(own, copies, size, size, 25)
+    np.testing.assert_array_equal(collides, expected)
+    np.testing.assert_array_equal(first, when)
+    assert 5 < collides.sum() < 55
+
+
 def test_only_the_time_that_is_left_counts():
     along = np.arange(80.0)
     own = Futures(

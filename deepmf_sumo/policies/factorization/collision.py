@@ -30,25 +30,32 @@ def collisions(
     the length of the futures. Sizes are (2): length, width. Pairs of poses whose centres are
     farther apart than the half diagonals reach are not tested: they cannot overlap.
     """
-    own, own_heading = candidates.position_m[:, None], candidates.heading_rad[:, None]
-    other = np.stack([reaction.futures.position_m for reaction in reactions])
-    other_heading = np.stack([reaction.futures.heading_rad for reaction in reactions])
-    steps = own.shape[2]
-    offset = other[:, :, :horizon] - own[:, :, :horizon]
+    own, other = candidates.position_m, _stacked([each.futures.position_m for each in reactions])
+    other_heading = _stacked([each.futures.heading_rad for each in reactions])
+    # each axis by itself: numpy is slow at sums over the two of them
+    x, y = (own[:, None, :horizon, axis] - other[:, :, :horizon, axis] for axis in range(2))
     reach = (np.hypot(*opponent_size_m) + np.hypot(*av_size_m)) / 2
-    near = np.nonzero((offset**2).sum(-1) < reach**2)
+    near = np.nonzero(x * x + y * y < reach**2)
     row, mode, step = near
     hit = boxes.overlap(
-        candidates.position_m[row, step],
-        own_heading[row, 0, step],
+        own[row, step],
+        candidates.heading_rad[row, step],
         opponent_size_m,
         other[near],
         other_heading[near],
         av_size_m,
     )
+    steps = own.shape[1]
     first = np.full(other.shape[:2], float(steps))
     np.minimum.at(first, (row[hit], mode[hit]), step[hit].astype(float))
     return first < steps, first
+
+
+def _stacked(arrays: Sequence[Floats]) -> Floats:
+    """(N, ...); the same array for all is not copied."""
+    if all(each is arrays[0] for each in arrays):
+        return np.broadcast_to(arrays[0], (len(arrays), *arrays[0].shape))
+    return np.stack(arrays)
 
 
 def impact_sectors(
