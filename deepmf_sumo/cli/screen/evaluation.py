@@ -65,7 +65,9 @@ def _opponent(found: dict[str, Any]) -> list[Table | str]:
         f"{found['positives']} positives in {found['scenes_with_positive']} scenes. The attack "
         f"leaves {found['parked']} parked candidates out ({found['positives_parked']} positives, "
         f"{found['partners_parked']} partners). "
-        f"ECE {_number(found['ece'])}, at temperature 1 {_number(found['ece_uncalibrated'])}."
+        f"ECE {_number(found['ece'])}, at temperature 1 {_number(found['ece_uncalibrated'])}; "
+        f"so many right scores would show {_number(found['ece_if_right'])}, "
+        f"at most {_number(found['ece_if_right_95'])} in 95 %."
     )
     return [table, note]
 
