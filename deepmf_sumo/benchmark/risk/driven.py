@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from deepmf_sumo.geometry import boxes
 from deepmf_sumo.network import matching
 
 _NUMBERS: Final = ("step", "time_s", "x_m", "y_m", "heading_rad", "length_m", "width_m")
+_PIECE: Final = 1 << 20
+"""Characters that are looked at in one go."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,8 +69,8 @@ def read(file: Path, opponents: Sequence[str]) -> Driven:
     """
     rows: dict[str, list[list[float]]] = {one: [] for one in ("", *opponents)}
     try:
-        with gzip.open(file, "rt", encoding="utf-8", newline="") as lines:
-            for row in csv.DictReader(_of_interest(lines, opponents)):
+        with gzip.open(file, "rt", encoding="utf-8", newline="") as stream:
+            for row in csv.DictReader(_of_interest(stream, opponents)):
                 one = "" if row["role"] == "av" else row["id"]
                 if one in rows:
                     rows[one].append([float(row[name]) for name in _NUMBERS])
@@ -79,12 +81,29 @@ def read(file: Path, opponents: Sequence[str]) -> Driven:
         raise UsageError(f"{file} is damaged ({error}); run it anew.") from None
 
 
-def _of_interest(lines: Iterable[str], opponents: Sequence[str]) -> Iterator[str]:
+def _of_interest(stream: TextIO, opponents: Sequence[str]) -> Iterator[str]:
     """The first line, and those that may be of the AV or an opponent: most are of others."""
     marks = (",av,", *(one.replace('"', '""') for one in opponents))
-    for number, line in enumerate(lines):
-        if number == 0 or any(mark in line for mark in marks):
-            yield line
+    yield stream.readline()
+    rest = ""
+    while piece := stream.read(_PIECE):
+        whole, newline, rest = (rest + piece).rpartition("\n")
+        yield from _marked(whole + newline, marks)
+    yield from _marked(rest, marks)
+
+
+def _marked(text: str, marks: Iterable[str]) -> Iterator[str]:
+    """The lines with any of the marks, in order: most lines are never looked at one by one."""
+    begins = set()
+    for mark in marks:
+        at = text.find(mark)
+        while at >= 0:
+            begins.add(text.rfind("\n", 0, at) + 1)
+            end = text.find("\n", at)
+            at = text.find(mark, end) if end >= 0 else -1
+    for begin in sorted(begins):
+        end = text.find("\n", begin)
+        yield text[begin:] if end < 0 else text[begin : end + 1]
 
 
 def _driven(tables: Mapping[str, Floats]) -> Driven:

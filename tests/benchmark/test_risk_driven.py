@@ -1,0 +1,57 @@
+"""Tracks of a run, read for the AV and its opponents alone."""
+
+import csv
+import gzip
+
+import numpy as np
+import pytest
+
+from deepmf_sumo.benchmark.risk import driven
+from deepmf_sumo.errors import UsageError
+
+COLUMNS = ("step", "time_s", "id", "kind", "role", "driver", "x_m", "y_m", "heading_rad")
+COLUMNS += ("speed_mps", "length_m", "width_m")
+OPPONENT = 'the "red", one'
+
+
+def write(file, vehicles, steps):
+    """Tracks of an AV `ego` and of vehicles (id, role) that are there at some steps."""
+    rng = np.random.default_rng(3)
+    with gzip.open(file, "wt", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for step in range(steps):
+            for name, role in vehicles:
+                if role == "av" or rng.random() < 0.8:
+                    place = [round(float(value), 3) for value in rng.normal(size=4)]
+                    time = round(0.1 * (step - 10), 1)
+                    table.writerow([step, time, name, "vehicle", role, "sumo", *place, 4.5, 1.8])
+
+
+@pytest.mark.parametrize("piece", [7, 100, 4096, 1 << 20])
+def test_whoever_is_asked_for_is_read_whole_wherever_the_text_is_cut(tmp_path, monkeypatch, piece):
+    file = tmp_path / "tracks.csv.gz"
+    others = [("12", "opponent"), ("123", "other"), (OPPONENT, "opponent"), ("à 12", "other")]
+    write(file, [("ego", "av"), *others], 60)
+    monkeypatch.setattr(driven, "_PIECE", piece)
+    found = driven.read(file, ["12", OPPONENT, "never there"])
+    assert found.ids == ("", "12", OPPONENT)
+    assert (found.now, found.valid.shape) == (10, (3, 60))
+    with gzip.open(file, "rt", encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for number, name in enumerate(("ego", "12", OPPONENT)):
+        own = {int(row["step"]): row for row in rows if row["id"] == name}
+        assert list(np.flatnonzero(found.valid[number])) == sorted(own)
+        for step, row in own.items():
+            assert tuple(found.position_m[number, step]) == (float(row["x_m"]), float(row["y_m"]))
+            assert found.heading_rad[number, step] == float(row["heading_rad"])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.9])
+def test_a_file_cut_short_is_refused_by_name(tmp_path, share):
+    file = tmp_path / "tracks.csv.gz"
+    write(file, [("ego", "av"), ("12", "opponent")], 60)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(UsageError, match=r"tracks.csv.gz is damaged \(.+\); run it anew"):
+        driven.read(file, ["12"])
