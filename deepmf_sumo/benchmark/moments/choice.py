@@ -109,10 +109,11 @@ class _Spread:
         near = _gets_there(sightings, wish.duration_s)[shuffled]
         following = np.where(near, sightings.following[shuffled], -1)
         places = np.column_stack([sightings.edge[shuffled], following])
-        found, group = np.unique(places, axis=0, return_inverse=True)
+        found, group, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+        sorted_by_place = shuffled[np.argsort(group.ravel(), kind="stable")]
+        of_place = np.split(sorted_by_place, np.cumsum(count)[:-1])
         for rank in rng.permutation(len(found)):
-            edge, after = found[rank]
-            mine = shuffled[group.ravel() == rank]
+            (edge, after), mine = found[rank], of_place[rank]
             self._left[int(edge), int(after)] = mine
             self._spans[int(edge), int(after)] = np.unique(self._span[mine])
             self._kind[int(edge), int(after)] = int(met.kind[mine].min())
