@@ -33,7 +33,7 @@ PRESETS: Final[dict[Network, str]] = {
     "conditional": "vector",
     "strive": "light",
 }
-"""Sizes of each network. Images add nothing to the trajectories; see docs/results.md."""
+"""Sizes of each network. Images add nothing to the trajectories; see docs/studies.md."""
 MEMBERS: Final = 1
 """Members of the marginal network. A second lowers errors of 16 and 32 modes, not those of 6."""
 MOST_MEMBERS: Final = 8
