@@ -20,7 +20,7 @@ from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.presets import LIGHT
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import cards, clusters, evaluation, windows
-from deepmf_sumo.training.evaluation.calibration import least_error
+from deepmf_sumo.training.evaluation.calibration import error_if_right
 
 SCENES = [scene(shift=3.0 * number, av_speed=8.0 + number) for number in range(3)]
 
@@ -197,14 +197,14 @@ def test_opponent_figures_among_all_and_among_scored(predictors, given):
 
 
 def test_what_right_probabilities_show_of_few_draws():
-    assert least_error(np.zeros(0)) is None
-    assert least_error(np.array([0.0, 1.0])) == (0.0, 0.0)
-    mean, most = least_error(np.full(1, 0.3))
+    assert error_if_right(np.zeros(0)) is None
+    assert error_if_right(np.array([0.0, 1.0])) == (0.0, 0.0)
+    mean, most = error_if_right(np.full(1, 0.3))
     assert mean == pytest.approx(0.3 * 0.7 + 0.7 * 0.3, abs=0.03)
     assert most == 0.7
     many = np.linspace(0.0, 1.0, 4000)
-    assert least_error(many)[0] == pytest.approx(0.0159, abs=0.002)  # 10 bins of 400 draws each
-    assert least_error(many)[1] > least_error(many)[0]
+    assert error_if_right(many)[0] == pytest.approx(0.0159, abs=0.002)  # 10 bins of 400 draws each
+    assert error_if_right(many)[1] > error_if_right(many)[0]
 
 
 def test_other_numbers_of_modes_are_measured_too(predictors, given):

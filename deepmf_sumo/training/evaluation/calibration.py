@@ -22,7 +22,7 @@ def expected_error(probability: Floats, happened: Bools) -> float | None:
     return round(float(np.abs(apart).sum() / len(probability)), 4)
 
 
-def least_error(probability: Floats) -> tuple[float, float] | None:
+def error_if_right(probability: Floats) -> tuple[float, float] | None:
     """What `expected_error` shows of so many probabilities that are right: mean, and 95 % quantile.
 
     Few draws never happen just as often as they should. By 1000 drawings, the same each time.

@@ -13,7 +13,7 @@ from deepmf_sumo.datatypes import Bools, Floats, Ints, Scene, View
 from deepmf_sumo.predictors.opponent import Opponent
 from deepmf_sumo.predictors.opponent_features import RANGE_M
 from deepmf_sumo.training import labels
-from deepmf_sumo.training.evaluation.calibration import expected_error, least_error
+from deepmf_sumo.training.evaluation.calibration import error_if_right, expected_error
 from deepmf_sumo.training.evaluation.estimates import mean
 from deepmf_sumo.training.evaluation.opponent_rules import RULES
 from deepmf_sumo.training.evaluation.ranking import Ranking
@@ -121,7 +121,7 @@ class OpponentFigures:
         logits = np.concatenate(self.logits) if self.logits else np.zeros(0)
         happened = np.concatenate(self.positives) if self.positives else np.zeros(0, bool)
         trained = (logits - self.offset) * self.temperature
-        least = least_error(_sigmoid(logits)) or (None, None)
+        least = error_if_right(_sigmoid(logits)) or (None, None)
         return {
             "ece": expected_error(_sigmoid(logits), happened),
             "ece_if_right": least[0],
