@@ -176,6 +176,9 @@ def test_marginal_figures_and_calibration_before_and_after(predictors, given):
     assert 0.1 < at_8["on_road"]["6"] < 0.9  # one of six modes is on the lane, some cross another
     assert found["1.0"]["min_fde"] == {"6": 2.0, "16": 2.0, "32": 2.0}
     assert found["1.0"]["min_fde_of_horizon"] == {"6": 0.25, "16": 0.25, "32": 0.25}
+    # Modes for 8 s serve at 8 s; so few draws are far from their probability even if it is right.
+    assert at_8["ece_of_horizon"] == at_8["ece"]
+    assert 0.05 < at_8["ece_if_right"] < at_8["ece_if_right_95"] < 1.0
     assert at_8["min_fde_of_horizon"]["6"] == 2.0
 
 
@@ -205,6 +208,13 @@ def test_what_right_probabilities_show_of_few_draws():
     many = np.linspace(0.0, 1.0, 4000)
     assert error_if_right(many)[0] == pytest.approx(0.0159, abs=0.002)  # 10 bins of 400 draws each
     assert error_if_right(many)[1] > error_if_right(many)[0]
+
+
+def test_of_events_that_exclude_each_other_one_happens():
+    # Of two modes at .5 one is the nearest, always: their bin is right in each drawing.
+    assert error_if_right(np.full(8, 0.5), [2] * 4) == (0.0, 0.0)
+    assert error_if_right(np.full(8, 0.5))[0] > 0.1
+    assert error_if_right(np.array([0.25, 0.75]), [2])[0] == pytest.approx(0.375, abs=0.02)
 
 
 def test_other_numbers_of_modes_are_measured_too(predictors, given):

@@ -45,6 +45,8 @@ class MarginalFigures:
         modes: numbers of modes, `FEW` among them.
         fitted: map-blind clusters, if there are any beside the weights.
         of_horizon: final errors by horizon and number of modes, chosen to cover that horizon.
+        calibrated, plain: of modes that cover 8 s, at the fitted temperature and at 1.
+        calibrated_of_horizon: of modes that cover the horizon, at the fitted temperature.
     """
 
     modes: Sequence[int]
@@ -54,6 +56,7 @@ class MarginalFigures:
     likeliest: DisplacementErrors = field(default_factory=DisplacementErrors)
     baselines: dict[str, dict[int, DisplacementErrors]] = field(init=False)
     calibrated: ModeCalibration = field(default_factory=ModeCalibration)
+    calibrated_of_horizon: ModeCalibration = field(default_factory=ModeCalibration)
     plain: ModeCalibration = field(default_factory=ModeCalibration)
     log_likelihood: dict[str, list[float]] = field(
         default_factory=lambda: {key: [] for key in HORIZONS}
@@ -114,6 +117,8 @@ class MarginalFigures:
                 off = forecast.futures.position_m[:, step] - target.future.position_m[step]
                 least = float(np.hypot(*off.T).min())
                 self.of_horizon.setdefault((key, modes), []).append(least)
+            few = found[self.modes.index(FEW)]
+            self.calibrated_of_horizon.add(few, target.future, (key,))
 
     def _baselines(self, target: Target) -> None:
         known = self.baselines
@@ -156,6 +161,7 @@ class MarginalFigures:
             }
         for key, (step, *_) in HORIZONS.items():
             logs = self.log_likelihood[key]
+            right, right_95 = self.calibrated.error_if_right(key)
             found[key] = {
                 "objects": len(self.likeliest.fde[key]),
                 **displacement.summary(self.errors, key),
@@ -165,6 +171,9 @@ class MarginalFigures:
                 "log_likelihood_standard_error": standard_error(logs),
                 "negative_log_likelihood": None if not logs else mean([-one for one in logs]),
                 "ece": self.calibrated.error(key),
+                "ece_of_horizon": self.calibrated_of_horizon.error(key),
+                "ece_if_right": right,
+                "ece_if_right_95": right_95,
                 "ece_uncalibrated": self.plain.error(key),
                 "overlap_free": _share_after(self.first_overlap, step),
                 "on_road": _share_after(self.first_off_road, step),
