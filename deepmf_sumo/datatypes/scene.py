@@ -122,7 +122,8 @@ class Source:
         dataset: name of the reader, e.g. ``womd``; else `SIMULATED` or `ROLLOUT`.
         file: path as given by the user.
         record: index of the record in the file.
-        sha256: hex digest of the record's bytes (of the whole file where it holds one scene).
+        sha256: hex digest of the record's bytes (of the whole file where it holds one scene);
+            empty for a `ROLLOUT` in a network's own traffic.
     """
 
     dataset: str

@@ -17,9 +17,9 @@ class Projection(NamedTuple):
 
 
 def arc_lengths(points_m: Floats) -> Floats:
-    """(P) distance along the polyline at each point; the first is 0."""
+    """(P) distance along the polyline at each point; the first is 0, also of an empty one."""
     x, y = np.asarray(points_m, float).T
-    length = np.zeros(len(x))
+    length = np.zeros(max(len(x), 1))
     np.cumsum(np.hypot(x[1:] - x[:-1], y[1:] - y[:-1]), out=length[1:])
     return length
 

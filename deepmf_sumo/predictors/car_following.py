@@ -125,7 +125,10 @@ def _ahead(road: Road, given: Condition) -> tuple[Tensor, Tensor]:
 
 
 def _leader(paths: Tensor, given: Condition) -> tuple[Tensor, Tensor, Tensor]:
-    """(17, B, K, P) the given vehicle now and at 2 Hz: along and left of paths, in their way."""
+    """(17, B, K, P) the given vehicle at its first step and at 2 Hz: along and left, in their way.
+
+    The first step, 0.1 s ahead, stands for now: of a fast vehicle the first half second is short.
+    """
     moves, turns = given.position_m, given.facing  # (B, K, 80, 2), (B, K, 16, 2)
     other = torch.cat([moves[:, :, :1], moves[:, :, EVERY - 1 :: EVERY]], 2).flatten(1, 2)
     facing = torch.cat([turns[:, :, :1], turns], 2).flatten(1, 2).unsqueeze(1)  # (B, 1, N, 2)

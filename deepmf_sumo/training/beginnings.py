@@ -14,8 +14,10 @@ from deepmf_sumo.training.cache import Progress
 
 MARGINAL: Final = "marginal"
 """A conditional network began from the marginal one of its own set."""
+_ADDED: Final = frozenset({"goal_follow.weight"})
+"""Tensors that sets of networks that are told of no follower lack; zeros stand for them."""
 _NO_SIZES: Final = ("name", "dropout", "reactive")
-"""Fields of a preset that the tensors of a marginal network do not depend on."""
+"""Fields of a preset on which no tensors depend but those `_ADDED`."""
 
 
 def file_of(
@@ -66,12 +68,14 @@ def load(net: nn.Module, network: Network, file: Path) -> None:
 
     The conditional network shares all layers of the marginal one but those that read the condition.
     Where the condition enters the image, its channels come after the shared ones.
-    Raises WeightsError where they do not fit.
+    What a set before it did not have adds nothing at first. Raises WeightsError where they do not
+    fit.
     """
     found = weights.tensors(file.parent, file.stem)
     own = net.state_dict()
     widens = network == "conditional" and file.stem == MARGINAL
-    unlike = sorted(found.keys() - own.keys() if widens else found.keys() ^ own.keys())
+    lacking = set() if widens else own.keys() - found.keys()
+    unlike = sorted((found.keys() - own.keys()) | (lacking - _ADDED))
     unlike += sorted(
         name
         for name in found.keys() & own.keys()
@@ -83,6 +87,8 @@ def load(net: nn.Module, network: Network, file: Path) -> None:
             f"{file} does not fit the {network} network: it differs in {', '.join(unlike[:3])}"
             f"{' and others' if len(unlike) > 3 else ''}; choose another --from."
         )
+    for name in lacking:
+        own[name].zero_()
     for name, value in found.items():
         own[name][tuple(slice(size) for size in value.shape)].copy_(value)
 

@@ -79,8 +79,8 @@ def view_at(scene: Scene, step: int) -> View:
 
 def _recorded_steps(scene: Scene, step: int) -> int:
     """Of the last 10 steps before a window those before the planner of an attacked AV took over."""
-    if scene.source.dataset != ROLLOUT:
-        return 0
+    if scene.source.dataset != ROLLOUT or not scene.source.sha256:
+        return 0  # nobody's log, or traffic that SUMO drove before as well
     return min(max(scene.now + HISTORY_STEPS - 1 - step, 0), HISTORY_STEPS - 1)
 
 

@@ -20,6 +20,9 @@ class Ray:
         self.cpus, self.lost = cpus, lost or {}
         self.actors, self.running = [], False
 
+    def is_initialized(self):
+        return self.running
+
     def init(self, **arguments):
         self.running, self.arguments = True, arguments
 

@@ -94,6 +94,15 @@ def test_damaged_or_missing_tensors_are_refused(folder, tmp_path):
         begin("marginal", tmp_path / "new", str(folder))
 
 
+def test_what_an_older_set_was_not_told_adds_nothing_at_first(folder, tmp_path):
+    older = replace(SMALL, reactive=False)
+    made = weights.build("conditional", older)
+    cards.write(folder, "conditional", made, {"sizes": older.record(), "preset": "small"})
+    state, _, _ = begin("conditional", tmp_path / "new", str(folder))
+    assert not state["goal_follow.weight"].any()
+    assert torch.allclose(state["score.weight"], made.state_dict()["score.weight"], atol=1e-3)
+
+
 def test_a_set_cannot_begin_from_itself(folder):
     with pytest.raises(WeightsError, match="is the set that is to be trained"):
         begin("marginal", folder, str(folder))

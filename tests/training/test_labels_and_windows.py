@@ -96,10 +96,12 @@ def test_a_place_is_a_part_of_the_map_whatever_happens_there():
 
 def test_a_planner_takes_over_at_the_first_window_of_an_attack():
     given = scene()
-    attacked = replace(given, source=replace(given.source, dataset=windows.ROLLOUT))
+    attacked = replace(given, source=replace(given.source, dataset=windows.ROLLOUT, sha256="a"))
     told = [windows.view_at(attacked, step).av_recorded_steps for step in (10, 15, 20, 40)]
     assert told == [10, 5, 0, 0]
     assert windows.view_at(given, 10).av_recorded_steps == 0
+    driven_before = replace(attacked, source=replace(attacked.source, sha256=""))  # by SUMO
+    assert windows.view_at(driven_before, 10).av_recorded_steps == 0
 
 
 def test_an_av_under_attack_is_a_target_until_just_before_the_contact():

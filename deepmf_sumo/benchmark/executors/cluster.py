@@ -34,6 +34,9 @@ _JOINS: Final = 3
 _BUSY: Final = "client server failed"
 """Ray's words where the process that serves a program was not up in time, as on a busy machine."""
 
+_SAID: Final = 300
+"""Characters of Ray's words that are shown; what matters of a long one is at its end."""
+
 _ENVIRONMENT: Final = ("DEEPMF_SUMO_HOME", "XDG_DATA_HOME")
 
 
@@ -103,17 +106,20 @@ class Cluster:
             for number, handler in kept.items():  # Ray's own for SIGTERM loses the tables
                 signal.signal(number, handler)
         if refusal:
-            raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {refusal}")
+            cause = refusal if len(refusal) <= _SAID else f"... {refusal[-_SAID:]}"
+            raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {cause}")
         return ray
 
     def _refusal(self, ray: Any) -> str:
         """Join the cluster; what Ray says against it, nothing where this program is part of it."""
+        joined = ray.is_initialized()
         try:
             ray.init(address=self.name if self.host else None, **_quiet(new=not self.host))
         except Exception as error:  # noqa: BLE001 - Ray's own, and what it is made of
-            with contextlib.suppress(Exception):
-                ray.shutdown()
-            return " ".join(str(error).split())[:300] or type(error).__name__
+            if not joined:
+                with contextlib.suppress(Exception):
+                    ray.shutdown()
+            return " ".join(str(error).split()) or type(error).__name__
         return ""
 
     def _knock(self, host: str) -> None:

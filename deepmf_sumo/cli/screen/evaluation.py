@@ -110,9 +110,9 @@ def _calibration(found: dict[str, Any]) -> Table:
     table = _table("Marginal: certainty of 6 modes", *(f"{key} s" for key in _LATE))
     for name, title in (
         ("ece", "ECE"),
-        ("ece_of_horizon", "  modes chosen for each time"),
         ("ece_if_right", "  so many right ones would show"),
         ("ece_if_right_95", "  at most, in 95 %"),
+        ("ece_of_horizon", "  modes chosen for each time"),
         ("ece_uncalibrated", "ECE at temperature 1"),
         ("log_likelihood", "log likelihood, nats"),
         ("log_likelihood_standard_error", "  ±"),
