@@ -58,6 +58,15 @@ def file_of(
     return folder / "marginal.safetensors"
 
 
+def check(
+    network: Network, preset: Preset, folder: Path, begin_from: str | None, report: Progress
+) -> None:
+    """Raise what `file_of` and `load` would raise."""
+    file = file_of(network, preset, folder, begin_from, report)
+    if file is not None:
+        load(weights.build(network, preset), network, file)
+
+
 def digest(file: Path | None) -> str:
     """Of the tensors in a file; empty without one."""
     return hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""

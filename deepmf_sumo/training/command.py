@@ -11,7 +11,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.presets import preset_named
 from deepmf_sumo.predictors.weights import BASELINES, NETWORKS, Network
-from deepmf_sumo.training import config, ensembles, run
+from deepmf_sumo.training import beginnings, config, ensembles, run
 from deepmf_sumo.training.cache import Progress
 
 
@@ -39,7 +39,8 @@ def train_named(
     """Train the network of a name, or ``all`` three of the paper.
 
     Into the folder ``out``, or the set's place in the weights home. What is None is what
-    ``file`` says, else the default. Raises UsageError without any data.
+    ``file`` says, else the default. Raises UsageError without any data, and WeightsError where a
+    network cannot begin from what it shall, before any is trained.
     """
     settings = config.load(file) if file is not None else config.Config(version=1)
     sources = [config.parsed(text) for text in data] or settings.sources()
@@ -64,9 +65,13 @@ def train_named(
     )
     chosen = [each for each in NETWORKS if network in {each, "all"}]
     chosen += [each for each in BASELINES if network == each]
-    for each in chosen:
-        sizes = preset_named(preset or settings.preset or config.PRESETS[each])
-        train_each([each], training(preset=sizes), threads, report)
+    sizes = {e: preset_named(preset or settings.preset or config.PRESETS[e]) for e in chosen}
+    trainings = {each: training(preset=sizes[each]) for each in chosen}
+    for each, one in trainings.items():  # before the first of them has been trained
+        if one.begin_from is not None:
+            beginnings.check(each, one.preset, one.folder, one.begin_from, report)
+    for each, one in trainings.items():
+        train_each([each], one, threads, report)
 
 
 def train_each(

@@ -103,6 +103,17 @@ def test_a_network_begins_from_another_set(train, folder, tmp_path):
     assert set(changed) <= {name for name in before if "num_batches" in name}
 
 
+def test_what_one_network_cannot_begin_from_is_said_before_another_is_trained(
+    train, folder, tmp_path, capsys
+):
+    data, first, made = ["--data", str(folder / "mine")], tmp_path / "before", tmp_path / "set"
+    assert train(*data, "--steps", 2, out="before")[0] == 0  # an opponent network alone
+    code = main._run(["train", "all", *data, "--from", str(first), "--out", str(made)])
+    assert code == 2
+    assert "marginal" in capsys.readouterr().err
+    assert not made.exists()
+
+
 def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_path, monkeypatch):
     arguments = ["--data", folder / "mine", "--steps", 2]
 
