@@ -82,7 +82,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) marginal --steps 1500 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open PARTS=8
-	$(TRAIN) conditional --preset light --steps 1000 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
+	$(TRAIN) conditional --steps 1500 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) strive --steps 800 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
