@@ -160,7 +160,7 @@ def build(network: Network, preset: Preset) -> nn.Module:
 
 def find(name: str | Path) -> Path:
     """The folder of a set of weights. Raises WeightsError, with all places that were tried."""
-    places = list(_places(name))
+    places = list(dict.fromkeys(_places(name)))
     for place in places:
         if place.is_dir():
             return place
