@@ -13,7 +13,10 @@ from deepmf_sumo.training.cache import Cache
 from deepmf_sumo.training.schedule import Loss, tensors
 
 _TEMPERATURES = np.round(np.arange(0.3, 3.01, 0.05), 2)
-_OFFSETS = np.round(np.arange(-3.0, 3.01, 0.1), 1)
+_FINE_TEMPERATURES = np.geomspace(0.2, 3.0, 110).round(3)
+_OFFSETS = np.round(np.arange(-3.0, 3.01, 0.05), 2)
+_SPREAD = 0.1, 0.25
+"""How far logarithm of temperature, and offset, lie from `losses.focal_link` (studies.md)."""
 _WHOLE = 0.99
 """Share of the next 8 s that is known, but for rounding: all."""
 _SCALE = 10.0
@@ -98,9 +101,10 @@ def held_out(net: OpponentNet, cache: Cache) -> HeldOut:
 
 
 def calibrate(net: OpponentNet, cache: Cache) -> Calibration:
-    """What has the least held-out cross-entropy (Platt 1999 for the first head)."""
+    """What the focal loss implies, corrected by held-out cross-entropy (Platt 1999)."""
     if len(cache.rows(held_out=True)) == 0:
-        return Calibration()
+        temperature, offset = losses.focal_link()
+        return Calibration(temperature=temperature, offset=offset)
     found = held_out(net, cache)
     asked = found.asked
     positives = float(found.labels[asked, 0].sum())
@@ -115,14 +119,20 @@ def calibrate(net: OpponentNet, cache: Cache) -> Calibration:
 
 
 def _platt(logits: Tensor, labels: Tensor) -> tuple[float, float]:
-    """Temperature within 0.3 to 3, and offset within 3 nats: few positives say little."""
-    best, least = (1.0, 0.0), float("inf")
-    entropy = torch.nn.functional.binary_cross_entropy_with_logits
-    for temperature in _TEMPERATURES:
-        for offset in _OFFSETS:
-            cost = float(entropy(logits / temperature + offset, labels))
-            if cost < least:
-                best, least = (float(temperature), float(offset)), cost
+    """Temperature and offset: few vehicles say little, so `focal_link` is where they begin."""
+    link, middle = losses.focal_link()
+    offsets = torch.from_numpy(_OFFSETS).float().unsqueeze(1)
+    prior = 0.5 * ((offsets[:, 0] - middle) / _SPREAD[1]) ** 2
+    labels = labels.expand(len(offsets), -1)
+    best, least = (link, middle), float("inf")
+    for temperature in _FINE_TEMPERATURES:
+        entropy = torch.nn.functional.binary_cross_entropy_with_logits(
+            logits / temperature + offsets, labels, reduction="none"
+        )
+        cost = entropy.sum(1) + prior + 0.5 * (np.log(temperature / link) / _SPREAD[0]) ** 2
+        row = int(cost.argmin())
+        if float(cost[row]) < least:
+            best, least = (float(temperature), float(_OFFSETS[row])), float(cost[row])
     return best
 
 
