@@ -15,8 +15,8 @@ from deepmf_sumo.training.schedule import Loss, tensors
 _TEMPERATURES = np.round(np.arange(0.3, 3.01, 0.05), 2)
 _FINE_TEMPERATURES = np.geomspace(0.2, 3.0, 110).round(3)
 _OFFSETS = np.round(np.arange(-3.0, 3.01, 0.05), 2)
-_SPREAD = 0.1, 0.25
-"""How far logarithm of temperature, and offset, lie from `losses.focal_link` (studies.md)."""
+_GAIN = 2.0
+"""Nats that temperature and offset must gain to be fitted: one each (Akaike 1974)."""
 _WHOLE = 0.99
 """Share of the next 8 s that is known, but for rounding: all."""
 _SCALE = 10.0
@@ -101,7 +101,7 @@ def held_out(net: OpponentNet, cache: Cache) -> HeldOut:
 
 
 def calibrate(net: OpponentNet, cache: Cache) -> Calibration:
-    """What the focal loss implies, corrected by held-out cross-entropy (Platt 1999)."""
+    """What the focal loss implies; where held-out scenes say so, a fit to them (Platt 1999)."""
     if len(cache.rows(held_out=True)) == 0:
         temperature, offset = losses.focal_link()
         return Calibration(temperature=temperature, offset=offset)
@@ -119,20 +119,17 @@ def calibrate(net: OpponentNet, cache: Cache) -> Calibration:
 
 
 def _platt(logits: Tensor, labels: Tensor) -> tuple[float, float]:
-    """Temperature and offset: few vehicles say little, so `focal_link` is where they begin."""
-    link, middle = losses.focal_link()
+    """Temperature and offset; those of `focal_link` unless others explain the labels better."""
+    entropy = torch.nn.functional.binary_cross_entropy_with_logits
+    best = losses.focal_link()
+    least = float(entropy(logits / best[0] + best[1], labels, reduction="sum")) - _GAIN
     offsets = torch.from_numpy(_OFFSETS).float().unsqueeze(1)
-    prior = 0.5 * ((offsets[:, 0] - middle) / _SPREAD[1]) ** 2
     labels = labels.expand(len(offsets), -1)
-    best, least = (link, middle), float("inf")
     for temperature in _FINE_TEMPERATURES:
-        entropy = torch.nn.functional.binary_cross_entropy_with_logits(
-            logits / temperature + offsets, labels, reduction="none"
-        )
-        cost = entropy.sum(1) + prior + 0.5 * (np.log(temperature / link) / _SPREAD[0]) ** 2
-        row = int(cost.argmin())
-        if float(cost[row]) < least:
-            best, least = (float(temperature), float(_OFFSETS[row])), float(cost[row])
+        costs = entropy(logits / temperature + offsets, labels, reduction="none").sum(1)
+        row = int(costs.argmin())
+        if float(costs[row]) < least:
+            best, least = (float(temperature), float(_OFFSETS[row])), float(costs[row])
     return best
 
 
