@@ -70,6 +70,7 @@ part = $(if $(PARTS),--shard $(1)/$(PARTS))
 # Single runs may fail; the others are there.
 some = > /dev/null || test $$? = 3
 reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=, PARTS=) to learn reactions from
+	@test -n "$(OUT)" || { echo "Say where to: make reactions SCENES=FOLDER/train OUT=FOLDER WEIGHTS=open"; exit 2; }
 	$(REACT) $(call seen,corridor) $(call part,1) --out $(OUT)/corridor $(some)
 	$(REACT) $(call seen,lane) $(call part,2) --out $(OUT)/lane \
 	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1, $(plain)}" $(some)

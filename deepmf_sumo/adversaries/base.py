@@ -1,7 +1,7 @@
 """What an adversary is: a way of finding an attack."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,4 +19,13 @@ class Adversary(Protocol):
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
         """The best attack found within the budget."""
+        ...
+
+
+@runtime_checkable
+class Equipped(Protocol):
+    """An adversary that needs what its settings do not name."""
+
+    def check(self) -> None:
+        """Raises WeightsError or PluginError where it lacks; asked before hours of work."""
         ...

@@ -85,6 +85,12 @@ class STRIVE:
             None if settings.opponent == ANY else OpponentChoice(settings.opponent, weights)
         )
 
+    def check(self) -> None:
+        """Raises WeightsError where the set of weights has no motion prior."""
+        from deepmf_sumo.predictors import shared  # brings torch along
+
+        shared.motion_prior(self._weights)
+
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:

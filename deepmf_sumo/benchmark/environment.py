@@ -2,7 +2,7 @@
 
 ::
 
-    env = AttackEnv("left_turn.yaml")
+    env = AttackEnv("scenarios/left_turn_across_path.yaml")
     observation, info = env.reset(seed=1)
     observation, reward, terminated, truncated, info = env.step(action)
 

@@ -83,7 +83,7 @@ def command(network: str, name: str, **settings: Any) -> None:
     """Train NETWORK, or all three of DeepMF, on recordings of any known format.
 
     strive is the motion prior of the baseline of that name; nothing else needs it.
-    One scene in ten of each source is held out for early stopping and temperatures. Sources count
+    The scenes at one place in ten are held out for early stopping and temperatures. Sources count
     by their samples, or by the weights given to them. A run that was cut off goes on with the same
     command; a network that this very training has made is left as it is.
     """

@@ -1,8 +1,12 @@
 """Plans: what is refused, and what a plan becomes."""
 
+import shutil
+from pathlib import Path
+
 import pytest
 import tiny_plan
 
+import deepmf_sumo
 from deepmf_sumo.benchmark import study
 from deepmf_sumo.benchmark.study import entries, outline
 from deepmf_sumo.benchmark.study.run import _scene_by_scene
@@ -83,6 +87,17 @@ def test_a_method_that_is_not_installed_says_how_to_install_or_leave_it_out(plan
     text = text.replace(f", poses: [{tiny_plan.POSES}]", "")
     with pytest.raises(SpecError, match=r"method 'fixed': .*Or leave it out: --without fixed"):
         entries.entries_of(plan(text), tmp_path)
+
+
+def test_a_set_without_the_network_that_strive_needs_is_found_out_before(plan, tmp_path):
+    packed = Path(deepmf_sumo.__file__).parent / "weights" / "open"
+    for file in packed.iterdir():
+        if file.is_file() and not file.name.startswith("strive"):
+            shutil.copy(file, tmp_path)
+    both = plan(sets=["methods.STRIVE=strive", f"weights={tmp_path}"])
+    with pytest.raises(SpecError, match=r"'STRIVE': .*strive.json.*--without STRIVE"):
+        entries.entries_of(both, tmp_path)
+    entries.entries_of(plan(sets=["methods.STRIVE=strive", f"weights={packed}"]), tmp_path)
 
 
 def test_tasks_are_in_the_order_of_the_tables(plan, tmp_path):

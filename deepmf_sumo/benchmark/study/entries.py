@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deepmf_sumo import plugins, spec
+from deepmf_sumo.adversaries.base import Equipped
 from deepmf_sumo.benchmark import tasks
 from deepmf_sumo.benchmark.study.plan import Loaded, Plan, Subset
 from deepmf_sumo.benchmark.tasks import Label, Task
@@ -214,7 +215,9 @@ def _check_installed(method: str, one: Spec) -> None:
     choice = one.adversary
     settings = plugins.settings("adversaries", choice.name, choice.settings)
     try:
-        plugins.load("adversaries", choice.name).build(settings, one.weights)
+        adversary = plugins.load("adversaries", choice.name).build(settings, one.weights)
+        if isinstance(adversary, Equipped):
+            adversary.check()
         if getattr(settings, "opponent", None) in SCORED:
             from deepmf_sumo.predictors import weights  # brings torch along
 
