@@ -19,8 +19,6 @@ OTHERS: Final = 63
 RANGE_M: Final = 80.0
 PAIR: Final = MOTION + CONSTANT + LANES + 10
 """Columns of ``pair``, see `_pairs`."""
-PARKED, STANDS_IN, KNOWN_SHARE = PAIR - 3, PAIR - 2, PAIR - 1
-"""The last columns of ``pair``: flags, and how much of the next 8 s the label knows."""
 
 _MOVED_M = 0.5
 _ON_LANE_M, _ALONG_LANE_RAD = 2.0, np.deg2rad(45.0)

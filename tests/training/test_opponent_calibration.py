@@ -5,49 +5,55 @@ import torch
 from deepmf_sumo.training import losses, opponent
 
 
-def held_out(*, asked_share=0.5, samples=4000):
-    """Logits whose sigmoid is a frequency at 2 x - 1.5 where asked, and at 3 x elsewhere."""
-    generator = torch.Generator().manual_seed(0)
-    logits = 2.0 * torch.randn(samples, 2, generator=generator)
-    asked = torch.rand(samples, generator=generator) < asked_share
-    true = torch.where(asked, 2 * logits[:, 0] - 1.5, 3 * logits[:, 0])
-    labels = (torch.rand(samples, 2, generator=generator) < true.sigmoid()[:, None]).float()
-    return opponent.HeldOut(
-        logits=logits, labels=labels, known=torch.ones(samples) > 0, asked=asked
-    )
+class Net:
+    """Logits are as given, of two members."""
+
+    def eval(self):
+        return self
+
+    def cpu(self):
+        return self
+
+    def __call__(self, batch):
+        return torch.stack([batch["logits"] - 1.0, batch["logits"] + 1.0])
 
 
 class Cache:
-    def __init__(self, count):
-        self.count = count
+    """Held-out samples of five vehicles, four of which are there; half of them name a partner."""
+
+    def __init__(self, samples):
+        generator = torch.Generator().manual_seed(0)
+        logits = 2.0 * torch.randn(samples, 5, 2, generator=generator)
+        drawn = torch.rand(samples, 5, generator=generator)
+        known = torch.arange(samples) % 2
+        partner = drawn < (2 * logits[..., 1]).sigmoid()
+        partner = torch.where(known[:, None] > 0, partner, ~partner)  # of no meaning
+        there = torch.ones(samples, 5)
+        there[:, 4] = 0
+        self.arrays = {
+            "logits": logits, "partner": partner, "partner_known": known, "vehicle": there,
+        }  # fmt: skip
 
     def rows(self, *, held_out):
-        return np.arange(self.count)
+        return np.arange(len(self.arrays["logits"]) if held_out else 0)
+
+    def batch(self, rows):
+        return {name: values[rows].float().numpy() for name, values in self.arrays.items()}
 
 
-def test_frequencies_are_those_where_an_attack_asks(monkeypatch):
-    monkeypatch.setattr(opponent, "held_out", lambda *_: held_out())
-    found = opponent.calibrate(None, Cache(1))
-    assert found.temperature == pytest.approx(0.5, abs=0.06)
-    assert found.offset == pytest.approx(-1.5, abs=0.25)
+def test_the_partner_s_head_is_fitted_where_a_partner_is_named():
+    found = opponent.calibrate(Net(), Cache(1000))
+    assert found.partner_temperature == pytest.approx(0.5, abs=0.051)
 
 
-def test_where_nothing_asked_interacts_all_count(monkeypatch):
-    monkeypatch.setattr(opponent, "held_out", lambda *_: held_out(asked_share=0.0))
-    found = opponent.calibrate(None, Cache(1))
-    assert found.temperature == pytest.approx(1 / 3, abs=0.02)
-    assert found.offset == pytest.approx(0.0, abs=0.15)
-
-
-def test_few_vehicles_leave_what_the_loss_implies(monkeypatch):
-    monkeypatch.setattr(opponent, "held_out", lambda *_: held_out(asked_share=1.0, samples=40))
-    found = opponent.calibrate(None, Cache(1))
+@pytest.mark.parametrize("samples", [0, 1000])
+def test_the_first_head_has_what_its_loss_implies(samples):
+    found = opponent.calibrate(Net(), Cache(samples))
     assert (found.temperature, found.offset) == losses.focal_link()
 
 
-def test_without_held_out_scenes_the_loss_alone_says_it():
-    found = opponent.calibrate(None, Cache(0))
-    assert (found.temperature, found.offset) == losses.focal_link()
+def test_without_held_out_scenes_the_partner_s_logits_stay():
+    assert opponent.calibrate(Net(), Cache(0)).partner_temperature == 1.0
 
 
 @pytest.mark.parametrize(("alpha", "gamma"), [(0.75, 2.0), (0.5, 1.0), (0.6, 0.0)])
