@@ -23,7 +23,7 @@ class Adversary(Protocol):
 
 
 @runtime_checkable
-class Equipped(Protocol):
+class Checkable(Protocol):
     """An adversary that needs what its settings do not name."""
 
     def check(self) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deepmf_sumo import plugins, spec
-from deepmf_sumo.adversaries.base import Equipped
+from deepmf_sumo.adversaries.base import Checkable
 from deepmf_sumo.benchmark import tasks
 from deepmf_sumo.benchmark.study.plan import Loaded, Plan, Subset
 from deepmf_sumo.benchmark.tasks import Label, Task
@@ -216,7 +216,7 @@ def _check_installed(method: str, one: Spec) -> None:
     settings = plugins.settings("adversaries", choice.name, choice.settings)
     try:
         adversary = plugins.load("adversaries", choice.name).build(settings, one.weights)
-        if isinstance(adversary, Equipped):
+        if isinstance(adversary, Checkable):
             adversary.check()
         if getattr(settings, "opponent", None) in SCORED:
             from deepmf_sumo.predictors import weights  # brings torch along
