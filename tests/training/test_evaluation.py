@@ -137,6 +137,22 @@ def test_who_is_compared_with_whom(predictors, given):
     assert found["conditional"]["3.0"]["log_likelihood_gain_true"] > 0.5
 
 
+def test_what_is_said_given_the_truth_is_judged_as_any_forecast(predictors, given):
+    given(*SCENES)
+    found = evaluate()
+    informed, alone = found["conditional"]["8.0"], found["marginal"]["8.0"]
+    assert informed["min_ade"]["6"] == pytest.approx(0.0, abs=1e-3)
+    assert alone["min_ade"]["6"] > 0.5
+    assert informed["miss_rate"] == {"6": 0.0, "16": 0.0, "32": 0.0}
+    assert informed["negative_log_likelihood"] == pytest.approx(0.0, abs=1e-6)
+    assert informed["ece"] == alone["ece"], "the modes of both doubles have the same chances"
+    assert informed["ece_if_right_95"] == alone["ece_if_right_95"]
+    for share in ("on_road", "overlap_free"):
+        assert informed[share]["recorded"] == alone[share]["recorded"]
+        assert informed[share].keys() == {"6", "16", "32", "recorded"}
+        assert 0.0 < informed[share]["6"] < 1.0, "some modes leave the lane, or meet somebody"
+
+
 def test_the_shuffled_future_is_another_scene_s_partner_in_the_same_role(predictors, given):
     given(*SCENES)
     at_8 = evaluate()["conditional"]["8.0"]

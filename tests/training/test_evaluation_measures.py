@@ -73,6 +73,15 @@ def test_the_partner_s_place_counts_and_who_is_not_scored_is_never_found():
     assert ranking.by_label()["top1_positive_scenes"] == 1
 
 
+def test_a_positive_may_be_second_or_third():
+    ranking = Ranking()
+    for place in range(4):
+        ranking.add(np.array([4.0, 3.0, 2.0, 1.0]), np.arange(4) == place)
+    found = ranking.by_label()
+    assert (found["top1_positive"], found["top3_positive"]) == (0.25, 0.75)
+    assert found["top3_positive_scenes"] == 3
+
+
 def test_a_scene_without_scored_candidates_has_no_first():
     ranking = Ranking()
     ranking.add(np.array([-np.inf]), np.array([True]))

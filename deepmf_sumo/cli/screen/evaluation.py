@@ -21,6 +21,16 @@ _RULES: Final = {
     "constant_velocity": "constant-velocity approach",
 }
 
+_CERTAINTY: Final = {
+    "ece": "ECE",
+    "ece_if_right": "  so many right ones would show",
+    "ece_if_right_95": "  at most, in 95 %",
+    "ece_of_horizon": "  modes chosen for each time",
+    "ece_uncalibrated": "ECE at temperature 1",
+    "negative_log_likelihood": "negative log likelihood, nats",
+    "log_likelihood_standard_error": "  ±",
+}
+
 
 def show(found: dict[str, Any]) -> None:
     """All tables, of the nested figures that `training.evaluation.evaluate` gives."""
@@ -55,7 +65,7 @@ def _opponent(found: dict[str, Any]) -> list[Table | str]:
     scenes, partners = found["scenes"], found["scenes_with_partner"]
     table = _table(
         "Opponent", "AUROC", "AP", f"first is a positive /{scenes}",
-        f"partner first /{partners}", f"among first 3 /{partners}",
+        "among first 3", f"partner first /{partners}", f"among first 3 /{partners}",
     )  # fmt: skip
     for group, label in ((found, "all"), (found["attackable"], "attackable")):
         table.add_row(f"network, {label} {group['candidates']} candidates", *_ranks(group))
@@ -73,7 +83,10 @@ def _opponent(found: dict[str, Any]) -> list[Table | str]:
 
 
 def _ranks(found: dict[str, Any]) -> list[str]:
-    counts = ("top1_positive_scenes", "partner_top1_scenes", "partner_top3_scenes")
+    counts = (
+        "top1_positive_scenes", "top3_positive_scenes", "partner_top1_scenes",
+        "partner_top3_scenes",
+    )  # fmt: skip
     return [
         _number(found["auroc"]),
         _number(found["average_precision"]),
@@ -83,14 +96,9 @@ def _ranks(found: dict[str, Any]) -> list[str]:
 
 def _marginal(found: dict[str, Any], modes: Sequence[int]) -> list[Table | str]:
     ends = _table("Marginal: least error", "modes", *(f"{key} s" for key in _SECONDS), "± at 8.0 s")
-    ways = _table(
-        "Marginal: the whole way", "modes", *(f"ADE {key}" for key in _LATE),
-        *(f"miss {key}" for key in _LATE), "clear 8.0", "on road 8.0",
-    )  # fmt: skip
-    shares = [found["8.0"][name] for name in ("overlap_free", "on_road")]
+    ways = _whole_ways("Marginal: the whole way", "network", found, modes)
     for count in map(str, modes):
         ends.add_row("network", count, *_ends(found, count))
-        ways.add_row("network", count, *_ways(found, count), *(_number(s[count]) for s in shares))
     for count in map(str, modes):
         chosen = (_number(found[key]["min_fde_of_horizon"][count]) for key in _SECONDS)
         ends.add_row("  modes chosen for each time", count, *chosen)
@@ -101,23 +109,28 @@ def _marginal(found: dict[str, Any], modes: Sequence[int]) -> list[Table | str]:
         for count in known["8.0"]["min_fde"] if known["8.0"] else ():
             ends.add_row(f"  {title}", count, *_ends(known, count))
             ways.add_row(f"  {title}", count, *_ways(known, count))
-    ways.add_row("  recorded", *[""] * 7, *(_number(share["recorded"]) for share in shares))
     note = f"{found['targets']} objects; metres. Map-blind clusters: {found['clusters']}."
-    return [ends, note, ways, _calibration(found)]
+    return [ends, note, ways, _calibration("Marginal", found)]
 
 
-def _calibration(found: dict[str, Any]) -> Table:
-    table = _table("Marginal: certainty of 6 modes", *(f"{key} s" for key in _LATE))
-    for name, title in (
-        ("ece", "ECE"),
-        ("ece_if_right", "  so many right ones would show"),
-        ("ece_if_right_95", "  at most, in 95 %"),
-        ("ece_of_horizon", "  modes chosen for each time"),
-        ("ece_uncalibrated", "ECE at temperature 1"),
-        ("log_likelihood", "log likelihood, nats"),
-        ("log_likelihood_standard_error", "  ±"),
-    ):
-        table.add_row(title, *(_number(found[key][name]) for key in _LATE))
+def _whole_ways(title: str, name: str, found: dict[str, Any], modes: Sequence[int]) -> Table:
+    """Mean errors and misses at three times, and how plausible the modes are, and what happened."""
+    table = _table(
+        title, "modes", *(f"ADE {key}" for key in _LATE), *(f"miss {key}" for key in _LATE),
+        *(f"clear {key}" for key in _LATE), *(f"on road {key}" for key in _LATE),
+    )  # fmt: skip
+    shares = [found[key][kind] for kind in ("overlap_free", "on_road") for key in _LATE]
+    for count in map(str, modes):
+        table.add_row(name, count, *_ways(found, count), *(_number(s[count]) for s in shares))
+    table.add_row("  recorded", *[""] * 7, *(_number(share["recorded"]) for share in shares))
+    return table
+
+
+def _calibration(title: str, found: dict[str, Any]) -> Table:
+    table = _table(f"{title}: certainty of 6 modes", *(f"{key} s" for key in _LATE))
+    for name, label in _CERTAINTY.items():
+        if name in found["8.0"]:
+            table.add_row(label, *(_number(found[key][name]) for key in _LATE))
     return table
 
 
@@ -155,7 +168,9 @@ def _conditional(found: dict[str, Any], modes: Sequence[int]) -> list[Table | st
             errors.add_row(title, count, *cells, _number(error))
         cells = [_number(found[key]["most_probable_fde"][name]) for key in _SECONDS]
         errors.add_row("  most probable mode", "1", *cells)
-    return [errors, _gains(found)]
+    title = "Conditional, given the true future"
+    ways = _whole_ways(f"{title}: the whole way", "network", found, modes)
+    return [errors, ways, _calibration(title, found), _gains(found)]
 
 
 def _gains(found: dict[str, Any]) -> Table:

@@ -8,7 +8,6 @@ from typing import Any
 from deepmf_sumo.datatypes import Floats, Forecast, Futures
 from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.training.evaluation import conditions, likelihood, reactions
-from deepmf_sumo.training.evaluation.calibration import ModeCalibration
 from deepmf_sumo.training.evaluation.conditions import (
     CONDITIONS,
     MARGINAL,
@@ -19,7 +18,8 @@ from deepmf_sumo.training.evaluation.conditions import (
 )
 from deepmf_sumo.training.evaluation.displacement import EARLY, HORIZONS
 from deepmf_sumo.training.evaluation.estimates import difference, mean, standard_error
-from deepmf_sumo.training.evaluation.marginal import FEW, Marginals
+from deepmf_sumo.training.evaluation.forecast_modes import FEW, ForecastModes
+from deepmf_sumo.training.evaluation.marginal import Marginals
 from deepmf_sumo.training.evaluation.targets import Role, Target
 from deepmf_sumo.training.windows import Future
 
@@ -43,6 +43,7 @@ class ConditionalFigures:
     Attributes:
         by_role: errors for the AV, and for its partners.
         attacked: errors for AVs that were attacked in simulation.
+        informed: its modes, given the true future.
     """
 
     modes: Sequence[int]
@@ -50,11 +51,13 @@ class ConditionalFigures:
         default_factory=lambda: {"av": Observed(), "partner": Observed()}
     )
     attacked: Observed = field(default_factory=Observed)
-    calibrated: ModeCalibration = field(default_factory=ModeCalibration)
-    plain: ModeCalibration = field(default_factory=ModeCalibration)
+    informed: ForecastModes = field(init=False)
     pairs: int = 0
     _before: list[tuple[Role, Floats]] = field(default_factory=list)
     _first: list[Pair] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.informed = ForecastModes(self.modes)
 
     def add(self, conditional: Conditional, pairs: Sequence[Pair]) -> None:
         """The pairs of one scene."""
@@ -105,10 +108,9 @@ class ConditionalFigures:
                     each.add_modes(condition, modes, forecast.futures.position_m, future)
                 each.add_modes(condition, 1, forecasts[FEW].futures.position_m[:1], future)
                 each.add_log(condition, logs[condition])
-        self.calibrated.add(found[TRUE][FEW], future)
         warm = copy(conditional)  # shares the network; only the probabilities differ
         warm.temperature = 1.0
-        self.plain.add(_answers(warm, target, true, FEW)[0], future)
+        self.informed.add(target, found[TRUE], _answers(warm, target, true, FEW)[0])
         self.pairs += 1
 
     def _react(
@@ -127,7 +129,7 @@ class ConditionalFigures:
         return found
 
     def summary(self) -> dict[str, Any]:
-        """Figures by horizon."""
+        """Figures by horizon; those that name no condition are of the true future given."""
         both = self.by_role["av"].joined(self.by_role["partner"])
         found: dict[str, Any] = {"targets": self.pairs}
         for key in (*EARLY, *HORIZONS):
@@ -147,11 +149,21 @@ class ConditionalFigures:
                     }
                     for role, each in self.by_role.items()
                 },
-                "ece": self.calibrated.error(key),
-                "ece_uncalibrated": self.plain.error(key),
+                **self._informed(both, key),
             }  # fmt: skip
         found["reactions"] = reactions.summary(self.attacked)
         return found
+
+    def _informed(self, both: Observed, key: str) -> dict[str, Any]:
+        errors = self.informed.displacement(key)
+        log = mean(both.log[TRUE, key])
+        return {
+            "min_ade": errors["min_ade"],
+            "miss_rate": errors["miss_rate"],
+            "negative_log_likelihood": None if log is None else -log,
+            **self.informed.calibration(key),
+            **self.informed.plausibility(key),
+        }
 
     def _displacement(self, both: Observed, key: str) -> dict[str, Any]:
         found: dict[str, Any] = {"objects": len(both.fde[MARGINAL, FEW, key])}

@@ -1,11 +1,12 @@
 """How well scores rank candidates: by label, and by the place of one named candidate."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats
+from deepmf_sumo.datatypes import Bools, Floats, Ints
 from deepmf_sumo.training.evaluation.estimates import mean
 
 
@@ -39,13 +40,14 @@ class Ranking:
     """Scenes' candidates, ranked by one score. -inf is for what the score does not rank.
 
     Attributes:
-        places: of the labelled partner in each scene that names one, 0 first; infinite where it is
-            not ranked.
+        best_positive: place of the first positive of each scene, 0 first; infinite where none is
+            ranked.
+        places: of the labelled partner in each scene that names one, likewise.
     """
 
     scores: list[Floats] = field(default_factory=list)
     labels: list[Bools] = field(default_factory=list)
-    first_is_positive: list[bool] = field(default_factory=list)
+    best_positive: list[float] = field(default_factory=list)
     places: list[float] = field(default_factory=list)
 
     def add(self, scores: Floats, positive: Bools) -> None:
@@ -53,34 +55,44 @@ class Ranking:
         if len(scores):
             self.scores.append(scores)
             self.labels.append(positive)
-            first = int(scores.argmax())
-            self.first_is_positive.append(bool(positive[first] and scores[first] > -np.inf))
+            order = _in_order(scores)
+            found = np.flatnonzero((positive & (scores > -np.inf))[order])
+            self.best_positive.append(float(found[0]) if len(found) else np.inf)
 
     def add_partner(self, scores: Floats, partner: int | None) -> None:
         """The labelled partner's row among scores (A); None where it is no candidate."""
         if partner is None or scores[partner] == -np.inf:
             self.places.append(np.inf)
         else:
-            self.places.append(float(np.argsort(-scores, kind="stable").tolist().index(partner)))
+            self.places.append(float(_in_order(scores).tolist().index(partner)))
 
     def by_label(self) -> dict[str, Any]:
-        """AUROC, average precision, and in how many scenes the first is a positive."""
-        if not self.scores:
-            return {"auroc": None, "average_precision": None, "top1_positive": None}
-        scores, labels = np.concatenate(self.scores), np.concatenate(self.labels)
-        area, precision = auroc(scores, labels), average_precision(scores, labels)
-        return {
+        """AUROC, average precision, and in how many scenes a positive is first, or among three."""
+        area = precision = None
+        if self.scores:
+            scores, labels = np.concatenate(self.scores), np.concatenate(self.labels)
+            area, precision = auroc(scores, labels), average_precision(scores, labels)
+        found = {
             "auroc": None if area is None else round(area, 4),
             "average_precision": None if precision is None else round(precision, 4),
-            "top1_positive": mean(self.first_is_positive),
-            "top1_positive_scenes": sum(self.first_is_positive),
         }
+        return found | _among_first("top{}_positive", self.best_positive)
 
     def by_partner(self, prefix: str = "partner") -> dict[str, Any]:
         """In how many scenes the labelled partner is the first, and among the first three."""
-        found: dict[str, Any] = {}
-        for count in (1, 3):
-            hits = [place < count for place in self.places]
-            found[f"{prefix}_top{count}"] = mean(hits)
-            found[f"{prefix}_top{count}_scenes"] = sum(hits)
-        return found
+        return _among_first(prefix + "_top{}", self.places)
+
+
+def _in_order(scores: Floats) -> Ints:
+    """Rows from the highest score down; who comes first among equals stays first."""
+    return np.argsort(-scores, kind="stable")
+
+
+def _among_first(name: str, places: Sequence[float]) -> dict[str, Any]:
+    """Share and number of scenes whose place is the first, and among the first three."""
+    found: dict[str, Any] = {}
+    for count in (1, 3):
+        hits = [place < count for place in places]
+        found[name.format(count)] = mean(hits)
+        found[f"{name.format(count)}_scenes"] = sum(hits)
+    return found

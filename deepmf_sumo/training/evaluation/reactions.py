@@ -4,7 +4,7 @@ from typing import Any, Final
 
 from deepmf_sumo.training.evaluation.conditions import MARGINAL, NOTHING, TRUE, Observed
 from deepmf_sumo.training.evaluation.estimates import difference, mean, standard_error
-from deepmf_sumo.training.evaluation.marginal import FEW
+from deepmf_sumo.training.evaluation.forecast_modes import FEW
 
 SECONDS: Final = ("1.0", "2.0", "3.0")
 _SHOWN: Final = {"most_probable": 1, f"best_of_{FEW}": FEW}

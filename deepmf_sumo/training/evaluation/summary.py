@@ -6,7 +6,7 @@ from deepmf_sumo.training.evaluation.displacement import HORIZONS
 
 _OPPONENT: Final = (
     "scenes", "candidates", "positives", "parked", "auroc", "average_precision",
-    "top1_positive", "partner_top1", "partner_top3", "scenes_with_partner", "ece",
+    "top1_positive", "top3_positive", "partner_top1", "partner_top3", "scenes_with_partner", "ece",
 )  # fmt: skip
 _MARGINAL: Final = (
     "objects", "min_fde", "min_fde_of_horizon", "min_ade", "miss_rate", "log_likelihood", "ece",
@@ -16,6 +16,7 @@ _CONDITIONAL: Final = (
     "objects", "min_fde_marginal", "min_fde_given_true", "min_fde_given_shuffled",
     "log_likelihood_gain_true", "log_likelihood_gain_true_standard_error",
     "log_likelihood_gain_shuffled", "log_likelihood_gain_shuffled_standard_error",
+    "min_ade", "miss_rate", "negative_log_likelihood", "ece", "overlap_free", "on_road",
 )  # fmt: skip
 
 
