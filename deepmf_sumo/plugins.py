@@ -23,7 +23,7 @@ Kind = Literal["readers", "planners", "policies", "adversaries", "metrics", "exp
 class Settings(BaseModel):
     """Base of all plug-in settings: strict types, no unknown keys, immutable."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 def names(kind: Kind) -> list[str]:

@@ -5,7 +5,7 @@ import tiny_network
 import yaml
 
 from deepmf_sumo import spec
-from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.errors import SpecError
 
 
 @pytest.fixture
@@ -38,6 +38,10 @@ def test_turns_are_kept_in_what_repeats_the_run(write, tmp_path):
         ({"turns": "{longest_s: 1.0}"}, "turns.longest_s"),
         ({"opponents": "in_turn", "adversary": "bbo"}, "bbo looks for one attack"),
         (
+            {"opponents": "in_turn", "adversary": "{name: deepmf, opponent: bus_3}"},
+            "adversary.opponent is 'bus_3'",
+        ),
+        (
             {"opponents": "in_turn", "source": "{recording: val}"},
             "a recording is too short for several opponents",
         ),
@@ -48,15 +52,3 @@ def test_wrong_specs_are_refused_in_one_line(write, keys, message):
         spec.load(write(**keys))
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_a_named_opponent_takes_no_turns(tmp_path):
-    from types import SimpleNamespace
-
-    from deepmf_sumo.adversaries import deepmf
-    from deepmf_sumo.datatypes import Budget, TurnRules
-
-    adversary = deepmf.build(deepmf.Settings(opponent="bus_3"), "open")
-    case = SimpleNamespace(turns=TurnRules())
-    with pytest.raises(UsageError, match=r"in_turn chooses by score.*'bus_3'"):
-        adversary.attack(case, None, Budget(), None)

@@ -34,7 +34,9 @@ from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.adversaries.search.opponents import OpponentChoice
 from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
+from deepmf_sumo.policies.factorization.collision import footprint
 from deepmf_sumo.policies.factorization.tracking import Start, track
+from deepmf_sumo.predictors.base import MOST_MODES
 
 if TYPE_CHECKING:
     from deepmf_sumo.adversaries.gradients.art_descent import Bounds, Descent
@@ -62,7 +64,7 @@ class Settings(AimedSettings):
     restarts: int = Field(default=10, ge=1)
     iterations: int = Field(default=100, ge=1)
     seconds: float = Field(default=60.0, gt=0.0)
-    modes: int = Field(default=6, ge=1, le=256)
+    modes: int = Field(default=6, ge=1, le=MOST_MODES)
     speed_mps: float = Field(default=30.0, gt=0.0)
     jerk_mps3: float = Field(default=20.0, gt=0.0)
 
@@ -114,8 +116,8 @@ class ART:
             position_m=motions.continued(av, Start.of(view, view.av_id)),
             heading_rad=av.heading_rad,
             there=av.valid,
-            av_size_m=motions.footprint(view, view.av_id),
-            own_size_m=motions.footprint(view, scouted.opponent_id),
+            av_size_m=footprint(view, view.av_id),
+            own_size_m=footprint(view, scouted.opponent_id),
         )
         bounds = self._bounds(chosen.reach_m)
         found = art_future.bend(

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.aiming import answers, motions
+from deepmf_sumo.adversaries.aiming import answers
 from deepmf_sumo.adversaries.aiming.answers import Answers, Scored
 from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
 from deepmf_sumo.adversaries.aiming.settings import AimedSettings
@@ -31,9 +31,11 @@ from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Budget, Case, Plan, PlanReason, View
 from deepmf_sumo.policies.factorization import candidates
 from deepmf_sumo.policies.factorization.candidates import Candidates, References
+from deepmf_sumo.policies.factorization.collision import footprint
 from deepmf_sumo.policies.factorization.goals import goal_paths
 from deepmf_sumo.policies.factorization.proposals import DensePredictor
 from deepmf_sumo.policies.factorization.tracking import Start, track
+from deepmf_sumo.predictors.base import MOST_MODES
 
 FORESIGHT = "the AV's un-attacked motion"
 
@@ -49,7 +51,7 @@ class Settings(AimedSettings):
         memory: rollouts of the AV that are kept.
     """
 
-    candidates: int = Field(default=32, ge=1, le=256)
+    candidates: int = Field(default=32, ge=1, le=MOST_MODES)
     goal_candidates: int = Field(default=32, ge=0, le=256)
     tail_after: int | None = Field(default=6, ge=1)
     memory: int = Field(default=5, ge=1)
@@ -112,7 +114,7 @@ class CAT:
                 modes,
                 last.forecast,
                 start,
-                motions.footprint(view, view.av_id),
+                footprint(view, view.av_id),
                 limits,
                 min(FUTURE_STEPS, view.steps_left),
                 settings.goal_candidates,

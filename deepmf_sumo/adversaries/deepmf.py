@@ -1,17 +1,10 @@
 """DeepMF as an adversary: one episode under its policy."""
 
-from typing import Final
-
 import numpy as np
 
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case
-from deepmf_sumo.errors import UsageError
 from deepmf_sumo.policies import deepmf
-from deepmf_sumo.policies.factorization.opponent import SCORED
-
-IN_TURN: Final = True
-"""Goes with ``opponents: in_turn``."""
 
 Settings = deepmf.Settings
 
@@ -31,15 +24,7 @@ class DeepMF:
         budget: Budget,
         rng: np.random.Generator,
     ) -> Attack:
-        """The episode; ``generation_s`` is what the policy did, without loading the predictors.
-
-        Raises UsageError where several opponents are to attack, but the settings name one.
-        """
-        if case.turns is not None and self._settings.opponent not in SCORED:
-            raise UsageError(
-                f"opponents: in_turn chooses by score, but adversary.opponent is"
-                f" '{self._settings.opponent}'; use {', '.join(sorted(SCORED))}."
-            )
+        """The episode; ``generation_s`` is what the policy did, without loading the predictors."""
         if self._predictors is None:
             # Brings torch along, which checking a spec's settings must not.
             from deepmf_sumo.predictors import shared

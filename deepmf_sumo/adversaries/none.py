@@ -1,19 +1,19 @@
 """Nobody attacks: how the AV fares in the traffic as it is."""
 
-from typing import Final
-
 import numpy as np
 
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case
 
-IN_TURN: Final = True
-"""Goes with ``opponents: in_turn``."""
-
 
 class Settings(plugins.Settings):
     """Nothing to set."""
+
+    @property
+    def takes_turns(self) -> bool:
+        """Goes with ``opponents: in_turn``: for comparison with those who attack in turn."""
+        return True
 
 
 class Nobody:

@@ -10,6 +10,7 @@ from deepmf_sumo.cli.parameters.finite import FiniteRange
 
 _STEPS = click.IntRange(min=1)
 _ABOVE_0 = FiniteRange(min=0, min_open=True)
+_RATE = FiniteRange(min=0, min_open=True, max=1)
 
 
 @click.command(name="train")
@@ -47,8 +48,8 @@ _ABOVE_0 = FiniteRange(min=0, min_open=True)
 )
 @click.option("--steps", type=_STEPS, help="Steps of each network.")
 @click.option("--batch", type=_STEPS, help="Samples a step.")
-@click.option("--rate", type=_ABOVE_0, help="Highest learning rate.")
-@click.option("--weight-decay", type=FiniteRange(min=0))
+@click.option("--rate", type=_RATE, help="Highest learning rate.")
+@click.option("--weight-decay", type=FiniteRange(min=0, max=1))
 @click.option("--clip", type=_ABOVE_0, help="Largest norm of the gradient.")
 @click.option(
     "--ema",

@@ -4,6 +4,7 @@ import csv
 import gzip
 import io
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Self
 
@@ -17,6 +18,17 @@ from deepmf_sumo.geometry import angles
 from deepmf_sumo.policies.factorization.opponent import named
 
 _COLUMNS = ("step", "x_m", "y_m", "heading_rad")
+_DAMAGED = (
+    OSError,
+    EOFError,
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What reading a damaged file may raise."""
 
 
 class Settings(plugins.Settings):
@@ -103,7 +115,7 @@ def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:
     try:
         content = path.read_bytes()
         rows = _from_npz(content) if path.suffix == ".npz" else _from_csv(path, content, agent)
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         raise PluginError(
             f"trajectory file '{path}' cannot be used: {error}; it needs {', '.join(_COLUMNS)}."
         ) from None

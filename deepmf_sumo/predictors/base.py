@@ -1,9 +1,12 @@
 """What a predictor is: view -> forecast."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 from deepmf_sumo.datatypes import AgentId, Forecast, Futures, OpponentScores, View
+
+MOST_MODES: Final = 96
+"""Of one forecast. A vehicle far from all lanes has five paths, with 24 goals each by default."""
 
 
 class OpponentPredictor(Protocol):

@@ -11,7 +11,6 @@ from deepmf_sumo.geometry import angles, frames
 from deepmf_sumo.predictors import anchors, selection
 from deepmf_sumo.predictors.densetnt import Goals
 from deepmf_sumo.predictors.features import Features
-from deepmf_sumo.predictors.selection import Selection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +45,6 @@ def forecasts(
     modes: int,
     temperature: float,
     *,
-    choose: Selection = "medoids",
     shortlist: int | None = None,
     chosen_at: int | None = None,
 ) -> list[Forecast]:
@@ -58,9 +56,7 @@ def forecasts(
     """
     probability = (goals.logits[0].flatten(1) / temperature).softmax(-1)  # (K, N)
     ends = goals.ends()[0] if chosen_at is None else _all_at(goals, chosen_at)  # (K, N, 2)
-    chosen, mass = selection.select(
-        probability, ends, modes, selection=choose, speed_mps=pose.speed_mps, shortlist=shortlist
-    )
+    chosen, mass = selection.select(probability, ends, modes, shortlist=shortlist)
     futures = to_scene(pose, *complete(goals, chosen))
     shares = (mass / mass.sum(1, keepdim=True)).double().numpy()
     return [

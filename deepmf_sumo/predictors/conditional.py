@@ -11,7 +11,6 @@ from deepmf_sumo.predictors.completion import Pose
 from deepmf_sumo.predictors.densetnt import DenseTNT, Encoding, Goals
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.marginal import Marginal
-from deepmf_sumo.predictors.selection import Selection
 
 _SHORTLIST = 64
 """Goals of each reaction that may become modes: half of the time of choosing among all."""
@@ -37,7 +36,6 @@ class Conditional:
     Args:
         net: made with ``conditional=True``, in evaluation mode.
         temperature: of the probabilities.
-        selection: how modes are chosen among the goals.
         marginal: what it knows of people counts too, see `second_opinion`. It has not seen
             planners drive, so of them it is not asked.
         share: weight of what ``marginal`` knows.
@@ -47,14 +45,12 @@ class Conditional:
         self,
         net: DenseTNT,
         temperature: float,
-        selection: Selection = "medoids",
         *,
         marginal: Marginal | None = None,
         share: float = 0.75,
     ) -> None:
         self.net = net.eval()
         self.temperature = temperature
-        self.selection = selection
         self.marginal = marginal
         self.share = share
         self._last: tuple[View, tuple[AgentId, bool], _Known] | None = None
@@ -81,7 +77,6 @@ class Conditional:
             pose,
             modes,
             self.temperature,
-            choose=self.selection,
             shortlist=_SHORTLIST,
         )
 

@@ -11,7 +11,6 @@ from deepmf_sumo.predictors import completion, mixture
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import Features, features
-from deepmf_sumo.predictors.selection import Selection
 
 _SHORTLIST: Final = 256
 """Goals that may become modes: of one network seldom fewer than all, of two half of the time."""
@@ -33,15 +32,11 @@ class Marginal:
     Args:
         nets: the members, of the same sizes, in evaluation mode.
         temperature: of the probabilities of the mixture.
-        selection: how modes are chosen among the goals.
     """
 
-    def __init__(
-        self, nets: Sequence[DenseTNT], temperature: float, selection: Selection = "medoids"
-    ) -> None:
+    def __init__(self, nets: Sequence[DenseTNT], temperature: float) -> None:
         self.nets = tuple(net.eval() for net in nets)
         self.temperature = temperature
-        self.selection = selection
         self._last: tuple[View, dict[AgentId, _Known]] | None = None
 
     @property
@@ -77,7 +72,6 @@ class Marginal:
                 pose,
                 count,
                 self.temperature,
-                choose=self.selection,
                 shortlist=_SHORTLIST,
                 chosen_at=chosen_at,
             )[0]

@@ -7,8 +7,9 @@ from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.road_index import ROAD_CHANNELS
 
 AGENT_CLASSES: Final = ("target", "vehicle", "vru", "av")
-_LEAST: Final = {"hidden": 1, "heads": 1, "profiles": 1, "raster_pixels": 32}
-"""Smallest sizes; VGG16 halves the image five times."""
+_LEAST: Final = {"hidden": 1, "heads": 1, "profiles": 7, "raster_pixels": 32}
+"""Smallest sizes. VGG16 halves the image five times; a vehicle has at least five paths, and
+`evaluate` asks for 32 modes of their goals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,19 +1,19 @@
-"""From hundreds of weighted dense goals to a few modes: k-medoids, or suppression (NMS).
+"""From hundreds of weighted dense goals to a few modes: k-medoids.
 
 K independent sets at once, N goals each.
 """
 
-from typing import Final, Literal
+from typing import Final
 
 import torch
 from torch import Tensor
 
-Selection = Literal["medoids", "nms"]
+from deepmf_sumo.errors import RunError
+
 CAP_M: Final = 25.0
 """Being farther away than this from all modes costs no more."""
 _SWAPS = 4
 """Rounds in which the modes move to the medians of what is nearest to them."""
-NMS_RADIUS_M: Final = 7.2
 
 
 def select(
@@ -21,8 +21,6 @@ def select(
     ends_m: Tensor,
     modes: int,
     *,
-    selection: Selection = "medoids",
-    speed_mps: float = 11.0,
     shortlist: int | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Chosen goals and their mass (K, M), most likely first.
@@ -31,32 +29,26 @@ def select(
         probability: (K, N).
         ends_m: (K, N, 2) end points.
         modes: M, at most N.
-        selection: ``medoids`` minimises the expected distance to the nearest mode; ``nms`` takes
-            the likeliest goals that are apart.
-        speed_mps: start speed, which scales the radius of ``nms``.
         shortlist: only that many likeliest goals may become modes.
+
+    Raises RunError where there are fewer goals than modes.
 
     A mode's mass is the probability of all goals that are nearer to it than to other modes.
     """
     size = min(max(modes, shortlist or probability.shape[1]), probability.shape[1])
     if size < modes:
-        raise ValueError(f"{modes} modes were asked for, but there are {size} goals")
+        raise RunError(
+            f"{modes} modes of a forecast were asked for, but with these weights a vehicle here has"
+            f" {size} goals; ask for fewer (candidates, reactions, modes)."
+        )
     weight, rows = probability.topk(size, dim=1)
     ends = ends_m.gather(1, rows.unsqueeze(-1).expand(-1, -1, 2))
     distance = torch.cdist(ends, ends, compute_mode="donot_use_mm_for_euclid_dist")
-    if selection == "medoids":
-        picked = _medoids(weight, distance.clamp_max(CAP_M), modes)
-    else:
-        picked = _nms(weight, distance, modes, NMS_RADIUS_M * speed_factor(speed_mps))
+    picked = _medoids(weight, distance.clamp_max(CAP_M), modes)
     chosen = rows.gather(1, picked)
     share = mass(probability, ends_m, ends.gather(1, picked.unsqueeze(-1).expand(-1, -1, 2)))
     share, order = share.sort(dim=1, descending=True, stable=True)
     return chosen.gather(1, order), share
-
-
-def speed_factor(speed_mps: float) -> float:
-    """WOMD's scale of miss thresholds: 0.5 below 1.4 m/s, 1 above 11 m/s, linear between."""
-    return 0.5 + 0.5 * min(max((speed_mps - 1.4) / (11.0 - 1.4), 0.0), 1.0)
 
 
 def _medoids(weight: Tensor, distance: Tensor, modes: int) -> Tensor:
@@ -96,19 +88,6 @@ def _medians(weight: Tensor, distance: Tensor, chosen: Tensor) -> Tensor:
     cost = cost.masked_fill(~mine, float("inf"))
     best = cost.argmin(-1)
     return torch.where(mine.any(-1), best, chosen)
-
-
-def _nms(weight: Tensor, distance: Tensor, modes: int, radius_m: float) -> Tensor:
-    """(K, M): the likeliest that is free; suppressed goals come last, in order of probability."""
-    score = weight.clone()
-    picked = []
-    for _ in range(modes):
-        best = score.argmax(1, keepdim=True)
-        row = distance.gather(1, best.unsqueeze(-1).expand(-1, -1, distance.shape[2])).squeeze(1)
-        score = torch.where((row < radius_m) & (score > -1.0), score - 2.0, score)
-        score = score.scatter(1, best, -9.0)
-        picked.append(best)
-    return torch.cat(picked, 1)
 
 
 def mass(probability: Tensor, ends_m: Tensor, modes_m: Tensor) -> Tensor:

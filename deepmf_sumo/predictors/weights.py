@@ -27,7 +27,6 @@ from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.opponent import Opponent, OpponentNet
 from deepmf_sumo.predictors.presets import Preset
-from deepmf_sumo.predictors.selection import Selection
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 
 Network = Literal["opponent", "marginal", "conditional", "strive"]
@@ -60,7 +59,7 @@ class Predictors:
     conditional: Conditional
 
 
-def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
+def load(name: str | Path) -> Predictors:
     """The predictors of a name or folder. Raises WeightsError where they cannot be used."""
     folder = find(name)
     opponent, opponent_card = read_network(folder, "opponent")
@@ -68,7 +67,7 @@ def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
     conditional, conditional_card = read_network(folder, "conditional")
     assert isinstance(opponent, OpponentNet)
     assert isinstance(conditional, DenseTNT)
-    alone = Marginal(marginal, marginal_card["temperature"], selection)
+    alone = Marginal(marginal, marginal_card["temperature"])
     return Predictors(
         name=str(name),
         folder=folder,
@@ -79,9 +78,7 @@ def load(name: str | Path, *, selection: Selection = "medoids") -> Predictors:
             opponent_card.get("offset", 0.0),
         ),
         marginal=alone,
-        conditional=Conditional(
-            conditional, conditional_card["temperature"], selection, marginal=alone
-        ),
+        conditional=Conditional(conditional, conditional_card["temperature"], marginal=alone),
     )
 
 

@@ -41,15 +41,25 @@ def of_document(document: Document) -> Spec:
     if spec.opponents == "in_turn" and not takes_turns(spec):
         raise SpecError(
             f"{document.place(('opponents',))}: key 'opponents': in_turn is for an adversary that"
-            f" chooses opponents as it goes (deepmf, none); {spec.adversary.name} looks for one"
-            " attack. Leave it at one."
+            f" chooses opponents by score as it goes (deepmf, none); {_one_opponent(spec)}."
+            " Leave it at one."
         )
     return spec
 
 
 def takes_turns(spec: Spec) -> bool:
     """Whether the spec's adversary can choose one opponent after another."""
-    return bool(getattr(plugins.load("adversaries", spec.adversary.name), "IN_TURN", False))
+    choice = spec.adversary
+    settings = plugins.settings("adversaries", choice.name, choice.settings)
+    return bool(getattr(settings, "takes_turns", False))
+
+
+def _one_opponent(spec: Spec) -> str:
+    """Why there is but one."""
+    named = spec.adversary.settings.get("opponent")
+    if spec.adversary.name in _DEEPMF and named is not None:
+        return f"adversary.opponent is '{named}'"
+    return f"{spec.adversary.name} looks for one attack"
 
 
 def _expand(document: Document, *, override: bool = False) -> None:

@@ -1,7 +1,8 @@
 """Batches made more various: mirrored, seen less completely, measured less exactly.
 
 Each change keeps what a sample says true: what is mirrored is mirrored everywhere; who is left out
-of sight is the other vehicles and the map, never the target, its paths, or a given partner.
+of sight is the other vehicles and the map, never the target, its paths, or a given future (though
+its vehicle's past may be: one may know where somebody goes without having seen them come).
 """
 
 from typing import Final

@@ -42,14 +42,17 @@ class Source:
         """(N) samples kept from training: those at one place in ten, the same in all sources.
 
         A place that was trained on is no test: recordings overlap there. Where this would keep
-        none or all, one scene in ten is kept, the last where there are few.
+        none or all of the scenes that have samples, one in ten is kept, the last where there are
+        few.
         """
         kept = np.array([zlib.crc32(place.encode()) % HELD_OUT == 0 for place in self.places], bool)
-        if not kept.any() or kept.all():
-            kept = np.arange(len(self.scenes)) % HELD_OUT == HELD_OUT - 1
-            if not kept.any() and len(kept) > 1:
-                kept[-1] = True
+        some, place = np.unique(self.scene, return_inverse=True)  # scenes that have samples
         samples: NDArray[np.bool_] = kept[self.scene]
+        if not samples.any() or samples.all():
+            tenth = np.arange(len(some)) % HELD_OUT == HELD_OUT - 1
+            if not tenth.any() and len(some) > 1:
+                tenth[-1] = True
+            samples = tenth[place]
         return samples
 
 

@@ -47,6 +47,8 @@ def train_named(
     if not sources:
         raise UsageError("There is no data to train on; give --data, or a --config with 'data'.")
     config.check_weights(sources)
+    if members is not None and network not in {"marginal", "all"}:
+        raise UsageError(f"--members is of the marginal network; the {network} network has one.")
     flags = config.Optimisation(**optimisation)
     training = partial(
         run.Training,

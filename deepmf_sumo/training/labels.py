@@ -4,20 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Bools, Scene, Tracks
+from deepmf_sumo.datatypes import AgentId, Bools, Tracks
 from deepmf_sumo.geometry import boxes
 
 
-def interacts(scene: Scene, agent_id: AgentId) -> bool:
-    """Whether the vehicle's way overlaps the AV's, at any two times, or it came close to the AV.
-
-    Close: at one time the centres are nearer than the AV's length.
-    """
-    return bool(interacting(scene.tracks, scene.av_id, [agent_id])[0])
-
-
 def interacting(tracks: Tracks, av_id: AgentId, agent_ids: Sequence[AgentId]) -> Bools:
-    """(A) `interacts` of several vehicles with any one that is taken as the AV."""
+    """(A) whose way overlaps the AV's, at any two times, or who came close to it.
+
+    Close: at one time the centres are nearer than the AV's length. Any vehicle may be taken as
+    the AV.
+    """
     av = tracks.row(av_id)
     length = float(tracks.size_m[av, 0])
     reach = np.hypot(*tracks.size_m[:, :2].T) / 2

@@ -143,6 +143,7 @@ def _make(
             done = len(files) - len(missing) + number
             report(f"features for {kind}: {done} of {len(files)} files of {path.name}")
     making = folder.with_name(f"{folder.name}.{os.getpid()}")
+    shutil.rmtree(making, ignore_errors=True)  # of a process of that number that was killed
     try:
         contents = parts.join(places, making)
         (making / "source").write_text(str(path.resolve()), encoding="utf-8")

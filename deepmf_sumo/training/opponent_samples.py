@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import HISTORY_STEPS, SIMULATED, AgentId, Scene, View
+from deepmf_sumo.datatypes import HISTORY_STEPS, ROLLOUT, SIMULATED, AgentId, Scene, View
 from deepmf_sumo.predictors.opponent_features import OTHERS, opponent_features
 from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.training import labels, windows
@@ -47,8 +47,11 @@ def opponent_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
 
     Labels look at the recording from the start of the window's history on. Added to
     `opponent_features`: interacts (63), partner (63) one-hot, partner_known (), stands_in ().
-    Networks that leave a branch out train on the same samples.
+    Networks that leave a branch out train on the same samples. Simulated attacks have none: who
+    meets the AV there is whom the attack had chosen.
     """
+    if scene.source.dataset == ROLLOUT:
+        return
     preset = replace(preset, raster=True, vectors=True)
     tracks = scene.tracks
     rng = np.random.default_rng(zlib.crc32(scene.name.encode()))

@@ -25,6 +25,7 @@ from deepmf_sumo.training import (
     beginnings,
     cards,
     clusters,
+    eligible,
     loop,
     making,
     opponent,
@@ -103,11 +104,11 @@ def train(network: Network, training: Training, report: Progress, member: int = 
     net = weights.build(network, training.preset)
     if begin is not None:
         beginnings.load(net, network, begin)
-    cache = open_caches(network, training, report)
+    cache = eligible.drivers_for(network, open_caches(network, training, report), report)
     if isinstance(net, DenseTNT):
         trajectory.start(net, cache, training.seed)
     if network == "conditional":
-        cache = _pairs(cache)
+        cache = eligible.pairs(cache)
     checkpoints = Checkpoints(training.folder / f"{stem}-{digest[:12]}.checkpoint")
     file = training.folder / "curves" / f"{stem}.csv"
     curves = Curves(file, [source.name for source in cache.sources], report)
@@ -117,9 +118,9 @@ def train(network: Network, training: Training, report: Progress, member: int = 
     card["training_digest"] = digest
     card |= _measured(network, net, cache)
     try:
-        cards.write(training.folder, stem, net, card)
         if stem == "marginal":  # a baseline that `evaluate` shows beside it
             clusters.write(_clusters(cache, training.seed), training.folder)
+        cards.write(training.folder, stem, net, card)  # last: it says that all has been made
     except OSError as error:
         raise OutputError(
             f"The weights cannot be written to {training.folder} ({error.strerror}); the checkpoint"
@@ -138,15 +139,21 @@ def _clusters(cache: Cache, seed: int) -> clusters.Clusters:
 
 
 def open_caches(network: Network, training: Training, report: Progress) -> Cache:
-    """The samples of all sources; features are made where they are not there."""
+    """The samples of all sources; features are made where they are not there.
+
+    Raises RunError where none is left to train on.
+    """
     make = _samples(network, training.preset)
     kind, settings = _features(network, training.preset)
-    return mix(
+    cache = mix(
         [
             making.open_or_make(kind, data, settings, make, training.cache, report, training.jobs)
             for data in training.data
         ]
     )
+    if not len(cache.rows(held_out=False)):
+        raise RunError("All scenes that can be learnt from are held out; give more recordings.")
+    return cache
 
 
 def _samples(network: Network, preset: Preset) -> Callable[[Scene], Iterable[Arrays]]:
@@ -218,14 +225,6 @@ def _made(folder: Path, stem: str, digest: str) -> bool:
     except WeightsError:
         return False
     return card.get("training_digest") == digest
-
-
-def _pairs(cache: Cache) -> Cache:
-    """The samples that the conditional network learns from."""
-    chosen = replace(cache, chosen=trajectory.interacting(cache))
-    if not len(chosen.rows(held_out=False)):
-        raise RunError("No two vehicles come near each other in these recordings; give more.")
-    return chosen
 
 
 def _loss(net: nn.Module) -> Loss:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from deepmf_sumo.predictors import anchors, condition, mixture, selection
@@ -19,8 +18,6 @@ _RARE = -6.9
 """log .001: prior of profiles that are not fitted on data."""
 _GIVEN = 0.6
 """Share of samples whose partner's future is given; the others keep the network marginal too."""
-_NEAR_M = 15.0
-"""The conditional network learns from pairs whose ways come as near as this, at any two times."""
 CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met", "goal_follow")
 """Begin anew where the conditional network begins from the marginal one."""
 _TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
@@ -43,20 +40,6 @@ def start(net: DenseTNT, cache: Cache, seed: int) -> None:
     prior = torch.from_numpy(table.log_prior).float()
     rare = prior.new_full(braking.shape[:2], _RARE)
     net.prior.copy_(torch.cat([prior, rare], 1))
-
-
-def interacting(cache: Cache) -> NDArray[np.bool_]:
-    """(N) samples with a partner whose way comes near."""
-    near = np.zeros(len(cache.scene), bool)
-    for begin in range(0, len(near), 1024):
-        rows = slice(begin, begin + 1024)
-        own = np.asarray(cache.arrays["future"][rows, 4::5])
-        other = np.asarray(cache.arrays["partner"][rows, 4::5, :2])
-        apart = np.linalg.norm(own[:, :, None] - other[:, None], axis=-1)  # (., 16, 16)
-        unknown = np.asarray(cache.arrays["future_valid"][rows, 4::5]) == 0
-        least = np.where(unknown[:, :, None], np.inf, apart).min(axis=(1, 2))
-        near[rows] = (least < _NEAR_M) & (np.asarray(cache.arrays["partner_known"][rows]) > 0)
-    return near
 
 
 def loss_of(net: DenseTNT) -> Loss:

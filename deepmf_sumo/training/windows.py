@@ -174,7 +174,8 @@ def _movers(scene: Scene, step: int) -> tuple[Future, ...]:
 def _known(scene: Scene, agent_id: AgentId, step: int) -> bool:
     row = scene.tracks.row(agent_id)
     valid = scene.tracks.valid[row]
-    return bool(valid[step] and valid[step + 1 :].sum() >= MIN_FUTURE_STEPS)
+    ahead = valid[step + 1 : step + 1 + FUTURE_STEPS]
+    return bool(valid[step] and ahead.sum() >= MIN_FUTURE_STEPS)
 
 
 def _filled(scene: Scene, future: Future, step: int) -> Future:

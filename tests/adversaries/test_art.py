@@ -23,7 +23,7 @@ from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.presets import LIGHT, changed
 
 BOUNDS = Bounds(reach_m=1.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0)
-SMALL = changed(LIGHT, "small", {"raster": False, "hidden": 16, "profiles": 6, "dropout": 0.0})
+SMALL = changed(LIGHT, "small", {"raster": False, "hidden": 16, "profiles": 7, "dropout": 0.0})
 FOREVER = np.inf
 
 

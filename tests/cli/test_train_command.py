@@ -142,6 +142,8 @@ def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_
         (["--data", "mine", "--preset", "huge"], "huge"),
         (["--data", "mine", "--from", "nobody"], "There are no weights 'nobody'"),
         (["--data", "mine", "--ema", "1"], "--ema"),
+        (["--data", "mine", "--rate", "2"], "--rate"),
+        (["--data", "mine", "--weight-decay", "2"], "--weight-decay"),
         (["--data", "mine", "--config", "missing.yaml"], "missing.yaml"),
     ],
 )

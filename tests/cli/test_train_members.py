@@ -38,6 +38,9 @@ def trained(monkeypatch, tmp_path, capsys):
 def test_the_marginal_network_alone_has_members(trained):
     assert trained("marginal") == (0, [(1, "all")], "")
     assert trained("marginal", "--members", 3) == (0, [(3, "all")], "")
+    code, asked, error = trained("opponent", "--members", 3)
+    assert (code, asked) == (2, [])
+    assert "--members is of the marginal network; the opponent network has one" in error
     assert trained("all", "--members", 1)[1] == [(0, "opponent"), (1, "all"), (0, "conditional")]
 
 

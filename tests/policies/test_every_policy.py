@@ -35,3 +35,16 @@ def test_policy(name):
 def test_unknown_settings_are_refused(name):
     with pytest.raises(plugins.PluginError, match="no_such_key"):
         plugins.settings("policies", name, {**NEEDED.get(name, {}), "no_such_key": 1})
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("deepmf", {"period_s": float("inf")}),
+        ("deepmf", {"likelihood_weight": float("nan")}),
+        ("trajectory", {"agent": "b", "poses": [[float("nan"), 3.5, 0.0]]}),
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused(name, values):
+    with pytest.raises(plugins.PluginError, match="finite"):
+        plugins.settings("policies", name, values)

@@ -1,4 +1,6 @@
 import gzip
+import io
+import zlib
 
 import numpy as np
 import pytest
@@ -19,6 +21,21 @@ def build(**values):
 def poses(count=30):
     along = -8 + 1.2 * np.arange(1, count + 1)
     return np.stack([along, np.full(count, 3.5), np.zeros(count)], -1)
+
+
+def npz(**arrays):
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def torn(content):
+    """Zipped, and damaged in the middle."""
+    zipped = bytearray(gzip.compress(content))
+    zipped[12:20] = b"\xff" * 8
+    with pytest.raises(zlib.error):
+        gzip.decompress(bytes(zipped))
+    return bytes(zipped)
 
 
 def test_poses_are_driven_from_the_next_step():
@@ -72,6 +89,9 @@ def test_wrong_settings_are_refused(values):
     [
         ("a.csv", b"step,x_m,y_m\n1,2,3\n", "heading_rad"),
         ("b.csv", b"step,x_m,y_m,heading_rad\n11,2,3,0\n13,2,3,0\n", "gaps"),
+        ("short.csv", b"step,x_m,y_m,heading_rad\n11,2,3\n", "short.csv"),
+        ("flat.npz", npz(step=np.array(11), position_m=np.zeros(2)), "flat.npz"),
+        ("torn.csv.gz", torn(b"step,x_m,y_m,heading_rad\n11,2,3,0\n"), "torn.csv.gz"),
         ("c.csv", b"step,x_m,y_m,heading_rad\n11,2,three,0\n", "three"),
         ("d.csv", b"step,x_m,y_m,heading_rad\n11,nan,3,0\n", "finite"),
         ("e.csv", b"step,x_m,y_m,heading_rad,id\n11,2,3,0,c\n", "agent 'b'"),

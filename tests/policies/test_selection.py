@@ -84,3 +84,18 @@ def test_drawn_candidates_are_of_all_kinds_and_mostly_such_that_collide():
     np.testing.assert_allclose(share, np.array([0.05, 0.95, 0.15]) / 1.15, atol=0.03)
     nothing = choose(probability, reaction, collides & False, step, "drawn", rng=rng)
     assert nothing.rule == "drawn"
+
+
+def test_who_is_barred_is_not_drawn_and_the_others_keep_their_chances():
+    probability = np.full(3, 1 / 3)
+    reaction, collides = np.ones((3, 1)), np.ones((3, 1), bool)
+    barred = np.array([False, True, False])
+    rng = np.random.default_rng(3)
+    drawn = [
+        choose(
+            probability, reaction, collides, 5.0 * collides, "drawn", barred=barred, rng=rng
+        ).index
+        for _ in range(1000)
+    ]
+    share = np.bincount(drawn, minlength=3) / len(drawn)
+    np.testing.assert_allclose(share, [0.5, 0.0, 0.5], atol=0.04)

@@ -12,7 +12,7 @@ from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.presets import LIGHT
 
-SMALL = replace(LIGHT, name="small", hidden=16, raster=False, profiles=6)
+SMALL = replace(LIGHT, name="small", hidden=16, raster=False, profiles=7)
 MODES = 16
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from deepmf_sumo.errors import RunError
 from deepmf_sumo.predictors import anchors, condition, selection
 from deepmf_sumo.predictors.presets import LIGHT, PAPER
 from deepmf_sumo.predictors.raster import draw_future
@@ -86,15 +87,8 @@ def test_a_first_medoid_between_two_groups_moves_into_one():
     assert mass.sum() == pytest.approx(1.0)
 
 
-def test_nms_takes_the_likeliest_that_are_apart_and_then_fills_up():
-    ends = torch.tensor([[[0.0, 0], [1, 0], [50, 0], [51, 0]]])
-    weight = torch.tensor([[0.4, 0.3, 0.2, 0.1]])
-    chosen, _ = selection.select(weight, ends, 3, selection="nms")
-    assert set(chosen[0].tolist()) == {0, 2, 1}
-
-
 def test_too_many_modes_are_refused():
-    with pytest.raises(ValueError, match="9 modes"):
+    with pytest.raises(RunError, match="9 modes"):
         selection.select(torch.ones(1, 4) / 4, torch.zeros(1, 4, 2), 9)
 
 

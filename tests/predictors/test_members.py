@@ -12,7 +12,7 @@ from deepmf_sumo.predictors import shared, weights
 from deepmf_sumo.predictors.presets import LIGHT
 from deepmf_sumo.training import cards
 
-SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=6)
+SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 
 
 def member(seed, preset=SMALL):

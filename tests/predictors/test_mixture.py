@@ -12,7 +12,7 @@ from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.presets import LIGHT
 
-SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=6)
+SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 
 
 @pytest.fixture(scope="module")

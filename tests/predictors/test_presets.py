@@ -43,7 +43,7 @@ def test_missing_sizes_are_named() -> None:
         Preset.from_record(record)
 
 
-@pytest.mark.parametrize("sizes", [{"raster": False}, {"vectors": False}, {"profiles": 6}])
+@pytest.mark.parametrize("sizes", [{"raster": False}, {"vectors": False}, {"profiles": 7}])
 @pytest.mark.parametrize("conditional", [False, True])
 def test_networks_work_without_a_branch(sizes: dict[str, object], conditional: bool) -> None:
     batch = as_batch(features(view(), "av", LIGHT)[0])

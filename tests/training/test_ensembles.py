@@ -20,7 +20,7 @@ from deepmf_sumo.training import beginnings, cards, ensembles, loop, run, sample
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.making import Data
 
-SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=6)
+SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 
 
 @pytest.fixture(scope="module")

@@ -11,16 +11,18 @@ from synthetic import scene
 from deepmf_sumo.training import labels, windows
 
 
+def interacts(scene, agent_id):
+    return bool(labels.interacting(scene.tracks, scene.av_id, [agent_id])[0])
+
+
 def test_ways_that_cross_at_different_times_interact():
     late = scene(shift=-20.0)
-    assert labels.interacts(late, "south")
+    assert interacts(late, "south")
 
 
 def test_ways_that_do_not_cross_do_not_interact():
-    assert not labels.interacts(scene(), "parked")
-    assert labels.interacts(scene(), "waiting") == (
-        -50 + 80 + 4.8 > 60
-    )  # the AV ends at x = 30: too far
+    assert not interacts(scene(), "parked")
+    assert interacts(scene(), "waiting") == (-50 + 80 + 4.8 > 60)  # the AV ends at x = 30: too far
 
 
 def test_closer_than_the_avs_length_is_an_interaction():
@@ -29,9 +31,9 @@ def test_closer_than_the_avs_length_is_an_interaction():
     position = given.tracks.position_m.copy()
     position[row] = [-30.0, 4.5]
     beside = replace(given, tracks=replace(given.tracks, position_m=position))
-    assert labels.interacts(beside, "parked")
+    assert interacts(beside, "parked")
     position[row] = [-30.0, 5.0]
-    assert not labels.interacts(
+    assert not interacts(
         replace(given, tracks=replace(given.tracks, position_m=position)), "parked"
     )
 
@@ -41,7 +43,7 @@ def test_only_frames_that_are_valid_count():
     valid = given.tracks.valid.copy()
     valid[given.tracks.row("south"), 50:] = False  # before it reaches the crossing
     cut = replace(given, tracks=replace(given.tracks, valid=valid))
-    assert not labels.interacts(cut, "south")
+    assert not interacts(cut, "south")
 
 
 def test_targets_move_or_are_labelled():

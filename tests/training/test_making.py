@@ -143,6 +143,16 @@ def test_a_scene_whose_features_fail_is_named(folder, tmp_path):
         making.open_or_make("tiny", Data(path=folder), "", odd, tmp_path / "c", print, 1)
 
 
+def test_what_a_killed_process_of_the_same_number_left_is_no_obstacle(folder, tmp_path):
+    source = make(folder, tmp_path)
+    (made,) = (tmp_path / "c").iterdir()
+    left = tmp_path / "d" / "c" / f"{made.name}.{os.getpid()}"
+    left.mkdir(parents=True)
+    (left / "speed.bin").write_bytes(b"half")
+    again = make(folder, tmp_path / "d")
+    assert again.arrays["speed"].tolist() == source.arrays["speed"].tolist()
+
+
 def test_a_full_disk_is_named(folder, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")

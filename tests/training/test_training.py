@@ -13,11 +13,13 @@ from synthetic import scene
 
 from deepmf_sumo import readers
 from deepmf_sumo.cli.train import command
-from deepmf_sumo.errors import UsageError, WeightsError
+from deepmf_sumo.datatypes import ROLLOUT
+from deepmf_sumo.errors import OutputError, RunError, UsageError, WeightsError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.presets import LIGHT, PAPER
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import (
+    clusters,
     held_out,
     loop,
     losses,
@@ -27,6 +29,7 @@ from deepmf_sumo.training import (
     samples,
     trajectory,
 )
+from deepmf_sumo.training.cache import Source
 from deepmf_sumo.training.checkpoints import Checkpoints
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.curves import Curves
@@ -96,6 +99,56 @@ def test_held_out_scenes_are_never_trained_on(training):
     train, held = made.rows(held_out=False), made.rows(held_out=True)
     assert not set(made.scene[train]) & set(made.scene[held])
     assert len(set(made.scene[held])) == 2
+
+
+def test_scenes_without_samples_do_not_make_all_others_held_out():
+    for scenes in (5, 40):
+        source = Source(
+            name="mine",
+            arrays={},
+            scene=np.array([3, 3, 4]),  # of the scenes only two have samples
+            scenes=[str(number) for number in range(scenes)],
+            places=["here"] * scenes,
+            refused={},
+            digest="",
+        )
+        assert source.held_out.tolist() == [False, False, True]
+
+
+def test_a_single_scene_that_is_held_out_leaves_nothing_to_train_on(training, monkeypatch):
+    monkeypatch.setattr(Source, "held_out", property(lambda self: self.scene >= 0))
+    with pytest.raises(RunError, match="are held out; give more recordings"):
+        run.train("opponent", training, print)
+
+
+def test_attacks_teach_neither_opponents_nor_how_people_drive(training, monkeypatch):
+    made = [scene(shift=2.0 * number - 30) for number in range(3)]
+    attacks = [replace(one, source=replace(one.source, dataset=ROLLOUT)) for one in made]
+    people = [scene(shift=2.0 * number - 30) for number in range(20)]
+    monkeypatch.setattr(readers, "scenes", lambda _: iter([*attacks, *people]))
+    lines = []
+    run.train("opponent", training, lines.append)
+    run.train("marginal", training, lines.append)
+    assert any("3 scenes have no samples: attacks" in line for line in lines)
+    assert any("samples left out in which a planner drives" in line for line in lines)
+    monkeypatch.setattr(readers, "scenes", lambda _: iter(attacks))
+    alone = replace(training, cache=training.cache / "other")
+    with pytest.raises(RunError, match="planners drive in all samples"):
+        run.train("marginal", replace(alone, folder=training.folder / "other"), lines.append)
+
+
+def test_clusters_that_cannot_be_written_leave_a_training_to_finish(training, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(clusters, "write", full)
+        with pytest.raises(OutputError, match="No space left"):
+            run.train("marginal", training, print)
+    assert list(training.folder.glob("*.checkpoint"))
+    run.train("marginal", training, print)
+    assert list(training.folder.glob("clusters*"))
+    assert not list(training.folder.glob("*.checkpoint"))
 
 
 def test_a_cache_is_made_once(training, monkeypatch):

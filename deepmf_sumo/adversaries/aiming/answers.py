@@ -15,7 +15,7 @@ import numpy as np
 from deepmf_sumo.adversaries.aiming import motions
 from deepmf_sumo.adversaries.search.scouting import Motion
 from deepmf_sumo.datatypes import FUTURE_STEPS, Bools, Floats, Forecast, Futures, View
-from deepmf_sumo.policies.factorization.collision import collisions
+from deepmf_sumo.policies.factorization.collision import collisions, footprint
 from deepmf_sumo.policies.factorization.tracking import Start
 
 _DECAY = 0.99
@@ -93,8 +93,8 @@ def score(weight: Floats, candidates: Futures, answers: Answers, view: View) -> 
         collisions(
             candidates,
             [_one(answers.forecast, row)] * len(weight),
-            motions.footprint(view, candidates.agent_id),
-            motions.footprint(view, view.av_id),
+            footprint(view, candidates.agent_id),
+            footprint(view, view.av_id),
             min(horizon, answers.lasts(row)),
         )
         for row in range(len(share))

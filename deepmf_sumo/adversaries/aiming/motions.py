@@ -5,16 +5,11 @@ import numpy as np
 from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Plan, View
 from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.policies.factorization.collision import footprint
 from deepmf_sumo.policies.factorization.tracking import Start, Tracked
 
 _MOVING_MPS = 0.5  # slower than this, differences of positions give no direction
 _SPAN = 2  # steps on each side of a difference
-
-
-def footprint(view: View, agent_id: AgentId) -> Floats:
-    """(2) length and width of an agent."""
-    size: Floats = view.history.size_m[view.history.row(agent_id), :2]
-    return size
 
 
 def continued(motion: Motion, start: Start) -> Floats:

@@ -41,7 +41,7 @@ def _entry(value: Any) -> Any:
 
 
 class Plan(Config):
-    """A training as ``train --config`` takes it, what to measure it on, and its variants.
+    """A training much as ``train --config`` takes it, what to measure it on, and its variants.
 
     Attributes:
         test: recordings, none of them in ``data``, to evaluate and to attack.
@@ -52,6 +52,8 @@ class Plan(Config):
 
     data: list[Annotated[DataEntry, BeforeValidator(_entry)]] = Field(min_length=1)
     begin_from: None = Field(default=None, description="variants of other sizes begin anew")
+    members: None = Field(default=None, description="each variant has one")
+    preset: str = Field(default="light", description="sizes of the base's networks, all three")
     test: ExistingPath
     study: ExistingPath
     planners: dict[str, dict[str, Any]] = Field(min_length=1)
@@ -91,7 +93,7 @@ class Plan(Config):
 
     def preset_of(self, variant: Variant) -> Preset:
         """Sizes of a variant's networks. Raises WeightsError for sizes that cannot be."""
-        base = preset_named(self.preset or "light")
+        base = preset_named(self.preset)
         return changed(base, slug(variant.name), variant.sizes) if variant.sizes else base
 
     def spec_of(self, variant: Variant, planner: str, weights: Path | None = None) -> Spec:

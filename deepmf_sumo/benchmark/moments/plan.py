@@ -35,7 +35,7 @@ def base_spec(
         sumo_options: beside the configuration.
 
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
-    adversary looks for one attack, or attacks whom the AV meets. Raises SpecError as `spec.load`,
+    adversary looks for one attack, or is told whom to attack. Raises SpecError as `spec.load`,
     WeightsError where weights are named that are not there.
     """
     source = {
@@ -57,8 +57,7 @@ def base_spec(
         from deepmf_sumo.predictors import weights  # brings torch along
 
         weights.find(spec.weights)
-    several = takes_turns(spec) and not _of_met(spec)
-    if spec.duration_s > LONG_S and "opponents" not in document.values and several:
+    if spec.duration_s > LONG_S and "opponents" not in document.values and takes_turns(spec):
         return spec.model_copy(update={"opponents": "in_turn"})
     return spec
 

@@ -94,7 +94,7 @@ def choose(
     product = probability * (reaction_probability * collides).sum(axis=1)
     if rule == "drawn":
         assert rng is not None
-        value, used = _drawn(mass, rng), "drawn"
+        value, used = _drawn(mass, barred, rng), "drawn"
     elif counted.any():
         used = "aggressiveness" if isinstance(rule, Balance) else str(rule)
         if isinstance(rule, Balance):
@@ -123,9 +123,11 @@ def harmless(
     return Choice(index=index, rule="nothing fair", value=value, product=probability * mass)
 
 
-def _drawn(mass: Floats, rng: np.random.Generator) -> Floats:
-    """(N1) 1 for the candidate that was drawn, else 0."""
+def _drawn(mass: Floats, barred: Bools | None, rng: np.random.Generator) -> Floats:
+    """(N1) 1 for the candidate that was drawn among those that are not barred, else 0."""
     chance = mass + _DRAWN_ANYWAY
+    if barred is not None:
+        chance = np.where(barred, 0.0, chance)
     value = np.zeros(len(mass))
     value[rng.choice(len(mass), p=chance / chance.sum())] = 1.0
     return value

@@ -7,8 +7,10 @@ from pydantic import Field, model_validator
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import DT_S, AvDriver
 from deepmf_sumo.geometry.impact import SECTORS
+from deepmf_sumo.policies.factorization.opponent import SCORED
 from deepmf_sumo.policies.factorization.selection import Balance, Rule
 from deepmf_sumo.policies.factorization.tracking import Limits
+from deepmf_sumo.predictors.base import MOST_MODES
 
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
@@ -76,7 +78,7 @@ class Settings(plugins.Settings):
     rule: Rule = "expected"
     likelihood_weight: float = Field(default=1.0, ge=0.0)
     comfort_weight: float | None = Field(default=None, ge=0.0)
-    candidates: int = Field(default=32, ge=1, le=256)
+    candidates: int = Field(default=32, ge=1, le=MOST_MODES)
     goal_candidates: int = Field(default=64, ge=0, le=256)
     shortlist: int | None = Field(default=32, ge=1, le=256)
     reactions: int = Field(default=16, ge=1, le=64)
@@ -90,6 +92,11 @@ class Settings(plugins.Settings):
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
     fair: bool = False
     lawful: bool = False
+
+    @property
+    def takes_turns(self) -> bool:
+        """Whether one opponent can follow another in an episode: scores choose, no name does."""
+        return self.opponent in SCORED
 
     @model_validator(mode="after")
     def _one_period(self) -> Self:

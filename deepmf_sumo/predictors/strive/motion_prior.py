@@ -32,11 +32,6 @@ class Gaussian(NamedTuple):
         """A sample, differentiable in the parameters."""
         return self.mean + self.log_sigma.exp() * noise
 
-    def log_density(self, latent: Tensor) -> Tensor:
-        """(B, N) but for the constant."""
-        distance = (latent - self.mean) * (-self.log_sigma).exp()
-        return -(0.5 * distance.square() + self.log_sigma).sum(-1)
-
     def divergence(self, other: "Gaussian") -> Tensor:
         """(B, N) KL(self || other), nats."""
         ratio = (2 * (self.log_sigma - other.log_sigma)).exp()
@@ -50,14 +45,6 @@ class Context(NamedTuple):
     nodes: Tensor
     keys: Tensor
     prior: Gaussian
-
-    def repeated(self, times: int) -> "Context":
-        """The same batch so many times, one after the other."""
-        return Context(
-            self.nodes.repeat(times, 1, 1),
-            self.keys.repeat(times, 1, 1, 1),
-            Gaussian(*(part.repeat(times, 1, 1) for part in self.prior)),
-        )
 
 
 class Motions(NamedTuple):
@@ -79,11 +66,6 @@ class Motions(NamedTuple):
         return Motions(
             self.position[:, :, every], self.heading[:, :, every], self.speed[:, :, every]
         )
-
-
-def repeated(graph: dict[str, Tensor], times: int) -> dict[str, Tensor]:
-    """The same batch so many times, one after the other."""
-    return {name: values.repeat(times, *[1] * (values.ndim - 1)) for name, values in graph.items()}
 
 
 class MotionPrior(nn.Module):

@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
-from deepmf_sumo.predictors.selection import speed_factor
 from deepmf_sumo.training.evaluation.estimates import mean, standard_error
 
 HORIZONS: Final[dict[str, tuple[int, float, float]]] = {
@@ -53,7 +52,7 @@ class DisplacementErrors:
                 continue
             off = modes_m[:, step] - true_m[step]
             cos, sin = np.cos(true_heading_rad[step]), np.sin(true_heading_rad[step])
-            factor = speed_factor(speed_mps)
+            factor = _speed_factor(speed_mps)
             along = np.abs(off[:, 0] * cos + off[:, 1] * sin) <= along_m * factor
             across = np.abs(off[:, 1] * cos - off[:, 0] * sin) <= across_m * factor
             self.missed[key].append(float(not (along & across).any()))
@@ -71,3 +70,8 @@ def summary(errors: dict[int, DisplacementErrors], key: str) -> dict[str, object
         found["min_ade"] = {str(modes): mean(each.ade[key]) for modes, each in errors.items()}
         found["miss_rate"] = {str(modes): mean(each.missed[key]) for modes, each in errors.items()}
     return found
+
+
+def _speed_factor(speed_mps: float) -> float:
+    """WOMD's scale of miss thresholds: 0.5 below 1.4 m/s, 1 above 11 m/s, linear between."""
+    return 0.5 + 0.5 * min(max((speed_mps - 1.4) / (11.0 - 1.4), 0.0), 1.0)

@@ -117,7 +117,13 @@ def run(
     if file is not None:
         _write(file, found)
     if card:
-        cards.add_results(weights.find(name), summary.compact(found))
+        folder = weights.find(name)
+        try:
+            cards.add_results(folder, summary.compact(found))
+        except OSError as error:
+            raise OutputError(
+                f"The cards in {folder} cannot be written: {error.strerror}; leave --card out."
+            ) from None
     return found
 
 
