@@ -3,13 +3,26 @@
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from safetensors.torch import save
 from torch import nn
 
 import deepmf_sumo
-from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, listed, read_card
+from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, Network, listed, read_card
+
+LIMITS: Final[dict[Network, str]] = {
+    "opponent": "Vehicles within 80 m of the AV. A score is the chance of the paper's pseudo-label,"
+    " which is that two ways overlap, not that anybody is in danger; in traffic unlike the data's"
+    " it may be too sure.",
+    "marginal": "Vehicles driven by people, 8 s ahead, in traffic like the data's; pedestrians and"
+    " cyclists are seen, not predicted. The chances of 6 modes are fitted at 8 s and less right"
+    " before.",
+    "conditional": "One vehicle given the whole future of one other. Of planners it knows those"
+    " that the data's attacks were on; its chances are fitted at 8 s and less right before.",
+    "strive": "A baseline's: up to 16 vehicles, for the adversary `strive` alone.",
+}
+"""What each network must not be taken for; for the cards."""
 
 
 def write(folder: Path, network: str, net: nn.Module, card: dict[str, Any]) -> None:

@@ -254,6 +254,7 @@ def _card(
         "refused": cache.refused,
         "samples": len(cache.rows(held_out=False)),
         "licence": training.licence,
+        "limits": cards.LIMITS[network],
         "command": training.command,
         "seed": training.seed,
         "steps": schedule.steps,

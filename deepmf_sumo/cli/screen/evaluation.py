@@ -117,9 +117,9 @@ def _whole_ways(title: str, name: str, found: dict[str, Any], modes: Sequence[in
     """Mean errors and misses at three times, and how plausible the modes are, and what happened."""
     table = _table(
         title, "modes", *(f"ADE {key}" for key in _LATE), *(f"miss {key}" for key in _LATE),
-        *(f"clear {key}" for key in _LATE), *(f"on road {key}" for key in _LATE),
+        "clear 8.0", "on road 8.0",
     )  # fmt: skip
-    shares = [found[key][kind] for kind in ("overlap_free", "on_road") for key in _LATE]
+    shares = [found["8.0"][kind] for kind in ("overlap_free", "on_road")]
     for count in map(str, modes):
         table.add_row(name, count, *_ways(found, count), *(_number(s[count]) for s in shares))
     table.add_row("  recorded", *[""] * 7, *(_number(share["recorded"]) for share in shares))
@@ -168,7 +168,7 @@ def _conditional(found: dict[str, Any], modes: Sequence[int]) -> list[Table | st
             errors.add_row(title, count, *cells, _number(error))
         cells = [_number(found[key]["most_probable_fde"][name]) for key in _SECONDS]
         errors.add_row("  most probable mode", "1", *cells)
-    title = "Conditional, given the true future"
+    title = "Conditional, given the truth"
     ways = _whole_ways(f"{title}: the whole way", "network", found, modes)
     return [errors, ways, _calibration(title, found), _gains(found)]
 
