@@ -191,4 +191,4 @@ def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_se
     assert [one.get("opponent") for one in settings] == [of_first, of_second]
     assert all(one["lawful"] for one in settings)
     long = plan.base_spec(SUMO_CONFIG, {"duration_s": 30.0}, sets[1:2], ())
-    assert long.opponents == ("one" if asked == "met" else "in_turn")
+    assert long.opponents == "one", "who is named, or met, takes no turns"
