@@ -13,6 +13,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from deepmf_sumo.cli.screen.console import wide
 from deepmf_sumo.errors import OutputError, ReaderError
 
 if TYPE_CHECKING:  # numpy and the readers are loaded when the command runs
@@ -61,9 +62,7 @@ def command(data: tuple[Path, ...], csv_file: Path | None) -> None:
     """
     from deepmf_sumo import readers
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_WIDTH)
+    console = wide(_WIDTH)
     counts: Counter[str] = Counter()
     with _written(csv_file) as write:
         file = None

@@ -1,7 +1,6 @@
 """Writing a set of weights: tensors and a card for each network, and a page to read."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +9,7 @@ from torch import nn
 
 import deepmf_sumo
 from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, Network, listed, read_card
+from deepmf_sumo.training import files
 
 LIMITS: Final[dict[Network, str]] = {
     "opponent": "Vehicles within 80 m of the AV. A score is the chance of the paper's pseudo-label,"
@@ -30,21 +30,20 @@ def write(folder: Path, network: str, net: nn.Module, card: dict[str, Any]) -> N
 
     Layers' weights are stored in half precision; tables, norms and biases as they are.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     layers = {name for name, value in net.named_parameters() if value.ndim > 1}
     tensors = {
         name: (value.half() if name in layers else value).detach().cpu().contiguous()
         for name, value in net.state_dict().items()
     }
-    _replace(folder / f"{network}.safetensors", save(tensors))
+    files.write(folder / f"{network}.safetensors", save(tensors))
     write_card(folder, network, card)
 
 
 def write_card(folder: Path, network: str, card: dict[str, Any]) -> None:
     """Replace a network's card, and the page made of all cards."""
     full = {"format_version": FORMAT_VERSION, "deepmf_sumo": deepmf_sumo.__version__, **card}
-    _replace(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
-    _replace(folder / "card.md", _page(folder).encode())
+    files.write(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
+    files.write(folder / "card.md", _page(folder).encode())
 
 
 def add_results(folder: Path, results: dict[str, Any]) -> None:
@@ -54,12 +53,6 @@ def add_results(folder: Path, results: dict[str, Any]) -> None:
             card = read_card(folder, network)
             card["results"] = {"data": results["data"], **results[network]}
             write_card(folder, network, card)
-
-
-def _replace(file: Path, content: bytes) -> None:
-    beside = file.with_name(f"{file.name}.{os.getpid()}")
-    beside.write_bytes(content)
-    beside.replace(file)
 
 
 def _table(rows: list[dict[str, Any]]) -> list[str]:

@@ -4,7 +4,6 @@ At each cell of a grid of speeds and yaw rates, k-means of how the vehicles near
 on, as deviation from constant velocity in the vehicle's frame.
 """
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,6 +14,7 @@ from safetensors.numpy import load_file, save
 
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Bools, Floats, Ints
 from deepmf_sumo.errors import RunError, WeightsError
+from deepmf_sumo.training import files
 
 FILE: Final = "clusters.safetensors"
 MODES: Final = (6, 16, 32)
@@ -102,15 +102,12 @@ def predict(clusters: Clusters, speed_mps: float, yaw_rate_radps: float, modes: 
 
 def write(clusters: Clusters, folder: Path) -> None:
     """Put the clusters beside the weights in ``folder``."""
-    folder.mkdir(parents=True, exist_ok=True)
     arrays = {
         f"modes_{modes}": values.astype(np.float16)
         for modes, values in clusters.deviation_m.items()
     }
     arrays["samples"] = np.array([clusters.samples])
-    beside = folder / f"{FILE}.{os.getpid()}"
-    beside.write_bytes(save(arrays))
-    beside.replace(folder / FILE)
+    files.write(folder / FILE, save(arrays))
 
 
 def read(folder: Path) -> Clusters | None:

@@ -2,11 +2,11 @@
 
 import csv
 import io
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from deepmf_sumo.training import files
 from deepmf_sumo.training.cache import Progress
 
 
@@ -39,17 +39,13 @@ class Curves:
         text = io.StringIO()
         shown = [[f"{value:.6g}" for value in row] for row in rows]
         csv.writer(text, lineterminator="\n").writerows([self.columns, *shown])
-        beside = self.file.with_name(f"{self.file.name}.{os.getpid()}")
         try:
-            self.file.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_text(text.getvalue(), encoding="utf-8")
-            beside.replace(self.file)
+            files.write(self.file, text.getvalue().encode())
             if self.events is not None:
                 for name, value in zip(self.columns[1:], rows[-1][1:], strict=True):
                     self.events.add_scalar(name, value, int(rows[-1][0]))
                 self.events.flush()
         except OSError as error:
-            beside.unlink(missing_ok=True)
             self.report(f"warning: {self.file} cannot be written ({error.strerror})")
 
     def end(self) -> None:

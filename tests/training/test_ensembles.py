@@ -184,7 +184,7 @@ def test_a_card_that_cannot_be_written_leaves_the_members(trained, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(cards, "_replace", full)
+    monkeypatch.setattr(cards.files, "write", full)
     with pytest.raises(OutputError, match="No space left on device"):
         ensembles.train(trained, print)
     assert card(trained) == before

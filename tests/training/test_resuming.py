@@ -13,7 +13,7 @@ import tiny_training
 
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.training import checkpoints as checkpoints_module
-from deepmf_sumo.training import loop
+from deepmf_sumo.training import files, loop
 from deepmf_sumo.training.checkpoints import Checkpoints
 from deepmf_sumo.training.curves import Curves
 from deepmf_sumo.training.schedule import Schedule
@@ -124,6 +124,7 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
         real(descriptor)
 
     monkeypatch.setattr(checkpoints_module.os, "fsync", full)
+    monkeypatch.setattr(files, "write", lambda file, content: file.write_bytes(content))  # curves
     lines = []
     with pytest.raises(CutError):
         train(tmp_path / "part", cut=50, lines=lines)

@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.ablation import Row, cells, headings
+from deepmf_sumo.cli.screen.console import wide
 
 
 def show(notes: Sequence[str], rows: Sequence[Row], out: Path) -> None:
     """The table as in ``ablation.md``."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 240  # pipes and logs have no width of their own
+    console = wide(240)
     for note in notes:
         console.print(escape(note), soft_wrap=True)
     grid = Table(box=None, pad_edge=False, header_style="bold")

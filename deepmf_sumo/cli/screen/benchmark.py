@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from deepmf_sumo.cli.screen.console import wide
 from deepmf_sumo.report.tables.content import Row, read
 
 _SHOWN: Final = {
@@ -27,9 +27,7 @@ _FAILURES: Final = 10
 
 def show(out: Path, results: Sequence[dict[str, Any]], expected: int, made: Sequence[Path]) -> None:
     """A line a method and planner, what did not go through, and the files."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 160  # pipes and logs have no width of their own
+    console = wide()
     grid = Table(box=None, pad_edge=False, header_style="bold")
     for number, heading in enumerate(("planner", "method", "hits", "rate, 95 %", *_SHOWN.values())):
         grid.add_column(heading, justify="left" if number < 2 else "right")

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+
+from deepmf_sumo.cli.screen.console import wide
 
 _SECONDS: Final = ("1.0", "2.0", "3.0", "5.0", "8.0")
 _LATE: Final = ("3.0", "5.0", "8.0")
@@ -34,9 +35,7 @@ _CERTAINTY: Final = {
 
 def show(found: dict[str, Any]) -> None:
     """All tables, of the nested figures that `training.evaluation.evaluate` gives."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 160  # pipes and logs have no width of their own
+    console = wide()
     data, refused = ", ".join(found["data"]), found["refused"]
     console.print(
         escape(f"weights {found['weights']} on {data}: {found['scenes']} scenes, {refused} refused")

@@ -1,17 +1,15 @@
 """What `check` shows: a line a threshold and comparison, and what is wrong."""
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.gate import Verdict, summary
+from deepmf_sumo.cli.screen.console import wide
 
 
 def show(verdict: Verdict) -> None:
     """The tables of the Markdown summary, and a sentence for each finding."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 160  # pipes and logs have no width of their own
+    console = wide()
     console.print(escape(summary.counts(list(verdict.results.rows.values()))), soft_wrap=True)
     grid = _grid("group", "threshold", "allowed", "measured", "runs", "")
     for cells in summary.thresholds(verdict):

@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.live import Attached
+from deepmf_sumo.cli.screen.console import wide
 
 _ENDS: Final = {
     "until": "left at {time:.1f} s, as asked",
@@ -32,9 +33,7 @@ def tell(row: dict[str, Any]) -> None:
 
 def show(done: Attached, av: str, out: Path) -> None:
     """The attacks, why it is over, and where the files are."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 120  # pipes and logs have no width of their own
+    console = wide(120)
     if done.rows:
         grid = Table(box=None, pad_edge=False, header_style="bold")
         for number, heading in enumerate(_HEADINGS):

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from typing import Final
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.risk import Row, worst
 from deepmf_sumo.benchmark.risk.comparison import Compared
+from deepmf_sumo.cli.screen.console import wide
 from deepmf_sumo.report.risk import Written, comparison
 
 _HEADINGS: Final = (
@@ -20,7 +20,7 @@ _MOST: Final = 30
 
 def show(written: Sequence[Written], top: int) -> None:
     """A table a network: movements and edges, by the lower end of the risk of a hit."""
-    console = _console()
+    console = wide()
     for one in written:
         network = one.network
         left = "".join(f", {count} {why} left out" for why, count in network.left_out.items())
@@ -32,7 +32,7 @@ def show(written: Sequence[Written], top: int) -> None:
 
 def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
     """What was compared, the differences, where they come from, and what to know."""
-    console = _console()
+    console = wide()
     for line in comparison.heading(compared, names):
         console.print(escape(line), soft_wrap=True)
     console.print(_grid(comparison.DIFFERENCE_HEADINGS, comparison.differences(compared)))
@@ -43,13 +43,6 @@ def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
             console.print(f"and {len(shown) - _MOST} more with --out")
     for note in compared.notes:
         console.print(escape(note), soft_wrap=True)
-
-
-def _console() -> Console:
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 160  # pipes and logs have no width of their own
-    return console
 
 
 def _grid(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:

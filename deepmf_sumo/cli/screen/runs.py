@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.batch import Progress
+from deepmf_sumo.cli.screen.console import wide
 from deepmf_sumo.report import table as tables
 
 
@@ -38,9 +39,7 @@ def progress() -> Iterator[Callable[[Progress], None]]:
 
 def table(results: Sequence[dict[str, Any]], summary: dict[str, Any], out: Path) -> None:
     """The runs, the totals, and where the files are."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 160  # pipes and logs have no width of their own
+    console = wide()
     grid = Table(box=None, pad_edge=False, header_style="bold")
     for heading in tables.HEADINGS:
         grid.add_column(heading, overflow="fold")

@@ -1,7 +1,6 @@
 """Recordings and weights -> figures."""
 
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ from deepmf_sumo.datatypes import ROLLOUT, Scene
 from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.readers.base import Refusal
-from deepmf_sumo.training import cards, clusters, windows
+from deepmf_sumo.training import cards, clusters, files, windows
 from deepmf_sumo.training.evaluation import summary
 from deepmf_sumo.training.evaluation.conditional import ConditionalFigures, Pair
 from deepmf_sumo.training.evaluation.marginal import MarginalFigures
@@ -128,13 +127,9 @@ def run(
 
 
 def _write(file: Path, found: dict[str, Any]) -> None:
-    beside = file.with_name(f"{file.name}.{os.getpid()}")
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-        beside.replace(file)
+        files.write(file, (json.dumps(found, indent=1) + "\n").encode())
     except OSError as error:
-        beside.unlink(missing_ok=True)
         raise OutputError(f"{file} cannot be written: {error.strerror}.") from None
 
 
