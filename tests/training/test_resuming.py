@@ -124,14 +124,14 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
         real(descriptor)
 
     monkeypatch.setattr(checkpoints_module.os, "fsync", full)
-    monkeypatch.setattr(files, "write", lambda file, content: file.write_bytes(content))  # curves
+    monkeypatch.setattr(files, "write", lambda *_: None)  # of the curves
     lines = []
     with pytest.raises(CutError):
         train(tmp_path / "part", cut=50, lines=lines)
     warnings = [line for line in lines if line.startswith("warning")]
     assert len(warnings) == 2
     assert "No space left on device" in warnings[0]
-    assert sorted(path.name for path in (tmp_path / "part").iterdir()) == ["a", "curves.csv"]
+    assert [path.name for path in (tmp_path / "part").iterdir()] == ["a"]
     again, _, steps = train(tmp_path / "part")
     assert steps == 45
     assert same(whole, again)
