@@ -28,8 +28,8 @@ class PlanReason:
         bent_m: (N1) farthest that the kinematic limits moved a candidate from its prediction.
         milliseconds: wall time by part.
         origin: (N1) where each candidate comes from: ``mode`` of the prediction, ``goal`` near the
-            AV's predicted way, ``aim`` at the wanted side of it, ``stop`` as the law demands, ``tail`` of the last
-            plan; empty where all are modes.
+            AV's predicted way, ``aim`` at the wanted side of it, ``stop`` as the law demands,
+            ``tail`` of the last plan; empty where all are modes.
         wanted_sector: the AV's sector that was to be hit, 0..7; None: any.
         sector: (N1, N2) sector in which a pair first overlaps, -1 where it does not; None where
             none is wanted.
