@@ -121,7 +121,7 @@ def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(cards, "_replace", full)
+        patch.setattr(cards.files, "write", full)
         code, _, error = train(*arguments)
     assert code == 2
     assert "No space left on device" in error
