@@ -64,12 +64,13 @@ class Conditional:
         modes: int,
         *,
         planner: bool = False,
+        chosen_at: int | None = None,
     ) -> list[Forecast]:
         """One forecast of ``agent_id`` per given future (K, 80, 2) of the other agent.
 
         With ``given=None`` the one forecast without condition. ``planner``: an automated planner
-        drives the agent. Raises KeyError for an agent that is
-        not in view.
+        drives the agent. Modes are chosen to cover where it may be at 8 s, or at the step
+        ``chosen_at`` (0 to 79). Raises KeyError for an agent that is not in view.
         """
         pose = completion.pose_of(view, agent_id)
         return completion.forecasts(
@@ -78,6 +79,7 @@ class Conditional:
             modes,
             self.temperature,
             shortlist=_SHORTLIST,
+            chosen_at=chosen_at,
         )
 
     @torch.inference_mode()

@@ -77,14 +77,18 @@ class Marginal:
 
 @dataclass
 class Conditional:
-    """Right given the truth; off by how far the given end is from the truth; 3 m given nothing."""
+    """Right given the truth; off by how far the given end is from the truth; 3 m given nothing.
+
+    Who asks for sooner hears chances of temperature 1.
+    """
 
     temperature: float = 2.0
 
-    def react(self, view, agent_id, given, modes, *, planner=False):
+    def react(self, view, agent_id, given, modes, *, planner=False, chosen_at=None):
         futures = [None] if given is None else given.position_m
+        temperature = self.temperature if chosen_at in (None, 79) else 1.0
         return [
-            forecast(view, agent_id, modes, self._off(view, given, row), self.temperature)
+            forecast(view, agent_id, modes, self._off(view, given, row), temperature)
             for row in range(len(futures))
         ]
 
@@ -147,6 +151,9 @@ def test_what_is_said_given_the_truth_is_judged_as_any_forecast(predictors, give
     assert informed["negative_log_likelihood"] == pytest.approx(0.0, abs=1e-6)
     assert informed["ece"] == alone["ece"], "the modes of both doubles have the same chances"
     assert informed["ece_if_right_95"] == alone["ece_if_right_95"]
+    early = found["conditional"]["3.0"]
+    assert informed["ece_of_horizon"] == informed["ece"], "modes for 8 s serve at 8 s"
+    assert early["ece_of_horizon"] == early["ece_uncalibrated"] != early["ece"]
     for share in ("on_road", "overlap_free"):
         assert informed[share]["recorded"] == alone[share]["recorded"]
         assert informed[share].keys() == {"6", "16", "32", "recorded"}

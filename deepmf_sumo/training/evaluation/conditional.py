@@ -8,6 +8,7 @@ from typing import Any
 from deepmf_sumo.datatypes import Floats, Forecast, Futures
 from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.training.evaluation import conditions, likelihood, reactions
+from deepmf_sumo.training.evaluation.calibration import ModeCalibration
 from deepmf_sumo.training.evaluation.conditions import (
     CONDITIONS,
     MARGINAL,
@@ -16,7 +17,7 @@ from deepmf_sumo.training.evaluation.conditions import (
     TRUE,
     Observed,
 )
-from deepmf_sumo.training.evaluation.displacement import EARLY, HORIZONS
+from deepmf_sumo.training.evaluation.displacement import EARLY, HORIZONS, STEPS
 from deepmf_sumo.training.evaluation.estimates import difference, mean, standard_error
 from deepmf_sumo.training.evaluation.forecast_modes import FEW, ForecastModes
 from deepmf_sumo.training.evaluation.marginal import Marginals
@@ -44,6 +45,7 @@ class ConditionalFigures:
         by_role: errors for the AV, and for its partners.
         attacked: errors for AVs that were attacked in simulation.
         informed: its modes, given the true future.
+        calibrated_of_horizon: the same, of modes that cover the horizon.
     """
 
     modes: Sequence[int]
@@ -52,6 +54,7 @@ class ConditionalFigures:
     )
     attacked: Observed = field(default_factory=Observed)
     informed: ForecastModes = field(init=False)
+    calibrated_of_horizon: ModeCalibration = field(default_factory=ModeCalibration)
     pairs: int = 0
     _before: list[tuple[Role, Floats]] = field(default_factory=list)
     _first: list[Pair] = field(default_factory=list)
@@ -111,6 +114,10 @@ class ConditionalFigures:
         warm = copy(conditional)  # shares the network; only the probabilities differ
         warm.temperature = 1.0
         self.informed.add(target, found[TRUE], _answers(warm, target, true, FEW)[0])
+        for key, step in STEPS.items():
+            if future.valid[step]:
+                (few,) = _answers(conditional, target, true, FEW, chosen_at=step)
+                self.calibrated_of_horizon.add(few, future, (key,))
         self.pairs += 1
 
     def _react(
@@ -162,6 +169,7 @@ class ConditionalFigures:
             "miss_rate": errors["miss_rate"],
             "negative_log_likelihood": None if log is None else -log,
             **self.informed.calibration(key),
+            "ece_of_horizon": self.calibrated_of_horizon.error(key),
             **self.informed.plausibility(key),
         }
 
@@ -203,6 +211,12 @@ def _log_likelihood(
 
 
 def _answers(
-    conditional: Conditional, target: Target, given: Futures | None, modes: int
+    conditional: Conditional,
+    target: Target,
+    given: Futures | None,
+    modes: int,
+    chosen_at: int | None = None,
 ) -> list[Forecast]:
-    return conditional.react(target.view, target.agent_id, given, modes, planner=target.planner)
+    return conditional.react(
+        target.view, target.agent_id, given, modes, planner=target.planner, chosen_at=chosen_at
+    )
