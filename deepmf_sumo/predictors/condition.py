@@ -27,13 +27,13 @@ class Condition:
 
     Attributes:
         tokens: (B*K, 16, 8) the vector polyline: one vector each half second.
-        image: (B*K, C, S', S') the raster channels.
+        image: (B*K, C, S', S') the raster channels; None for networks without images.
         position_m: (B, K, 80, 2) for the relations to goals.
         given: (B, K) 0 where there is no condition: the prediction is then marginal.
     """
 
     tokens: Tensor
-    image: Tensor
+    image: Tensor | None
     position_m: Tensor
     given: Tensor
 
@@ -51,9 +51,12 @@ class Condition:
 
 def encode(position_m: Tensor, heading_rad: Tensor, given: Tensor, preset: Preset) -> Condition:
     """A condition from positions (B, K, 80, 2) and headings (B, K, 80) in the target's frame."""
+    image = None
+    if preset.raster:
+        image = raster.draw_future(position_m, preset) * given.reshape(-1, 1, 1, 1)
     return Condition(
         tokens=_tokens(position_m, heading_rad).flatten(0, 1),
-        image=raster.draw_future(position_m, preset) * given.reshape(-1, 1, 1, 1),
+        image=image,
         position_m=position_m,
         given=given,
     )
