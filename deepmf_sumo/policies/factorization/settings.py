@@ -11,6 +11,7 @@ from deepmf_sumo.policies.factorization.opponent import SCORED
 from deepmf_sumo.policies.factorization.selection import Balance, Rule
 from deepmf_sumo.policies.factorization.tracking import Limits
 from deepmf_sumo.predictors.base import MOST_MODES
+from deepmf_sumo.spec import VERSIONS
 
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
@@ -21,7 +22,6 @@ _RANKED = frozenset({"argmax", "partner"})
 """Opponents that a score puts in an order."""
 _TRIED = 3
 _COMFORT = 1.0
-_PERIOD_S = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
 
 
 class Settings(plugins.Settings):
@@ -101,7 +101,7 @@ class Settings(plugins.Settings):
     @model_validator(mode="after")
     def _one_period(self) -> Self:
         both = self.version is not None and "period_s" in self.model_fields_set
-        if both and self.period_s != _PERIOD_S[str(self.version)]:
+        if both and self.period_s != VERSIONS[str(self.version)]:
             raise ValueError(f"version {self.version} and period_s {self.period_s} disagree")
         if self.period_s is not None and abs(self.period_s / DT_S % 1 - 0.5) < 0.499:
             raise ValueError(f"period_s {self.period_s} is no multiple of {DT_S} s")
@@ -126,7 +126,7 @@ class Settings(plugins.Settings):
     @property
     def period_steps(self) -> int | None:
         """Steps between plans; None plans once."""
-        period = self.period_s if self.version is None else _PERIOD_S[self.version]
+        period = self.period_s if self.version is None else VERSIONS[self.version]
         return None if period is None else round(period / DT_S)
 
     @property
