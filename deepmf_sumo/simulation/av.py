@@ -4,8 +4,7 @@ from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.frame import Pose
-from deepmf_sumo.simulation.glide import Glide
-from deepmf_sumo.simulation.lane_change import LaneChange
+from deepmf_sumo.simulation.lane_change import LaneChangeEnd, ShownMotion
 from deepmf_sumo.simulation.path import RouteAhead
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -41,8 +40,9 @@ class Av:
         self.ahead = RouteAhead(api, av_id)
         self.placed: Pose | None = None
         self.leaders: tuple[AgentId, ...] | None = None
-        self._glide = Glide(start)
-        self._lane_change = LaneChange(api)
+        self._pose = start
+        self._motion = ShownMotion(api, av_id, length_m)
+        self._lane_change = LaneChangeEnd(api)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
         self._path: Floats | None = None
@@ -90,21 +90,20 @@ class Av:
         self._previous_mps, self._commanded_mps = speed, commanded
 
     def after_step(self) -> None:
-        """What SUMO has to be told after the step."""
+        """What SUMO has to be told after the step, and where the AV is now."""
         self._path_known = False
         self._lane_change.after_step()
         if self.placed is not None:
             self._api.vehicle.setPreviousSpeed(self.id, max(0.0, self.placed.speed_mps))
+            self._motion.restart()
+            self._pose = self.placed
+        else:
+            self._pose = self._motion.advance(self.sumo_pose())
 
+    @property
     def pose(self) -> Pose:
-        """Where the AV is after a step: where it was put, or where SUMO's jumps let it glide.
-
-        To be asked once a step.
-        """
-        if self.placed is not None:
-            self._glide = Glide(self.placed)
-            return self.placed
-        return self._glide.follow(self.sumo_pose())
+        """Where the AV is shown: where it was put, or as SUMO drives it (`ShownMotion`)."""
+        return self._pose
 
     def sumo_pose(self) -> Pose:
         """Where SUMO has the AV."""

@@ -3,9 +3,9 @@
 from deepmf_sumo.datatypes import AgentId, Driver, Event, Tracks
 from deepmf_sumo.simulation.av import read_pose
 from deepmf_sumo.simulation.frame import Pose
-from deepmf_sumo.simulation.glide import Glide
+from deepmf_sumo.simulation.lane_change import ShownMotion
 from deepmf_sumo.simulation.log import Log
-from deepmf_sumo.simulation.placed import add_vehicle, logged_pose, move_logged, speed_factor
+from deepmf_sumo.simulation.placed import add_vehicle, move_logged, speed_factor
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.vehicle_types import TRAFFIC_TYPE
 
@@ -22,7 +22,7 @@ class FreeTraffic:
         self._tracks = tracks
         self._events = events
         self._inside: set[int] = set()
-        self._glides: dict[int, Glide] = {}
+        self._motions: dict[int, ShownMotion] = {}
         self._fresh: list[tuple[int, int]] = []
         self.lost: set[int] = {row for row in log.rows if row not in log.routes}
         self.entered: set[int] = set()
@@ -50,7 +50,7 @@ class FreeTraffic:
         move_logged(self._api, self._log, name, row, step)
         self._inside.add(row)
         self.entered.add(row)
-        self._glides[row] = Glide(logged_pose(self._tracks, row, step))
+        self._motions[row] = ShownMotion(self._api, name, float(self._tracks.size_m[row, 0]))
         self._fresh.append((row, step))
 
     def after_step(self, step: int) -> None:
@@ -77,5 +77,5 @@ class FreeTraffic:
         for row in sorted(self._inside):
             name = self._tracks.ids[row]
             pose = read_pose(self._api, name, float(self._tracks.size_m[row, 0]))
-            poses[name] = (self._glides[row].follow(pose), Driver.SUMO)
+            poses[name] = (self._motions[row].advance(pose), Driver.SUMO)
         return poses

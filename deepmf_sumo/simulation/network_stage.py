@@ -113,7 +113,7 @@ class NetworkStage:
         self._opponent.after_step(self._step)
         poses = self._reader.read()
         if self._av.id in poses:
-            poses[self._av.id] = (self._av.pose(), Driver.PLANNER)
+            poses[self._av.id] = (self._av.pose, Driver.PLANNER)
         placed = self._opponent.placed()
         if placed is not None and placed[0] in poses:
             poses[placed[0]] = (placed[1], Driver.POLICY)

@@ -142,7 +142,7 @@ class RecordedStage:
         extra: dict[AgentId, tuple[Pose, Driver]] = {}
         if self._av.present:
             self._av.after_step()
-            extra[self._av.id] = (self._av.pose(), av_driver)
+            extra[self._av.id] = (self._av.pose, av_driver)
         extra |= self._free.read()
         if opponent is not None and pose is not None:
             extra[opponent] = (pose, Driver.POLICY)

@@ -9,7 +9,7 @@ from deepmf_sumo.datatypes import AgentId, Event, Floats
 from deepmf_sumo.geometry import sumo_frame
 from deepmf_sumo.simulation.av import move
 from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.lane_change import LaneChange
+from deepmf_sumo.simulation.lane_change import LaneChangeEnd
 from deepmf_sumo.simulation.places import Place, Places, overlapped
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -62,7 +62,7 @@ class Takeover:
         self._events = events
         self._places = places
         self._may_remove = may_remove
-        self._lane_change = LaneChange(api)
+        self._lane_change = LaneChangeEnd(api)
         self._taken: _Taken | None = None
         self._moved: tuple[_Taken, float] | None = None
         self._gone: set[AgentId] = set()

@@ -20,7 +20,7 @@ from deepmf_sumo.geometry import angles
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation.contacts import Judge
 from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.glide import Glide
+from deepmf_sumo.simulation.lane_change import ShownMotion
 from deepmf_sumo.simulation.live.connection import LiveApi
 from deepmf_sumo.simulation.live.observer import Observer, Sighting
 from deepmf_sumo.simulation.live.surroundings import Surroundings
@@ -73,11 +73,12 @@ class Engagement:
             scenery.api, self.events, scenery.surroundings.places, may_remove=False
         )
         self._av_pose = observer.pose(history[0], av)
-        self._glide = Glide(self._av_pose)
+        self._motion = ShownMotion(scenery.api, av, observer.body(av).size_m[0])
         longest = round(scenery.rules.longest_s / DT_S) + _LAST_STEPS
         self._steps = len(history) + longest
         self._recorder = Recorder(self._steps, observer.body)
         for sighting in history:
+            self._av_pose = observer.pose(sighting, av)
             frame = self._shown(sighting)
             self._recorder.add(frame)
         self._now = self._recorder.step
@@ -122,9 +123,11 @@ class Engagement:
 
     def look(self, sighting: Sighting) -> None:
         """See what has become of 0.1 s; where that was the end, the opponent is handed back."""
+        scenery = self._scenery
+        self._av_pose = self._motion.advance(scenery.observer.pose(sighting, scenery.av_id))
         frame = self._frame = self._shown(sighting)
         self._recorder.add(frame)
-        size_m = self._scenery.observer.sizes_m(frame.ids)
+        size_m = scenery.observer.sizes_m(frame.ids)
         step, opponent = self._recorder.step, self._turns.attacker
         self._judge.look(step, frame, size_m)
         self._turns.after_step(step, frame, size_m, hit=self._judge.hit(step))
@@ -193,9 +196,8 @@ class Engagement:
         return recorder.view(scenery.av_id, scenery.surroundings.road, signals, left)
 
     def _shown(self, sighting: Sighting) -> Frame:
-        """The sighting as policies and judges see it: the AV glides, the opponent is where put."""
+        """The sighting as policies and judges see it: the opponent is where it was put."""
         scenery = self._scenery
-        self._av_pose = self._glide.follow(scenery.observer.pose(sighting, scenery.av_id))
         known = {scenery.av_id: (self._av_pose, Driver.PLANNER)}
         placed = self._takeover.placed()
         if placed is not None and self._there(placed[0], sighting):

@@ -1,0 +1,215 @@
+"""Compares what is shown of vehicles with SUMO's own poses, in the same simulation.
+
+`python -m tests.shown_motion sumo_nets/*/*.sumocfg` prints a table: every vehicle is taken for an
+AV that SUMO drives without attack. ``--at-once`` switches SUMO's own spreading of lane changes off.
+"""
+
+import argparse
+import tempfile
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from deepmf_sumo.simulation.av import read_pose
+from deepmf_sumo.simulation.lane_change import ShownMotion
+from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, running
+
+AT_ONCE = ("--lanechange.duration", "0", "--lateral-resolution", "0")
+_CHANGE_S = 0.05, 3.05
+"""After SUMO's lane change, whose time is that of its step's begin, poses may differ."""
+_TURN_RAD = 0.6
+"""A vehicle whose heading changes by more within 5 s makes a turn."""
+_TELEPORT_M = 8.0
+_NOWHERE_M = -1e6
+
+
+@dataclass
+class Vehicle:
+    """One vehicle by step: (time, SUMO's centre x and y, heading, shown x and y), and its lanes."""
+
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    lanes: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Recorded:
+    """A run of plain traffic.
+
+    ``changes``: times and lanes of SUMO's own ``--lanechange-output``. ``lines`` and ``areas``:
+    centre lines and outlines of the lanes that vehicles were on.
+    """
+
+    vehicles: dict[str, Vehicle]
+    changes: dict[str, list[tuple[float, str]]]
+    lines: dict[str, shapely.LineString]
+    areas: dict[str, shapely.Geometry]
+
+
+@dataclass
+class Row:
+    """How far shown poses are from SUMO's, of all vehicles; lengths in metres.
+
+    Attributes:
+        vehicles, turns, changes: how many there were.
+        spread: changes in which SUMO's vehicle jumped and the shown one did not.
+        apart_m: largest distance outside lane changes.
+        between_m: how far a shown centre is outside the two lanes' centre lines in a change.
+        back_m: largest step away from the new lane during a change.
+        beyond_m: how much farther beyond the lanes it used a shown centre is than SUMO's.
+        beyond_sumo_m: how far SUMO's own centre is beyond them.
+        sideways_m, sideways_sumo_m: largest step sideways outside lane changes.
+        more_sideways_m: how much larger a vehicle's largest step sideways is than SUMO's of it.
+    """
+
+    vehicles: int = 0
+    turns: int = 0
+    changes: int = 0
+    spread: int = 0
+    apart_m: float = 0.0
+    between_m: float = 0.0
+    back_m: float = 0.0
+    beyond_m: float = 0.0
+    beyond_sumo_m: float = 0.0
+    sideways_m: float = 0.0
+    sideways_sumo_m: float = 0.0
+    more_sideways_m: float = 0.0
+
+    def note(self, **values: float) -> None:
+        """Keep the larger of each."""
+        for name, value in values.items():
+            setattr(self, name, max(getattr(self, name), float(value)))
+
+
+def compare(config: Path, until_s: float, options: tuple[str, ...] = (), most: int = 400) -> Row:
+    """Run a configuration without attack and compare both poses of its first vehicles."""
+    recorded = _record(config, until_s, options, most)
+    row = Row()
+    for name, vehicle in recorded.vehicles.items():
+        if len(vehicle.rows) > 1:
+            _judge(row, vehicle, recorded, recorded.changes.get(name, []))
+    return row
+
+
+def _record(config: Path, until_s: float, options: tuple[str, ...], most: int) -> Recorded:
+    recorded = Recorded(defaultdict(Vehicle), defaultdict(list), {}, {})
+    motions: dict[str, ShownMotion] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "changes.xml"
+        arguments = ["-c", str(config), "--lanechange-output", str(log), *STEP_OPTIONS, *options]
+        with running(arguments) as api:
+            end = api.simulation.getTime() + until_s
+            while api.simulation.getTime() < end and api.simulation.getMinExpectedNumber() > 0:
+                api.simulationStep()
+                for name in api.vehicle.getIDList():
+                    if name in motions or len(motions) < most:
+                        _note(api, name, motions, recorded)
+        for change in ET.parse(log).getroot():
+            time_s, lane = float(change.get("time")), change.get("from")
+            recorded.changes[change.get("id")].append((time_s, lane))
+    return recorded
+
+
+def _note(api, name: str, motions: dict[str, ShownMotion], recorded: Recorded) -> None:
+    length = api.vehicle.getLength(name)
+    motion = motions.setdefault(name, ShownMotion(api, name, length))
+    x, y = api.vehicle.getPosition(name)
+    if x < _NOWHERE_M:
+        return
+    heading = np.radians(90.0 - api.vehicle.getAngle(name))
+    centre = x - length / 2 * np.cos(heading), y - length / 2 * np.sin(heading)
+    shown = motion.advance(read_pose(api, name, length))
+    lane = api.vehicle.getLaneID(name)
+    row = (api.simulation.getTime(), *centre, heading, shown.x_m, shown.y_m)
+    recorded.vehicles[name].rows.append(row)
+    recorded.vehicles[name].lanes.append(lane)
+    if lane and lane not in recorded.lines:
+        line = recorded.lines[lane] = shapely.LineString(api.lane.getShape(lane))
+        half_m = api.lane.getWidth(lane) / 2
+        recorded.areas[lane] = line.buffer(half_m, cap_style="flat", join_style="mitre")
+
+
+def _judge(
+    row: Row, vehicle: Vehicle, recorded: Recorded, changes: list[tuple[float, str]]
+) -> None:
+    table = np.array(vehicle.rows)
+    time, own, heading, shown = table[:, 0], table[:, 1:3], table[:, 3], table[:, 4:6]
+    row.vehicles += 1
+    row.turns += _turns(np.unwrap(heading))
+    ours, sumos = _sideways(shown, heading), _sideways(own, heading)
+    changing = np.zeros(len(time), bool)
+    for moment, origin in changes:
+        row.changes += 1
+        during = (time > moment + _CHANGE_S[0]) & (time < moment + _CHANGE_S[1])
+        changing |= during
+        step = int(np.argmax(during)) - 1
+        if step >= 0 and sumos[step] > 1.0 > ours[step]:
+            row.spread += 1
+        if origin in recorded.lines and len(changes) == 1:
+            there = [vehicle.lanes[one] for one in np.flatnonzero(during)]
+            ways = np.array(list(_ways(recorded, origin, there, shown[during]))).reshape(-1, 2)
+            row.note(between_m=ways[:, 0].max(initial=0), back_m=np.diff(ways[:, 1]).max(initial=0))
+    apart = np.hypot(*(shown - own).T)
+    used = shapely.union_all([recorded.areas[lane] for lane in set(vehicle.lanes) if lane])
+    beyond, beyond_sumo = (shapely.distance(used, shapely.points(each)) for each in (shown, own))
+    row.note(
+        apart_m=apart[~changing].max(initial=0),
+        beyond_m=(beyond - beyond_sumo).max(),
+        beyond_sumo_m=beyond_sumo.max(),
+        sideways_m=ours[~changing[1:]].max(initial=0),
+        sideways_sumo_m=sumos[~changing[1:]].max(initial=0),
+        more_sideways_m=ours.max() - sumos.max(),
+    )
+
+
+def _ways(
+    recorded: Recorded, origin: str, lanes: list[str], shown: np.ndarray
+) -> Iterator[tuple[float, float]]:
+    """By how much a centre's ways to both lanes are longer than from lane to lane; to the new."""
+    for lane, point in zip(lanes, shapely.points(shown), strict=True):
+        if lane == origin or lane.rpartition("_")[0] != origin.rpartition("_")[0]:
+            continue
+        old, new = recorded.lines[origin], recorded.lines[lane]
+        if min(old.project(point), new.project(point)) > 0:  # else it is before the edge
+            width = old.distance(new.interpolate(new.project(point)))
+            yield old.distance(point) + new.distance(point) - width, new.distance(point)
+
+
+def _turns(heading: np.ndarray) -> int:
+    count, step = 0, 0
+    while step < len(heading):
+        turned = np.flatnonzero(abs(heading[step : step + 50] - heading[step]) > _TURN_RAD)
+        count += len(turned) > 0
+        step += int(turned[0]) + 30 if len(turned) else 10
+    return count
+
+
+def _sideways(centre: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    step, turn = np.diff(centre, axis=0), np.diff(np.unwrap(heading))
+    mean = heading[1:] - turn / 2
+    across = abs(step[:, 1] * np.cos(mean) - step[:, 0] * np.sin(mean))
+    return np.where(np.hypot(*step.T) > _TELEPORT_M, 0.0, across)
+
+
+def main() -> None:
+    """Print a row for each configuration."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("configs", nargs="+", type=Path)
+    parser.add_argument("--until", type=float, default=300.0, help="seconds of simulation")
+    parser.add_argument("--most", type=int, default=400, help="vehicles")
+    parser.add_argument("--at-once", action="store_true")
+    arguments = parser.parse_args()
+    names = [one.name for one in fields(Row)]
+    print("network", *names)
+    for config in arguments.configs:
+        options = AT_ONCE if arguments.at_once else ()
+        row = compare(config, arguments.until, options, arguments.most)
+        print(config.stem, *(f"{getattr(row, name):.3g}" for name in names), flush=True)
+
+
+if __name__ == "__main__":
+    main()
