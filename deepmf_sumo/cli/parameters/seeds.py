@@ -10,7 +10,7 @@ _LARGEST: Final = 2**31 - 1
 _PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
 
 
-class Seeds(click.ParamType):
+class Seeds(click.ParamType):  # type: ignore[type-arg]
     """Plain decimals and ranges of them, both ends included, separated by commas."""
 
     name = "seeds"
