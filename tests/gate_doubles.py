@@ -26,7 +26,7 @@ def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):
         "error": "",
         "opponent": "b",
         "outcome": "av_opponent" if hit else "none",
-        "contacts": [{"kind": "av_opponent", "sector": 0}] if hit else [],
+        "contacts": [{"kind": "av_opponent", "sector": 0, "relative_mps": 6.0}] if hit else [],
         "metrics": {name: {"value": value} for name, value in metrics.items()},
         "expectations_broken": [],
         "timings": {"wall_s": 1.5},

@@ -46,7 +46,14 @@ class Attacks:
         poses = {"ego": av, **({} if opponent is None else {"foe": opponent})}
         _tracks(folder / "tracks.csv.gz", poses)
         contacts = [
-            {"kind": kind, "step": step, "first_id": "ego", "second_id": foe, "sector": 4}
+            {
+                "kind": kind,
+                "step": step,
+                "first_id": "ego",
+                "second_id": foe,
+                "sector": 4,
+                "relative_mps": 6.0,
+            }
             for kind, step, foe in (("av_opponent", hit, "foe"), ("av_other", other, "bus"))
             if step is not None
         ]

@@ -122,6 +122,7 @@ def test_set_overrides_and_checks(write):
         ("=1", "must be key=value"),
         ("name.x=1", "'name' holds no keys"),
         ("seed=[", "is not YAML"),
+        ("seed=010", "--set seed=010: key 'seed': '010' is not a plain decimal number"),
         ("planner.headway=1", "Did you mean 'headway_s'?"),
     ],
 )
@@ -146,6 +147,9 @@ BAD = {
     "boolean for a number": (("seed: 3", "seed: yes"), ":7: key 'seed': True"),
     "float for an integer": (("seed: 3", "seed: 3.0"), ":7: key 'seed': 3.0"),
     "number for text": (("vehicle: av", "vehicle: 7"), "'source.av.vehicle': 7"),
+    "octal": (("seed: 3", "seed: 010"), ":7: key 'seed': '010' is not a plain decimal number"),
+    "hexadecimal": (("seed: 3", "seed: 0x10"), "'0x10' is not a plain decimal number"),
+    "sexagesimal": (("seed: 3", "seed: 1:30"), "'1:30' is not a plain decimal number"),
     "negative": (("seed: 3", "seed: -1"), "greater than or equal to 0"),
     "infinite": (("42.0", ".inf"), "finite number"),
     "version": (("version: 1", "version: 2"), ":2: key 'version': 2"),

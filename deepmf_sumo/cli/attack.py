@@ -1,5 +1,6 @@
 """``deepmf-sumo attack``: .sumocfgs -> result folder, without a spec."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -128,7 +129,9 @@ def _chosen(
     from deepmf_sumo.simulation.scouting import Scouting
 
     configuration = read_configuration(config, sumo_options)
-    spec = moments.base_spec(config, _keys(configuration.seed, **common), sets, sumo_options)
+    spec = moments.base_spec(
+        config, _keys(lambda: configuration.seed, **common), sets, sumo_options
+    )
     scouting = Scouting(config=config, sumo_options=sumo_options, seed=spec.seed, until_s=until_s)
     named = wanted["at_s"] or wanted.get("again", ())
     count = wanted.pop("count") or len(named) or 10
@@ -159,7 +162,12 @@ def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
         )
 
 
-def _keys(own_seed: int, planner: str | None, **given: Any) -> dict[str, Any]:
-    """Keys of the spec that are given; the seed else is the configuration's."""
-    keys = {"seed": own_seed, **{key: value for key, value in given.items() if value is not None}}
+def _keys(own_seed: Callable[[], int], planner: str | None, **given: Any) -> dict[str, Any]:
+    """Keys of the spec that are given; the seed else is the configuration's, asked for then only.
+
+    A configuration whose seed cannot be used is refused where it would be used.
+    """
+    keys = {key: value for key, value in given.items() if value is not None}
+    if "seed" not in keys:
+        keys["seed"] = own_seed()
     return keys if planner is None else {**keys, "planner": {"name": planner}}

@@ -34,8 +34,8 @@ def command(
 
     \b
     Exit codes: 0 all holds; 1 a threshold or an expectation is broken, or something is worse than
-    the baseline; 2 a file is wrong; 3 no verdict: runs failed or are missing, or too few say
-    anything.
+    the baseline; 2 a file is wrong; 3 no verdict: runs failed or are missing, too few say
+    anything, or they cannot tell whether something is worse than the baseline.
     """
     from deepmf_sumo.benchmark import gate
     from deepmf_sumo.benchmark.gate import junit as junit_xml

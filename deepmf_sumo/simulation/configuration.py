@@ -1,6 +1,7 @@
 """A user's .sumocfg: what has to be known of it before SUMO is started with it."""
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,9 @@ from deepmf_sumo.simulation import command_line
 
 SUMO_SEED: Final = 23423
 """SUMO's own where nobody names one."""
+_SEED: Final = re.compile(r"\+?[0-9]+")
+"""What SUMO reads as a number of zero or more: also ``+5`` and ``007``, but not 0x10 or 1e3."""
+_LARGEST_SEED: Final = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +23,7 @@ class Configuration:
     """A configuration file with the options that are given beside it; paths are absolute.
 
     Attributes:
-        seed: what the configuration would be run with by itself.
+        seed_text: the seed that it names, as written; None where it names none.
         options: those beside it, as SUMO takes them, without additional files.
     """
 
@@ -29,8 +33,25 @@ class Configuration:
     step_s: float
     begin_s: float
     end_s: float | None
-    seed: int = SUMO_SEED
+    seed_text: str | None = None
     options: tuple[str, ...] = ()
+
+    @property
+    def seed(self) -> int:
+        """What SUMO would run the configuration with by itself.
+
+        Raises SimulationError for a seed that SUMO does not read, or that a spec cannot hold.
+        Only who asks for it is refused: a run has a seed of its own.
+        """
+        text = self.seed_text
+        if text is None:
+            return SUMO_SEED
+        if not _SEED.fullmatch(text) or int(text) > _LARGEST_SEED:
+            raise SimulationError(
+                f"'{self.file}' has seed '{text}', which is not a whole number from 0 to"
+                f" {_LARGEST_SEED} in plain decimals; correct it, or give --seed."
+            )
+        return int(text)
 
 
 _SYNONYMS = {"net": "net-file", "n": "net-file", "additional": "additional-files"} | {
@@ -79,7 +100,7 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
         step_s=_seconds(file, "step-length", options.get("step-length", "1")),
         begin_s=_seconds(file, "begin", options.get("begin", "0")),
         end_s=_end(file, options.get("end")),
-        seed=_seed(options.get("seed", "")),
+        seed_text=options.get("seed"),
         options=tuple(
             word
             for name, value in given.items()
@@ -87,10 +108,6 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
             for word in (f"--{name}", value)
         ),
     )
-
-
-def _seed(text: str) -> int:
-    return int(text) if text.isdecimal() and int(text) < 2**31 else SUMO_SEED
 
 
 def _beside(file: Path, name: str) -> Path:

@@ -1,9 +1,10 @@
 """YAML text -> plain values, with the place of every key.
 
 Stricter than PyYAML: a key that stands twice is refused, and so are aliases (a small file could
-unfold into gigabytes) and keys that are not text.
+unfold into gigabytes), keys that are not text, and whole numbers that are not plain decimals.
 """
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,8 @@ import yaml
 from deepmf_sumo.errors import SpecError
 
 LARGEST_BYTES: Final = 1_000_000
+_PLAIN: Final = re.compile(r"[-+]?(0|[1-9][0-9]*)")
+"""YAML 1.1 knows other whole numbers: 010 is 8, 1:30 is 90, 0x10 is 16."""
 
 KeyPath = tuple[str | int, ...]
 
@@ -94,6 +97,11 @@ class _Loader:
             raise SpecError(f"{self.name}: is nested too deeply.") from None
 
     def _visit(self, node: yaml.Node, path: KeyPath) -> None:
+        if node.tag == "tag:yaml.org,2002:int" and not _PLAIN.fullmatch(str(node.value)):
+            raise SpecError(
+                f"{self._place(node)}: key '{'.'.join(map(str, path))}': {node.value!r} is not a"
+                " plain decimal number; write e.g. 8, or put text in quotes."
+            )
         if isinstance(node, yaml.SequenceNode):
             for index, item in enumerate(node.value):
                 self.places[*path, index] = self._place(item)

@@ -13,6 +13,14 @@ def test_all_subsets_of_few_pairs():
     assert randomisation.paired([[1.0]] * 5, 0.95) == (1.0, None, None)
 
 
+@pytest.mark.parametrize(("confidence", "units"), [(0.9, 5), (0.95, 6), (0.975, 7), (0.99, 8)])
+def test_fewest_units_of_an_interval(confidence, units):
+    """At each end: 5 % is reached by one of 32 swaps, 2.5 % by one of 64."""
+    assert randomisation.fewest(confidence) == units
+    assert randomisation.paired([[1.0]] * (units - 1), confidence).low is None
+    assert randomisation.paired([[1.0]] * units, confidence).low == 1.0
+
+
 def test_worked_interval():
     """Means of the subsets of (0, 0, 0, 0, 0, 6): a single one is the greatest, 31 are 0."""
     found = randomisation.paired([[0.0]] * 5 + [[6.0]], 0.95)
@@ -66,3 +74,4 @@ def test_few_unpaired_values(each, told):
     """Of 6! / (3! 3!) = 20 arrangements one is 5 %, of 70 it is 1.4 %."""
     found = randomisation.unpaired([1.0] * each, [0.0] * each, 0.95)
     assert (found.low is not None) == told
+    assert randomisation.fewest_unpaired(0.95) == 8

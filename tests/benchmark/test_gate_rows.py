@@ -14,6 +14,7 @@ def test_values_of_a_hit_and_of_none(tmp_path):
     )
     found = rows.read(out).rows
     assert found["made-up--a--0"].values == {
+        "impact_mps": 6,
         "av_collision_rate": 1,
         "collision_rate": 1,
         "avoidable_rate": 1,
@@ -24,6 +25,7 @@ def test_values_of_a_hit_and_of_none(tmp_path):
         "delta_v_mps": 4,
     }
     assert found["made-up--b--0"].values == {
+        "impact_mps": 0,
         "av_collision_rate": 0,
         "collision_rate": 0,
         "ttc_s": 10,
@@ -33,7 +35,7 @@ def test_values_of_a_hit_and_of_none(tmp_path):
 
 def test_who_is_judged(tmp_path):
     nobody = {"opponent": None, "metrics": {}}
-    other = [{"kind": "av_other", "sector": 0}]
+    other = [{"kind": "av_other", "sector": 0, "relative_mps": 3.0}]
     out = gate_doubles.write_folder(
         tmp_path / "out",
         [
@@ -45,7 +47,7 @@ def test_who_is_judged(tmp_path):
     )
     found = {row.scene: row for row in rows.read(out).rows.values()}
     assert [name for name, row in found.items() if row.judged] == ["no-attack"]
-    assert found["no-attack"].values == {"av_collision_rate": 1}
+    assert found["no-attack"].values == {"impact_mps": 3, "av_collision_rate": 1}
     assert found["nobody-there"].reason == "nobody to attack"
     assert (found["broken"].status, found["broken"].reason) == ("failed", "SUMO refused")
     assert found["broken"].network == "crossing"
@@ -77,9 +79,17 @@ def test_the_file_keeps_all_that_is_compared(tmp_path):
     again = rows.read(tmp_path / "first.json")
     assert [row.values for row in again.rows.values()] == [r.values for r in found.rows.values()]
     assert again.version == found.version
+    assert again.attacks == found.attacks
+    setup = {"adversary": "deepmf", "weights": "open", "adversary.period_s": 1.0}
+    assert list(found.attacks.values()) == [setup]
     rows.write(tmp_path / "second.json", again)
     first, second = (tmp_path / f"{name}.json" for name in ("first", "second"))
     assert first.read_bytes() == second.read_bytes()
+
+
+EMPTY = {
+    "kind": "deepmf-sumo results", "format_version": 2, "version": "0", "attacks": {}, "runs": [],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -89,11 +99,10 @@ def test_the_file_keeps_all_that_is_compared(tmp_path):
         ("{", "is damaged"),
         ("[]", "is no results file"),
         ('{"kind": "deepmf-sumo results", "format_version": 9}', "has format 9"),
-        ('{"kind": "deepmf-sumo results", "format_version": 1}', "is damaged"),
-        (
-            '{"kind": "deepmf-sumo results", "format_version": 1, "version": "0", "runs": [{}]}',
-            "is damaged",
-        ),
+        ('{"kind": "deepmf-sumo results", "format_version": 2}', "is damaged"),
+        (json.dumps(EMPTY | {"runs": [{}]}), "is damaged"),
+        (json.dumps(EMPTY | {"attacks": {"x": 7}}), "is damaged"),
+        (json.dumps(EMPTY | {"attacks": [7]}), "is damaged"),
     ],
 )
 def test_files_that_are_none(tmp_path, text, told):

@@ -126,22 +126,69 @@ def test_text_that_xml_forbids(tmp_path):
 
 
 def test_baseline_of_the_thresholds_and_of_the_command(tmp_path, out):
-    worse = [gate_doubles.result("a", seed, hit=True) for seed in range(12)]
-    better = [gate_doubles.result("a", seed) for seed in range(12)]
+    worse = [gate_doubles.result(f"s{number}", hit=True) for number in range(12)]
+    better = [gate_doubles.result(f"s{number}") for number in range(12)]
     new = gate_doubles.write_folder(tmp_path / "new", worse)
     old = gate_doubles.write_folder(tmp_path / "old", better)
     gate.check(old, thresholds(tmp_path), renewed=tmp_path / "b.json")
     verdict = gate.check(new, thresholds(tmp_path, "baseline: b.json"))
     states = {one.quantity: one.state for one in verdict.comparisons}
-    assert states["av_collision_rate"] == states["min_gap_m"] == "worse"
+    assert states["impact_mps"] == "worse"
+    assert states["av_collision_rate"] == states["min_gap_m"] == "not judged"
     assert verdict.exit_code == 1
-    assert any("av_collision_rate was 0 and is 1" in one for one in verdict.findings())
+    [finding] = verdict.findings()
+    assert finding == ("all runs: impact_mps was 0 m/s and is 6 m/s: +6 (+6 to +6; 12 pairs)")
     junit.write(tmp_path / "junit.xml", verdict)
     found, _ = cases(tmp_path / "junit.xml")
-    assert "failure" in found["baseline: all runs: av_collision_rate"]
+    assert "failure" in found["baseline: all runs: impact_mps"]
+    assert "baseline: all runs: min_gap_m" not in found
     same = gate.check(new, thresholds(tmp_path, "baseline: b.json"), baseline=new)
-    assert {one.state for one in same.comparisons} <= {"same", "too few"}
+    assert {one.state for one in same.comparisons} == {"passed", "not judged"}
     assert same.exit_code == 0
+
+
+def test_a_baseline_that_can_never_alarm_is_no_verdict(tmp_path):
+    """One spec, whatever its seeds: it says how many specs are needed, and nothing is green."""
+    old, new = (
+        gate_doubles.write_folder(
+            tmp_path / name, [gate_doubles.result("a", seed, hit=hit) for seed in range(20)]
+        )
+        for name, hit in (("old", False), ("new", True))
+    )
+    for out in (old, new):
+        verdict = gate.check(out, thresholds(tmp_path), baseline=old)
+        assert verdict.exit_code == 3
+        [finding] = verdict.findings()
+        assert "1 spec can never show a change: at least 5 specs are needed" in finding
+        assert f"{finding}." in summary.text(verdict)
+        junit.write(tmp_path / "junit.xml", verdict)
+        found, counts = cases(tmp_path / "junit.xml")
+        assert "at least 5 specs" in found["baseline: all runs: impact_mps"]["error"]
+        assert counts == [23, 0, 1, 0]
+    broken = gate.check(new, thresholds(tmp_path, "max_av_collision_rate: 0.5"), baseline=old)
+    assert broken.exit_code == 1  # a broken threshold is a verdict
+
+
+def test_what_runs_leave_open_is_no_verdict_and_says_how_many_would_tell(tmp_path):
+    """Four of five specs are hit now, one is not any more."""
+    old, new = (
+        gate_doubles.write_folder(
+            tmp_path / name,
+            [
+                gate_doubles.result("a", spec=f"spec {number}", hit=number in hit)
+                for number in range(5)
+            ],
+        )
+        for name, hit in (("old", {0}), ("new", {1, 2, 3, 4}))
+    )
+    verdict = gate.check(new, thresholds(tmp_path), baseline=old)
+    assert verdict.exit_code == 3
+    [finding] = verdict.findings()
+    assert finding == (
+        "all runs: impact_mps was 1.2 m/s and is 4.8 m/s: +3.6 (-6 to +6; 5 pairs):"
+        " cannot tell: it may be worse by more than 3 m/s, and may be no worse; about 37 specs"
+        " would tell"
+    )
 
 
 def test_a_baseline_that_is_renewed_is_not_compared_with(tmp_path, out):
@@ -159,7 +206,7 @@ def test_another_attack_is_told(tmp_path, out):
     runs = [gate_doubles.result("a", seed, weights="mine") for seed in range(3)]
     new = gate_doubles.write_folder(tmp_path / "new", runs)
     verdict = gate.check(new, thresholds(tmp_path, "baseline: b.json"))
-    assert "set up differently in 3 pairs" in verdict.notes[0]
+    assert "set up differently in 3 pairs (weights): differences may be" in verdict.notes[0]
     assert "0 runs are new, 3 of the baseline are not there" in verdict.notes[1]
 
 
@@ -171,9 +218,7 @@ def test_summary(tmp_path, out):
     line = "| all runs | max_av_collision_rate | 0.2 | 0.4 (0.12 to 0.77) | 5 | **broken** |"
     assert line in text
     assert "- `made-up--a--0`: has part in max_av_collision_rate of all runs" in text
-    assert (
-        "| all runs | min_gap_m | 1.2 m | 1.2 m | +0, too few to tell (5 pairs) | too few |" in text
-    )
+    assert "| all runs | min_gap_m | 1.2 m | 1.2 m | +0 (5 pairs of 1 spec) | not judged |" in text
 
 
 def test_summary_is_added_and_long_lists_are_cut(tmp_path):

@@ -8,6 +8,7 @@ from risk_doubles import Attacks, eastward
 from deepmf_sumo.benchmark.risk import comparison
 from deepmf_sumo.benchmark.risk.origins import Tagged, origins
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.report.risk import comparison as files
 
 ALARMS = {"worse", "better"}
 
@@ -63,10 +64,37 @@ def test_a_worse_planner_is_found_by_many_small_changes():
     new = side({"required_braking_mps2": calm + 0.2 + wild[::-1]})
     found = comparison.differences(old, new, ("required_braking_mps2",), 0.95)
     assert {one.quantity: one.state for one in found} == {
-        "required_braking_mps2": "same",
+        "required_braking_mps2": "cannot tell",
         "pairs with worse required_braking_mps2": "worse",
     }
     assert found[1].found.new == pytest.approx(37 / 40)
+
+
+def test_a_wide_interval_is_never_called_the_same():
+    """-5.17 (-42.5 to +25.3) says nothing; within 0.05 on both sides is the margin of `same`."""
+    rng = np.random.default_rng(6)
+    calm = rng.exponential(1.0, 24)
+    wild = rng.normal(-5.0, 60.0, 24)
+    told = {}
+    for name, change in {"wide": wild, "tiny": 0.01 * np.sign(wild), "none": 0 * wild}.items():
+        sides = (side({"min_gap_m": calm}), side({"min_gap_m": calm + change}))
+        [found, leaning] = comparison.differences(*sides, ("min_gap_m",), 0.95)
+        told[name] = files._state(found)
+        if name == "wide":
+            assert found.state == "cannot tell"
+            assert found.needed > 24
+    assert told == {
+        "wide": f"cannot tell; about {told['wide'].split()[3]} scenes would",
+        "tiny": "same within 0.05 m",
+        "none": "same within 0.05 m",
+    }
+    assert files._state(leaning) == "no difference"
+
+
+def test_too_few_pairs_are_told_with_how_many_are_needed():
+    few = side({"min_gap_m": [1.0, 2.0, 3.0]})
+    found = comparison.differences(few, few, ("min_gap_m",), 0.95)
+    assert [files._state(one) for one in found] == ["cannot tell; at least 7 scenes would"] * 2
 
 
 def folder(out, hits, planner="idm lane", spec="city", version="0.1.0", network="four_way"):
@@ -163,6 +191,34 @@ def test_settings_are_told_where_both_planners_have_them(tmp_path):
         out.add("car-3s", av=eastward(), opponent=eastward(), settings=both)
     found = comparison.compare(tmp_path / "a", tmp_path / "b")
     assert found.differs == {"planner.accel_mps2": (("not set",), ("2.0",))}
+
+
+def attacked(out, **setup):
+    """Two moments; the opponent's id and other settings of the attack as given, one each."""
+    runs = Attacks(out)
+    for number in range(2):
+        settings = {"planner": {}, "adversary": {key: one[number] for key, one in setup.items()}}
+        runs.add(f"car{number}-3s", av=eastward(), opponent=eastward(), settings=settings)
+    return out
+
+
+def test_settings_of_the_attack_that_differ_are_named(tmp_path):
+    a = attacked(tmp_path / "a", period_s=(1.0, 1.0), rule=("expected", "expected"))
+    b = attacked(tmp_path / "b", period_s=(2.0, 2.0), rule=("expected", "expected"))
+    told = "the attack is set up differently (adversary.period_s: 1.0 in A, 2.0 in B)"
+    assert any(note.startswith(told) for note in comparison.compare(a, b).notes)
+    assert not any("set up differently" in note for note in comparison.compare(a, a).notes)
+
+
+def test_whom_the_av_meets_is_no_setting_of_the_attack(tmp_path):
+    """With `adversary.opponent=met` each moment has an opponent of its own."""
+    a = attacked(tmp_path / "a", opponent=("car7", "car8"))
+    b = attacked(tmp_path / "b", opponent=("car7", "bus1"))
+    assert not any("set up differently" in note for note in comparison.compare(a, b).notes)
+    c = attacked(tmp_path / "c", opponent=("argmax", "argmax"))
+    d = attacked(tmp_path / "d", opponent=("sample", "sample"))
+    [note] = [one for one in comparison.compare(c, d).notes if "set up differently" in one]
+    assert "(adversary.opponent: argmax in A, sample in B)" in note
 
 
 def test_runs_without_a_partner_are_counted_by_moments(tmp_path):

@@ -5,6 +5,7 @@ import json
 
 import crossing_network
 import pytest
+import tiny_network
 
 from deepmf_sumo.cli import main
 
@@ -72,6 +73,18 @@ def test_refusals_are_one_line(tiny, tmp_path, capsys, more, message, code):
     assert len(errors) == 1
     assert message in errors[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_seed_of_the_configuration_that_cannot_be_used(tmp_path, capsys):
+    """It was silently SUMO's 23423; with a seed on the command line it does not matter."""
+    config = tiny_network.build(tmp_path)
+    seed = '<random_number><seed value="-5"/></random_number></configuration>'
+    config.write_text(config.read_text().replace("</configuration>", seed))
+    assert attack(tmp_path, tmp_path / "out", "--moments", 1, "--duration", 1) == 3
+    assert "has seed '-5', which is not a whole number from 0" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    more = ("--moments", 1, "--duration", 1, "--seed", 7)
+    assert attack(tmp_path, tmp_path / "out", *more) == 0
 
 
 @pytest.mark.parametrize("option", ["--at", "--until", "--timeout", "--memory", "--max-minutes"])

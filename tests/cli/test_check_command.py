@@ -27,8 +27,16 @@ def test_all_files_are_written(tmp_path, out, capsys):
     shown = capsys.readouterr().out
     assert "5 runs: 5 judged" in shown
     assert "max_av_collision_rate is 0.4 (0.12 to 0.77, 5 runs), allowed at most 0.1" in shown
-    assert check(tmp_path, out, "", "--baseline", base) == 0
-    assert "too few" in capsys.readouterr().out
+    assert check(tmp_path, out, "", "--baseline", base) == 3
+    shown = capsys.readouterr().out
+    assert "cannot tell: 1 spec can never show a change: at least 5 specs are needed" in shown
+
+
+def test_enough_specs_against_themselves_pass(tmp_path, capsys):
+    runs = [gate_doubles.result("a", spec=f"spec {number}") for number in range(5)]
+    out = gate_doubles.write_folder(tmp_path / "enough", runs)
+    assert check(tmp_path, out, "", "--baseline", out) == 0
+    assert "+0 (+0 to +0; 5 pairs)" in capsys.readouterr().out
 
 
 def test_names_with_brackets_and_stars_are_shown(tmp_path, out, capsys):

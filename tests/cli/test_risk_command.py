@@ -27,7 +27,9 @@ def test_two_results_side_by_side(out, tmp_path, capsys):
     assert main._run(["compare", str(out), str(out), "--out", str(tmp_path / "both")]) == 0
     told = capsys.readouterr().out
     assert "1 pairs of the same moment and seed" in told
-    assert "too few to tell (1 pairs)" in told
+    assert "+0 (1 pair)" in told
+    assert "cannot tell; at least 9 scenes would" in told
+    assert "same" not in told.replace("same moment", "")
     text = (tmp_path / "both" / "comparison.md").read_text()
     assert "| place: w_in (w_pocket to centre) | 1 of 1 | 1 of 1 |" in text
     assert (tmp_path / "both" / "differences.csv").read_text().startswith("quantity,unit,a,b,")

@@ -1,5 +1,6 @@
 """What `run`, `attack`, `benchmark` and `reproduce` share: shards, limits, thresholds, signals."""
 
+import csv
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import pytest
 import tiny_network
@@ -71,6 +73,52 @@ def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
     assert "give each shard once" in capsys.readouterr().err
     assert call("merge", *parts) == 2
     assert "runs that no shard has" in capsys.readouterr().err
+
+
+def test_each_spec_runs_with_each_seed(specs, tmp_path, capsys):
+    out = tmp_path / "out"
+    run = ("run", *specs[:2], "--no-pictures", "--junit", "--jobs", 2)
+    assert call(*run, "--seeds", "7-8, 11", "--out", out) == 0
+    assert "6 runs: 6 ok" in capsys.readouterr().out
+    table = (out / "runs.csv").read_text().splitlines()
+    ids = [row["run_id"] for row in csv.DictReader(table)]
+    assert ids == [f"part-{spec}--tiny--{seed}" for spec in (0, 1) for seed in (7, 8, 11)]
+    names = [case.get("name") for case in ET.parse(out / "junit.xml").iter("testcase")]
+    assert names == ids
+    written = {one: (out / "runs" / one / "result.json").stat().st_mtime_ns for one in ids}
+    assert call(*run, "--seeds", "7-8,11-12", "--out", out, "--resume") == 0
+    now = {one: (out / "runs" / one / "result.json").stat().st_mtime_ns for one in ids}
+    assert now == written
+    for part in ("1/2", "2/2"):
+        folder = tmp_path / part[0]
+        assert call(*run, "--seeds", "7-8,11-12", "--out", folder, "--shard", part) == 0
+    assert call("merge", tmp_path / "all", tmp_path / "1", tmp_path / "2") == 0
+    assert compare.differences(out, tmp_path / "all") == []
+
+
+@pytest.mark.parametrize(
+    ("seeds", "told"),
+    [
+        ("1-", "'1-' is not a seed or a range of seeds"),
+        ("0x10", "'0x10' is not a seed"),
+        ("", "'' is not a seed"),
+        ("-3", "'-3' is not a seed"),
+        ("5-1", "5-1 ends before it begins"),
+        ("1-3,2", "the seed 2 is given twice"),
+        ("0-2147483648", "2147483648 is too large"),
+        ("0-2147483647", "holds more than 100000 seeds"),
+    ],
+)
+def test_seeds_that_are_not_plain_decimals_are_refused(specs, tmp_path, capsys, seeds, told):
+    assert call("run", specs[0], f"--seeds={seeds}", "--out", tmp_path / "out") == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("more", [("--seed", 3), ("--set", "seed=3")])
+def test_one_seed_and_several_are_refused(specs, tmp_path, capsys, more):
+    assert call("run", specs[0], "--seeds", "1-2", *more, "--out", tmp_path / "out") == 2
+    assert "--seeds goes without --seed" in capsys.readouterr().err
 
 
 def test_the_whole_knows_what_its_parts_read(folders, tmp_path):

@@ -1,20 +1,25 @@
-"""Results against a baseline: what has become worse for the AV beyond chance.
+"""Results against a baseline: what has become worse for the AV, and what is ruled out.
 
-The intervals of all comparisons hold together (Bonferroni), so that equal planners raise a false
-alarm in at most (1 - confidence) / 2 of all jobs, however much is compared.
+A judged quantity ends in one of three ways. It is worse where the interval of the difference lies
+beyond the tolerance; it passes where the interval lies below what must be ruled out; else the runs
+cannot tell. The intervals of all judged comparisons hold together (Bonferroni), at each end, so
+that equal planners raise a false alarm in at most 1 - confidence of all jobs, however much is
+compared.
 """
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from deepmf_sumo.benchmark.gate.limits import ALL
 from deepmf_sumo.benchmark.gate.matching import Matched, match
 from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
-from deepmf_sumo.benchmark.gate.randomisation import Difference
 from deepmf_sumo.benchmark.gate.rows import Results, Row
-from deepmf_sumo.benchmark.gate.thresholds import Baseline
+from deepmf_sumo.benchmark.gate.thresholds import SHOWN, Baseline
 from deepmf_sumo.errors import UsageError
+
+State = Literal["passed", "worse", "better", "cannot tell", "not judged"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +29,9 @@ class Comparison:
     Attributes:
         group: e.g. ``all runs`` or ``planner idm corridor``.
         found: the difference, new minus old, and what it is of.
-        tolerance: by how much it may be worse.
+        tolerance: by how much it may be worse, however sure that is.
+        rule_out: a worsening of this size must be ruled out for a pass.
+        needed: about how many units would tell, where these cannot.
     """
 
     group: str
@@ -32,11 +39,13 @@ class Comparison:
     unit: str
     found: Matched
     tolerance: float
-    state: Literal["same", "worse", "better", "too few"]
+    rule_out: float
+    state: State
+    needed: int | None = None
 
 
 def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
-    """A comparison for each quantity asked for.
+    """A comparison for each quantity asked for, and for `SHOWN` ones, which are not judged.
 
     Raises UsageError where the baseline was made by another version of the program.
     """
@@ -47,14 +56,15 @@ def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
             " --write-baseline."
         )
     groups = _groups(wanted.by, new.rows.values())
-    confidence = 1 - (1 - wanted.confidence) / max(len(groups) * len(wanted.quantities), 1)
+    alone = (1 - wanted.confidence) / max(len(groups) * len(wanted.quantities), 1)
+    shown = [name for name in SHOWN if name not in wanted.quantities]
     return [
         _compare(
             group, BY_QUANTITY[name], _of(new, wanted.by, member), _of(old, wanted.by, member),
-            confidence, wanted.tolerance.get(name, BY_QUANTITY[name].negligible),
+            alone if name in wanted.quantities else 1 - wanted.confidence, wanted,
         )
         for group, member in groups.items()
-        for name in wanted.quantities
+        for name in (*wanted.quantities, *shown)
     ]  # fmt: skip
 
 
@@ -70,11 +80,24 @@ def _of(results: Results, by: str, member: str) -> list[Row]:
     return [row for row in results.rows.values() if by == "all" or getattr(row, by) == member]
 
 
-def attack_changed(new: Results, old: Results) -> int:
-    """Pairs in which the attack was set up differently: a difference may be the attack's."""
+def attack_changed(new: Results, old: Results) -> tuple[int, list[str]]:
+    """In how many pairs the attack was set up differently, and the settings that differ."""
     common = new.rows.keys() & old.rows.keys()
-    pairs = [(new.rows[run_id], old.rows[run_id]) for run_id in common]
-    return sum(bool(a.attack and b.attack and a.attack != b.attack) for a, b in pairs)
+    pairs = [(new.rows[run_id], old.rows[run_id]) for run_id in sorted(common)]
+    changed = [(a, b) for a, b in pairs if a.attack and b.attack and a.attack != b.attack]
+    names = {
+        name
+        for a, b in changed
+        for name in differing(new.attacks.get(a.attack, {}), old.attacks.get(b.attack, {}))
+    }
+    return len(changed), sorted(names)
+
+
+def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> set[str]:
+    """Names of the settings that have other values; of two adversaries their names say enough."""
+    if a.get("adversary") != b.get("adversary"):
+        return {"adversary"}
+    return {name for name in a.keys() | b.keys() if a.get(name) != b.get(name)}
 
 
 def _compare(
@@ -82,28 +105,75 @@ def _compare(
     quantity: Quantity,
     new: list[Row],
     old: list[Row],
-    confidence: float,
-    tolerance: float,
+    one_sided: float,
+    wanted: Baseline,
 ) -> Comparison:
-    found = match(quantity.name, new, old, confidence)
+    name = quantity.name
+    found = match(name, new, old, 1 - 2 * one_sided)
+    tolerance = wanted.tolerance.get(name, quantity.negligible)
+    rule_out = max(wanted.rule_out.get(name, quantity.rule_out), tolerance)
+    state, needed = _judged(quantity, found, tolerance, rule_out)
+    if name not in wanted.quantities:
+        state, needed = "not judged", None
     return Comparison(
         group=group,
-        quantity=quantity.name,
+        quantity=name,
         unit=quantity.unit,
         found=found,
         tolerance=tolerance,
-        state=_state(quantity, found.difference, tolerance),
+        rule_out=rule_out,
+        state=state,
+        needed=needed,
     )
 
 
-def _state(
-    quantity: Quantity, difference: Difference | None, tolerance: float
-) -> Literal["same", "worse", "better", "too few"]:
+def _judged(
+    quantity: Quantity, found: Matched, tolerance: float, rule_out: float
+) -> tuple[State, int | None]:
+    difference = found.difference
     if difference is None or difference.low is None or difference.high is None:
-        return "too few"
-    low, high = difference.low, difference.high
+        return "cannot tell", max(found.fewest, found.units + 1)
+    mean, low, high = difference.mean, difference.low, difference.high
     if quantity.worse == "lower":
-        low, high = -high, -low
+        mean, low, high = -mean, -high, -low
     if low > tolerance:
-        return "worse"
-    return "better" if high < 0 else "same"
+        return "worse", None
+    if high <= rule_out:
+        return ("better" if high < 0 else "passed"), None
+    to_alarm = units_needed(found, mean - low, mean - tolerance)
+    to_pass = units_needed(found, high - mean, rule_out - mean)
+    return "cannot tell", min((one for one in (to_alarm, to_pass) if one), default=None)
+
+
+def units_needed(found: Matched, reach: float, distance: float) -> int | None:
+    """About how many units would tell, if the mean stays: intervals shrink with their root.
+
+    None where not even many would, because the mean lies at the bound.
+
+    Args:
+        found: what these units say.
+        reach: of the interval, from the mean to the end.
+        distance: from the mean to the bound that the end must not cross.
+    """
+    if distance <= 0 or reach / distance > 100:
+        return None
+    return max(found.fewest, found.units + 1, math.ceil(found.units * (reach / distance) ** 2))
+
+
+def two_sided(
+    found: Matched, negligible: float
+) -> tuple[Literal["more", "less", "same", "cannot tell"], int | None]:
+    """What a difference of two sides is that are equals, and how many units would tell.
+
+    ``same`` is an interval that lies within ``negligible`` on both sides of zero.
+    """
+    difference = found.difference
+    if difference is None or difference.low is None or difference.high is None:
+        return "cannot tell", max(found.fewest, found.units + 1)
+    mean, low, high = difference.mean, difference.low, difference.high
+    if low > 0 or high < 0:
+        return ("more" if low > 0 else "less"), None
+    if -negligible <= low and high <= negligible:
+        return "same", None
+    reach = mean - low if mean > 0 else high - mean
+    return "cannot tell", units_needed(found, reach, abs(mean))

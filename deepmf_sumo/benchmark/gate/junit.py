@@ -1,7 +1,8 @@
 """A verdict as JUnit XML: a test case a run (scene and seed), and one a threshold and comparison.
 
 ``failure``: a broken expectation, threshold or comparison; ``error``: a run that failed or is
-missing, or too few runs; ``skipped``: nobody to attack, or nothing to judge by.
+missing, too few runs, or a comparison that cannot tell; ``skipped``: nobody to attack, or nothing
+to judge by.
 """
 
 from collections.abc import Sequence
@@ -54,11 +55,13 @@ def _gate(root: ET.Element, verdict: Verdict) -> None:
         return
     suite = _suite(root, "baseline")
     for each in verdict.comparisons:
+        if each.state == "not judged":
+            continue
         case = _case(suite, f"baseline: {each.group}", each.quantity)
         if each.state == "worse":
             _mark(case, "failure", sentences.regression(each))
-        elif each.state == "too few":
-            _mark(case, "skipped", sentences.change(each))
+        elif each.state == "cannot tell":
+            _mark(case, "error", sentences.undecided(each))
 
 
 def _run(suite: ET.Element, row: Row, verdict: Verdict, *, tolerated: bool) -> None:

@@ -21,7 +21,8 @@ class Quantity:
         worse: the direction that is bad for the AV.
         value: of a run that went through; None where it is not defined.
         rate: of zeros and ones. hits_only: defined for hits alone.
-        negligible: a difference that nobody minds, however sure it is; in ``unit``.
+        negligible: a difference that does not matter, however sure it is; in ``unit``.
+        rule_out: a worsening of this size must be ruled out where a comparison shall pass.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Quantity:
     rate: bool = False
     hits_only: bool = False
     negligible: float = 0.0
+    rule_out: float
 
 
 def judged(result: Result) -> bool:
@@ -46,6 +48,14 @@ def _av_collision(result: Result) -> float | None:
     return float(bool(kinds & {"av_opponent", "av_other"}))
 
 
+def _impact(result: Result) -> float | None:
+    """Of the AV's contacts with anything, also those with vehicles that did not attack."""
+    if not judged(result):
+        return None
+    hits = (one for one in result["contacts"] if one["kind"] in {"av_opponent", "av_other"})
+    return max((float(one["relative_mps"]) for one in hits), default=0.0)
+
+
 def _ttc(result: Result) -> float | None:
     if not attacked(result) or "ttc_min" not in result["metrics"]:
         return None
@@ -58,7 +68,12 @@ def _required_braking(result: Result) -> float | None:
 
 
 def _of_table(
-    name: str, worse: Literal["higher", "lower"], definition: str = "", *, hits_only: bool = False
+    name: str,
+    worse: Literal["higher", "lower"],
+    rule_out: float,
+    definition: str = "",
+    *,
+    hits_only: bool = False,
 ) -> Quantity:
     """A quantity that ``table.csv`` of benchmarks has too."""
     column = BY_NAME[name]
@@ -71,39 +86,50 @@ def _of_table(
         rate=column.rate,
         hits_only=hits_only,
         negligible=0.0 if column.rate else _NEGLIGIBLE,
+        rule_out=rule_out,
     )
 
 
+_RATE: Final = 0.2
+
 QUANTITIES: Final = (
     Quantity(
-        name="av_collision_rate", unit="1", worse="higher", value=_av_collision, rate=True,
-        definition="share of the judged runs in which the AV touched anybody",
+        name="impact_mps", unit="m/s", worse="higher", value=_impact, negligible=_NEGLIGIBLE,
+        rule_out=3.0,
+        definition="relative speed of the AV's worst contact with anything, 0 without a contact",
     ),
-    _of_table("collision_rate", "higher"),
+    Quantity(
+        name="av_collision_rate", unit="1", worse="higher", value=_av_collision, rate=True,
+        rule_out=_RATE, definition="share of the judged runs in which the AV touched anything",
+    ),
+    _of_table("collision_rate", "higher", _RATE),
     _of_table(
-        "valid_collision_rate", "higher",
+        "valid_collision_rate", "higher", _RATE,
         "share of the attacked runs with a collision that is possible, lawful in space, avoidable",
     ),
     _of_table(
-        "avoidable_rate", "higher", "share of the hits that a reference driver would have avoided",
-        hits_only=True,
+        "avoidable_rate", "higher", _RATE,
+        "share of the hits that a reference driver would have avoided", hits_only=True,
     ),
     _of_table(
-        "av_at_fault_rate", "higher", "share of the hits that are the AV's fault", hits_only=True
+        "av_at_fault_rate", "higher", _RATE, "share of the hits that are the AV's fault",
+        hits_only=True,
     ),
     Quantity(
-        name="ttc_s", unit="s", worse="lower", value=_ttc, negligible=_NEGLIGIBLE,
+        name="ttc_s", unit="s", worse="lower", value=_ttc, negligible=_NEGLIGIBLE, rule_out=1.0,
         definition="least time to collision of AV and opponent in an attacked run, at most"
         f" {TTC_CEILING_S:g} s",
     ),
-    _of_table("min_gap_m", "lower", "least gap of AV and opponent in an attacked run"),
+    _of_table("min_gap_m", "lower", 2.0, "least gap of AV and opponent in an attacked run"),
     Quantity(
         name="required_braking_mps2", unit="m/s2", worse="higher", value=_required_braking,
-        negligible=_NEGLIGIBLE,
+        negligible=_NEGLIGIBLE, rule_out=1.0,
         definition="hardest braking that the opponent asks of the AV, up to 1 s before a contact",
     ),
-    _of_table("collision_speed_mps", "higher", "relative speed at a hit", hits_only=True),
-    _of_table("delta_v_mps", "higher", "change of the AV's velocity by a hit", hits_only=True),
+    _of_table("collision_speed_mps", "higher", 3.0, "relative speed at a hit", hits_only=True),
+    _of_table(
+        "delta_v_mps", "higher", 1.5, "change of the AV's velocity by a hit", hits_only=True
+    ),
 )  # fmt: skip
 
 BY_QUANTITY: Final = {quantity.name: quantity for quantity in QUANTITIES}

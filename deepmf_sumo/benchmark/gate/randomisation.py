@@ -8,6 +8,7 @@ the mean difference over the pairs that it swaps, and the interval is a range of
 special case. Without pairs, which values belong to which side is drawn anew instead (Fisher, 1935).
 """
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import product
@@ -30,6 +31,20 @@ class Difference(NamedTuple):
     mean: float
     low: float | None
     high: float | None
+
+
+def fewest(confidence: float) -> int:
+    """Units with which `paired` can have an interval: of n, one swap in 2^n is the rarest."""
+    return math.ceil(math.log2(2 / (1 - confidence)) - 1e-9)
+
+
+def fewest_unpaired(confidence: float) -> int:
+    """Values, half of them on each side, with which `unpaired` can have an interval."""
+    rarest = (1 - confidence) / 2
+    side = 1
+    while math.comb(2 * side, side) * rarest < 1 - 1e-9:
+        side += 1
+    return 2 * side
 
 
 def paired(units: Sequence[Sequence[float]], confidence: float) -> Difference:

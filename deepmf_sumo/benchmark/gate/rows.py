@@ -17,7 +17,7 @@ from deepmf_sumo.benchmark.store import FORMAT_VERSION as FOLDER_VERSION
 from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.errors import OutputError, UsageError
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 _KIND: Final = "deepmf-sumo results"
 _DIGITS: Final = 6
 
@@ -32,7 +32,7 @@ class Row:
         network: the .sumocfg without its suffix, or the recording's scene.
         scene: the situation: of a recording, or a moment of a network's traffic.
         planner: its label in tables, e.g. ``idm corridor``.
-        attack: digest of the adversary, its settings and weights.
+        attack: digest of the adversary, its settings and weights; `Results.attacks` has them.
         status: ``missing`` for a run of the manifest that has no result.
         judged: whether it says something about the AV, see `quantities.judged`.
         reason: why there is no result. broken: expectations of the spec that do not hold.
@@ -57,11 +57,17 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
-    """All runs of a batch or benchmark, by id, and the version of the program that made them."""
+    """All runs of a batch or benchmark, by id, and the version of the program that made them.
+
+    Attributes:
+        attacks: by the digest in `Row.attack`, the setup: ``adversary``, ``weights`` and
+            ``adversary.KEY`` for each of its settings.
+    """
 
     source: Path
     version: str
     rows: dict[str, Row]
+    attacks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def read(path: Path) -> Results:
@@ -81,6 +87,7 @@ def write(path: Path, results: Results) -> None:
         "kind": _KIND,
         "format_version": FORMAT_VERSION,
         "version": results.version,
+        "attacks": results.attacks,
         "runs": rows,
     }
     try:
@@ -102,15 +109,19 @@ def _of_folder(out: Path) -> Results:
     if not isinstance(keys, dict):
         raise UsageError(f"{out / 'manifest.json'} is damaged: it names no runs; run it anew.")
     store, rows = Store(out), {}
+    attacks: dict[str, dict[str, Any]] = {}
     for run_id, key in keys.items():
-        row = _row_of(store, run_id, key)
+        row = _row_of(store, run_id, key, attacks)
         if row is not None:
             rows[run_id] = row
-    return Results(source=out, version=str(manifest.get("version")), rows=rows)
+    return Results(source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks)
 
 
-def _row_of(store: Store, run_id: str, key: str) -> Row | None:
-    """None for a run that is in no table (made for figures, or with another budget)."""
+def _row_of(store: Store, run_id: str, key: str, attacks: dict[str, dict[str, Any]]) -> Row | None:
+    """None for a run that is in no table (made for figures, or with another budget).
+
+    Its attack is added to ``attacks``.
+    """
     file = store.runs / run_id / "result.json"
     found = store.read_run(run_id) if file.is_file() else None
     try:
@@ -120,7 +131,11 @@ def _row_of(store: Store, run_id: str, key: str) -> Row | None:
                 run_id=run_id, spec=spec, network=scene, scene=scene, seed=int(seed),
                 status="missing", reason="the run has no result: it was not begun, or interrupted",
             )  # fmt: skip
-        return _row(found) if found.get("part", "main") == "main" else None
+        if found.get("part", "main") != "main":
+            return None
+        row = _row(found)
+        attacks.setdefault(row.attack, _attack(found))
+        return row
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise UsageError(
             f"{file} is no result of this version of deepmf-sumo ({type(error).__name__}:"
@@ -131,7 +146,7 @@ def _row_of(store: Store, run_id: str, key: str) -> Row | None:
 def _row(result: Result) -> Row:
     went = result["status"] == "ok"
     found = {one.name: one.value(result) for one in QUANTITIES} if went else {}
-    attack = [result["adversary"], result["settings"]["adversary"], result["weights"]]
+    attack = json.dumps(_attack(result), sort_keys=True).encode()
     return Row(
         run_id=result["run_id"],
         spec=result["spec"],
@@ -140,7 +155,7 @@ def _row(result: Result) -> Row:
         seed=result["seed"],
         method=str(result.get("method", result["spec"])),
         planner=str(result.get("planner_label", result["planner"])),
-        attack=hashlib.sha256(json.dumps(attack, sort_keys=True).encode()).hexdigest()[:16],
+        attack=hashlib.sha256(attack).hexdigest()[:16],
         status=result["status"],
         judged=judged(result),
         reason=result["error"] if not went or judged(result) else "nobody to attack",
@@ -148,6 +163,11 @@ def _row(result: Result) -> Row:
         wall_s=float(result["timings"]["wall_s"]),
         values={name: round(value, _DIGITS) for name, value in found.items() if value is not None},
     )
+
+
+def _attack(result: Result) -> dict[str, Any]:
+    settings = {f"adversary.{key}": one for key, one in result["settings"]["adversary"].items()}
+    return {"adversary": result["adversary"], "weights": result["weights"], **settings}
 
 
 def _of_file(file: Path) -> Results:
@@ -162,9 +182,11 @@ def _of_file(file: Path) -> Results:
     try:
         rows = [_kept(row) for row in values["runs"]]
         version = str(values["version"])
-    except (KeyError, TypeError, ValueError) as error:
+        attacks = {str(digest): dict(setup) for digest, setup in values["attacks"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UsageError(f"{file} is damaged ({error}); write it with --write-baseline.") from None
-    return Results(source=file, version=version, rows={row.run_id: row for row in rows})
+    by_id = {row.run_id: row for row in rows}
+    return Results(source=file, version=version, rows=by_id, attacks=attacks)
 
 
 def _kept(values: dict[str, Any]) -> Row:

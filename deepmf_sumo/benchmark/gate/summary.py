@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Final
 
 from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark.gate import verdict as sentences
 from deepmf_sumo.benchmark.gate.limits import UNFINISHED
 from deepmf_sumo.benchmark.gate.rows import Row
-from deepmf_sumo.benchmark.gate.verdict import Verdict, change, figure
+from deepmf_sumo.benchmark.gate.verdict import Verdict, difference, figure
 from deepmf_sumo.errors import OutputError
 
 LONGEST_LIST: Final = 20
@@ -33,6 +34,8 @@ def text(verdict: Verdict) -> str:
         lines += ["", f"Against `{verdict.baseline}`:", ""]
         lines += _table(("group", "quantity", "was", "is", "difference", ""), comparisons(verdict))
     lines += [f"\n{note}." for note in verdict.notes]
+    undecided = [one for one in verdict.comparisons or () if one.state == "cannot tell"]
+    lines += [f"\n{sentences.undecided(one)}." for one in undecided[:LONGEST_LIST]]
     for title, found in (
         ("Runs with part in it", _blamed(verdict)),
         ("Runs without result", _unfinished(rows)),
@@ -73,8 +76,8 @@ def comparisons(verdict: Verdict) -> Iterator[tuple[str, ...]]:
         ends = (
             "-" if end is None else figure(end, one.unit) for end in (one.found.old, one.found.new)
         )
-        state = "**worse**" if one.state == "worse" else one.state
-        yield (one.group, one.quantity, *ends, change(one), state)
+        state = f"**{one.state}**" if one.state in {"worse", "cannot tell"} else one.state
+        yield (one.group, one.quantity, *ends, difference(one.found), state)
 
 
 def _blamed(verdict: Verdict) -> list[str]:

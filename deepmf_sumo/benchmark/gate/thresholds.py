@@ -49,7 +49,10 @@ def _known(name: str) -> str:
 
 
 QuantityName = Annotated[str, AfterValidator(_known)]
-COMPARED: Final = ("av_collision_rate", "valid_collision_rate", "ttc_s", "min_gap_m")
+COMPARED: Final = ("impact_mps",)
+"""One quantity, so that few specs suffice: every contact of the AV, and how hard it is."""
+SHOWN: Final = ("impact_mps", "av_collision_rate", "valid_collision_rate", "ttc_s", "min_gap_m")
+"""For the reader, judged or not."""
 
 
 class Baseline(Strict):
@@ -59,9 +62,10 @@ class Baseline(Strict):
         results: a results file or a result folder, beside the thresholds file; ``--baseline``
             names another.
         by: compare all runs together, or those of each planner, spec or network.
-        quantities: compared; the fewer, the smaller a difference that is seen.
-        confidence: of all intervals together.
+        quantities: judged; the fewer, the smaller a difference that is seen.
+        confidence: of all intervals together, at each of their ends.
         tolerance: how much worse a quantity may be, in its unit; else what is negligible.
+        rule_out: how much worse it must not be able to be for a pass; else the quantity's own.
     """
 
     results: str | None = None
@@ -69,6 +73,7 @@ class Baseline(Strict):
     quantities: Annotated[tuple[QuantityName, ...], Field(strict=False, min_length=1)] = COMPARED
     confidence: Annotated[float, Field(ge=0.5, lt=1)] = 0.95
     tolerance: dict[QuantityName, Positive] = {}
+    rule_out: dict[QuantityName, Positive] = {}
 
 
 def _named(value: object) -> object:
@@ -107,4 +112,4 @@ def load(file: Path) -> Thresholds:
     )
 
 
-__all__ = ["COMPARED", "Baseline", "Limits", "Thresholds", "load"]
+__all__ = ["COMPARED", "SHOWN", "Baseline", "Limits", "Thresholds", "load"]

@@ -11,13 +11,11 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, Final, Literal
 
-from deepmf_sumo.benchmark.gate import comparison, matching, rows
-from deepmf_sumo.benchmark.gate.comparison import Comparison
-from deepmf_sumo.benchmark.gate.limits import ALL
+from deepmf_sumo.benchmark.gate import matching, rows
+from deepmf_sumo.benchmark.gate.comparison import differing, two_sided
 from deepmf_sumo.benchmark.gate.matching import Matched
 from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
 from deepmf_sumo.benchmark.gate.rows import Results, Row
-from deepmf_sumo.benchmark.gate.thresholds import Baseline
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.risk import alike, attacks
 from deepmf_sumo.benchmark.risk.attacks import result_folders
@@ -30,8 +28,27 @@ COMPARED: Final = (
 CONFIDENCE: Final = 0.95
 _IDENTITY: Final = ("spec", "network", "method", "planner")
 """What runs of the two sides may differ in on purpose."""
+_WHOM: Final = "adversary.opponent"
 Differs = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
 """Name of what is not the same on both sides -> values of A, values of B."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """One quantity of all runs, A and B.
+
+    Attributes:
+        found: the difference, B minus A, and what it is of.
+        state: ``same`` only where the whole interval lies within ``same_within`` of zero.
+        needed: about how many scenes would tell, where these cannot.
+    """
+
+    quantity: str
+    unit: str
+    found: Matched
+    state: Literal["worse", "better", "same", "cannot tell"]
+    same_within: float
+    needed: int | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +66,7 @@ class Compared:
     runs: tuple[int, int]
     pairs: int
     differs: Differs
-    differences: list[Comparison]
+    differences: list[Change]
     origins: list[Origin]
     notes: list[str]
 
@@ -103,7 +120,7 @@ def compare(
 
 def differences(
     old: Results, new: Results, quantities: Sequence[str], confidence: float
-) -> list[Comparison]:
+) -> list[Change]:
     """Of each quantity the means, and for numbers in how many pairs each side is the worse one.
 
     A few runs with large differences hide many small ones in a mean, but not in that count.
@@ -115,14 +132,35 @@ def differences(
         confidence: of all intervals together.
     """
     numbers = [name for name in quantities if not BY_QUANTITY[name].rate]
-    alone = (1 - confidence) / (len(quantities) + len(numbers))
-    # shared among the quantities by `comparison.compare`
-    wanted = Baseline(quantities=tuple(quantities), confidence=1 - alone * len(quantities))
-    found = comparison.compare(wanted, new, old)
-    return found + [_leaning(BY_QUANTITY[name], old, new, 1 - alone) for name in numbers]
+    alone = 1 - (1 - confidence) / (len(quantities) + len(numbers))
+    sides = list(new.rows.values()), list(old.rows.values())
+    found = [
+        _change(BY_QUANTITY[name], name, matching.match(name, *sides, alone)) for name in quantities
+    ]
+    return found + [_leaning(BY_QUANTITY[name], old, new, alone) for name in numbers]
 
 
-def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) -> Comparison:
+def _change(quantity: Quantity, name: str, found: Matched, *, share: bool = False) -> Change:
+    """A share of pairs is worse the higher it is, and no difference of it is negligible."""
+    within = 0.0 if share else quantity.negligible
+    state, needed = two_sided(found, within)
+    worse = "more" if share or quantity.worse == "higher" else "less"
+    told: Literal["worse", "better", "same", "cannot tell"]
+    if state in {"same", "cannot tell"}:
+        told = "same" if state == "same" else "cannot tell"
+    else:
+        told = "worse" if state == worse else "better"
+    return Change(
+        quantity=name,
+        unit="1" if share else quantity.unit,
+        found=found,
+        state=told,
+        same_within=within,
+        needed=needed,
+    )
+
+
+def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) -> Change:
     """The shares of pairs in which one side is worse by more than is negligible."""
     sign = 1.0 if quantity.worse == "higher" else -1.0
     name, before = quantity.name, _means(old, quantity.name)
@@ -135,14 +173,7 @@ def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) 
                 values = {name: float(each > quantity.negligible)}
                 side.append(replace(rows_by_id[run_id], values=values))
     found = matching.match(name, marked[1], marked[0], confidence)
-    return Comparison(
-        group=ALL,
-        quantity=f"pairs with worse {name}",
-        unit="1",
-        found=found,
-        tolerance=0.0,
-        state=_state(found),
-    )
+    return _change(quantity, f"pairs with worse {name}", found, share=True)
 
 
 def _means(side: Results, name: str) -> dict[str, float]:
@@ -154,28 +185,20 @@ def _means(side: Results, name: str) -> dict[str, float]:
     return {run_id: fmean(found) for run_id, found in values.items()}
 
 
-def _state(found: Matched) -> Literal["same", "worse", "better", "too few"]:
-    """Of a share that is worse the higher it is."""
-    difference = found.difference
-    if difference is None or difference.low is None or difference.high is None:
-        return "too few"
-    if difference.low > 0:
-        return "worse"
-    return "better" if difference.high < 0 else "same"
-
-
 def _side(folder: Path) -> Results:
     """All runs of the result folders of one side; keys tell their folder."""
     found: dict[str, Row] = {}
     versions = set()
+    setups: dict[str, Mapping[str, Any]] = {}
     for out in result_folders(folder):
         results = rows.read(out)
         versions.add(results.version)
+        setups |= results.attacks
         found |= {f"{out}/runs/{run_id}": row for run_id, row in results.rows.items()}
     if len(versions) > 1:
         named = " and ".join(sorted(versions))
         raise UsageError(f"{folder} holds results of versions {named}: compare one at a time.")
-    return Results(source=folder, version=versions.pop(), rows=found)
+    return Results(source=folder, version=versions.pop(), rows=found, attacks=setups)
 
 
 def _differs(old: Mapping[str, Row], new: Mapping[str, Row]) -> Differs:
@@ -252,14 +275,37 @@ def _notes(old: Results, new: Results, pairs: int) -> Iterable[str]:
             f"{fewer - pairs} of {fewer} runs have no partner: moments that both sides were"
             " attacked at are compared in pairs as far as they suffice"
         )
-    changed = {row.attack for row in new.rows.values() if row.attack} != {
-        row.attack for row in old.rows.values() if row.attack
-    }
-    if changed:
-        yield "the attack is set up differently: differences may be the attack's"
+    unlike = _attacks_differ(old, new)
+    if unlike:
+        yield f"the attack is set up differently ({unlike}): differences may be the attack's"
     for name, side in (("A", old), ("B", new)):
         if len({row.run_id for row in side.rows.values()}) < len(side.rows):
             yield f"{name} holds several runs of one moment and seed: their means are compared"
         lost = sum(row.status != "ok" for row in side.rows.values())
         if lost:
             yield f"{lost} runs of {name} failed, timed out or are missing, and are not compared"
+
+
+def _attacks_differ(old: Results, new: Results) -> str:
+    """The settings of the attack that are not the same on both sides, with their values.
+
+    Whom an attack is told to hit is a matter of the moment where it changes from run to run, as
+    with ``adversary.opponent=met``, and not of the setup.
+    """
+    setups = [_setups(side) for side in (old, new)]
+    if not all(setups):
+        return ""
+    names = set().union(*(differing(a, b) for a in setups[0] for b in setups[1]))
+    told = []
+    for name in sorted(names):
+        values = [sorted({_told(one.get(name)) for one in side}) for side in setups]
+        if values[0] == values[1] or (name == _WHOM and max(map(len, values)) > 1):
+            continue
+        told.append(f"{name}: {', '.join(values[0])} in A, {', '.join(values[1])} in B")
+    return "; ".join(told)
+
+
+def _setups(side: Results) -> list[Mapping[str, Any]]:
+    """How the runs of a side were attacked, each setup once."""
+    used = {row.attack for row in side.rows.values() if row.attack}
+    return [side.attacks[digest] for digest in sorted(used)]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from deepmf_sumo.benchmark.gate import matching
+from deepmf_sumo.benchmark.gate.comparison import two_sided
 from deepmf_sumo.benchmark.gate.matching import Matched
 from deepmf_sumo.benchmark.gate.rows import Row
 from deepmf_sumo.benchmark.result import Result, attacked
@@ -48,7 +49,7 @@ class Origin:
     hits: tuple[int, int]
     runs: tuple[int, int]
     found: Matched
-    state: Literal["more", "fewer", "same", "too few"]
+    state: Literal["more", "fewer", "same", "cannot tell"]
 
 
 def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str, Tags]:
@@ -130,10 +131,7 @@ def _shift(origin: Origin) -> float:
     return origin.found.difference.mean if origin.found.difference else 0.0
 
 
-def _state(found: Matched) -> Literal["more", "fewer", "same", "too few"]:
-    difference = found.difference
-    if difference is None or difference.low is None or difference.high is None:
-        return "too few"
-    if difference.low > 0:
-        return "more"
-    return "fewer" if difference.high < 0 else "same"
+def _state(found: Matched) -> Literal["more", "fewer", "same", "cannot tell"]:
+    """``same`` is no difference at all: of a share none is negligible."""
+    state, _ = two_sided(found, 0.0)
+    return "fewer" if state == "less" else state

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 from deepmf_sumo.benchmark import files
 from deepmf_sumo.benchmark.gate.matching import Matched
-from deepmf_sumo.benchmark.gate.verdict import change, figure
-from deepmf_sumo.benchmark.risk.comparison import Compared
+from deepmf_sumo.benchmark.gate.verdict import difference, figure, units
+from deepmf_sumo.benchmark.risk.comparison import Change, Compared
 from deepmf_sumo.benchmark.risk.origins import Origin
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.table import SECTORS
@@ -67,11 +67,22 @@ def differences(compared: Compared) -> list[tuple[str, ...]]:
         (
             one.quantity,
             *(_figure(end, one.unit) for end in (one.found.old, one.found.new)),
-            change(one),
-            one.state,
+            difference(one.found),
+            _state(one),
         )
         for one in compared.differences
     ]
+
+
+def _state(one: Change) -> str:
+    """What the interval says: ``same`` with the margin that it lies in, or how many would tell."""
+    if one.state == "same":
+        size = figure(one.same_within, one.unit)
+        return f"same within {size}" if one.same_within else "no difference"
+    if one.state == "cannot tell" and one.needed:
+        least = "at least" if one.found.units < one.found.fewest else "about"
+        return f"cannot tell; {least} {units(one.found, one.needed)} would"
+    return one.state
 
 
 def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
@@ -81,7 +92,7 @@ def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
             f"{one.dimension}: {_value(one)}",
             *(f"{hits} of {runs}" for hits, runs in zip(one.hits, one.runs, strict=True)),
             _shift(one.found),
-            one.state,
+            "no difference" if one.state == "same" else one.state,
         )
         for one in table
     ]
@@ -113,6 +124,9 @@ def _difference_rows(compared: Compared) -> list[dict[str, Any]]:
             "b": one.found.new,
             **_interval(one.found),
             "state": one.state,
+            "same_within": one.same_within,
+            "units": one.found.units,
+            "units_needed": one.needed,
         }
         for one in compared.differences
     ]

@@ -1,0 +1,43 @@
+"""Several seeds on the command line: ``1-20``, ``3,7,11`` or both."""
+
+import re
+from typing import Any, Final
+
+import click
+
+MOST: Final = 100_000
+_LARGEST: Final = 2**31 - 1
+_PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
+
+
+class Seeds(click.ParamType):  # type: ignore[type-arg]
+    """Plain decimals and ranges of them, both ends included, separated by commas."""
+
+    name = "seeds"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, ...]:
+        """The seeds in the order given; a mistake is refused (exit code 2)."""
+        found: dict[int, None] = {}
+        for part in str(value).split(","):
+            match = _PART.fullmatch(part.strip())
+            if match is None:
+                self.fail(
+                    f"{part.strip()!r} is not a seed or a range of seeds: write plain decimals,"
+                    " e.g. 1-20 or 1,5,9-12.",
+                    param,
+                    ctx,
+                )
+            first, last = int(match[1]), int(match[2] or match[1])
+            if last > _LARGEST:
+                self.fail(f"{last} is too large: a seed is at most {_LARGEST}.", param, ctx)
+            if last < first:
+                self.fail(f"{part.strip()} ends before it begins.", param, ctx)
+            if last - first >= MOST:
+                self.fail(f"{part.strip()} holds more than {MOST} seeds.", param, ctx)
+            repeated = [seed for seed in range(first, last + 1) if seed in found]
+            if repeated:
+                self.fail(f"the seed {repeated[0]} is given twice.", param, ctx)
+            found.update(dict.fromkeys(range(first, last + 1)))
+        return tuple(found)
