@@ -212,6 +212,9 @@ def test_places_of_chosen_moments_come_from_their_table(folder):
     (folder.out / "moments.csv").write_text("run_id,edge,turn\n01-s2,north,left\n")
     found = Parsed(page.write(folder.out)).rows
     assert [(row["edge"], row["turn"]) for row in found] == [(None, None), ("north", "left")]
+    (folder.out / "moments.csv").write_text("run_id,edge,street\n01-s2,north,Mill Lane\n")
+    found = Parsed(page.write(folder.out)).rows
+    assert [row["edge"] for row in found] == [None, "Mill Lane (north)"]
 
 
 def test_texts_cannot_become_elements(folder):
