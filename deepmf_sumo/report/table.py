@@ -50,6 +50,11 @@ def _row(result: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
+def counted(number: int, one: str, many: str = "") -> str:
+    """``1 run``, ``2 runs``; ``many`` where an s does not do."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
 def totals(summary: dict[str, Any]) -> str:
     """One line under the table; the content of ``summary.json`` goes in."""
     statuses = ", ".join(f"{count} {status}" for status, count in summary["status"].items())

@@ -470,9 +470,39 @@ def test_a_browser_marks_turns_on_the_timelines(folder):
     assert text.count('class="turn hit"') == charts
 
 
-def shown(address):
+@pytest.mark.parametrize("width", [1280, 420])
+def test_the_table_of_runs_is_not_cut(folder, width, tmp_path):
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    folder.add("s1", metrics={"ttc_min": 0.0, "avoidable": 0.0}, scores={"b": 0.9})
+    folder.add("s2", hit=False, metrics={"ttc_min": 1.0, "avoidable": 0.0})
+    street = "Friedrich-Engels-Straße (cluster_1238859995_3624767_2#0)"
+    lines = "".join(f"0{run}-s{run + 1},north,{street},left\n" for run in range(2))
+    (folder.out / "moments.csv").write_text(f"run_id,edge,street,turn\n{lines}")
+    measure = """<script>
+      const wide = document.getElementById("runs").parentElement;
+      const size = [wide, document.documentElement];
+      document.body.dataset.cut = size.map((one) => one.scrollWidth - one.clientWidth).join(" ");
+    </script></body>"""
+    text = page.write(folder.out).read_text("utf-8").replace("</body>", measure)
+    (tmp_path / "page.html").write_text(text, "utf-8")
+    text = shown(f"file://{tmp_path}/page.html", f"--window-size={width},900")
+    assert 'data-cut="0 0"' in text
+    assert "The same in all runs: method S1, planner replay, seed 0." in text
+
+
+def test_rates_are_of_runs_with_an_opponent(folder):
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    folder.add("s1")
+    folder.add("s2", hit=False, opponent=None)
+    assert "1/1 = 100 %" in shown(f"file://{page.write(folder.out)}")
+
+
+def shown(address, *more):
     """The page's elements once its scripts have run."""
     options = [
+        *more,
         "--headless",
         "--no-sandbox",
         "--disable-gpu",

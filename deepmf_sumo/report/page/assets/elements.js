@@ -68,3 +68,8 @@ function tableOf(headings, rows, numbers = []) {
     ),
   ];
 }
+
+/** "1 attack", "2 attacks"; `many` where an s does not do. */
+function counted(number, one, many = `${one}s`) {
+  return `${number} ${number === 1 ? one : many}`;
+}
