@@ -63,7 +63,7 @@ function tableOf(headings, rows, numbers = []) {
       "tbody",
       {},
       ...rows.map((row) =>
-        make("tr", {}, ...row.map((cell, column) => make("td", look(column), cell))),
+        make("tr", {}, ...row.map((cell, column) => make("td", { ...look(column), "data-label": headings[column] }, cell))),
       ),
     ),
   ];

@@ -28,7 +28,6 @@ const DIGITS = {
   delta_v_mps: 1,
   min_ttc_s: 1,
   min_gap_m: 1,
-  avoidable: 0,
   score: 2,
   seed: 0,
 };
@@ -231,6 +230,8 @@ function cell(row, column) {
   const label = { "data-label": HEADINGS[column] };
   if (column in DIGITS)
     return make("td", { class: value === null ? "number none" : "number", ...label }, fixed(value, DIGITS[column]));
+  if (column === "avoidable")
+    return make("td", label, value === null ? "" : value >= 1 ? "yes" : "no");
   const bad =
     (column === "status" && value !== "ok") || (column === "outcome" && value?.startsWith("AV"));
   return make("td", { ...(bad ? { class: "bad" } : {}), ...label }, value ?? "");
