@@ -463,7 +463,7 @@ def test_a_browser_marks_turns_on_the_timelines(folder):
     text = shown(f"file://{page.write(folder.out)}#run=00-s1")
     assert "Turns (3)" in text
     assert "AV hit by opponent (decisive)" in text
-    assert "turn 3: &lt;d&gt;, time" in text
+    assert "turn 3: &lt;d&gt;, end of the run" in text
     charts = text.count('<svg viewBox="0 0 460 150"')
     assert charts >= 1
     assert text.count('class="turn"') == 2 * charts

@@ -51,15 +51,15 @@ function mapScale() {
 function applyView() {
   byId("map").setAttribute("viewBox", `${view.x} ${view.y} ${view.width} ${view.height}`);
   const scale = mapScale();
-  for (const { element, width, least } of sizes.lines)
-    element.setAttribute("stroke-width", Math.max(width, least / scale));
+  for (const { element, width, least, more } of sizes.lines)
+    element.setAttribute("stroke-width", Math.max(width, least / scale) + more / scale);
   for (const { element, extent } of sizes.dots) {
     element.setAttribute("r", extent * scale < DOT_BELOW ? LEAST.dot / scale : 0);
     element.setAttribute("stroke-width", 1.5 / scale);
   }
   for (const { element, hit } of sizes.rings) {
     element.setAttribute("r", Math.max(1.6, LEAST.ring / scale));
-    element.setAttribute("stroke-width", Math.max(hit ? 0.9 : 0.4, (hit ? 1.8 : 1) / scale));
+    element.setAttribute("stroke-width", (hit ? 2 : 1) / scale);
   }
 }
 
@@ -87,9 +87,9 @@ function drawMap(content, places, pick) {
   applyView();
 }
 
-/** A line whose width is kept up on the screen. */
-function sized(element, width, least) {
-  sizes.lines.push({ element, width, least });
+/** A line whose width is kept up on the screen, with `more` pixels around it. */
+function sized(element, width, least, more = 0) {
+  sizes.lines.push({ element, width, least, more });
   return element;
 }
 
@@ -106,15 +106,19 @@ function tooltip(row) {
 function drawPlace(row, content, pick) {
   const colour = row.events ? riskColour(row.risk, content.classes) : null;
   const listen = { onclick: () => pick(row.number) };
-  return row.shape
-    .filter(([, points]) => points.length)
-    .map(([width, points]) => {
-      if (!width)
-        return drawn("path", { class: look(row, "area"), d: path(points, true), fill: colour, ...listen }, tooltip(row));
-      const line = drawn("path", { class: look(row, "place"), d: path(points), stroke: colour, ...listen }, tooltip(row));
-      if (!row.events) return sized(line, 0, LEAST.nothing);
-      return sized(line, row.kind === "movement" ? 1.4 : width, LEAST.place);
-    });
+  const shape = row.shape.filter(([, points]) => points.length);
+  const widthOf = (width) => (!row.events ? 0 : row.kind === "movement" ? 1.4 : width);
+  const least = row.events ? LEAST.place : LEAST.nothing;
+  const halo = shape
+    .filter(([width]) => width && risk.picked === row.number)
+    .map(([width, points]) => sized(drawn("path", { class: "halo", d: path(points) }), widthOf(width), least, 8));
+  const parts = shape.map(([width, points]) => {
+    if (!width)
+      return drawn("path", { class: look(row, "area"), d: path(points, true), fill: colour, ...listen }, tooltip(row));
+    const line = drawn("path", { class: look(row, "place"), d: path(points), stroke: colour, ...listen }, tooltip(row));
+    return sized(line, widthOf(width), least);
+  });
+  return [...halo, ...parts];
 }
 
 /** What stands for a place as long as that is too small to be seen. */
