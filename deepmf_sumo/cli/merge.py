@@ -28,6 +28,7 @@ def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bo
     from deepmf_sumo.cli.main import INTERRUPTED
     from deepmf_sumo.cli.screen import runs as screen
     from deepmf_sumo.cli.sweep import map_risk
+    from deepmf_sumo.report.table import counted
 
     if parts.of_benchmark(shards[0]):
         results, missing = _benchmark(out, shards, figures=figures)
@@ -38,8 +39,8 @@ def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bo
             map_risk(out)
         if missing:
             click.echo(
-                f"{len(missing)} runs are in no shard: the command without --shard, with"
-                f" --out {out} --resume, makes them"
+                f"{counted(len(missing), 'run is', 'runs are')} in no shard: the command without"
+                f" --shard, with --out {out} --resume, makes the rest"
             )
     ctx.exit(INTERRUPTED if missing else batch.exit_code(results))
 

@@ -12,25 +12,27 @@ import click
     required=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
 )
+@click.option("--all", "everything", is_flag=True, help="All metrics, not only the main ones.")
 @click.option(
     "--csv", "csv_file", type=click.Path(dir_okay=False, path_type=Path), help="Write it."
 )
-def command(folders: tuple[Path, ...], csv_file: Path | None) -> None:
-    """Compare the result folders FOLDERS: a row a folder and spec, rates with 95 % intervals."""
+def command(folders: tuple[Path, ...], everything: bool, csv_file: Path | None) -> None:
+    """Show the result folders FOLDERS side by side, each spec of a folder on its own.
+
+    Rates have 95 % intervals. Means are of the runs that have a value; under the table stands why
+    others have none.
+    """
     from deepmf_sumo.benchmark import files
+    from deepmf_sumo.cli.screen import table as screen
     from deepmf_sumo.errors import OutputError
     from deepmf_sumo.report import comparison
+    from deepmf_sumo.report.side_by_side import side_by_side
 
-    table = comparison.compare(folders)
+    groups = comparison.groups(folders)
     if csv_file:
         try:
+            table = comparison.compare(groups)
             files.write(csv_file, table.to_csv(index=False, float_format="%.4g"))
         except OSError as error:
             raise OutputError(f"{csv_file} cannot be written: {error.strerror}.") from None
-    for _, row in table.iterrows():
-        title = " ".join(
-            str(row[name]) for name in ("planner", "perception", "version") if row[name]
-        )
-        click.echo(f"{row['folder']}: {row['spec']} ({title})")
-        numbers = row.drop(["folder", "spec", "planner", "perception", "version"]).dropna()
-        click.echo("  " + "  ".join(f"{name} {value:.3g}" for name, value in numbers.items()))
+    screen.show(side_by_side(groups, everything=everything))

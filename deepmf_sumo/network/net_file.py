@@ -39,7 +39,11 @@ class NetLane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetEdge:
-    """An ``<edge>``; ``function`` is empty for normal ones."""
+    """An ``<edge>``; ``function`` is empty for normal ones.
+
+    Attributes:
+        name: of the street, or empty.
+    """
 
     id: str
     start: str
@@ -47,6 +51,7 @@ class NetEdge:
     function: str
     type: str
     lanes: tuple[NetLane, ...]
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +86,7 @@ class NetJunction:
         inner_lanes: lanes inside, one a link over the junction: of links that wait in the middle
             the last one.
         goes_first: for each of these links the rows of those that it gives way to.
+        name: as people call it, or empty.
     """
 
     id: str
@@ -88,6 +94,7 @@ class NetJunction:
     shape_m: Floats
     inner_lanes: tuple[str, ...] = ()
     goes_first: tuple[frozenset[int], ...] = ()
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -198,7 +205,13 @@ def _edge(element: ET.Element) -> NetEdge:
         function=element.get("function", ""),
         type=element.get("type", ""),
         lanes=tuple(_lane(lane, key) for lane in element.iter("lane")),
+        name=_name(element),
     )
+
+
+def _name(element: ET.Element) -> str:
+    """In one line, whatever blanks are in it."""
+    return " ".join(element.get("name", "").split())
 
 
 def _lane(element: ET.Element, edge: str) -> NetLane:
@@ -230,6 +243,7 @@ def _junction(element: ET.Element) -> NetJunction:
             )
             for one in requests
         ),
+        name=_name(element),
     )
 
 

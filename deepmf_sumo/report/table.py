@@ -36,7 +36,7 @@ def _row(result: dict[str, Any]) -> tuple[str, ...]:
         return (run_id, f"{result['status']}: {result['error']}", "", "", "", "", "")
     outcome = result["outcome"]
     contact = next((one for one in result["contacts"] if one["kind"] == outcome), None)
-    opponent = result["opponent"] or "nobody"
+    opponent = result["opponent"] or "-"
     score = result["opponent_score"]
     broken = "".join(f"; EXPECTATION BROKEN: {one}" for one in result["expectations_broken"])
     return (
@@ -50,10 +50,15 @@ def _row(result: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
+def counted(number: int, one: str, many: str = "") -> str:
+    """``1 run``, ``2 runs``; ``many`` where an s does not do."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
 def totals(summary: dict[str, Any]) -> str:
     """One line under the table; the content of ``summary.json`` goes in."""
     statuses = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
-    parts = [f"{summary['runs']} runs: {statuses or 'none'}"]
+    parts = [f"{counted(summary['runs'], 'run')}: {statuses or 'none'}"]
     rate = summary["collision_rate"]
     if rate:
         parts.append(

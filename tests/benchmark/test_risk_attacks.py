@@ -141,11 +141,11 @@ def test_what_is_not_counted_is_told(tmp_path):
     [network] = risk.read([tmp_path / "out"])
     assert len(network.attacks) == 1
     assert network.left_out == {
-        "with nobody to attack": 1,
+        "with no vehicle to attack": 1,
         "failed": 1,
         "on recorded scenes": 1,
         "without readable tracks": 1,
-        "missing": 1,
+        "without a result": 1,
     }
 
 

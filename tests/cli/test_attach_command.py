@@ -102,9 +102,7 @@ def test_an_av_that_leaves_ends_the_session(simulation, port, tmp_path, capsys):
     _, script = simulation(60, "removes")
     assert attach(port, tmp_path / "live", "--av", "av") == 0
     assert script.wait() == 0
-    assert (
-        "1 attacks, 0 contacts; vehicle 'av' left the traffic at 3.1 s" in capsys.readouterr().out
-    )
+    assert "1 attack, 0 contacts; vehicle 'av' left the traffic at 3.1 s" in capsys.readouterr().out
 
 
 def test_a_lost_connection_is_one_line_and_loses_nothing(simulation, port, tmp_path, capsys):

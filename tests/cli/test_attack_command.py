@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import crossing_network
 import pytest
@@ -133,6 +134,17 @@ def test_several_configurations_go_into_one_folder(tiny, tmp_path, capsys):
     assert attack(tiny, tmp_path / "bad", other, "--moments-of", out) == 2
     assert "--moments-of goes with one configuration" in capsys.readouterr().err
     assert not (tmp_path / "bad").exists()
+
+
+def test_moments_name_their_street(tiny, tmp_path):
+    named = shutil.copytree(tiny, tmp_path / "named")
+    net = named / "tiny.net.xml"
+    net.write_text(net.read_text().replace('<edge id="ab"', '<edge id="ab" name="High &amp; Low"'))
+    out = tmp_path / "out"
+    assert attack(named, out, "--at", 2.5, "--av", "av", "--duration", 0.5) == 0
+    with (out / "moments.csv").open() as table:
+        (moment,) = csv.DictReader(table)
+    assert (moment["edge"], moment["street"]) == ("ab", "High & Low")
 
 
 @pytest.mark.parametrize("mapped", [True, False])

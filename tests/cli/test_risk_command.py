@@ -18,7 +18,7 @@ def out(tmp_path):
 def test_a_map_is_written_and_its_worst_places_shown(out, capsys):
     assert main._run(["risk", str(out)]) == 0
     told = capsys.readouterr().out
-    assert "four_way: 1 attacks, 1 with nobody to attack left out" in told
+    assert "four_way: 1 attack; not counted: 1 run with no vehicle to attack" in told
     assert "edge w_in" in told
     assert (out / "risk" / "risk.html").is_file()
 
@@ -63,7 +63,7 @@ def test_attacks_beside_all_roads_make_an_empty_map(tmp_path, capsys):
     beside = straight((100.0, 100.0), 5.0, 0.0)
     runs.add("a", av=beside, opponent=straight((100.0, 120.0), 5.0, 0.0))
     assert main._run(["risk", str(tmp_path / "out")]) == 0
-    assert "four_way: 1 attacks" in capsys.readouterr().out
+    assert "four_way: 1 attack\n" in capsys.readouterr().out
     assert (tmp_path / "out" / "risk" / "risk.csv").read_text() == ""
 
 

@@ -178,7 +178,7 @@ def test_thresholds_are_judged_at_the_end(specs, whole, tmp_path, capsys):
     assert call(*sweep) == 3
     shutil.rmtree(next((whole / "runs").iterdir()))
     assert call(*sweep, "--max-minutes", 1e-9) == 130
-    assert "1 runs not begun: --resume makes them" in capsys.readouterr().out
+    assert "1 run not begun: --resume goes on" in capsys.readouterr().out
 
 
 def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, capsys):

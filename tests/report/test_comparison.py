@@ -6,22 +6,31 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.benchmark.result import COLUMNS
+from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report.comparison import compare
+from deepmf_sumo.report.comparison import compare, groups
+from deepmf_sumo.report.side_by_side import side_by_side
 
 
-def folder(tmp_path, outcomes, *, opponents=True):
+def folder(tmp_path, outcomes, *, opponents=True, planners=("idm",), reason="never met"):
     lines = [",".join(COLUMNS)]
     for number, (status, outcome, on_road) in enumerate(outcomes):
         run = tmp_path / "runs" / f"run{number}"
         run.mkdir(parents=True)
         row = dict.fromkeys(COLUMNS, "")
-        row |= {"run_id": run.name, "spec": "s", "planner": "idm", "status": status}
+        planner = planners[number % len(planners)]
+        row |= {"run_id": run.name, "spec": "s", "planner": planner, "status": status}
         row |= {"outcome": outcome, "generation_s": "0.5", "cycle_ms_median": "80"}
         row |= {"opponent": "7" if opponents else ""}
         row |= {"contact_time_s": str(2 + number), "contact_speed_mps": "5"} if outcome else {}
         lines.append(",".join(str(row[name]) for name in COLUMNS))
         metrics = {"on_road": {"value": on_road}, "feasible": {"value": 1.0}}
+        if outcome == "av_opponent":
+            metrics |= {"ttc_min": {"value": 0.04, "unit": "s"}, "avoidable": {"value": 1.0}}
+            metrics |= {"accident_type": {"value": 1.0, "unit": "number"}}
+        else:
+            none = {"value": None, "unit": "s", "reason": reason}
+            metrics |= {"ttc_min": none, "min_gap": none, "pet": none}
         content = {"contacts": [{"kind": outcome}] if outcome != "none" else []}
         (run / "result.json").write_text(json.dumps({**content, "metrics": metrics}))
     (tmp_path / "runs.csv").write_text("\n".join(lines) + "\n")
@@ -36,7 +45,7 @@ def test_rates_count_only_runs_that_went_through(tmp_path):
         ("ok", "none", 1.0),
         ("failed", "", 1.0),
     ]
-    row = compare([folder(tmp_path, outcomes)]).iloc[0]
+    row = compare(groups([folder(tmp_path, outcomes)])).iloc[0]
     assert (row["runs"], row["not_ok"], row["hits"]) == (4, 1, 2)
     assert row["rate"] == pytest.approx(0.5)
     assert row["low"] < 0.5 < row["high"]
@@ -48,10 +57,12 @@ def test_rates_count_only_runs_that_went_through(tmp_path):
 
 def test_runs_with_nobody_to_attack_are_no_misses(tmp_path):
     found = compare(
-        [
-            folder(tmp_path / "some", [("ok", "av_opponent", 1.0), ("ok", "none", 1.0)]),
-            folder(tmp_path / "none", [("ok", "none", 1.0)], opponents=False),
-        ]
+        groups(
+            [
+                folder(tmp_path / "some", [("ok", "av_opponent", 1.0), ("ok", "none", 1.0)]),
+                folder(tmp_path / "none", [("ok", "none", 1.0)], opponents=False),
+            ]
+        )
     )
     assert list(found["runs"]) == [2, 1]
     assert list(found["attacked"]) == [2, 0]
@@ -61,7 +72,7 @@ def test_runs_with_nobody_to_attack_are_no_misses(tmp_path):
 
 def test_a_folder_without_results_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"runs\.csv"):
-        compare([tmp_path])
+        groups([tmp_path])
 
 
 def test_a_run_that_is_half_written_is_named(tmp_path):
@@ -69,10 +80,67 @@ def test_a_run_that_is_half_written_is_named(tmp_path):
     file = made / "runs" / "run0" / "result.json"
     file.write_text(file.read_text()[:20])
     with pytest.raises(UsageError, match=r"run0/result\.json is damaged .* --resume"):
-        compare([made])
+        groups([made])
     file.write_text("null")
     with pytest.raises(UsageError, match="it is no result of a run"):
-        compare([made])
+        groups([made])
     (made / "runs.csv").write_text("")
     with pytest.raises(UsageError, match=r"runs\.csv is cut short; .* --resume"):
-        compare([made])
+        groups([made])
+
+
+HIT_AND_MISS = [("ok", "av_opponent", 1.0), ("ok", "none", 1.0), ("failed", "", 1.0)]
+
+
+def cells(found, number=0):
+    return {line.label.strip(): line.cells[number] for line in (*found.key, *found.more)}
+
+
+def test_quantities_have_units_few_digits_and_their_number_of_runs(tmp_path):
+    found = cells(side_by_side(groups([folder(tmp_path, HIT_AND_MISS)])))
+    assert found["runs that went through"] == "2 of 3, 1 failed"
+    assert found["AV hit by the opponent, runs"] == "1"
+    assert found["rate (95 % interval)"] == "50 % (9 to 91)"
+    assert found["of these avoidable"] == "1 of 1"
+    assert found["relative speed at the hit, mean, m/s"] == "5.0"
+    assert found["least TTC, mean, s"] == "0.0 (1 of 2)"
+    assert found["least gap of AV and opponent, mean, m"] == "-"
+
+
+def test_reasons_for_missing_values_stand_together(tmp_path):
+    out = folder(tmp_path, HIT_AND_MISS)
+    assert side_by_side(groups([out])).missing == ("never met: 1 of 2 (least TTC, least gap)",)
+    both = side_by_side(groups([out, out]), everything=True)
+    runs = f"1 of 2 of {out}, 1 of 2 of {out}"
+    assert both.missing == (f"never met: {runs} (least TTC, least gap, pet)",)
+
+
+def test_all_metrics_are_shown_when_asked_for_and_names_are_counted(tmp_path):
+    made = groups([folder(tmp_path, HIT_AND_MISS)])
+    assert not side_by_side(made).more
+    found = cells(side_by_side(made, everything=True))
+    assert found["accident_type"] == "1 rear end"
+    assert found["on_road"] == "1"
+    assert "pet, s" not in found
+
+
+def test_planners_of_one_spec_are_not_mixed(tmp_path):
+    out = folder(tmp_path, HIT_AND_MISS[:2], planners=("idm", "sumo"))
+    found = side_by_side(groups([out]))
+    assert {line.label: line.cells for line in found.about}["planner"] == ("idm", "sumo")
+    assert [cells(found, number)["AV hit by the opponent, runs"] for number in (0, 1)] == ["1", "0"]
+    assert list(compare(groups([out]))["hits"]) == [1, 0]
+
+
+@pytest.mark.parametrize("folders", [1, 2, 12])
+def test_the_table_is_readable_however_many_results(tmp_path, capsys, folders):
+    made = [folder(tmp_path / f"out{number}", HIT_AND_MISS) for number in range(folders)]
+    assert main._run(["table", *map(str, made), "--csv", str(tmp_path / "table.csv")]) == 0
+    told = capsys.readouterr().out
+    assert "planner idm" in told
+    assert told.count("50 % (9 to 91)") == folders
+    assert "never met: 1 of 2" in told
+    assert ("--all shows all quantities" in told) == (folders == 12)
+    assert (tmp_path / "table.csv").read_text().count("\n") == folders + 1
+    assert main._run(["table", "--all", *map(str, made)]) == 0
+    assert capsys.readouterr().out.count("1 rear end") == folders

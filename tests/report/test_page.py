@@ -212,6 +212,9 @@ def test_places_of_chosen_moments_come_from_their_table(folder):
     (folder.out / "moments.csv").write_text("run_id,edge,turn\n01-s2,north,left\n")
     found = Parsed(page.write(folder.out)).rows
     assert [(row["edge"], row["turn"]) for row in found] == [(None, None), ("north", "left")]
+    (folder.out / "moments.csv").write_text("run_id,edge,street\n01-s2,north,Mill Lane\n")
+    found = Parsed(page.write(folder.out)).rows
+    assert [row["edge"] for row in found] == [None, "Mill Lane (north)"]
 
 
 def test_texts_cannot_become_elements(folder):
@@ -460,16 +463,46 @@ def test_a_browser_marks_turns_on_the_timelines(folder):
     text = shown(f"file://{page.write(folder.out)}#run=00-s1")
     assert "Turns (3)" in text
     assert "AV hit by opponent (decisive)" in text
-    assert "turn 3: &lt;d&gt;, time" in text
+    assert "turn 3: &lt;d&gt;, end of the run" in text
     charts = text.count('<svg viewBox="0 0 460 150"')
     assert charts >= 1
     assert text.count('class="turn"') == 2 * charts
     assert text.count('class="turn hit"') == charts
 
 
-def shown(address):
+@pytest.mark.parametrize("width", [1280, 420])
+def test_the_table_of_runs_is_not_cut(folder, width, tmp_path):
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    folder.add("s1", metrics={"ttc_min": 0.0, "avoidable": 0.0}, scores={"b": 0.9})
+    folder.add("s2", hit=False, metrics={"ttc_min": 1.0, "avoidable": 0.0})
+    street = "Friedrich-Engels-Straße (cluster_1238859995_3624767_2#0)"
+    lines = "".join(f"0{run}-s{run + 1},north,{street},left\n" for run in range(2))
+    (folder.out / "moments.csv").write_text(f"run_id,edge,street,turn\n{lines}")
+    measure = """<script>
+      const wide = document.getElementById("runs").parentElement;
+      const size = [wide, document.documentElement];
+      document.body.dataset.cut = size.map((one) => one.scrollWidth - one.clientWidth).join(" ");
+    </script></body>"""
+    text = page.write(folder.out).read_text("utf-8").replace("</body>", measure)
+    (tmp_path / "page.html").write_text(text, "utf-8")
+    text = shown(f"file://{tmp_path}/page.html", f"--window-size={width},900")
+    assert 'data-cut="0 0"' in text
+    assert "The same in all runs: method S1, planner replay, seed 0." in text
+
+
+def test_rates_are_of_runs_with_an_opponent(folder):
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    folder.add("s1")
+    folder.add("s2", hit=False, opponent=None)
+    assert "1/1 = 100 %" in shown(f"file://{page.write(folder.out)}")
+
+
+def shown(address, *more):
     """The page's elements once its scripts have run."""
     options = [
+        *more,
         "--headless",
         "--no-sandbox",
         "--disable-gpu",

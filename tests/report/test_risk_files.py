@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark import risk
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.network import programs
 from deepmf_sumo.report import risk as files
-from deepmf_sumo.report.risk.polygons import colour
+from deepmf_sumo.report.risk.polygons import CLASSES, colour
 
 BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 
@@ -27,6 +27,16 @@ def made(tmp_path_factory):
     left = straight((-60.0, -1.6), 10.0, 0.0, steps=51)
     out.add("c", av=left, opponent=eastward(), hit=50, moment=(*LEFT_IN, "left"))
     [written] = files.write(root / "map", risk.read([root / "out"]), "my <map>")
+    return written
+
+
+@pytest.fixture(scope="module")
+def nothing(tmp_path_factory):
+    """A map of an attack that did not hit."""
+    root = tmp_path_factory.mktemp("nothing")
+    out = Attacks(root / "out")
+    out.add("a", av=eastward(x=-130.0), opponent=straight((-60.0, -12.0), 0.0, 0.0))
+    [written] = files.write(root / "map", risk.read([root / "out"]))
     return written
 
 
@@ -85,12 +95,55 @@ def test_sumo_reads_network_and_polygons_without_a_word(made):
     assert len(set(shapes)) == len(shapes)
 
 
-def test_colours_go_from_yellow_to_red():
-    assert [colour(share) for share in (0.0, 0.5, 1.0)] == [
-        "255,243,176",
-        "244,163,43",
-        "193,18,31",
-    ]
+def test_a_risk_has_one_colour_in_every_map():
+    """Also in one whose worst place is at 4 %."""
+    risks = (0.0, 0.04, 0.05, 0.24, 0.25, 0.6, 0.75, 1.0)
+    numbers = [[bound for bound, one in CLASSES if one == colour(risk)] for risk in risks]
+    assert numbers == [[0.0], [0.0], [0.05], [0.1], [0.25], [0.5], [0.75], [0.75]]
+
+
+def test_places_without_a_hit_have_no_colour(nothing, made):
+    shapes = list(ET.parse(nothing.folder / "polygons.add.xml").iter("poly"))
+    assert shapes
+    assert {one.get("fill") for one in shapes} == {"0"}
+    hit = ET.parse(made.folder / "polygons.add.xml").find("poly[@id='risk.edge.w_in.0']")
+    assert (hit.get("fill"), hit.get("color")) == ("1", "227,26,28")
+    page = browsed(nothing)
+    assert 'class="place nothing"' in page
+    assert not re.search(r'class="(place|dot|area)"', page)
+    assert 'class="place"' in browsed(made)
+
+
+def test_small_places_keep_their_size_and_a_pick_zooms_there(made):
+    seen = """
+      const on = (name, what) =>
+        Number(document.querySelector(`#map .${name}`).getAttribute(what)) * mapScale();
+      const said = [];
+      fitTo([-20000, -20000, 20000, 20000]);
+      said.push(on("dot", "r"));
+      zoomMap(4);
+      said.push(on("dot", "r"), on("place", "stroke-width"));
+      document.querySelector("td.name button").click();
+      said.push(view.width);
+    """
+    far, farther, line, width = map(float, told(made, seen))
+    assert far == pytest.approx(6.0)
+    assert farther == pytest.approx(6.0)
+    assert line == pytest.approx(4.0)
+    assert width < 1000.0
+
+
+def test_attacks_at_no_place_are_counted_in_words(tmp_path):
+    for number, sentence in (
+        (1, "1 attack is counted at no place: when it was decided, the centre of the AV was"),
+        (2, "2 attacks are counted at no place: when they were decided, the centre of the AV was"),
+    ):
+        out = Attacks(tmp_path / f"out{number}")
+        for name in "ab"[:number]:
+            beside = straight((100.0, 100.0), 5.0, 0.0)
+            out.add(name, av=beside, opponent=straight((100.0, 120.0), 5.0, 0.0))
+        [written] = files.write(tmp_path / f"map{number}", risk.read([out.out]))
+        assert sentence in browsed(written)
 
 
 def test_the_page_needs_nothing_else(made):
@@ -105,16 +158,29 @@ def test_the_page_needs_nothing_else(made):
 
 
 def test_a_browser_lists_the_worst_place_first(made):
-    if BROWSER is None:
-        pytest.skip("no browser")
-    shown = subprocess.run(
-        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom",
-         (made.folder / "risk.html").as_uri()],
-        capture_output=True, text=True, check=True, timeout=120,
-    ).stdout  # fmt: skip
-    cells = re.findall(r'<td class="name"><button type="button">([^<]*)<', shown)
+    shown = browsed(made)
+    cells = re.findall(r'<td class="name"[^>]*><button type="button">([^<]*)<', shown)
     assert cells == [row.title for row in risk.worst(made.rows)]
     assert shown.count('class="attack hit"') == 2
+
+
+def browsed(written, script=""):
+    """The page's elements once a browser has shown it, and run a script at its end."""
+    if BROWSER is None:
+        pytest.skip("no browser")
+    page = (written.folder / "risk.html").read_text("utf-8")
+    file = written.folder.parent / "browsed.html"
+    file.write_text(page.replace("</body>", f"<script>{script}</script></body>"), "utf-8")
+    return subprocess.run(
+        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", file.as_uri()],
+        capture_output=True, text=True, check=True, timeout=120,
+    ).stdout  # fmt: skip
+
+
+def told(written, script):
+    """What a script at the page's end has put into the list ``said``."""
+    ended = browsed(written, f"{script}; document.body.dataset.said = said.join(' ');")
+    return re.search(r'data-said="([^"]*)"', ended)[1].split()
 
 
 def test_a_folder_with_other_files_is_left_alone(made, tmp_path):

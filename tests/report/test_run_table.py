@@ -40,7 +40,7 @@ def test_a_table_that_is_cut_anywhere_is_refused(tmp_path, length, read):
 
 def test_so_it_is_by_table_too(tmp_path):
     with pytest.raises(UsageError, match="is cut short; write it anew with --resume"):
-        comparison.compare([written(tmp_path, WHOLE[:30])])
+        comparison.groups([written(tmp_path, WHOLE[:30])])
 
 
 def test_columns_of_something_else_and_rows_of_another_length(tmp_path):

@@ -26,7 +26,7 @@ def test_row_tells_of_the_contact_that_counts():
 def test_no_contact_and_nobody():
     quiet = {**OK, "outcome": "none", "opponent": None, "opponent_score": None}
     (row,) = table.rows([quiet])
-    assert row[1:6] == ("no contact", "-", "-", "nobody", "-")
+    assert row[1:6] == ("no contact", "-", "-", "-", "-")
 
 
 def test_failures_and_broken_expectations_are_said():

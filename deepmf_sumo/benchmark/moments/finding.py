@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark.moments.choice import choose, turns_of
 from deepmf_sumo.benchmark.moments.encounters import encounters
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
-from deepmf_sumo.network.net_file import read_once
+from deepmf_sumo.network.net_file import NetFile, read_once
 from deepmf_sumo.simulation.configuration import read_configuration
 from deepmf_sumo.simulation.scouting import EVERY_S, Scouting, scout
 
@@ -58,10 +58,18 @@ def _search(search: _Search) -> None:
         sightings = scout(scouting)
         net = read_once(read_configuration(scouting.config, scouting.sumo_options).net)
         met = encounters(sightings, net, search.wish.duration_s)
-        answer: dict[str, Any] = asdict(choose(sightings, turns_of(net), search.wish, met))
+        found = choose(sightings, turns_of(net), search.wish, met)
+        answer: dict[str, Any] = asdict(_named(found, net))
     except DeepmfError as error:
         answer = {"error": str(error), "usage": isinstance(error, UsageError)}
     files.write_json(search.answer, answer)
+
+
+def _named(found: Found, net: NetFile) -> Found:
+    """With the names of the streets."""
+    names = {one.edge: net.edges[one.edge].name for one in found.moments if one.edge in net.edges}
+    moments = (replace(one, street=names.get(one.edge, "")) for one in found.moments)
+    return replace(found, moments=tuple(moments))
 
 
 def _found(answer: dict[str, Any]) -> Found:

@@ -49,6 +49,7 @@ class Moment:
             junction that it passes in the time of an attack, if nobody attacks: 0 where both are in
             the junction at once; None where there is no such vehicle.
         meets: that vehicle, if it is there and within 80 m when the attack begins.
+        street: name of the edge in the network; empty where it has none.
     """
 
     av: AgentId
@@ -61,6 +62,7 @@ class Moment:
     around: int
     encounter_s: float | None = None
     meets: AgentId | None = None
+    street: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

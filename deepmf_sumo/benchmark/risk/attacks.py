@@ -70,8 +70,8 @@ def read(folders: Sequence[Path]) -> list[Network]:
         why = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
         named = " ".join(map(str, folders))
         raise UsageError(
-            f"{named}: nobody was attacked on a SUMO network ({why or 'no runs'}), so there is no"
-            " risk to map."
+            f"{named}: no vehicle was attacked on a SUMO network ({why or 'no runs'}), so there is"
+            " no risk to map."
         )
     found[0].left_out.update(left_out)
     return [
@@ -106,13 +106,13 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
     moments = _moments(out)
     for run_id, result in results(out).items():
         if result is None:
-            left_out["missing"] += 1
+            left_out["without a result"] += 1
         elif result["status"] != "ok":
             left_out[result["status"]] += 1
         elif not result.get("network"):
             left_out["on recorded scenes"] += 1
         elif not attacked(result):
-            left_out["with nobody to attack"] += 1
+            left_out["with no vehicle to attack"] += 1
         else:
             network = _network(out / "runs" / run_id, str(result["network"]), networks)
             moment = moments.get(run_id, {})

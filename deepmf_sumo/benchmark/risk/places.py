@@ -14,7 +14,15 @@ import numpy as np
 import shapely
 
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.network.net_file import NetFile, NetJunction, NetLane, NetLink, elements, read_once
+from deepmf_sumo.network.net_file import (
+    NetEdge,
+    NetFile,
+    NetJunction,
+    NetLane,
+    NetLink,
+    elements,
+    read_once,
+)
 
 Kind = Literal["movement", "edge", "junction", "lane"]
 KINDS: Final[tuple[Kind, ...]] = ("movement", "edge", "junction", "lane")
@@ -30,6 +38,8 @@ _RULES: Final = {"M": "priority", "m": "give way", "=": "right before left", "s"
 _WINDS: Final = (
     "east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east",
 )  # fmt: skip
+_MOST_STREETS: Final = 3
+"""A junction is named after at most so many of the streets that meet there."""
 _WAY_M: Final = 30.0
 """So much of an edge before and behind a junction says from and to where it leads."""
 
@@ -130,24 +140,63 @@ class Places:
         return self.movements.get(_name(edge.end, origin, target)) if edge else None
 
     def title(self, kind: Kind, place: str) -> str:
-        """A place as people call it.
+        """A place as people call it; its id is always in it, so no two places share a title.
 
-        E.g. ``centre: from north to east (left, permissive)``, ``main_3 (centre to bridge)``.
+        E.g. ``centre: from north to east (left, permissive)``, ``main_3 (centre to bridge)``; where
+        streets have names ``Mill Lane / High Street (j7): from Mill Lane (north) to High Street
+        (east) (left, permissive)``, ``High Street, Mill Lane to Church Road (main_3)``.
         """
         if kind == "movement":
             one = self.movements[place]
             nature = ", ".join(part for part in (one.turn, one.rule) if part)
-            arms = f"from {self._wind(one.origin, ahead=False)} to {self._wind(one.target)}"
-            return f"{one.junction}: {arms}" + (f" ({nature})" if nature else "")
+            named = f"{self.title('junction', one.junction)}: {self._arms(one)}"
+            return named + (f" ({nature})" if nature else "")
         if kind == "lane":
             movement = self._of_inner_lane.get(place)
             if movement:
                 return f"{self.title('movement', movement.id)}, lane {place}"
-            return f"{self.lanes[place].edge}, lane {self.lanes[place].index}"
+            lane = self.lanes[place]
+            return f"{_called(self.net.edges[lane.edge].name, lane.edge)}, lane {lane.index}"
         if kind == "edge":
             edge = self.net.edges[place]
-            return f"{place} ({edge.start} to {edge.end})"
-        return place
+            ends = f"{self._end(edge.start, edge)} to {self._end(edge.end, edge)}"
+            return f"{edge.name}, {ends} ({place})" if edge.name else f"{place} ({ends})"
+        return _called(self._corner(place, but=""), place)
+
+    def _arms(self, one: Movement) -> str:
+        """Where a movement comes from and leads to, with the streets' names."""
+        streets = [self.net.edges[edge].name for edge in (one.origin, one.target)]
+        winds = [self._wind(one.origin, ahead=False), self._wind(one.target)]
+        if streets[0] and streets[0] == streets[1]:
+            return f"on {streets[0]} from {winds[0]} to {winds[1]}"
+        origin, target = (
+            f"{street} ({wind})" if street else wind
+            for street, wind in zip(streets, winds, strict=True)
+        )
+        return f"from {origin} to {target}"
+
+    def _end(self, junction: str, edge: NetEdge) -> str:
+        """A junction as seen from an edge: the other streets there, else the junction's id."""
+        return self._corner(junction, but=edge.name) or junction
+
+    def _corner(self, junction: str, *, but: str) -> str:
+        """The junction's own name, else its streets' without one of them; empty without any."""
+        own = self.junctions[junction].name if junction in self.junctions else ""
+        if own:
+            return own
+        streets = [street for street in self._streets.get(junction, ()) if street != but]
+        more = ["..."] if len(streets) > _MOST_STREETS else []
+        return " / ".join(streets[:_MOST_STREETS] + more)
+
+    @cached_property
+    def _streets(self) -> dict[str, list[str]]:
+        """Names of the streets at each junction, in alphabetical order."""
+        found: dict[str, set[str]] = defaultdict(set)
+        for edge in self.net.edges.values():
+            if edge.name and not edge.function:
+                found[edge.start].add(edge.name)
+                found[edge.end].add(edge.name)
+        return {junction: sorted(names) for junction, names in found.items()}
 
     def site(self, spot: Spot) -> str:
         """Title of the movement or edge of a spot; empty where it is on neither."""
@@ -201,6 +250,11 @@ def read(net_file: Path) -> Places:
             lanes=tuple(lane for link in links for lane in _chain(link, inner)),
         )
     return Places(net=net, movements=movements)
+
+
+def _called(name: str, place: str) -> str:
+    """The name with the id, or the id alone."""
+    return f"{name} ({place})" if name else place
 
 
 def _name(junction: str, origin: str, target: str) -> str:

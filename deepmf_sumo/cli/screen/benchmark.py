@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.report.table import counted
 from deepmf_sumo.report.tables.content import Row, read
 
 _SHOWN: Final = {
@@ -39,7 +40,7 @@ def show(out: Path, results: Sequence[dict[str, Any]], expected: int, made: Sequ
     told = ", ".join(f"{count} {status}" for status, count in statuses.items())
     left = expected - len(results)
     unfinished = f"; {left} not begun: --resume makes them" if left else ""
-    console.print(escape(f"{len(results)} runs: {told}{unfinished}"), soft_wrap=True)
+    console.print(escape(f"{counted(len(results), 'run')}: {told}{unfinished}"), soft_wrap=True)
     wrong = [one for one in results if one["status"] != "ok"]
     for one in wrong[:_FAILURES]:
         console.print(escape(f"  {one['run_id']}: {one['error']}"), style="red", soft_wrap=True)

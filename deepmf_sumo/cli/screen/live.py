@@ -9,10 +9,11 @@ from rich.table import Table
 
 from deepmf_sumo.benchmark.live import Attached
 from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.report.table import counted
 
 _ENDS: Final = {
     "until": "left at {time:.1f} s, as asked",
-    "attacks": "left at {time:.1f} s, after {count} attacks, as asked",
+    "attacks": "left at {time:.1f} s, after {attacks}, as asked",
     "av_gone": "vehicle '{av}' left the traffic at {time:.1f} s",
     "simulation_over": "the simulation ended at {time:.1f} s",
     "stopped": "left at {time:.1f} s, stopped",
@@ -42,12 +43,13 @@ def show(done: Attached, av: str, out: Path) -> None:
             grid.add_row(*map(escape, _cells(row)), style="red" if row["contact"] else "")
         console.print(grid)
     count = len(done.rows)
+    attacks = counted(count, "attack")
     hits = sum(row["contact"] is not None for row in done.rows)
-    why = _ENDS[done.end].format(time=done.time_s, count=count, av=av)
+    why = _ENDS[done.end].format(time=done.time_s, attacks=attacks, av=av)
     nobody = f" ({done.nobody})" if not count and done.nobody else ""
     file = f"{out}/{'attacks.jsonl' if count else 'session.json'}"
     console.print(
-        escape(f"{count} attacks, {hits} contacts{nobody}; {why}; {file}"),
+        escape(f"{attacks}, {counted(hits, 'contact')}{nobody}; {why}; {file}"),
         soft_wrap=True,
     )
     if hits and done.collisions == "teleport":

@@ -4,6 +4,7 @@ import click
 
 from deepmf_sumo.benchmark.moments import Found, Wish
 from deepmf_sumo.datatypes import DT_S
+from deepmf_sumo.report.table import counted
 from deepmf_sumo.simulation.configuration import Configuration
 
 
@@ -18,8 +19,8 @@ def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     further = "" if found.complete or wish.at_s else " (--until S looks further)"
-    click.echo(f"{name}: {found.vehicles} vehicles from {span}{further}", err=True)
-    moments = "1 moment" if len(found.moments) == 1 else f"{len(found.moments)} moments"
+    click.echo(f"{name}: {counted(found.vehicles, 'vehicle')} from {span}{further}", err=True)
+    moments = counted(len(found.moments), "moment")
     chosen = f"{moments} of {found.suitable} vehicle seconds"
     if wish.prefer == "encounters":
         before = sum(one.encounter_s is not None for one in found.moments)

@@ -10,10 +10,11 @@ from deepmf_sumo.benchmark.risk import Row, worst
 from deepmf_sumo.benchmark.risk.comparison import Compared
 from deepmf_sumo.cli.screen.console import wide
 from deepmf_sumo.report.risk import Written, comparison
+from deepmf_sumo.report.table import counted
 
 _HEADINGS: Final = (
-    "where attacks were decided", "attacks", "hits", "avoidable", "min TTC", "delta-v",
-    "risk (90 %)",
+    "where attacks were decided", "attacks", "hits", "avoidable hits", "least TTC",
+    "mean delta-v", "risk of a hit (90 % interval)",
 )  # fmt: skip
 _MOST: Final = 30
 
@@ -23,8 +24,11 @@ def show(written: Sequence[Written], top: int) -> None:
     console = wide()
     for one in written:
         network = one.network
-        left = "".join(f", {count} {why} left out" for why, count in network.left_out.items())
-        head = f"{network.name}: {len(network.attacks)} attacks{left}"
+        left = "".join(
+            f"; not counted: {counted(count, 'run')} {why}"
+            for why, count in network.left_out.items()
+        )
+        head = f"{network.name}: {counted(len(network.attacks), 'attack')}{left}"
         console.print(escape(head), soft_wrap=True)
         console.print(_grid(_HEADINGS, [_cells(row) for row in worst(one.rows)[:top]]))
         console.print(escape(f"{one.folder}/risk.html, risk.csv, risk.sumocfg"), soft_wrap=True)
@@ -64,5 +68,5 @@ def _cells(row: Row) -> tuple[str, ...]:
         f"{row.events['avoidable']} of {row.judged}",
         "-" if row.ttc_s is None else f"{row.ttc_s:.1f} s",
         speed or "-",
-        f"{risk.rate:.2f} ({risk.low:.2f} to {risk.high:.2f})",
+        f"{100 * risk.rate:.0f} % ({100 * risk.low:.0f} to {100 * risk.high:.0f} %)",
     )

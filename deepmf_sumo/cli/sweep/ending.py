@@ -12,12 +12,13 @@ def end_of_runs(sweep: Sweep, results: Sequence[dict[str, Any]]) -> int:
     """Show the table of the runs; returns the exit code."""
     from deepmf_sumo.benchmark.store import Store, summary
     from deepmf_sumo.cli.screen.runs import table
+    from deepmf_sumo.report.table import counted
 
     missing = Store(sweep.out).planned() - len(results)
     if results:
         table(results, summary(results), sweep.out)
     if missing:
-        click.echo(f"{missing} runs not begun: --resume makes them")
+        click.echo(f"{counted(missing, 'run')} not begun: --resume goes on")
     return end(sweep, results, missing)
 
 

@@ -53,7 +53,7 @@ def row(table: Mapping[str, str], result: Result | None, element: str, note: str
         "sector": SECTORS[contact["sector"]] if hit else None,
         "accident": _accident(_metric(metrics, "accident_type")),
         "element": element or None,
-        "edge": table.get("edge") or None,
+        "edge": _edge(table),
         "turn": table.get("turn") or None,
         "speed": speed_kind(speed) if hit else None,
         "min_ttc_s": _metric(metrics, "ttc_min"),
@@ -78,6 +78,12 @@ def _accident(number: float | None) -> str | None:
         return None
     name = ACCIDENT_TYPES[int(number)]
     return "T-bone" if name == "t_bone" else name.replace("_", " ")
+
+
+def _edge(table: Mapping[str, str]) -> str | None:
+    """With the street's name, where the network has one."""
+    edge, street = table.get("edge"), table.get("street")
+    return f"{street} ({edge})" if street else edge or None
 
 
 def _metric(metrics: Mapping[str, Any], name: str) -> float | None:

@@ -27,6 +27,8 @@ _FACTS: Final = (
     "error", "expectations_broken",
 )  # fmt: skip
 """Of ``result.json``, as it is."""
+_ENDED: Final = {"too_long": "longest time of a turn", "time": "end of the run"}
+"""Of `datatypes.turn` what does not say by itself what it is."""
 _DAMAGE: Final = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error)
 """What files raise that were cut off, or hold something else."""
 
@@ -140,7 +142,7 @@ def _turns(result: Result) -> list[dict[str, Any]]:
             "opponent": turn["opponent"],
             "begin": turn["begin_s"],
             "end": turn["end_s"],
-            "ended": str(turn["ended"]).replace("_", " "),
+            "ended": _ENDED.get(turn["ended"], str(turn["ended"]).replace("_", " ")),
             "outcome": OUTCOMES.get(turn["outcome"], turn["outcome"]),
             "hit": turn["ended"] == "contact",
             "speed": turn["hit_speed_mps"],

@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark.risk.places import KINDS
 from deepmf_sumo.benchmark.risk.shrinkage import CONFIDENCE
 from deepmf_sumo.benchmark.risk.table import COUNTED, DEFINITIONS
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.report.risk.polygons import STOPS, lanes_of
+from deepmf_sumo.report.risk.polygons import CLASSES, lanes_of
 
 _SCRIPTS: Final = ("elements", "risk_places", "risk_map", "risk_table", "risk_start")
 _TOLERANCE_M: Final = 0.1
@@ -35,7 +35,7 @@ def html(network: Network, rows: Sequence[Row], title: str) -> str:
         "off": {counted: _off(network, counted) for counted in COUNTED},
         "definitions": dict(DEFINITIONS),
         "confidence": round(100 * CONFIDENCE),
-        "stops": STOPS,
+        "classes": CLASSES,
     }
     text = json.dumps(content, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     ours, report = (resources.files(f"deepmf_sumo.report.{name}") for name in ("risk", "page"))

@@ -3,11 +3,11 @@
 A right click on a polygon shows its numbers (*Show parameter*).
 """
 
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 from xml.etree import ElementTree as ET  # written, never parsed
 
-import numpy as np
 import shapely
 
 from deepmf_sumo.benchmark.risk import Network, Row
@@ -16,8 +16,17 @@ from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.network.net_file import NetLane
 from deepmf_sumo.report.risk.edge_data import numbers
 
-STOPS: Final = ((255, 243, 176), (244, 163, 43), (193, 18, 31))
-"""Colours from no risk over half of the worst to the worst: yellow, orange, red."""
+Colour = tuple[int, int, int]
+CLASSES: Final[tuple[tuple[float, Colour], ...]] = (
+    (0.0, (255, 237, 160)), (0.05, (254, 217, 118)), (0.1, (254, 178, 76)),
+    (0.25, (253, 141, 60)), (0.5, (227, 26, 28)), (0.75, (128, 0, 38)),
+)  # fmt: skip
+"""Colours by the risk from which on they are used: the same risk has the same colour in every map.
+
+Places of attacks without any such event have none: only a grey outline.
+"""
+_NOTHING: Final[Colour] = (120, 128, 136)
+_OUTLINE_M: Final = 0.4
 _LAYERS: Final[Mapping[Kind, int]] = {"junction": 150, "edge": 151, "movement": 152}
 """Over the roads (about 100) and under the vehicles (about 400)."""
 _WAY_M: Final = 1.2
@@ -27,10 +36,9 @@ _WAY_M: Final = 1.2
 def additional(network: Network, rows: Sequence[Row]) -> bytes:
     """``<poly>`` of the junctions, edges and movements where attacks were decided.
 
-    The colour is the risk of a hit, from yellow (none) to red (the worst place of the map).
+    Filled with the colour of the risk of a hit, see `CLASSES`; outlined in grey without any hit.
     """
     drawn = [row for row in rows if row.counted == "decided" and row.kind in _LAYERS]
-    worst = max((row.risk["hit"].rate for row in drawn), default=1.0)
     root = ET.Element("additional")
     for row in drawn:
         for number, corners in enumerate(_outlines(network, row)):
@@ -39,8 +47,9 @@ def additional(network: Network, rows: Sequence[Row]) -> bytes:
                 "poly",
                 id=f"risk.{row.kind}.{_name(network, row)}.{number}",
                 type=f"risk.{row.kind}",
-                color=colour(row.risk["hit"].rate / worst),
-                fill="1",
+                color=_text(colour(row.risk["hit"].rate) if row.events["hit"] else _NOTHING),
+                fill="1" if row.events["hit"] else "0",
+                lineWidth=str(_OUTLINE_M),
                 layer=str(_LAYERS[row.kind]),
                 shape=" ".join(f"{x:.2f},{y:.2f}" for x, y in corners),
             )
@@ -58,12 +67,13 @@ def _name(network: Network, row: Row) -> str:
     return f"{one.origin}.{one.target}"
 
 
-def colour(share: float) -> str:
-    """SUMO's text for a colour between `STOPS`, by the share (0 to 1) of the worst risk."""
-    place = 2 * min(max(share, 0.0), 1.0)
-    low = min(int(place), 1)
-    mixed = np.array(STOPS[low]) + (place - low) * np.subtract(STOPS[low + 1], STOPS[low])
-    return ",".join(str(round(float(part))) for part in mixed)
+def colour(risk: float) -> Colour:
+    """Of a risk (0 to 1) of an event that has happened."""
+    return CLASSES[bisect_right([bound for bound, _ in CLASSES], risk) - 1][1]
+
+
+def _text(mixed: Colour) -> str:
+    return ",".join(map(str, mixed))
 
 
 def lanes_of(network: Network, row: Row) -> list[NetLane]:

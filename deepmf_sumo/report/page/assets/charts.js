@@ -117,7 +117,12 @@ function axes(scene, end, most, x, y) {
     marks.push(
       drawn(
         "text",
-        { x: x(scene.now + time / scene.dt), y: height - bottom + 15, "text-anchor": "middle" },
+        {
+          x: x(scene.now + time / scene.dt),
+          y: height - bottom + 15,
+          // what stands at the right end must not be cut
+          "text-anchor": x(scene.now + time / scene.dt) > width - 20 ? "end" : "middle",
+        },
         `${time} s`,
       ),
     );

@@ -31,7 +31,7 @@ function pageElements(row, details, content) {
   const speed =
     row.speed_mps === null
       ? ""
-      : ` after ${fixed(row.time_s, 1)} s at ${fixed(row.speed_mps, 1)} m/s relative`;
+      : ` after ${fixed(row.time_s, 1)} s at ${fixed(row.speed_mps, 1)} m/s relative speed`;
   const kind = [row.sector, row.accident, row.element].filter(Boolean).join(", ");
   return [
     navigation(row),

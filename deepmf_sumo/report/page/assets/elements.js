@@ -63,8 +63,13 @@ function tableOf(headings, rows, numbers = []) {
       "tbody",
       {},
       ...rows.map((row) =>
-        make("tr", {}, ...row.map((cell, column) => make("td", look(column), cell))),
+        make("tr", {}, ...row.map((cell, column) => make("td", { ...look(column), "data-label": headings[column] }, cell))),
       ),
     ),
   ];
+}
+
+/** "1 attack", "2 attacks"; `many` where an s does not do. */
+function counted(number, one, many = `${one}s`) {
+  return `${number} ${number === 1 ? one : many}`;
 }

@@ -65,6 +65,8 @@ function factsOf(row, details, content) {
     .join(", ");
   const facts = {
     scene: row.scene,
+    "edge at the start": row.edge,
+    "AV's next turn": row.turn,
     method: row.method,
     planner: row.planner,
     seed: details.seed ?? row.seed,

@@ -42,7 +42,7 @@ function groupList(column, title) {
       {
         type: "button",
         "aria-pressed": String(runs.only[column] === name),
-        "aria-label": `${title}: ${name}, ${count} runs`,
+        "aria-label": `${title}: ${name}, ${counted(count, "run")}`,
         onclick: () => {
           setFilter(column, runs.only[column] === name ? "" : name);
           refocus(column, name);

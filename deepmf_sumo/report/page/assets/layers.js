@@ -52,7 +52,7 @@ function layers(scene, draw) {
       ? make(
           "p",
           { class: "hint" },
-          `${scene.hidden} others that never come within 100 m are not drawn.`,
+          `Not drawn: ${counted(scene.hidden, "vehicle or person that never comes", "vehicles and persons that never come")} within 100 m.`,
         )
       : null,
   );

@@ -6,7 +6,7 @@ function momentText(scene, step) {
   const parts = [`${((step - scene.now) * scene.dt).toFixed(1)} s`, driven(scene.av, "AV")];
   const attacker = attackerAt(scene, step);
   if (attacker?.drivers) parts.push(driven(attacker, "opponent"));
-  else if (attacker) parts.push(`opponent ${attacker.id}`);
+  else if (attacker) parts.push(`opponent: vehicle ${attacker.id}`);
   const conflict = conflictAt(scene, step);
   if (conflict) {
     const ttc = conflict.ttc === null ? "above 10 s or none" : `${fixed(conflict.ttc, 1)} s`;
@@ -14,7 +14,9 @@ function momentText(scene, step) {
   }
   const met = scene.contacts.find((contact) => step >= contact.step);
   if (met)
-    parts.push(`contact of ${met.first} and ${met.second} at ${met.speed.toFixed(1)} m/s relative`);
+    parts.push(
+      `contact of ${met.first} and ${met.second} at ${met.speed.toFixed(1)} m/s relative speed`,
+    );
   return parts.join(" · ");
 }
 

@@ -34,7 +34,7 @@ function showNotices(content) {
     notices.push("This batch was interrupted: runs are missing. Go on with --resume.");
   if (content.missing)
     notices.push(
-      `${content.missing} runs cannot be replayed; the reasons stand in the column 'note'.`,
+      `${counted(content.missing, "run")} cannot be replayed; the column 'note' says why.`,
     );
   const statuses = [...grouped(runs.all, (row) => row.status)].filter(
     ([status]) => status !== "ok",

@@ -15,8 +15,8 @@ const HEADINGS = {
   element: "road element",
   edge: "edge at the start",
   turn: "AV's next turn",
-  min_ttc_s: "min TTC, s",
-  min_gap_m: "min gap, m",
+  min_ttc_s: "least TTC, s",
+  min_gap_m: "least gap, m",
   avoidable: "avoidable",
   opponent: "opponent",
   score: "score",
@@ -26,9 +26,8 @@ const DIGITS = {
   time_s: 1,
   speed_mps: 1,
   delta_v_mps: 1,
-  min_ttc_s: 2,
-  min_gap_m: 2,
-  avoidable: 0,
+  min_ttc_s: 1,
+  min_gap_m: 1,
   score: 2,
   seed: 0,
 };
@@ -46,6 +45,8 @@ const FILTERS = {
   turn: "AV's next turn",
   speed: "contact speed",
 };
+/** Columns that say nothing where all runs have the same in them: one line above the table does. */
+const ALIKE = ["method", "planner", "seed"];
 const PAGE_ROWS = 200;
 
 /** The table's state: one object a run, what is filtered, how it is ordered. */
@@ -143,15 +144,36 @@ function setFilter(column, value) {
   showAll();
 }
 
-function showRuns() {
-  const found = filteredRuns();
-  const columns = Object.keys(HEADINGS).filter(
+/** The columns of `ALIKE` in which all runs have one value. */
+function alikeColumns() {
+  if (runs.all.length < 2) return [];
+  return ALIKE.filter((column) => new Set(runs.all.map((row) => row[column])).size === 1);
+}
+
+function shownColumns() {
+  const alike = alikeColumns();
+  return Object.keys(HEADINGS).filter(
     (column) =>
       column === "run" ||
-      runs.all.some(
-        (row) => row[column] !== null && !(column === "status" && row[column] === "ok"),
-      ),
+      (!alike.includes(column) &&
+        runs.all.some(
+          (row) => row[column] !== null && !(column === "status" && row[column] === "ok"),
+        )),
   );
+}
+
+function showAlike() {
+  const same = alikeColumns().filter((column) => runs.all[0][column] !== null);
+  byId("alike").textContent =
+    same.length
+      ? `The same in all runs: ${same.map((column) => `${HEADINGS[column]} ${runs.all[0][column]}`).join(", ")}.`
+      : "";
+}
+
+function showRuns() {
+  const found = filteredRuns();
+  const columns = shownColumns();
+  showAlike();
   const head = make("tr", {}, ...columns.map(headingCell));
   const body = found
     .slice(0, runs.most)
@@ -162,8 +184,8 @@ function showRuns() {
     : "";
   byId("shown").textContent =
     found.length === runs.all.length
-      ? `${found.length} runs`
-      : `${found.length} of ${runs.all.length} runs${part}`;
+      ? counted(found.length, "run")
+      : `${found.length} of ${counted(runs.all.length, "run")}${part}`;
   byId("more").hidden = found.length <= runs.most;
   byId("more").textContent = `Show ${Math.min(PAGE_ROWS, found.length - runs.most)} more`;
   showTotals(found);
@@ -201,14 +223,18 @@ function cell(row, column) {
   if (column === "run") {
     return make(
       "td",
-      { class: "name" },
+      { class: "name", "data-label": HEADINGS.run },
       make("a", { href: `#run=${encodeURIComponent(value)}` }, value),
     );
   }
-  if (column in DIGITS) return make("td", { class: "number" }, fixed(value, DIGITS[column]));
+  const label = { "data-label": HEADINGS[column] };
+  if (column in DIGITS)
+    return make("td", { class: value === null ? "number none" : "number", ...label }, fixed(value, DIGITS[column]));
+  if (column === "avoidable")
+    return make("td", label, value === null ? "" : value >= 1 ? "yes" : "no");
   const bad =
     (column === "status" && value !== "ok") || (column === "outcome" && value?.startsWith("AV"));
-  return make("td", bad ? { class: "bad" } : {}, value ?? "");
+  return make("td", { ...(bad ? { class: "bad" } : {}), ...label }, value ?? "");
 }
 
 /** Draw all that depends on the filters, the filters among it. */

@@ -31,30 +31,34 @@ function showTotals(rows) {
         FILTERS[by] ?? "",
         "runs",
         "went through",
+        "attacked",
         "AV hit by opponent",
         "interval",
         "",
         "avoidable hits",
         "contact speed, m/s",
-        "min TTC, s",
+        "mean of least TTC, s",
       ],
       lines,
-      [1, 2, 3, 4, 6, 7, 8],
+      [1, 2, 3, 4, 5, 7, 8, 9],
     ),
   );
 }
 
 function totalsLine(name, group) {
   const done = group.filter((row) => row.status === "ok");
+  // where no vehicle was attacked, nothing was tried
+  const attacked = done.filter((row) => row.opponent !== null);
   const hits = done.filter((row) => row.outcome === "AV hit by opponent");
   const judged = hits.filter((row) => row.avoidable !== null);
-  const rate = wilson(hits.length, done.length);
+  const rate = wilson(hits.length, attacked.length);
   const avoidable = judged.filter((row) => row.avoidable >= 1).length;
   return [
     name,
     String(group.length),
     String(done.length),
-    rate ? `${hits.length}/${done.length} = ${percent(rate.rate)}` : "–",
+    String(attacked.length),
+    rate ? `${hits.length}/${attacked.length} = ${percent(rate.rate)}` : "–",
     rate ? `${percent(rate.low)} to ${percent(rate.high)}` : "–",
     rate ? intervalBar(rate) : "",
     judged.length ? `${avoidable}/${judged.length} = ${percent(avoidable / judged.length)}` : "–",

@@ -4,36 +4,47 @@ const HEADINGS = {
   rank: "rank",
   title: "place",
   kind: "kind",
-  risk: "risk (90 %)",
+  risk: "risk (90 % interval)",
   attacks: "attacks",
   hits: "hits",
-  hit_rate: "hit rate (95 %)",
-  avoidable: "avoidable",
-  avoidable_share: "avoidable of hits (95 %)",
-  severe: "severe",
+  hit_rate: "hit rate (95 % interval)",
+  avoidable: "avoidable hits",
+  avoidable_share: "avoidable of hits (95 % interval)",
+  severe: "severe hits",
   conflicts: "conflicts",
-  min_ttc_s: "min TTC, s",
-  min_gap_m: "min gap, m",
-  delta_v_mps: "mean Δv, m/s",
+  other_contacts: "AV hit another",
+  min_ttc_s: "least TTC, s",
+  min_gap_m: "least gap, m",
+  delta_v_mps: "mean Δv of hits, m/s",
   delta_v_most_mps: "most Δv, m/s",
-  criticality: "criticality (90 %)",
+  criticality: "criticality (90 % interval)",
 };
 const DIGITS = {
   rank: 0,
   attacks: 0,
   hits: 0,
-  hit_rate: 2,
   avoidable: 0,
-  avoidable_share: 2,
   severe: 0,
   conflicts: 0,
-  min_ttc_s: 2,
-  min_gap_m: 2,
+  other_contacts: 0,
+  min_ttc_s: 1,
+  min_gap_m: 1,
   delta_v_mps: 1,
   delta_v_most_mps: 1,
   criticality: 2,
-  risk: 2,
 };
+/** Chances, from 0 to 1, which are shown in percent. */
+const SHARES = ["risk", "hit_rate", "avoidable_share"];
+/** Columns that are shown when asked for. */
+const MORE = ["hit_rate", "avoidable_share", "other_contacts", "min_gap_m", "delta_v_most_mps", "criticality"];
+/** Of an event: one, several, and one as the risk is of. */
+const EVENT_NAMES = {
+  hit: ["hit", "hits", "a hit"],
+  avoidable: ["avoidable hit", "avoidable hits", "an avoidable hit"],
+  severe: ["severe hit", "severe hits", "a severe hit"],
+  conflict: ["conflict", "conflicts", "a conflict"],
+};
+const COUNTS = { hit: "hits", avoidable: "avoidable", severe: "severe", conflict: "conflicts" };
 const KIND_NAMES = {
   site: "movements and edges",
   movement: "movements",
@@ -41,7 +52,6 @@ const KIND_NAMES = {
   junction: "junctions",
   lane: "lanes",
 };
-const COUNTED_NAMES = { decided: "decided there", began: "began there" };
 
 /** The page's state: one object a place, what is chosen, how it is ordered. */
 const risk = {
@@ -52,6 +62,7 @@ const risk = {
   sort: { column: "rank", down: false },
   picked: null,
   most: 100,
+  every: false,
 };
 
 function readPlaces(content) {
@@ -71,6 +82,7 @@ function shownPlaces() {
     .filter((row) => row.counted === counted)
     .filter((row) => (kind === "site" ? ["movement", "edge"].includes(row.kind) : row.kind === kind));
   for (const row of found) {
+    row.events = row[COUNTS[event]];
     row.risk = row[`risk_${event}`];
     row.risk_lo = row[`risk_${event}_lo`];
     row.risk_hi = row[`risk_${event}_hi`];
@@ -99,12 +111,12 @@ function compared(one, other, down) {
   return down ? -order : order;
 }
 
-/** Colour of a share (0 to 1) of the worst risk. */
-function riskColour(share, stops) {
-  const place = Math.min(Math.max(share, 0), 1) * 2,
-    low = Math.min(Math.floor(place), 1);
-  const mix = stops[low].map((value, part) =>
-    Math.round(value + (place - low) * (stops[low + 1][part] - value)),
-  );
-  return `rgb(${mix.join(",")})`;
+/** Colour of a risk (0 to 1): of the last class that begins below. */
+function riskColour(value, classes) {
+  const [, colour] = classes.findLast(([low]) => value >= low) ?? classes[0];
+  return `rgb(${colour.join(",")})`;
+}
+
+function percent(share) {
+  return `${(100 * share).toFixed(0)} %`;
 }
