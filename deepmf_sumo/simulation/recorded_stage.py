@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmf_sumo.datatypes import (
+    DT_S,
     AgentId,
     Bools,
     Case,
@@ -18,6 +19,7 @@ from deepmf_sumo.datatypes import (
     SignalState,
     VehicleModel,
 )
+from deepmf_sumo.geometry import angles
 from deepmf_sumo.simulation.av import Av
 from deepmf_sumo.simulation.bystanders import Bystanders
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
@@ -41,6 +43,8 @@ _OPTIONS = (
     *("--time-to-teleport", "-1"),
     *("--default.speeddev", "0"),
 )
+_ALIGNED_M, _ALIGNED_RAD = 0.2, 0.1
+"""A recorded AV that SUMO moves or turns by more in its first step is noted."""
 _FOLLOW_ROUTE = 513
 """laneChangeMode: change lanes where the route needs it and others leave room, else never."""
 
@@ -143,6 +147,8 @@ class RecordedStage:
         if self._av.present:
             self._av.after_step()
             extra[self._av.id] = (self._av.pose, av_driver)
+            if step == self._now + 1 and av_driver is Driver.PLANNER and command.kind != "pose":
+                self._note_alignment()
         extra |= self._free.read()
         if opponent is not None and pose is not None:
             extra[opponent] = (pose, Driver.POLICY)
@@ -200,6 +206,21 @@ class RecordedStage:
         self._api.simulationStep()
         self._placed.after_step()
         self._free.after_step(self._now)
+
+    def _note_alignment(self) -> None:
+        """Say where SUMO, which drives along lanes, has moved or turned the AV for its start."""
+        start, pose = logged_pose(self._tracks, self._av_row, self._now), self._av.pose
+        ahead_m = (start.speed_mps + pose.speed_mps) / 2 * DT_S
+        expected = np.array([start.x_m, start.y_m])
+        expected = expected + ahead_m * angles.unit(np.array(start.heading_rad))
+        left, forward = np.sin(pose.heading_rad), np.cos(pose.heading_rad)
+        aside = abs(float((pose.y_m - expected[1]) * forward - (pose.x_m - expected[0]) * left))
+        turn = abs(float(angles.difference(pose.heading_rad, start.heading_rad)))
+        if aside > _ALIGNED_M or turn > _ALIGNED_RAD:
+            detail = (
+                f"onto its lane by SUMO: {aside:.2f} m sideways, {np.degrees(turn):.0f} degrees"
+            )
+            self._note("aligned", detail)
 
     def _note(self, kind: str, detail: str) -> None:
         self.events.append(Event(step=self._step, agent_id=self._av.id, kind=kind, detail=detail))

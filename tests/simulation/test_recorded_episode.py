@@ -91,6 +91,18 @@ def test_av_stands_exactly_at_its_recorded_pose_and_speed(tmp_path, y):
         assert abs(pose.speed_mps - 12.0) < 0.01
 
 
+@pytest.mark.parametrize(("heading", "noted"), [(0.02, False), (0.2, True)])
+def test_a_start_askew_is_shown_as_sumo_aligns_it_and_noted(tmp_path, heading, noted):
+    motion = straight_motion(60.0, 0.0, EAST, 12.0)
+    motion[:, 2] = heading
+    scene = scene_of(straight_road(), {"av": motion})
+    rollout = run(case_of(scene, tmp_path), lane_idm())
+    aligned = [event.detail for event in rollout.events if event.kind == "aligned"]
+    assert [detail.endswith("sideways, 11 degrees") for detail in aligned] == [True] * noted
+    row = rollout.tracks.row("av")
+    assert abs(rollout.tracks.heading_rad[row, NOW + 1 :]).max() < 1e-6
+
+
 def test_replay_is_the_log_for_everybody(following):
     rollout = run(following, replay.build(replay.Settings()))
     log = following.scene.tracks

@@ -23,7 +23,7 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.planners import constant_velocity, replay
 from deepmf_sumo.simulation import replayed, simulate
 
-OF_THE_STAGE = {"moved_onto_route", "off_network", "ghost_edge", "red_passed"}
+OF_THE_STAGE = {"aligned", "moved_onto_route", "off_network", "ghost_edge", "red_passed"}
 """Events that tell where SUMO has the AV."""
 
 
