@@ -161,13 +161,14 @@ def test_a_wrong_command_is_told_before_anybody_waits(port, tmp_path, capsys, op
     assert said in capsys.readouterr().err
 
 
-def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, monkeypatch):
+def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
-    (tmp_path / "session.json").write_text("{}")
+    (tmp_path / "manifest.json").write_text('{"tool": "deepmf-sumo", "runs": {"attack-001": ""}}')
     (tmp_path / "attacks.jsonl").write_text("earlier\n")
-    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 3
+    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 2
+    assert "--overwrite deletes them, another folder for --out" in capsys.readouterr().err
+    assert attach(port, tmp_path, "--av", "av", "--wait", 0, "--overwrite") == 3
     assert (tmp_path / "attacks.jsonl").read_text() == "earlier\n"
-    assert (tmp_path / "session.json").read_text() == "{}"
 
 
 def test_a_connection_lost_before_the_first_step_is_one_line(port, tmp_path, capsys, monkeypatch):

@@ -37,6 +37,7 @@ def attach(
     stay: Stay,
     out: Path,
     *,
+    overwrite: bool = False,
     stopped: Callable[[], bool],
     tell: Callable[[dict[str, Any]], None],
 ) -> Attached:
@@ -47,6 +48,7 @@ def attach(
         wish: whom to attack, when and how.
         stay: how long.
         out: folder for what happened.
+        overwrite: delete the results of an earlier command in it.
         stopped: whether to leave now.
         tell: is told of each attack that is over.
 
@@ -56,7 +58,7 @@ def attach(
     assembly.triggers_of(wish)  # what is wrong with the command shows before anybody waits for us
     spec = assembly.spec_of(wish)
     policy = assembly.policy_of(spec)
-    record = Record(out, wish.av, spec)
+    record = Record(out, wish.av, spec, overwrite=overwrite)
 
     def add(fought: Fought) -> None:
         record.add(fought)
