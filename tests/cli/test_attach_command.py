@@ -107,6 +107,38 @@ def test_an_av_that_leaves_ends_the_session(simulation, port, tmp_path, capsys):
     )
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it cannot be seen")
+def test_a_script_that_leaves_ends_the_session_and_its_last_attack_is_not_counted(
+    simulation, port, tmp_path, capsys
+):
+    server, script = simulation(80)
+    assert attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--pause", 0) == 0
+    assert (script.wait(), server.wait()) == (0, 0)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "2 attacks, 0 contacts; the script left at" in shown
+    assert "before the attack under way was over, which is not counted" in shown
+    lines = (tmp_path / "live" / "attacks.jsonl").read_text().splitlines()
+    rows = [json.loads(one) for one in lines]
+    assert [row["ended"] for row in rows] == ["too_long", "too_long"]
+    assert max(row["end_s"] for row in rows) <= 8.0
+    session = json.loads((tmp_path / "live" / "session.json").read_text())
+    assert session["ended"] == "script_left"
+    assert 8.0 <= session["time_s"] <= 9.1
+    with (tmp_path / "live" / "runs.csv").open() as table:
+        assert {run["planner"] for run in csv.DictReader(table)} == {"script"}
+
+
+def test_without_a_script_sumo_is_the_planner(simulation, port, tmp_path, capsys, monkeypatch):
+    for seen, planner in ((0, "sumo"), (None, "script")):
+        monkeypatch.setattr(attaching, "others", lambda api, seen=seen: seen)
+        simulation(30)
+        out = tmp_path / planner
+        assert attach(port, out, "--av", "av", "--duration", 3, "--until", 4.5) == 0
+        with (out / "runs.csv").open() as table:
+            assert {run["planner"] for run in csv.DictReader(table)} == {planner}
+        assert ("cannot be seen from here" in capsys.readouterr().out) == (seen is None)
+
+
 def test_a_lost_connection_is_one_line_and_loses_nothing(simulation, port, tmp_path, capsys):
     simulation(60, "breaks")
     assert attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--pause", 60) == 3

@@ -9,7 +9,7 @@ from typing import Any
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, lost, of_sumo
+from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, lost, of_sumo, others
 from deepmf_sumo.simulation.live.lockstep import End, Lockstep, Stay
 from deepmf_sumo.simulation.live.session import Fought
 
@@ -22,6 +22,8 @@ class Attached:
         rows: the attacks. end: why it left, at ``time_s`` of the simulation.
         nobody: why the last try to attack was none.
         collisions: what SUMO does with them, its ``--collision.action``.
+        undriven: attacks that were not over when the script left; they are not in ``rows``.
+        watched: whether it was to be seen that the script left.
     """
 
     rows: list[dict[str, Any]]
@@ -29,6 +31,8 @@ class Attached:
     time_s: float
     nobody: str
     collisions: str
+    undriven: int
+    watched: bool
 
 
 def attach(
@@ -66,9 +70,14 @@ def attach(
 
     api = connect(port, stopped)
     with _closed_where_it_fails(api):
-        own = assembly.session(api, wish, spec, add, policy)
+        clients = others(api)  # all of them have come by now
+
+        def driven() -> bool:
+            return not clients or others(api) != 0
+
+        own = assembly.session(api, wish, spec, add, policy, driven)
         collisions = str(api.simulation.getOption("collision.action"))
-        record.begin(assembly.stage_of(own, wish))
+        record.begin(assembly.stage_of(own, wish, planner="sumo" if clients == 0 else "script"))
         steps = Lockstep(api, own, wish.av, stay, stopped)
     end: str = "failed"
     try:
@@ -81,6 +90,8 @@ def attach(
         time_s=steps.ended_s,
         nobody=own.nobody,
         collisions=collisions,
+        undriven=own.undriven,
+        watched=clients is not None,
     )
 
 
