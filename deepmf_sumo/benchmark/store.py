@@ -230,6 +230,7 @@ def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str
         "attacked": attacked,
         "hits": len(hits),
         "interrupted": interrupted,
+        "out_of_time": sum(bool(one.get("search", {}).get("out_of_time")) for one in done),
         "status": dict(Counter(one["status"] for one in results)),
         "outcome": dict(Counter(one["outcome"] for one in done)),
         "expectations_broken": {
