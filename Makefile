@@ -19,7 +19,7 @@ $(READY): pyproject.toml constraints.txt
 setup: $(READY)  ## create .venv and install
 
 run: $(READY)  ## attack every scenario of scenarios/ and print what happened
-	$(RUN) run scenarios/*.yaml --out out/run
+	$(RUN) run scenarios/*.yaml --out out/run --overwrite
 
 test: $(READY) lint types  ## lint, types, import contracts and the tests
 	$(PY) -m pytest -q -n 2 -m "not slow"
@@ -111,7 +111,7 @@ womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
-STUDY = $(RUN) run docs/studies/recorded.yaml --set source.recording=$(abspath $(SCENES)) --jobs 2 --no-pictures
+STUDY = $(RUN) run docs/studies/recorded.yaml --set source.recording=$(abspath $(SCENES)) --jobs 2 --no-pictures --resume
 no-attack-results: $(READY)  ## the IDM on recorded scenes without attack: contacts and distance to the log
 	for seen in lane corridor; do for parameters in treiber metadrive; do \
 	    $(STUDY) --set adversary=none --set "name=$$seen $$parameters" \

@@ -16,10 +16,11 @@ Points are 2 Hz as in the paper, and smooth in between: its free points would be
 Either way the trajectory is tracked within DeepMF's limits before it is judged and driven.
 
 Budget: gradient steps, not simulations: ``restarts`` x ``iterations`` (10 x 100 as in the paper),
-at most ``seconds``; and two simulations, one un-attacked and the attack. With more, every further
-round aims at what the AV did in the round before, until it is hit.
+at most ``seconds`` if that is set; and two simulations, one un-attacked and the attack. With more,
+every further round aims at what the AV did in the round before, until it is hit.
 """
 
+import math
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
@@ -52,7 +53,8 @@ class Settings(AimedSettings):
         reach_m: largest move of a point of the future.
         history_reach_m: largest move of a point of the history.
         restarts, iterations: descents, and gradient steps of each at most.
-        seconds: at most so long where the budget says nothing.
+        seconds: at most so long where the budget says nothing; None is no limit. With one the
+            result depends on the machine.
         modes: futures that are predicted under a perturbed history; the likeliest is driven.
         speed_mps, jerk_mps3: bounds of the perturbed trajectory; that of its acceleration is the
             larger of ``accel_mps2`` and ``brake_mps2``.
@@ -63,7 +65,7 @@ class Settings(AimedSettings):
     history_reach_m: float = Field(default=1.0, gt=0.0)
     restarts: int = Field(default=10, ge=1)
     iterations: int = Field(default=100, ge=1)
-    seconds: float = Field(default=60.0, gt=0.0)
+    seconds: float | None = Field(default=None, gt=0.0)
     modes: int = Field(default=6, ge=1, le=MOST_MODES)
     speed_mps: float = Field(default=30.0, gt=0.0)
     jerk_mps3: float = Field(default=20.0, gt=0.0)
@@ -94,7 +96,7 @@ class ART:
         if budget.seconds is None:
             most = budget.simulations or 1 + chosen.rounds
             budget = Budget(simulations=most, seconds=chosen.seconds)
-        deadline = time.perf_counter() + (budget.seconds or 0.0)
+        deadline = math.inf if budget.seconds is None else time.perf_counter() + budget.seconds
         perturb = self._history if chosen.form == "history" else self._future
 
         def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:

@@ -12,11 +12,12 @@ latents stay as likely as the hit allows. Only the opponent drives its motion; t
 they do un-attacked, and are obstacles to it as such.
 
 Budget: ``match_iterations`` + ``iterations`` + ``solution_iterations`` steps of Adam, at most
-``seconds``; and ``rounds`` + 1 simulations. The last trial says whether the AV could be saved:
-``solvable`` 1 where a motion of the AV was found that touches nobody, 0 where none was in all of
-its steps; there is no such trial where time ran out before.
+``seconds`` if that is set; and ``rounds`` + 1 simulations. The last trial says whether the AV could
+be saved: ``solvable`` 1 where a motion of the AV was found that touches nobody, 0 where none was in
+all of its steps; there is no such trial where time ran out before.
 """
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -51,7 +52,7 @@ class Settings(OpponentSettings):
         match_iterations, iterations, solution_iterations: of the three stages; 0 of the last
             leaves it out.
         rounds: rollouts of the attack, so that the AV can answer it.
-        seconds: at most so long.
+        seconds: at most so long; None is no limit. With one the result depends on the machine.
         others, road, prior, init: weights of overlap with others, of metres off the road, of what
             is unlikely, and of change, in metres of distance to the AV.
     """
@@ -60,14 +61,14 @@ class Settings(OpponentSettings):
     iterations: int = Field(default=200, ge=1)
     solution_iterations: int = Field(default=50, ge=0)
     rounds: int = Field(default=10, ge=1)
-    seconds: float = Field(default=120.0, gt=0.0)
+    seconds: float | None = Field(default=None, gt=0.0)
     others: float = Field(default=40.0, ge=0.0)
     road: float = Field(default=4.0, ge=0.0)
     prior: float = Field(default=0.02, ge=0.0)
     init: float = Field(default=0.01, ge=0.0)
 
     def limited(self, budget: Budget) -> Budget:
-        """The budget, and these settings where it says nothing; seconds always end the search."""
+        """The budget, and these settings where it says nothing; their seconds always count."""
         unlimited = budget.simulations is None and budget.seconds is None
         return Budget(
             simulations=self.rounds + 1 if unlimited else budget.simulations,
@@ -113,6 +114,7 @@ class STRIVE:
             attack,
             trials=(*attack.trials, *solved),
             generation_s=attack.generation_s + time.perf_counter() - begin,
+            out_of_time=attack.out_of_time or not solved,
         )
 
 
@@ -121,7 +123,8 @@ class _Stages:
 
     def __init__(self, settings: Settings, net: "MotionPrior", case: Case, budget: Budget) -> None:
         self._settings, self._net, self._case = settings, net, case
-        self._deadline = time.perf_counter() + (budget.seconds or 0.0)
+        limit_s = math.inf if budget.seconds is None else budget.seconds
+        self._deadline = time.perf_counter() + limit_s
         self._search: Search | None = None
         self._situation: Situation | None = None
         self._matched_m = 0.0

@@ -42,7 +42,7 @@ def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | No
 
 
 def _along_lanes(road: RoadMap, position_m: Floats, heading_rad: float) -> Floats:
-    """The rest of the nearest lane that leads on, and the lanes after it, 150 m at most."""
+    """The rest of the nearest lane that leads on, and lanes after it until they are 150 m long."""
     found: tuple[float, Lane, Floats] | None = None
     for lane in road.lanes.values():
         rest = None if lane.kind == "bike" else _near(lane, position_m, heading_rad)
@@ -55,7 +55,7 @@ def _along_lanes(road: RoadMap, position_m: Floats, heading_rad: float) -> Float
         return np.empty((0, 2))
     _, lane, way = found
     seen = {lane.id}
-    while len(way) < _REACH_M:
+    while polylines.arc_lengths(way)[-1] < _REACH_M:
         following = [road.lanes[name] for name in lane.next if name in road.lanes]
         following = [after for after in following if after.id not in seen and _drawn(after)]
         if not following:

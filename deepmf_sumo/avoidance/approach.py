@@ -17,6 +17,7 @@ _SPAN = 2
 """Steps over which velocities are taken, so that noise of a centimetre stays below 0.1 m/s."""
 _PARALLEL = np.cos(np.pi / 4)
 _STILL_MPS = 0.05
+"""Of one component of a motion: a vehicle that drives along may drift across this slowly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

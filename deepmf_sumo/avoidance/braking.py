@@ -1,7 +1,7 @@
 """A reference driver in the AV's place: along the same path, braking when it perceives a risk."""
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,10 +9,8 @@ from deepmf_sumo.avoidance.approach import Approach
 from deepmf_sumo.avoidance.drivers import Driver
 from deepmf_sumo.avoidance.path import Path
 from deepmf_sumo.datatypes import Bools, Floats
+from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.geometry.touching import touching
-
-STANDING_MPS: Final = 0.1
-"""Slower counts as standing: recorded velocities of vehicles that stand are not 0."""
 
 
 def drive(

@@ -12,10 +12,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.avoidance.braking import STANDING_MPS
 from deepmf_sumo.avoidance.lanes import keeps_lane
 from deepmf_sumo.datatypes import AgentId, Case, Contact, Floats, Rollout
 from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry.slow import STANDING_MPS
 
 Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front", "active_lateral"]
 

@@ -30,6 +30,7 @@ class Options:
         scenes: also write each rollout as a recording.
         sumo: write a folder a run that sumo-gui opens.
         resume: keep the runs that an earlier, equal batch finished.
+        overwrite: delete earlier results in ``out``; with neither they are refused.
         memory_mb: for one worker; None is no limit.
         minutes: no run is begun after so many; None is no limit.
         shard: only this part of the runs.
@@ -46,6 +47,7 @@ class Options:
     scenes: bool = False
     sumo: bool = True
     resume: bool = False
+    overwrite: bool = False
     memory_mb: float | None = None
     minutes: float | None = None
     shard: Shard | None = None
@@ -93,7 +95,7 @@ def run_tasks(
     executors.chosen(options.executor, options.jobs)  # what is wrong shows before anything is done
     every, read = fingerprinted(planned)
     mine = options.shard.choose(every) if options.shard else every
-    with opened(options.out, resume=options.resume) as store:
+    with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
         changed = begin(store, mine, options, read)
         shards.note(options.out, every if options.shard else None)
         return fill(store, mine, options, report, changed=changed)

@@ -21,12 +21,13 @@ from deepmf_sumo import simulation
 from deepmf_sumo.benchmark import pool
 from deepmf_sumo.benchmark.logs import logged
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.datatypes import Case
+from deepmf_sumo.datatypes import Case, VehicleModel
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.spec import FromNetwork
 
 _DONE: Final = b"done"
 _before: tuple[Any, float] | None = None  # the passage and the start of this process's last run
+_models: dict[Any, VehicleModel | None] = {}  # of passages: what their planner asks SUMO for
 _unfit: set[Any] = set()  # passages on which SUMO cannot be held, or not be copied
 
 
@@ -60,8 +61,8 @@ def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) 
     what, source, before = passage(task), task.spec.source, _before
     _before = (what, source.start_s) if isinstance(source, FromNetwork) else None
     follows = before and _before and before[0] == what and before[1] <= _before[1]
-    if follows and what not in _unfit and _alone():
-        if _held(make_case):
+    if follows and what in _models and what not in _unfit and _alone():
+        if _held(make_case, _models[what]):
             _copied(work)
             return True
         _unfit.add(what)  # it is not tried again: SUMO would come to each moment twice
@@ -69,10 +70,17 @@ def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) 
     return False
 
 
-def _held(make_case: Callable[[], Case]) -> bool:
+def note_model(task: Task, model: VehicleModel | None) -> None:
+    """Remember what the planner of a task asked SUMO for: so do those of its passage."""
+    what = passage(task)
+    if what is not None:
+        _models[what] = model
+
+
+def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:
     """Whether SUMO has come to the moment, and can be copied: it may have threads of its own."""
     with contextlib.suppress(DeepmfError), logged(Path(os.devnull)):  # the run itself will say it
-        simulation.hold(make_case())
+        simulation.hold(make_case(), model)
         return _alone()
     return False
 

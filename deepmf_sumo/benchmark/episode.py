@@ -162,7 +162,9 @@ def attack_case(
     def simulate(policy: Policy | None) -> Rollout:
         driver = planner or planner_of(task)
         rng = np.random.default_rng([*task.entropy(), 1])
-        return simulation.simulate(case, driver, policy, rng=rng, gui=gui)
+        rollout = simulation.simulate(case, driver, policy, rng=rng, gui=gui)
+        branches.note_model(task, driver.model)
+        return rollout
 
     rng = np.random.default_rng(task.entropy())
     spent = task.spec.budget

@@ -100,6 +100,7 @@ def finished(
         "search": {
             "simulations": attack.simulations,
             "trials": [asdict(trial) for trial in attack.trials],
+            "out_of_time": attack.out_of_time,
         },
         "conversion": _conversion(case.net.report if case.net else None),
         "repairs": list(case.scene.repairs) if case.scene else [],

@@ -20,6 +20,7 @@ from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import OutputError, UsageError
 
 FILE: Final = "shard.json"
+_WAYS: Final = "--overwrite deletes them, another folder for OUT keeps them"
 _WHOLE: Final = ("moments.csv",)
 """Tables that every part has whole."""
 
@@ -59,8 +60,12 @@ def note(out: Path, every: Sequence[Task] | None) -> None:
     files.write_json(out / FILE, {"version": deepmf_sumo.__version__, "runs": runs})
 
 
-def merge(out: Path, shards: Sequence[Path]) -> tuple[list[Result], list[str]]:
+def merge(
+    out: Path, shards: Sequence[Path], *, overwrite: bool = False
+) -> tuple[list[Result], list[str]]:
     """Copy the runs of all parts into ``out``; returns their results and the ids of missing runs.
+
+    ``overwrite`` deletes earlier results in ``out``; without it they are refused.
 
     Raises UsageError for folders of other batches or versions, or that hold a run twice, and
     OutputError.
@@ -69,7 +74,7 @@ def merge(out: Path, shards: Sequence[Path]) -> tuple[list[Result], list[str]]:
     found = found_in(shards, runs)
     missing = [run_id for run_id in runs if run_id not in found]
     junit_too = any((shard / "junit.xml").is_file() for shard in shards)
-    with joining(out, shards, runs, found) as store:
+    with joining(out, shards, runs, found, overwrite=overwrite) as store:
         results = copied(store, shards, runs, found)
         for name in _WHOLE:
             if (shards[0] / name).is_file():
@@ -102,12 +107,17 @@ def found_in(shards: Sequence[Path], runs: Mapping[str, str]) -> dict[str, Path]
 
 @contextmanager
 def joining(
-    out: Path, shards: Sequence[Path], runs: Iterable[str], found: Mapping[str, Path]
+    out: Path,
+    shards: Sequence[Path],
+    runs: Iterable[str],
+    found: Mapping[str, Path],
+    *,
+    overwrite: bool,
 ) -> Iterator[Store]:
     """A new result folder for what the shards hold.
 
-    Raises UsageError where that would cost runs: where OUT is forgotten, the first shard stands in
-    its place.
+    Raises UsageError where that would cost runs, even with ``overwrite``: where OUT is forgotten,
+    the first shard stands in its place. Raises OutputError as `opened`.
     """
     if out.resolve() in {shard.resolve() for shard in shards}:
         raise UsageError(f"{out} is one of the shards; choose another folder for OUT.")
@@ -117,7 +127,7 @@ def joining(
             f"{out} holds {len(lost)} runs that no shard has, e.g. {lost[0]}, and would lose them;"
             " give it as a shard, and another folder for OUT."
         )
-    with opened(out, resume=False) as store:
+    with opened(out, resume=False, overwrite=overwrite, ways=_WAYS) as store:
         yield store
 
 

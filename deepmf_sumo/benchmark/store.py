@@ -10,7 +10,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -32,6 +32,10 @@ MADE: Final = (
     "attacks.jsonl", "session.json",
 )  # fmt: skip
 """What an earlier batch, benchmark or live session leaves in its folder, the manifest apart."""
+WAYS: Final = (
+    "--resume goes on with them, --overwrite deletes them, another folder for --out keeps them"
+)
+"""What to do about earlier results, for commands that have these options."""
 VIEWS: Final = ("risk", "report.html")
 """What is made of all runs, only where it is asked for."""
 _NUMBERED: Final = {"accident_type", "avoidance_grade"}
@@ -138,20 +142,58 @@ class Store:
 
 
 @contextmanager
-def opened(out: Path, *, resume: bool) -> Iterator[Store]:
-    """An empty result folder, or with ``resume`` as it is; nobody else fills it meanwhile.
+def opened(
+    out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS
+) -> Iterator[Store]:
+    """A result folder that no other process fills meanwhile.
 
-    Raises OutputError where it cannot be written, holds something else, or another process fills
-    it; then nothing in it is changed.
+    It is empty. With ``resume`` earlier results stay; with ``overwrite`` they are deleted. ``ways``
+    says in the message what the user can do about earlier results.
+
+    Raises OutputError where the folder cannot be written, holds something else, is being filled by
+    another process, or holds results that neither option speaks of; then nothing in it is changed.
     """
     with ExitStack() as until_done:
         with _named(out):
-            out.mkdir(parents=True, exist_ok=True)
-            if not (_is_ours(out / "manifest.json") or _is_empty(out)):
-                raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
-            until_done.enter_context(locks.held(out))
+            until_done.enter_context(_claimed(out, keep=resume or overwrite, ways=ways))
             _emptied(out, resume=resume)
         yield Store(out)
+
+
+def check(out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS) -> None:
+    """Raise what `opened` would raise, before any work is done; the folder is left as it is."""
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        with _named(out), _claimed(out, keep=resume or overwrite, ways=ways):
+            pass
+    finally:
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+@contextmanager
+def _claimed(out: Path, *, keep: bool, ways: str) -> Iterator[None]:
+    """The folder, which is made where it is missing, locked; ``keep``: it may hold results."""
+    out.mkdir(parents=True, exist_ok=True)
+    if not (_is_ours(out / "manifest.json") or _is_empty(out)):
+        raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
+    with locks.held(out):
+        if not keep and holds_results(out):
+            raise OutputError(f"{out} holds the results of an earlier command: {ways}.")
+        yield
+
+
+def holds_results(out: Path) -> bool:
+    """Whether overwriting a folder of ours would lose anything: a run, or a table of runs."""
+    runs = out / "runs"
+    if runs.is_dir() and any(not run.name.startswith(".") for run in runs.iterdir()):
+        return True
+    try:
+        none_planned = Store(out).planned() == 0
+    except (OSError, ValueError, LookupError, TypeError):
+        none_planned = False
+    return not none_planned and any((out / name).exists() for name in MADE if name != "runs")
 
 
 def _emptied(out: Path, *, resume: bool) -> None:
@@ -188,6 +230,7 @@ def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str
         "attacked": attacked,
         "hits": len(hits),
         "interrupted": interrupted,
+        "out_of_time": sum(bool(one.get("search", {}).get("out_of_time")) for one in done),
         "status": dict(Counter(one["status"] for one in results)),
         "outcome": dict(Counter(one["outcome"] for one in done)),
         "expectations_broken": {

@@ -49,6 +49,9 @@ from deepmf_sumo.cli.parameters.finite import FiniteRange
     help="The network.  [default: as SUMO names it, from this folder]",
 )  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=Path("live"), show_default=True)
+@click.option(
+    "--overwrite", is_flag=True, help="Delete the results of an earlier command in --out."
+)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -66,6 +69,7 @@ def command(
     sets: tuple[str, ...],
     net: Path | None,
     out: Path,
+    overwrite: bool,
 ) -> None:
     """Join a running sumo or sumo-gui, and attack a vehicle that another client drives.
 
@@ -85,6 +89,6 @@ def command(
     place = Port(number=port, host=host, order=order, wait_s=wait_s)
     stay = Stay(until_s=until_s, attacks=attacks, patience_s=patience)
     with leaving() as stopped:
-        done = live.attach(place, wish, stay, out, stopped=stopped, tell=tell)
+        done = live.attach(place, wish, stay, out, overwrite=overwrite, stopped=stopped, tell=tell)
     show(done, av, out)
     ctx.exit(130 if done.end == "stopped" else 0)

@@ -1,6 +1,7 @@
 """``deepmf-sumo attack``: .sumocfgs -> result folder, without a spec."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -101,10 +102,12 @@ def command(
         _refuse_others(configs, **wanted)
         wanted["again"] = moments.read(again)
     common = {key: wanted.pop(key) for key in _KEYS}
-    chosen = [
-        _chosen(config, ctx.meta[_AFTER], common, sets, until_s, sweep.timeout, **wanted)
-        for config in configs
+    names = moments.names_of(configs)
+    asked = [  # of all of them, before the first of them is simulated
+        _asked(config, name, ctx.meta[_AFTER], common, sets, until_s, **wanted)
+        for config, name in zip(configs, names, strict=True)
     ]
+    chosen = [(one.spec, _found(one, sweep.timeout)) for one in asked]
     with progress() as report:
         results = moments.attack(chosen, batch, report)
     code = end_of_runs(sweep, results)
@@ -113,32 +116,49 @@ def command(
     ctx.exit(code)
 
 
-def _chosen(
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What the runs on a configuration have in common, and which moments of it are wanted."""
+
+    configuration: Any
+    spec: Any
+    scouting: Any
+    wish: Any
+
+
+def _asked(
     config: Path,
+    name: str,
     sumo_options: tuple[str, ...],
     common: dict[str, Any],
     sets: tuple[str, ...],
     until_s: float | None,
-    timeout_s: float,
     **wanted: Any,
-) -> tuple[Any, Any]:
-    """What the runs on a configuration have in common, and the moments of its own."""
+) -> _Asked:
+    """Raises SimulationError or UsageError for what is known to be wrong without a simulation."""
     from deepmf_sumo.benchmark import moments
-    from deepmf_sumo.cli.screen.moments import announce
     from deepmf_sumo.simulation.configuration import read_configuration
     from deepmf_sumo.simulation.scouting import Scouting
 
     configuration = read_configuration(config, sumo_options)
-    spec = moments.base_spec(
-        config, _keys(lambda: configuration.seed, **common), sets, sumo_options
-    )
+    keys = _keys(lambda: configuration.seed, **common)
+    spec = moments.base_spec(config, keys, sets, sumo_options, name)
     scouting = Scouting(config=config, sumo_options=sumo_options, seed=spec.seed, until_s=until_s)
     named = wanted["at_s"] or wanted.get("again", ())
     count = wanted.pop("count") or len(named) or 10
     wish = moments.Wish(count=count, duration_s=spec.duration_s, seed=spec.seed, **wanted)
-    found = moments.find(scouting, wish, timeout_s)
-    announce(configuration, found, wish)
-    return spec, found.moments
+    moments.check(configuration, wish)
+    return _Asked(configuration=configuration, spec=spec, scouting=scouting, wish=wish)
+
+
+def _found(asked: _Asked, timeout_s: float) -> Any:
+    """The moments of a configuration; says how they were found."""
+    from deepmf_sumo.benchmark import moments
+    from deepmf_sumo.cli.screen.moments import announce
+
+    found = moments.find(asked.scouting, asked.wish, timeout_s)
+    announce(asked.configuration, found, asked.wish)
+    return found.moments
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")

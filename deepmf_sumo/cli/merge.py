@@ -16,8 +16,11 @@ import click
     type=click.Path(exists=True, file_okay=False, path_type=Path),
 )
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Of a benchmark.")
+@click.option("--overwrite", is_flag=True, help="Delete the results that OUT holds.")
 @click.pass_context
-def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bool) -> None:
+def command(
+    ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bool, overwrite: bool
+) -> None:
     """Join the folders SHARD... of runs with --shard in OUT, as if run in one piece.
 
     They are those of one command: run, attack, benchmark or reproduce.
@@ -31,9 +34,9 @@ def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bo
     from deepmf_sumo.report.table import counted
 
     if parts.of_benchmark(shards[0]):
-        results, missing = _benchmark(out, shards, figures=figures)
+        results, missing = _benchmark(out, shards, figures=figures, overwrite=overwrite)
     else:
-        results, missing = parts.merge(out, shards)
+        results, missing = parts.merge(out, shards, overwrite=overwrite)
         screen.table(results, summary(results), out)
         if any((shard / "risk").is_dir() for shard in shards):
             map_risk(out)
@@ -46,13 +49,13 @@ def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bo
 
 
 def _benchmark(
-    out: Path, shards: tuple[Path, ...], *, figures: bool
+    out: Path, shards: tuple[Path, ...], *, figures: bool, overwrite: bool
 ) -> tuple[list[dict[str, Any]], list[str]]:
     from deepmf_sumo.benchmark import study
     from deepmf_sumo.cli.screen import benchmark as screen
     from deepmf_sumo.report import benchmark as report
 
-    results, missing = study.merge(out, shards)
+    results, missing = study.merge(out, shards, overwrite=overwrite)
     made = report.finish(out, figures=figures)
     screen.show(out, results, len(results) + len(missing), made)
     return results, missing

@@ -23,9 +23,13 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Attack:
-    """The best rollout found, and what was tried for it."""
+    """The best rollout found, and what was tried for it.
+
+    ``out_of_time``: the budget's seconds ended the search, so it depends on the machine's speed.
+    """
 
     rollout: Rollout
     trials: tuple[Trial, ...] = ()
     simulations: int = 1
     generation_s: float = 0.0
+    out_of_time: bool = False

@@ -70,4 +70,8 @@ def totals(summary: dict[str, Any]) -> str:
         parts.append(f"mean contact speed {summary['contact_speed_mps_mean']:.1f} m/s")
     if summary["expectations_broken"]:
         parts.append(f"{len(summary['expectations_broken'])} with broken expectations")
+    if summary.get("out_of_time"):
+        parts.append(
+            f"{summary['out_of_time']} ended by their budget in seconds: they depend on the machine"
+        )
     return "; ".join(parts)

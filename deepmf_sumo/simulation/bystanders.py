@@ -9,11 +9,11 @@ therefore none of SUMO's business.
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Floats
+from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.planners.perception import entries
 from deepmf_sumo.simulation.frame import Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
-_STANDS_MPS = 0.5
 _NEAR_M = 60.0
 _MARGIN_M = 0.2
 _IGNORED_BY = ("carFollowModel.ignoreIDs", "junctionModel.ignoreIDs")
@@ -44,7 +44,7 @@ class Bystanders:
 
     def _beside(self, frame: Frame, size_m: Floats, path_m: Floats) -> list[AgentId]:
         near = np.hypot(*(frame.position_m - path_m[0]).T) < _NEAR_M
-        slow = np.hypot(*frame.velocity_mps.T) < _STANDS_MPS
+        slow = np.hypot(*frame.velocity_mps.T) < WAITING_MPS
         rows = [row for row in np.flatnonzero(near & slow) if frame.ids[row] != self._id]
         if not rows:
             return []

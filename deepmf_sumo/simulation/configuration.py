@@ -25,11 +25,14 @@ class Configuration:
     Attributes:
         seed_text: the seed that it names, as written; None where it names none.
         options: those beside it, as SUMO takes them, without additional files.
+        more_demand: vehicles also come from files of other kinds, e.g. a saved state.
     """
 
     file: Path
     net: Path
     additional: tuple[Path, ...]
+    routes: tuple[Path, ...] = ()
+    more_demand: bool = False
     step_s: float
     begin_s: float
     end_s: float | None
@@ -56,18 +59,21 @@ class Configuration:
 
 _SYNONYMS = {"net": "net-file", "n": "net-file", "additional": "additional-files"} | {
     "a": "additional-files",
+    "routes": "route-files",
+    "r": "route-files",
     "b": "begin",
     "e": "end",
     "srand": "seed",
 }
+_MORE_DEMAND = {"load-state", "device.fcd-replay.files"}
 _NO = {"false", "0", "no", "off", "f", "-"}
 
 
 def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
     """Read a .sumocfg, with SUMO's options ``beside`` it.
 
-    Raises SimulationError where the file is missing, is no XML, names no network, or asks for the
-    mesoscopic model; UsageError for options that cannot be given.
+    Raises SimulationError where the file is missing, is not XML, names no network or a file that
+    does not exist, or asks for the mesoscopic model; UsageError for options that cannot be given.
     """
     import sumolib
 
@@ -92,11 +98,12 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
             f"'{file}' asks for SUMO's mesoscopic model (mesosim), in which vehicles have no place"
             " on the road that somebody could hit; run it without, e.g. '-- --mesosim false'."
         )
-    names = options.get("additional-files", "").replace(",", " ").split()
     return Configuration(
         file=file,
         net=net,
-        additional=tuple(_beside(file, name) for name in names),
+        additional=_inputs(file, options.get("additional-files", ""), "additional file"),
+        routes=_inputs(file, options.get("route-files", ""), "route file"),
+        more_demand=not _MORE_DEMAND.isdisjoint(options),
         step_s=_seconds(file, "step-length", options.get("step-length", "1")),
         begin_s=_seconds(file, "begin", options.get("begin", "0")),
         end_s=_end(file, options.get("end")),
@@ -108,6 +115,15 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
             for word in (f"--{name}", value)
         ),
     )
+
+
+def _inputs(file: Path, names: str, kind: str) -> tuple[Path, ...]:
+    """Paths of a list of files. Raises SimulationError for one that does not exist."""
+    paths = tuple(_beside(file, name.strip()) for name in names.split(",") if name.strip())
+    for path in paths:
+        if not path.is_file():
+            raise SimulationError(f"'{file}' names the {kind} '{path}', which does not exist.")
+    return paths
 
 
 def _beside(file: Path, name: str) -> Path:

@@ -47,14 +47,13 @@ class _Held:
 
 
 _held: _Held | None = None  # libsumo is one simulation a process
-_latest: Traffic | None = None
 
 
 @contextmanager
 def begun(traffic: Traffic, backend: Backend = "libsumo") -> Iterator[SumoApi]:
     """SUMO with the traffic, at its begin or, where it is held, later; once."""
-    global _held, _latest  # noqa: PLW0603
-    held, _latest = _held, traffic
+    global _held  # noqa: PLW0603
+    held = _held
     if held and held.traffic == traffic and backend == "libsumo":
         _held = None
         with running(held.arguments, runs_already=True) as api:
@@ -65,17 +64,16 @@ def begun(traffic: Traffic, backend: Backend = "libsumo") -> Iterator[SumoApi]:
         yield api
 
 
-def hold(case: Case) -> None:
+def hold(case: Case, model: VehicleModel | None) -> None:
     """Let SUMO pass through a network's traffic and stop shortly before the case's start.
 
-    The AV's type is that of the simulation before, in this process. Raises SimulationError, and
-    holds nothing then.
+    ``model`` is what the planner of the coming run asks for: SUMO that is held with another one
+    is of no use to it, see `begun`. Raises SimulationError, and holds nothing then.
     """
     global _held  # noqa: PLW0603
     assert case.network is not None
     source = case.network
     configuration = read_configuration(source.config, source.sumo_options)
-    model = _latest.model if _latest else None
     traffic = Traffic(configuration=configuration, seed=case.seed, model=model)
     until_s = source.start_s - _BEFORE_S
     if not (_held and _held.traffic == traffic and _held.api.simulation.getTime() <= until_s):

@@ -1,9 +1,11 @@
 """ART: bounded perturbations of the opponent's history and of its future."""
 
+import itertools
 import subprocess
 import sys
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from predictor_doubles import view_of
 from rollout_doubles import case_of
 
 from deepmf_sumo import plugins
+from deepmf_sumo.adversaries import art
 from deepmf_sumo.adversaries.gradients import art_descent, art_future, art_history
 from deepmf_sumo.adversaries.gradients.art_descent import Bounds
+from deepmf_sumo.adversaries.search import spending
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.policies.factorization.tracking import Start
 from deepmf_sumo.predictors import anchors, shared, weights
@@ -68,6 +72,22 @@ def turning_view():
         view,
         history=replace(tracks, position_m=position, velocity_mps=velocity, heading_rad=headings),
     )
+
+
+def test_without_a_limit_in_seconds_the_clock_ends_nothing(monkeypatch):
+    """However slow the machine: a day between two looks at the clock."""
+    clock = itertools.count(0.0, 86400.0)
+    slow = SimpleNamespace(perf_counter=lambda: next(clock))
+    for module in (art, art_descent, spending):
+        monkeypatch.setattr(module, "time", slow)
+    calm = attack(World())
+    assert not calm.out_of_time
+    monkeypatch.undo()
+    same = attack(World())
+    assert calm.trials == same.trials
+    limited = attack(World(), {"seconds": 1e-9})
+    assert limited.out_of_time
+    assert limited.trials[0].parameters["iterations"] == 1
 
 
 class TestDescent:

@@ -114,6 +114,16 @@ def test_the_time_holds_every_episode_that_something_depends_on(
     assert found.generation_s == counted
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_a_search_says_whether_seconds_ended_it(name, monkeypatch):
+    world = World()
+    monkeypatch.setattr(spending, "time", SimpleNamespace(perf_counter=lambda: world.episodes))
+    found, _ = attack(name, budget=Budget(simulations=4, seconds=3.0), world=world)
+    assert (found.out_of_time, found.simulations) == (True, 3)
+    found, _ = attack(name, budget=Budget(simulations=4, seconds=100.0))
+    assert (found.out_of_time, found.simulations) == (False, 4)
+
+
 @pytest.mark.parametrize(("name", "simulations"), [("brs", 14), ("bga", 40), ("bbo", 6)])
 def test_same_seed_same_attack(name, simulations):
     values = {"drawn": 3} if name == "bbo" else {}

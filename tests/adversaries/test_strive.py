@@ -1,5 +1,8 @@
 """STRIVE: its stages on a scene made by hand, and the adversary with an untrained prior."""
 
+import itertools
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -7,8 +10,10 @@ from predictor_doubles import Doubles
 from simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 from deepmf_sumo.adversaries import strive
+from deepmf_sumo.adversaries.gradients import strive_stages
 from deepmf_sumo.adversaries.gradients.strive_scene import Path, situation_of
 from deepmf_sumo.adversaries.gradients.strive_stages import Costs, Search
+from deepmf_sumo.adversaries.search import spending
 from deepmf_sumo.adversaries.search.scouting import scout
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import WeightsError
@@ -157,6 +162,21 @@ def test_the_adversary_spends_what_it_may_and_says_so(case):
     assert found.trials[-1].parameters["solvable"] in {0.0, 1.0}
     assert found.trials[0].parameters["match_error_m"] >= 0
     assert found.generation_s > 0
+
+
+@pytest.mark.parametrize("seconds", [None, 1e-6])
+def test_seconds_end_it_only_where_they_are_set_and_then_it_says_so(case, monkeypatch, seconds):
+    clock = itertools.count(0.0, 86400.0)
+    slow = SimpleNamespace(perf_counter=lambda: next(clock))
+    for module in (strive, strive_stages, spending):
+        monkeypatch.setattr(module, "time", slow)
+    settings = strive.Settings(opponent="b", match_iterations=2, iterations=4, rounds=2,
+                               solution_iterations=1, seconds=seconds)  # fmt: skip
+    found = strive.build(settings, "open").attack(
+        case, Simulation(case), Budget(), np.random.default_rng(0)
+    )
+    assert found.out_of_time == (seconds is not None)
+    assert (found.simulations == 2) == (seconds is not None)
 
 
 def test_simulations_of_the_budget_stand_above_the_rounds(case):

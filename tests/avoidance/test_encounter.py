@@ -135,6 +135,28 @@ def test_the_way_ahead_is_recorded_or_a_lane_or_none():
     assert len(way_ahead(rollout, replace(elsewhere, road=NO_ROAD), 30)) == 0
 
 
+def test_the_way_over_short_lanes_is_as_long_as_over_long_ones():
+    """Lanes of 0.4 m, as in junctions of recorded maps: there points are closer than a metre."""
+    rollout, case = attack(straight(0, 0, 10), straight(60, 0, 0))
+    long = next(iter(case.road.lanes.values()))
+    ends = np.arange(0.0, 300.0, 0.4)
+    lanes = {
+        str(number): replace(
+            long,
+            id=str(number),
+            centre_m=np.array([[x, 0.0], [x + 0.4, 0.0]]),
+            next=(str(number + 1),),
+        )
+        for number, x in enumerate(ends)
+    }
+    lanes["0"] = replace(lanes["0"], centre_m=np.array([[-20.0, 0.0], [0.4, 0.0]]))
+    road = replace(case.road, lanes=lanes)
+    aside = replace(case.scene, tracks=attack(straight(0, 30, 10), straight(60, 0, 0))[0].tracks)
+    far = replace(case, road=road, scene=aside)
+    way = way_ahead(rollout, far, NOW)
+    assert way[-1, 0] - way[0, 0] >= 148.0
+
+
 def test_path_is_where_the_boxes_were_and_goes_on():
     poses = bent()
     path = av_path.Path.through(poses[:, :2], poses[:, 2], np.empty((0, 2)))

@@ -66,7 +66,7 @@ branches._copied = lambda work: (copies.append(1), copied(work))
 if "many threads" in sys.argv:  # as if SUMO had brought them
     sys.argv.remove("many threads")
     held, tries = branches._held, []
-    branches._held = lambda case: (tries.append(1), held(case)) and False
+    branches._held = lambda *of: (tries.append(1), held(*of)) and False
 planned = tasks.plan([spec.load(Path(name)) for name in sys.argv[2:]], runs)
 work = episode.Episode(runs=runs, cache=runs / "cache")
 for task in planned:
@@ -111,6 +111,55 @@ def test_copies_do_what_a_simulation_of_ones_own_does(tiny, paths, tmp_path):
     assert done(backward, paths()[::-1], tiny) == 0
     assert len(list(forward.glob("at-*"))) == 3
     assert compare.same(forward, backward)
+
+
+def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_path):
+    """Also where the run before, in the same process, was of another planner."""
+    sumo, idm = (
+        [
+            tiny_network.spec(
+                tiny, f"{planner} {start}", planner=planner, adversary="none", duration_s="0.5",
+                source=f"{{network: tiny.sumocfg, start_s: {start}, av: {{vehicle: av}}}}",
+            )
+            for start in STARTS
+        ]
+        for planner in ("sumo", "idm")
+    )  # fmt: skip
+    failing = tiny_network.spec(
+        tiny, "fails", planner="idm", adversary="none",
+        source="{network: tiny.sumocfg, start_s: 1.0, av: {vehicle: nobody}}",
+    )  # fmt: skip
+    used = tmp_path / "used"
+    watched = COUNTED.replace(
+        "planned =",
+        "from deepmf_sumo.simulation import traffic\n"
+        "taken, begun = [], traffic.running\n"
+        "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
+        f"    open({str(used)!r}, 'a').write('held ' if runs_already else 'anew ')\n"
+        "    return begun(arguments, backend, runs_already=runs_already)\n"
+        "traffic.running = noted\nplanned =",
+    )
+    command = [
+        sys.executable,
+        "-c",
+        watched,
+        str(tmp_path / "runs"),
+        *map(str, [*sumo, failing, *idm]),
+    ]
+    env = {**os.environ, **pool.SINGLE_THREAD}
+    subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
+    # the first of a passage runs by itself, the others from SUMO as it is held
+    assert used.read_text().split() == [
+        "anew",
+        "anew",
+        "held",
+        "held",
+        "anew",
+        "anew",
+        "anew",
+        "held",
+        "held",
+    ]
 
 
 def test_a_planner_with_threads_is_not_copied(tiny, paths, tmp_path):

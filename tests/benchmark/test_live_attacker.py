@@ -121,7 +121,7 @@ def test_attacks_share_one_copy_of_the_network_and_a_new_session_begins_anew(
 
     def session():
         with deepmf_sumo.Attacker(
-            started, av="av", duration_s=3.0, pause_s=0.0, out=tmp_path / "live"
+            started, av="av", duration_s=3.0, pause_s=0.0, out=tmp_path / "live", overwrite=True
         ) as attacker:
             drive(started, attacker, 90)
         return len(attacker.attacks)
@@ -143,6 +143,18 @@ def test_two_sessions_do_not_write_into_one_folder(started, policy, tmp_path):
         assert json.loads((out / "session.json").read_text())["av"] == "av"
     with deepmf_sumo.Attacker(started, av="leader", out=out):
         assert json.loads((out / "session.json").read_text())["av"] == "leader"
+
+
+def test_an_earlier_session_is_deleted_only_where_that_is_asked_for(started, policy, tmp_path):
+    out = tmp_path / "live"
+    (out / "runs" / "attack-001").mkdir(parents=True)
+    about = {"tool": "deepmf-sumo", "runs": {"attack-001": "key"}}
+    (out / "manifest.json").write_text(json.dumps(about))
+    with pytest.raises(OutputError, match="results of an earlier command: overwrite=True"):
+        deepmf_sumo.Attacker(started, av="av", out=out)
+    assert (out / "runs" / "attack-001").is_dir()
+    with deepmf_sumo.Attacker(started, av="av", out=out, overwrite=True):
+        assert list((out / "runs").iterdir()) == []
 
 
 def test_an_attack_that_cannot_be_measured_is_a_row(started, tmp_path, monkeypatch):

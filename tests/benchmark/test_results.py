@@ -2,6 +2,7 @@ import gzip
 import io
 import json
 import xml.etree.ElementTree as ET
+from contextlib import contextmanager
 
 import numpy as np
 import pandas as pd
@@ -221,18 +222,51 @@ def test_summary(found, task):
     assert store.summary([])["collision_rate"] is None
 
 
-def test_folder_of_an_earlier_batch_is_emptied_unless_resumed(tmp_path):
+def test_results_of_an_earlier_batch_are_deleted_only_where_that_is_asked_for(tmp_path):
     out = tmp_path / "deep" / "out"
     with store.opened(out, resume=False) as folder:
         folder.begin([], {})
         (out / "runs" / "old").mkdir()
     with store.opened(out, resume=True):
         assert (out / "runs" / "old").is_dir()
-    with store.opened(out, resume=False):
+    for refused in (store.opened(out, resume=False), _checked(out)):
+        with pytest.raises(OutputError, match=r"--resume .* --overwrite .* --out"), refused:
+            pass
+    assert (out / "runs" / "old").is_dir()
+    with store.opened(out, resume=False, overwrite=True):
         assert list((out / "runs").iterdir()) == []
     (out / "manifest.json").write_text("[]")
-    with pytest.raises(OutputError, match="holds other files"), store.opened(out, resume=False):
-        pass
+    for overwrite in (False, True):
+        with (
+            pytest.raises(OutputError, match="holds other files"),
+            store.opened(out, resume=False, overwrite=overwrite),
+        ):
+            pass
+
+
+@contextmanager
+def _checked(out):
+    store.check(out, resume=False)
+    yield
+
+
+def test_tables_without_their_runs_are_results_too(tmp_path):
+    with store.opened(tmp_path, resume=False) as folder:
+        folder.manifest({"one": "key"}, {})
+        folder.finish([], junit_too=False, interrupted=True)
+    assert store.holds_results(tmp_path)
+    with store.opened(tmp_path, resume=True) as folder:
+        folder.manifest({}, {})
+    assert not store.holds_results(tmp_path)  # a batch of no runs: nothing is lost
+
+
+def test_a_look_at_a_folder_leaves_nothing_behind(tmp_path):
+    out = tmp_path / "deep" / "out"
+    store.check(out, resume=False)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        store.check(tmp_path / "file" / "out", resume=False)
 
 
 def test_compare_sees_what_matters(tmp_path):

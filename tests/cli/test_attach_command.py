@@ -105,6 +105,38 @@ def test_an_av_that_leaves_ends_the_session(simulation, port, tmp_path, capsys):
     assert "1 attack, 0 contacts; vehicle 'av' left the traffic at 3.1 s" in capsys.readouterr().out
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it cannot be seen")
+def test_a_script_that_leaves_ends_the_session_and_its_last_attack_is_not_counted(
+    simulation, port, tmp_path, capsys
+):
+    server, script = simulation(80)
+    assert attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--pause", 0) == 0
+    assert (script.wait(), server.wait()) == (0, 0)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "2 attacks, 0 contacts; the script left at" in shown
+    assert "before the attack under way was over, which is not counted" in shown
+    lines = (tmp_path / "live" / "attacks.jsonl").read_text().splitlines()
+    rows = [json.loads(one) for one in lines]
+    assert [row["ended"] for row in rows] == ["too_long", "too_long"]
+    assert max(row["end_s"] for row in rows) <= 8.0
+    session = json.loads((tmp_path / "live" / "session.json").read_text())
+    assert session["ended"] == "script_left"
+    assert 8.0 <= session["time_s"] <= 9.1
+    with (tmp_path / "live" / "runs.csv").open() as table:
+        assert {run["planner"] for run in csv.DictReader(table)} == {"script"}
+
+
+def test_without_a_script_sumo_is_the_planner(simulation, port, tmp_path, capsys, monkeypatch):
+    for seen, planner in ((0, "sumo"), (None, "script")):
+        monkeypatch.setattr(attaching, "others", lambda api, seen=seen: seen)
+        simulation(30)
+        out = tmp_path / planner
+        assert attach(port, out, "--av", "av", "--duration", 3, "--until", 4.5) == 0
+        with (out / "runs.csv").open() as table:
+            assert {run["planner"] for run in csv.DictReader(table)} == {planner}
+        assert ("cannot be seen from here" in capsys.readouterr().out) == (seen is None)
+
+
 def test_a_lost_connection_is_one_line_and_loses_nothing(simulation, port, tmp_path, capsys):
     simulation(60, "breaks")
     assert attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--pause", 60) == 3
@@ -159,13 +191,14 @@ def test_a_wrong_command_is_told_before_anybody_waits(port, tmp_path, capsys, op
     assert said in capsys.readouterr().err
 
 
-def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, monkeypatch):
+def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
-    (tmp_path / "session.json").write_text("{}")
+    (tmp_path / "manifest.json").write_text('{"tool": "deepmf-sumo", "runs": {"attack-001": ""}}')
     (tmp_path / "attacks.jsonl").write_text("earlier\n")
-    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 3
+    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 2
+    assert "--overwrite deletes them, another folder for --out" in capsys.readouterr().err
+    assert attach(port, tmp_path, "--av", "av", "--wait", 0, "--overwrite") == 3
     assert (tmp_path / "attacks.jsonl").read_text() == "earlier\n"
-    assert (tmp_path / "session.json").read_text() == "{}"
 
 
 def test_a_connection_lost_before_the_first_step_is_one_line(port, tmp_path, capsys, monkeypatch):

@@ -8,7 +8,12 @@ import crossing_network
 import pytest
 import tiny_network
 
+from deepmf_sumo.benchmark.moments import finding, names_of
+from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.cli import main
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.simulation import demand
+from deepmf_sumo.simulation.configuration import read_configuration
 
 
 def attack(tiny, out, *more):
@@ -58,8 +63,11 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
 @pytest.mark.parametrize(
     ("more", "message", "code"),
     [
-        (["--av", "laeder"], "--av laeder: no such vehicle is on the road", 2),
+        (["--av", "laeder"], "--av laeder: no such vehicle is in the demand of", 2),
+        (["--av-type", "bus"], "--av-type bus: no such type is in the demand of", 2),
         (["--at", "2.55"], "--at 2.55: the simulation goes in steps of 0.1 s", 2),
+        (["--at", "70", "--", "--end", "60"], "--at 70: there is traffic from 0 to 60 s only", 2),
+        (["--", "-r", "none.rou.xml"], "none.rou.xml', which does not exist.", 3),
         (["--", "--nonsense", "1"], "No option with the name 'nonsense' exists", 3),
         (["--", "--seed", "1"], "SUMO's option --seed cannot be given", 2),
         (["--set", "source.start_s=1"], "the source is chosen by the other options", 2),
@@ -68,7 +76,10 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
         (["--planner", "imd"], "--planner: key 'planner.name': No plug-in 'imd'", 2),
     ],
 )
-def test_refusals_are_one_line(tiny, tmp_path, capsys, more, message, code):
+def test_refusals_are_one_line(tiny, tmp_path, capsys, monkeypatch, more, message, code):
+    if "--nonsense" not in more:  # which SUMO alone knows
+        monkeypatch.setattr(finding, "scout", None)
+        monkeypatch.setattr(finding.pool, "run", None)
     assert attack(tiny, tmp_path / "out", *more) == code
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1
@@ -86,6 +97,55 @@ def test_a_seed_of_the_configuration_that_cannot_be_used(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
     more = ("--moments", 1, "--duration", 1, "--seed", 7)
     assert attack(tmp_path, tmp_path / "out", *more) == 0
+
+
+def test_all_configurations_are_looked_at_before_the_first_is_simulated(
+    tiny, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(finding.pool, "run", None)
+    bad = tiny / "no_routes.sumocfg"
+    bad.write_text((tiny / "tiny.sumocfg").read_text().replace("tiny.rou", "none.rou"))
+    assert attack(tiny, tmp_path / "out", bad) == 3
+    assert "names the route file" in capsys.readouterr().err
+    out = tmp_path / "used"
+    (out / "runs" / "one").mkdir(parents=True)
+    (out / "manifest.json").write_text('{"tool": "deepmf-sumo", "runs": {"one": ""}}')
+    assert attack(tiny, out) == 2
+    assert "holds the results of an earlier command" in capsys.readouterr().err
+
+
+def test_names_are_those_of_the_folders_where_files_are_called_alike(tmp_path):
+    def names(*paths):
+        return names_of([tmp_path / path for path in paths])
+
+    assert names("run.sumocfg", "b/other.sumocfg") == ["run", "other"]
+    assert names("a/run.sumocfg", "b/Run.sumocfg", "c.sumocfg") == ["a", "b", "c"]
+    assert names("a/x/run.sumocfg", "b/x/run.sumocfg", "c/y/run.sumocfg") == ["a x", "b x", "y"]
+    assert len(set(names("one.sumocfg", "one.cfg"))) == 2
+    with pytest.raises(UsageError, match="is given 2 times"):
+        names("a/run.sumocfg", "b/../a/run.sumocfg")
+
+
+def test_names_in_the_demand_are_known_without_a_simulation(tiny):
+    routes = tiny / "many.rou.xml"
+    routes.write_text(
+        '<routes><vType id="lorry"/><flow id="flow" type="lorry"/><trip id="a.b"/></routes>'
+    )
+    options = ["-r", str(routes)]
+    known = demand.read(read_configuration(tiny / "tiny.sumocfg", options))
+    for name, there in {
+        "flow.17": True,
+        "a.b": True,
+        "a.b.1": True,  # its copy by --scale
+        "a": False,
+        "b.0": False,
+    }.items():
+        assert known.has_vehicle(name) == there, name
+    assert known.like_vehicle("flw.0")[0] == "flow.0"
+    assert known.has_type("lorry")
+    assert known.has_type("DEFAULT_VEHTYPE")
+    routes.write_text('<routes><include href="more.rou.xml"/></routes>')
+    assert demand.read(read_configuration(tiny / "tiny.sumocfg", options)) is None
 
 
 @pytest.mark.parametrize("option", ["--at", "--until", "--timeout", "--memory", "--max-minutes"])
@@ -129,8 +189,12 @@ def test_several_configurations_go_into_one_folder(tiny, tmp_path, capsys):
     assert [one.partition("--")[0] for one in ids] == ["tiny", "other"]
     assert {path.name for path in (out / "runs").iterdir()} == set(ids)
     same.write_text(other.read_text().replace('value="tiny', f'value="{tiny}/tiny'))
-    assert attack(tiny, tmp_path / "bad", same, "--at", 2.5, "--duration", 0.5) == 2
-    assert "Two configurations would both be called 'tiny'" in capsys.readouterr().err
+    asked = ("--at", 2.5, "--duration", 0.5, "--no-risk")
+    assert attack(tiny, tmp_path / "folders", same, *asked) == 0
+    found = {path.name.partition("--")[0] for path in (tmp_path / "folders" / "runs").iterdir()}
+    assert found == {slug(tiny.name), slug(tmp_path.name)}
+    assert attack(tiny, tmp_path / "bad", tiny / "tiny.sumocfg") == 2
+    assert "tiny.sumocfg is given 2 times" in capsys.readouterr().err
     assert attack(tiny, tmp_path / "bad", other, "--moments-of", out) == 2
     assert "--moments-of goes with one configuration" in capsys.readouterr().err
     assert not (tmp_path / "bad").exists()

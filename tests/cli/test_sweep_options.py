@@ -20,8 +20,8 @@ from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.cli import main
 
 SHARED = (
-    "--jobs", "--executor", "--out", "--resume", "--shard", "--max-minutes", "--timeout",
-    "--memory", "--gui", "--pictures", "--junit", "--thresholds", "--baseline",
+    "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",
+    "--timeout", "--memory", "--gui", "--pictures", "--junit", "--thresholds", "--baseline",
 )  # fmt: skip
 
 
@@ -195,11 +195,24 @@ def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, c
         ("--executor", "rays"): "must be local, ray, or ray://HOST:PORT",
         ("--executor", "ray", "--gui"): "--gui shows runs on this machine",
         ("--shard", "3/2"): "must be i/n with 1 <= i <= n",
-        ("--shard", "4/4"): "There are 3 runs: this shard of them is empty",
+        ("--shard", "4/4", "--overwrite"): "There are 3 runs: this shard of them is empty",
+        ("--resume", "--overwrite"): "leave one of them out",
+        (): "holds the results of an earlier command: --resume goes on with them, --overwrite",
     }.items():
         assert call("run", *specs, "--out", whole, *wrong) == 2
         assert told in capsys.readouterr().err.strip().splitlines()[-1]
         assert json.loads((whole / "summary.json").read_text())["runs"] == 3
+
+
+def test_results_are_replaced_where_that_is_asked_for(folders, specs, whole, tmp_path, capsys):
+    assert call("run", specs[0], "--no-pictures", "--out", whole, "--overwrite") == 0
+    assert len(list((whole / "runs").iterdir())) == 1
+    parts = (folders / "1", folders / "2")
+    assert call("merge", tmp_path / "all", *parts) == 0
+    assert call("merge", tmp_path / "all", *parts) == 2
+    assert "--overwrite deletes them, another folder for OUT" in capsys.readouterr().err
+    assert call("merge", tmp_path / "all", *parts, "--overwrite") == 0
+    assert compare.differences(folders / "whole", tmp_path / "all") == []
 
 
 @pytest.mark.skipif(sys.platform in {"win32", "darwin"}, reason="has a display always")

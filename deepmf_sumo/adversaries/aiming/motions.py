@@ -5,10 +5,10 @@ import numpy as np
 from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Plan, View
 from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.policies.factorization.collision import footprint
 from deepmf_sumo.policies.factorization.tracking import Start, Tracked
 
-_MOVING_MPS = 0.5  # slower than this, differences of positions give no direction
 _SPAN = 2  # steps on each side of a difference
 
 
@@ -38,7 +38,7 @@ def headings(position_m: Floats, start: Start) -> Floats:
     steps = np.arange(1, last + 1)
     low, high = np.maximum(steps - _SPAN, 0), np.minimum(steps + _SPAN, last)
     moved = points[high] - points[low]
-    moving = np.hypot(*moved.T) > _MOVING_MPS * DT_S * (high - low)
+    moving = np.hypot(*moved.T) > DIRECTION_MPS * DT_S * (high - low)
     course = np.concatenate([[start.heading_rad], np.arctan2(moved[:, 1], moved[:, 0])])
     valid = np.maximum.accumulate(np.where(moving, steps, 0))
     heading: Floats = course[valid]

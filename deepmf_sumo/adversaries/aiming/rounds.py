@@ -49,6 +49,7 @@ def attack_in_rounds(
     trials: list[Trial] = []
     while True:
         aimed = aim(scouted, answers)
+        spending.look_at_the_clock()  # aiming stops at the same time
         rollout = spending.simulate(Planned(aimed.plan))
         attacks.append(rollout)
         trials.append(Trial(parameters=aimed.parameters, objective=0.0 - nearest_m(rollout)))
@@ -61,4 +62,5 @@ def attack_in_rounds(
         trials=tuple(trials),
         simulations=spending.simulations,
         generation_s=spending.generation_s,
+        out_of_time=spending.out_of_time,
     )

@@ -17,6 +17,7 @@ from deepmf_sumo.adversaries.gradients import art_descent
 from deepmf_sumo.adversaries.gradients.art_descent import Bounds, Descent
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, HISTORY_STEPS, AgentId, Bools, Floats, View
 from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.predictors import anchors
 from deepmf_sumo.predictors.completion import as_batch, pose_of
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
@@ -25,7 +26,6 @@ from deepmf_sumo.predictors.features import features
 _NEAR_M = 3.0  # a goal that comes so much nearer to the AV counts e times as much
 _GONE_M = 1e3  # distance to an AV that is not there
 _EVERY = 4  # goals are compared with the AV every 0.4 s
-_MOVING_MPS = 0.5  # a slower vehicle keeps its heading
 _BACK = 5  # acceleration and yaw rate are those of the last half second
 
 
@@ -189,7 +189,7 @@ def _turns(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     """Cosine and sine of the turns between velocities (..., 2); 1 and 0 where one is slow."""
     was = before.square().sum(-1).clamp_min(1e-12).sqrt()
     now = after.square().sum(-1).clamp_min(1e-12).sqrt()
-    slow = (was < _MOVING_MPS) | (now < _MOVING_MPS)
+    slow = (was < DIRECTION_MPS) | (now < DIRECTION_MPS)
     size = torch.where(slow, 1.0, was * now)
     cross = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
     cos = torch.where(slow, 1.0, (before * after).sum(-1) / size)

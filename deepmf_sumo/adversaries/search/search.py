@@ -111,6 +111,7 @@ class Search:
             trials=tuple(trials),
             simulations=spending.simulations,
             generation_s=spending.generation_s,
+            out_of_time=spending.out_of_time,
         )
 
     def _search(

@@ -12,6 +12,9 @@ _ONE_ATTACK = 2  # simulations: scouting, and the attack
 class Spending:
     """Counts simulations and wall time from its making on.
 
+    Attributes:
+        simulations: begun so far. out_of_time: the budget's seconds ended something.
+
     Args:
         simulate: one episode.
         budget: what may be spent.
@@ -26,6 +29,7 @@ class Spending:
         self._begin = time.perf_counter()
         self._decided_s: float | None = None
         self.simulations = 0
+        self.out_of_time = False
 
     def simulate(self, policy: Policy | None) -> Rollout:
         """One episode, counted."""
@@ -43,8 +47,15 @@ class Spending:
     @property
     def over(self) -> bool:
         """Whether no simulation may be begun any more."""
-        late = self._most_s is not None and self.seconds >= self._most_s
-        return late or (self._most is not None and self.simulations >= self._most)
+        if self._most is not None and self.simulations >= self._most:
+            return True
+        self.look_at_the_clock()
+        return self.out_of_time
+
+    def look_at_the_clock(self) -> None:
+        """Note in ``out_of_time`` whether the seconds are spent."""
+        if self._most_s is not None and self.seconds >= self._most_s:
+            self.out_of_time = True
 
     @property
     def generation_s(self) -> float:

@@ -110,8 +110,9 @@ def session(
     spec: Spec,
     finished: Callable[[Fought], None],
     policy: Policy | None = None,
+    driven: Callable[[], bool] = lambda: True,
 ) -> Session:
-    """A session on a simulation that stands between two steps."""
+    """A session on a simulation that stands between two steps; ``driven`` as of `Session`."""
     if wish.net is None:
         net, additional = road_files(api, Path.cwd())
     else:
@@ -134,13 +135,14 @@ def session(
         wish.pause_s,
         np.random.default_rng([spec.seed, crc32(wish.av.encode())]),
         finished,
+        driven,
     )
 
 
-def stage_of(session: Session, wish: Wish) -> Stage:
-    """Where the attacks of a session take place."""
+def stage_of(session: Session, wish: Wish, planner: str = "script") -> Stage:
+    """Where the attacks of a session take place, and who drives the AV."""
     around = session.surroundings
-    return Stage(net=around.net, road=around.road, longest_s=wish.duration_s)
+    return Stage(net=around.net, road=around.road, longest_s=wish.duration_s, planner=planner)
 
 
 def _check_edges(api: LiveApi, triggers: Sequence[Trigger]) -> None:

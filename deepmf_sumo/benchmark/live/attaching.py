@@ -9,7 +9,7 @@ from typing import Any
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, lost, of_sumo
+from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, lost, of_sumo, others
 from deepmf_sumo.simulation.live.lockstep import End, Lockstep, Stay
 from deepmf_sumo.simulation.live.session import Fought
 
@@ -22,6 +22,8 @@ class Attached:
         rows: the attacks. end: why it left, at ``time_s`` of the simulation.
         nobody: why the last try to attack was none.
         collisions: what SUMO does with them, its ``--collision.action``.
+        undriven: attacks that were not over when the script left; they are not in ``rows``.
+        watched: whether it was to be seen that the script left.
     """
 
     rows: list[dict[str, Any]]
@@ -29,6 +31,8 @@ class Attached:
     time_s: float
     nobody: str
     collisions: str
+    undriven: int
+    watched: bool
 
 
 def attach(
@@ -37,6 +41,7 @@ def attach(
     stay: Stay,
     out: Path,
     *,
+    overwrite: bool = False,
     stopped: Callable[[], bool],
     tell: Callable[[dict[str, Any]], None],
 ) -> Attached:
@@ -47,6 +52,7 @@ def attach(
         wish: whom to attack, when and how.
         stay: how long.
         out: folder for what happened.
+        overwrite: delete the results of an earlier command in it.
         stopped: whether to leave now.
         tell: is told of each attack that is over.
 
@@ -56,7 +62,7 @@ def attach(
     assembly.triggers_of(wish)  # what is wrong with the command shows before anybody waits for us
     spec = assembly.spec_of(wish)
     policy = assembly.policy_of(spec)
-    record = Record(out, wish.av, spec)
+    record = Record(out, wish.av, spec, overwrite=overwrite)
 
     def add(fought: Fought) -> None:
         record.add(fought)
@@ -64,9 +70,14 @@ def attach(
 
     api = connect(port, stopped)
     with _closed_where_it_fails(api):
-        own = assembly.session(api, wish, spec, add, policy)
+        clients = others(api)  # all of them have come by now
+
+        def driven() -> bool:
+            return not clients or others(api) != 0
+
+        own = assembly.session(api, wish, spec, add, policy, driven)
         collisions = str(api.simulation.getOption("collision.action"))
-        record.begin(assembly.stage_of(own, wish))
+        record.begin(assembly.stage_of(own, wish, planner="sumo" if clients == 0 else "script"))
         steps = Lockstep(api, own, wish.av, stay, stopped)
     end: str = "failed"
     try:
@@ -79,6 +90,8 @@ def attach(
         time_s=steps.ended_s,
         nobody=own.nobody,
         collisions=collisions,
+        undriven=own.undriven,
+        watched=clients is not None,
     )
 
 

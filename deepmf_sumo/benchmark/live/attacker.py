@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
 from deepmf_sumo.datatypes import AgentId
 from deepmf_sumo.simulation.live.connection import shared
+
+_WAYS: Final = "overwrite=True deletes them, another folder for out keeps them"
 
 
 class Attacker:
@@ -35,12 +37,13 @@ class Attacker:
         net: the network file; None asks SUMO, which names it relative to where it was started.
         out: folder for ``attacks.jsonl`` and the attacks as runs of a result folder; None writes
             nothing.
+        overwrite: delete the results of an earlier command in ``out``; else they are refused.
 
     Attributes:
         attacks: those that are over, as dictionaries: a line of ``attacks.jsonl`` each.
 
     Raises SpecError for settings, UsageError for a trigger, a step that does not fit or a network
-    that is not found, WeightsError for weights.
+    that is not found, WeightsError for weights, OutputError for a folder that cannot be used.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class Attacker:
         sets: str | Sequence[str] = (),
         net: Path | str | None = None,
         out: Path | str | None = None,
+        overwrite: bool = False,
     ) -> None:
         texts = (trigger,) if isinstance(trigger, str) else tuple(trigger or ())
         wish = assembly.Wish(
@@ -66,7 +70,9 @@ class Attacker:
         )
         api, spec = shared(conn), assembly.spec_of(wish)
         assembly.triggers_of(wish)
-        self._record = Record(None if out is None else Path(out), av, spec)
+        self._record = Record(
+            None if out is None else Path(out), av, spec, overwrite=overwrite, ways=_WAYS
+        )
         self._session = assembly.session(api, wish, spec, self._record.add)
         self._record.begin(assembly.stage_of(self._session, wish))
 

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, locks
+from deepmf_sumo.benchmark import files, store
 from deepmf_sumo.benchmark.live.results import Results, Stage
-from deepmf_sumo.benchmark.store import MADE, remove
 from deepmf_sumo.datatypes import AgentId, Contact, Event
-from deepmf_sumo.errors import OutputError
 from deepmf_sumo.simulation.live.session import Fought
 from deepmf_sumo.spec import Spec
 
 FORMAT_VERSION: Final = 1
+WAYS: Final = "--overwrite deletes them, another folder for --out keeps them"
 
 
 class Record:
@@ -25,13 +24,25 @@ class Record:
         out: the folder; None writes nothing.
         av: who is attacked.
         spec: with which settings.
+        overwrite: delete the results of an earlier command in the folder.
+        ways: what can be done about them, for the message.
 
-    Raises OutputError where the folder cannot be written or holds something else.
+    Raises OutputError where the folder cannot be written, is in use, or holds something else, or
+    earlier results without ``overwrite``.
     """
 
-    def __init__(self, out: Path | None, av: AgentId, spec: Spec) -> None:
+    def __init__(
+        self,
+        out: Path | None,
+        av: AgentId,
+        spec: Spec,
+        *,
+        overwrite: bool = False,
+        ways: str = WAYS,
+    ) -> None:
         self.rows: list[dict[str, Any]] = []
         self._out, self._spec = out, spec
+        self._overwrite, self._ways = overwrite, ways
         self._results: Results | None = None
         self._held = ExitStack()
         self._about = {
@@ -44,18 +55,19 @@ class Record:
             "seed": spec.seed,
         }
         if out is not None:
-            _check(out)
+            store.check(out, resume=False, overwrite=overwrite, ways=ways)
 
     def begin(self, stage: Stage) -> None:
-        """The session begins; only now an earlier one in the folder is written over.
+        """The session begins; only now earlier results in the folder are deleted.
 
-        Raises OutputError where another process writes into the folder.
+        Raises OutputError as the class.
         """
         if self._out is not None:
-            self._held.enter_context(locks.held(self._out))
-            _empty(self._out)
-            self._write("going on", None)
+            self._held.enter_context(
+                store.opened(self._out, resume=False, overwrite=self._overwrite, ways=self._ways)
+            )
             self._results = Results(self._out, self._spec, stage)
+            self._write("going on", None)
 
     def add(self, fought: Fought) -> None:
         """An attack that is over."""
@@ -120,24 +132,3 @@ def _event(fought: Fought, event: Event) -> dict[str, Any]:
 
 def _time(fought: Fought, step: int) -> float:
     return fought.begin_s + (step - fought.rollout.now) * fought.rollout.dt_s
-
-
-def _check(out: Path) -> None:
-    """Make the folder, unless it is there and empty or one of an earlier session."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        there = {path.name for path in out.iterdir()} - {locks.FILE}
-        if there and "session.json" not in there:
-            raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
-    except OSError as error:
-        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
-
-
-def _empty(out: Path) -> None:
-    """Take away what an earlier session has written."""
-    try:
-        for name in MADE:
-            if name != "session.json":  # by which the folder is known to be ours
-                remove(out / name)
-    except OSError as error:
-        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None

@@ -11,7 +11,7 @@ import traceback
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from deepmf_sumo.benchmark import artifacts, episode, files, result
 from deepmf_sumo.benchmark.result import Result
@@ -22,17 +22,21 @@ from deepmf_sumo.errors import RunError
 from deepmf_sumo.simulation.live.session import Fought
 from deepmf_sumo.spec import Spec
 
-PLANNER: Final = "script"
-"""Who drove the AV: the user's script, of which nothing is known here."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
-    """Where live attacks take place: the network's file, its map; how long one may last."""
+    """Where live attacks take place.
+
+    Attributes:
+        net: the network's file. road: its map. longest_s: how long an attack may last.
+        planner: who drives the AV: ``script``, of which nothing is known here, or ``sumo`` where
+            there is no other client.
+    """
 
     net: Path
     road: RoadMap
     longest_s: float
+    planner: str = "script"
 
     @property
     def name(self) -> str:
@@ -81,8 +85,8 @@ class Results:
             found = result.unfinished(task, "failed", reason, time.perf_counter() - begin)
         known: dict[str, Any] = {
             "network": self._stage.name,
-            "planner": PLANNER,
-            "planner_label": PLANNER,
+            "planner": self._stage.planner,
+            "planner_label": self._stage.planner,
             "perception": None,
             "parameters": None,
             "expectations_broken": [],
@@ -124,4 +128,4 @@ def _finished(task: Task, fought: Fought, stage: Stage, begin: float) -> Result:
     return found
 
 
-__all__ = ["PLANNER", "Results", "Stage"]
+__all__ = ["Results", "Stage"]

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints
+from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.network.meeting_ways import Way
 from deepmf_sumo.simulation.scouting import EVERY_S, Sightings
 
 _ROUNDING_S: Final = 0.05
-_STANDING_MPS: Final = 0.5
 _FASTER_MPS: Final = 10.0
 """In a second nobody gets faster by more: who has gone farther was teleported."""
 
@@ -103,7 +103,7 @@ class _Steps:
     def stood_s(self, rows: Ints) -> Floats:
         """Until when who is before a junction in these rows stood inside it; -inf if it did not."""
         stood = np.where(
-            self.inside & (self._speed_mps < _STANDING_MPS), np.arange(len(self.inside)), -1
+            self.inside & (self._speed_mps < WAITING_MPS), np.arange(len(self.inside)), -1
         )
         latest = np.maximum.accumulate(stood)[self._last[np.searchsorted(self._last, rows)]]
         then = np.minimum(latest + 1, len(self.time_s) - 1)

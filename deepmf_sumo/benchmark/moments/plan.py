@@ -13,8 +13,8 @@ from deepmf_sumo.benchmark import batch, files
 from deepmf_sumo.benchmark.moments.choice import LONG_S
 from deepmf_sumo.benchmark.moments.moment import Moment
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.tasks import Task, moment_name, run_id_of, slug
-from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.benchmark.tasks import Task, moment_name, run_id_of
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.spec import Av, Plugin, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
 
@@ -24,7 +24,11 @@ MET: Final = "met"
 
 
 def base_spec(
-    config: Path, options: dict[str, Any], sets: Sequence[str], sumo_options: Sequence[str]
+    config: Path,
+    options: dict[str, Any],
+    sets: Sequence[str],
+    sumo_options: Sequence[str],
+    name: str = "",
 ) -> Spec:
     """What all runs have in common; its AV and start are to be replaced.
 
@@ -33,6 +37,7 @@ def base_spec(
         options: keys of a spec and their values, as of the command line's options.
         sets: ``key=value`` over them.
         sumo_options: beside the configuration.
+        name: what the runs are called after; the configuration's name where it is empty.
 
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
     adversary looks for one attack, or is told whom to attack. Raises SpecError as `spec.load`,
@@ -43,7 +48,7 @@ def base_spec(
         "av": {"vehicle": "chosen"},
         "sumo_options": list(sumo_options),
     }
-    values = {"version": 1, "name": config.stem, "source": source, **options}
+    values = {"version": 1, "name": name or config.stem, "source": source, **options}
     places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in options}
     document = Document(file=Path("deepmf-sumo attack"), values=values, places=places)
     for assignment in sets:
@@ -74,9 +79,9 @@ def attack(
         options: of the batch.
         report: is told of each run that is over.
 
-    Raises SpecError where two configurations have one name, OutputError; before anything runs.
+    The configurations have names of their own, see `names_of`. Raises OutputError before anything
+    runs.
     """
-    _check_names([spec for spec, _ in chosen])
     tasks = [task for spec, moments in chosen for task in _tasks(spec, moments)]
     moments = [moment for _, found in chosen for moment in found]
 
@@ -86,17 +91,6 @@ def attack(
         report(progress)
 
     return batch.run_tasks(tasks, options, tell)
-
-
-def _check_names(specs: Sequence[Spec]) -> None:
-    """Runs are called after their configurations."""
-    slugs = Counter(slug(spec.name) for spec in specs)
-    for spec in specs:
-        if slugs[slug(spec.name)] > 1:
-            raise SpecError(
-                f"Two configurations would both be called '{slug(spec.name)}' in one result folder:"
-                " attack each with an --out of its own, or rename one."
-            )
 
 
 def _tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:

@@ -120,21 +120,28 @@ def _is_asked(body: Body, wish: Wish) -> bool:
     )
 
 
-def _check(sightings: Sightings, wish: Wish) -> None:
-    """Names and times that are not there are the user's mistakes."""
-    span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
-    later = "" if sightings.complete else " (--until S looks further)"
+def check_times(wish: Wish, begin_s: float, until_s: float, later: str = "") -> None:
+    """Raise UsageError for times of the wish that are between steps, or outside the traffic."""
     for between in (one for one in wish.at_s if abs(one - round(one, 1)) > 1e-6):
         raise UsageError(
             f"--at {between:.10g}: the simulation goes in steps of {DT_S:g} s; give a multiple."
         )
-    for late in (one for one in wish.at_s if one > sightings.until_s + _ROUNDING_S):
-        raise UsageError(f"--at {late:g}: there is traffic {span} only{later}.")
-    for early in (one for one in wish.at_s if one < sightings.begin_s + SEEN_S - _ROUNDING_S):
+    for late in (one for one in wish.at_s if one > until_s + _ROUNDING_S):
         raise UsageError(
-            f"--at {early:g}: the simulation begins at {sightings.begin_s:g} s, and a vehicle must"
-            f" have been there for {SEEN_S:g} s."
+            f"--at {late:g}: there is traffic from {begin_s:g} to {until_s:g} s only{later}."
         )
+    for early in (one for one in wish.at_s if one < begin_s + SEEN_S - _ROUNDING_S):
+        raise UsageError(
+            f"--at {early:g}: the simulation begins at {begin_s:g} s, and a vehicle must have been"
+            f" there for {SEEN_S:g} s."
+        )
+
+
+def _check(sightings: Sightings, wish: Wish) -> None:
+    """Names and times that are not there are the user's mistakes."""
+    span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
+    later = "" if sightings.complete else " (--until S looks further)"
+    check_times(wish, sightings.begin_s, sightings.until_s, later)
     names = {
         "--av": (wish.av, "vehicle", sorted(body.id for body in sightings.bodies)),
         "--av-type": (wish.av_type, "type", sorted({body.type for body in sightings.bodies})),

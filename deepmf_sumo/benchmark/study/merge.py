@@ -13,7 +13,9 @@ from deepmf_sumo.benchmark.study.layout import Layout
 from deepmf_sumo.errors import UsageError
 
 
-def merge(out: Path, folders: Sequence[Path]) -> tuple[list[Result], list[str]]:
+def merge(
+    out: Path, folders: Sequence[Path], *, overwrite: bool = False
+) -> tuple[list[Result], list[str]]:
     """Copy the runs of all shards into ``out``; returns their results and the ids of missing runs.
 
     Runs that are not there yet are no rows: `benchmark --resume` in ``out`` makes them. Raises
@@ -22,7 +24,7 @@ def merge(out: Path, folders: Sequence[Path]) -> tuple[list[Result], list[str]]:
     plan = _common(folders)
     found = shards.found_in(folders, plan.runs)
     missing = [run_id for run_id in plan.runs if run_id not in found]
-    with shards.joining(out, folders, plan.runs, found) as store:
+    with shards.joining(out, folders, plan.runs, found, overwrite=overwrite) as store:
         results = shards.copied(store, folders, plan.runs, found)
         plan.write(out)
         store.finish(

@@ -37,7 +37,7 @@ def run(
     if options.resume and (options.out / layout.FILE).is_file():
         layout.read(options.out)  # refuses what another version made
     chosen = shard.choose(planned) if shard else planned
-    with opened(options.out, resume=options.resume) as store:
+    with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
         changed = batch.begin(store, chosen, options, read)
         note(options.out, None)
         outlined.write(options.out)

@@ -15,6 +15,7 @@ _ENDS: Final = {
     "attacks": "left at {time:.1f} s, after {attacks}, as asked",
     "av_gone": "vehicle '{av}' left the traffic at {time:.1f} s",
     "simulation_over": "the simulation ended at {time:.1f} s",
+    "script_left": "the script left at {time:.1f} s",
     "stopped": "left at {time:.1f} s, stopped",
 }
 _HEADINGS: Final = ("", "opponent", "from s", "to s", "ended", "least gap m", "contact m/s")
@@ -46,11 +47,19 @@ def show(done: Attached, av: str, out: Path) -> None:
     hits = sum(row["contact"] is not None for row in done.rows)
     why = _ENDS[done.end].format(time=done.time_s, attacks=attacks, av=av)
     nobody = f" ({done.nobody})" if not count and done.nobody else ""
+    if done.undriven:
+        why += ", before the attack under way was over, which is not counted"
     file = f"{out}/{'attacks.jsonl' if count else 'session.json'}"
     console.print(
         escape(f"{attacks}, {counted(hits, 'contact')}{nobody}; {why}; {file}"),
         soft_wrap=True,
     )
+    if not done.watched:
+        console.print(
+            "whether the script was there to the end cannot be seen from here: attacks after it"
+            " left, if any, are counted as attacks on it",
+            soft_wrap=True,
+        )
     if hits and done.collisions == "teleport":
         console.print(
             "SUMO takes a vehicle away after a collision (collision.action teleport), perhaps the "

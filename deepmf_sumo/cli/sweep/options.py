@@ -24,6 +24,7 @@ class Sweep:
     executor: str
     out: Path
     resume: bool
+    overwrite: bool
     shard: str | None
     max_minutes: float | None
     timeout: float
@@ -38,7 +39,7 @@ class Sweep:
         """Options of a batch, ``more`` of them the command's own.
 
         Raises UsageError for what would show only after hours of runs: a shard, an executor,
-        thresholds or a baseline that are wrong.
+        thresholds or a baseline that are wrong; OutputError for a folder that cannot be used.
         """
         from deepmf_sumo.benchmark import batch, executors
         from deepmf_sumo.benchmark.shards import Shard
@@ -48,7 +49,10 @@ class Sweep:
         sys.path.append(os.getcwd())  # noqa: PTH109 - planners under test lie in the working folder
         judging.check(self)
         self._check_gui()
-        executors.chosen(self.executor, self.jobs).check()
+        shard = Shard.parse(self.shard) if self.shard else None
+        executor = executors.chosen(self.executor, self.jobs)
+        self._check_place()
+        executor.check()
         return batch.Options(
             out=self.out,
             executor=self.executor,
@@ -56,13 +60,25 @@ class Sweep:
             timeout_s=None if self.gui else self.timeout,
             memory_mb=None if self.gui else self.memory,
             minutes=self.max_minutes,
-            shard=Shard.parse(self.shard) if self.shard else None,
+            shard=shard,
             draw=draw if self.pictures else None,
             gui=self.gui,
             junit=self.junit,
             resume=self.resume,
+            overwrite=self.overwrite,
             **more,
         )
+
+    def _check_place(self) -> None:
+        from deepmf_sumo.benchmark import store
+        from deepmf_sumo.errors import UsageError
+
+        if self.resume and self.overwrite:
+            raise UsageError(
+                "--resume keeps the results in the folder, and --overwrite deletes them: leave one"
+                " of them out."
+            )
+        store.check(self.out, resume=self.resume, overwrite=self.overwrite)
 
     def _check_gui(self) -> None:
         from deepmf_sumo.errors import UsageError
@@ -116,6 +132,9 @@ def _place(out: str) -> tuple[Callable[..., Any], ...]:
         click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True),
         click.option(
             "--resume", is_flag=True, help="Keep equal runs that are in the folder already."
+        ),
+        click.option(
+            "--overwrite", is_flag=True, help="Delete the results that the folder holds."
         ),
         click.option(
             "--shard", metavar="I/N",

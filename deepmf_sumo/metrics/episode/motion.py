@@ -9,10 +9,10 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.slow import DIRECTION_MPS
 
 SPAN = 2
 """Steps on each side of a second difference."""
-_MOVING_MPS = 0.5
 
 
 class Accelerations(NamedTuple):
@@ -35,7 +35,7 @@ def accelerations(position_m: Floats, heading_rad: Floats, dt_s: float) -> Accel
     second = (after - 2 * here + before) / span**2
     velocity = (after - before) / (2 * span)
     course = np.where(
-        np.hypot(*velocity.T) > _MOVING_MPS,
+        np.hypot(*velocity.T) > DIRECTION_MPS,
         np.arctan2(velocity[:, 1], velocity[:, 0]),
         np.asarray(heading_rad, float)[SPAN:-SPAN],
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.policies.factorization.collision import collisions, impact_sectors
 from deepmf_sumo.policies.factorization.goals import GoalPaths
 from deepmf_sumo.policies.factorization.own_paths import OwnPath, own_paths
@@ -27,7 +28,6 @@ _SHIFT_FROM = (0.0, 0.5)  # share of the way before the lateral shift
 _SHIFT_PEAK = 5.77  # largest second derivative of the quintic step 10u^3 - 15u^4 + 6u^5
 _WIDEST_M, _STEEPEST = 8.0, 0.35
 _TRIED = 400  # aims that are driven against the prediction
-_SLOWEST_MPS = 0.3  # slower, a difference of positions gives no direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,7 +265,7 @@ def _headings(reference: Floats, heading_rad: float) -> Floats:
     """(K, F) directions of motion; a standing vehicle keeps its last one."""
     moved = np.diff(reference, axis=1, prepend=reference[:, :1])
     moved[:, 0] = moved[:, 1]
-    going = np.hypot(moved[..., 0], moved[..., 1]) > _SLOWEST_MPS * DT_S
+    going = np.hypot(moved[..., 0], moved[..., 1]) > DIRECTION_MPS * DT_S
     last = np.maximum.accumulate(np.where(going, np.arange(going.shape[1]), -1), axis=1)
     course = np.arctan2(moved[..., 1], moved[..., 0])
     held = np.take_along_axis(course, np.maximum(last, 0), axis=1)

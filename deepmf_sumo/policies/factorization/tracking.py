@@ -22,7 +22,7 @@ _LOOKAHEAD_S, _LOOKAHEAD_M = 0.6, 2.0
 _DAMPING_PER_S = 2.0  # both poles of the timing law
 _REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
 _STEERING_SLIP = 0.33  # course against heading at full lock, radians
-_COURSE_MPS = 1.0  # slower than this, a measured velocity says nothing about the course
+_COURSE_MPS = 1.0  # slower, a measured velocity does not show the slip angle: 0.1 m/s are 6 degrees
 _COURSE_SLIP = 0.2  # a measured course is believed up to this far from the heading, radians
 
 

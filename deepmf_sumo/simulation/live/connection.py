@@ -12,6 +12,8 @@ from deepmf_sumo.simulation.sumo_api import SumoApi
 
 _AGAIN_S: Final = 0.2
 """Between two tries to connect."""
+_CONNECTIONS: Final = Path("/proc/net/tcp")
+_ESTABLISHED: Final = "01"
 _EXCEPTIONS: Final = ("TraCIException", "FatalTraCIError")
 
 
@@ -101,6 +103,29 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
             "one --num-clients for all of them."
         ) from None
     return shared(connection)
+
+
+def others(api: LiveApi) -> int | None:
+    """How many other clients SUMO has; None where that cannot be seen.
+
+    SUMO itself does not say it. Linux lists the connections of the machine on which SUMO runs, so
+    it is seen if that is this machine.
+    """
+    connection = getattr(api, "_socket", None)
+    if connection is None:
+        return None
+    try:
+        own, server = connection.getsockname()[1], connection.getpeername()[1]
+        rows = [line.split()[1:4] for line in _CONNECTIONS.read_text().splitlines()[1:]]
+    except OSError:
+        return None
+    clients = [
+        remote
+        for local, remote, state in rows
+        if state == _ESTABLISHED and local.endswith(f":{server:04X}")
+    ]
+    seen = any(remote.endswith(f":{own:04X}") for remote in clients)
+    return len(clients) - 1 if seen else None
 
 
 def of_sumo(error: BaseException) -> bool:

@@ -16,8 +16,10 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.simulation.live.connection import LiveApi, lost, of_sumo
 from deepmf_sumo.simulation.live.session import Session
 
-End = Literal["until", "attacks", "av_gone", "simulation_over", "stopped"]
+End = Literal["until", "attacks", "av_gone", "simulation_over", "script_left", "stopped"]
 
+_ASK_EVERY: Final = 10
+"""Steps between two looks at whether the script is still there."""
 _TOLERANCE_S: Final = 1e-6
 
 
@@ -59,6 +61,7 @@ class Lockstep:
     ) -> None:
         self._api, self._session, self._av = api, session, av_id
         self._stay, self._stopped = stay, stopped
+        self._looks = 0
         self._begin_s = self.ended_s = session.time_s
         end_s = float(api.simulation.getOption("end"))
         self._end_s = end_s if end_s >= 0 else math.inf
@@ -130,6 +133,11 @@ class Lockstep:
             return "stopped"
         if session.av_seen and not session.av_present and not self._elsewhere():
             return "av_gone"
+        self._looks += 1
+        if self._looks % _ASK_EVERY == 0:
+            session.check_script()
+        if session.script_left:
+            return "script_left"
         if stay.attacks is not None and session.attacks >= stay.attacks:
             return "attacks"
         if stay.until_s is not None and session.time_s >= stay.until_s - _TOLERANCE_S:

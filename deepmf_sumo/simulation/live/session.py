@@ -42,6 +42,8 @@ class Session:
         pause_s: after an attack before the next.
         rng: for the policy.
         finished: is told of each attack that is over.
+        driven: whether the script that drives the AV is still there. An attack at whose end it is
+            not is counted in ``undriven`` and nowhere else: SUMO drove the AV in a part of it.
 
     Raises UsageError where 0.1 s is no multiple of the simulation's step.
     """
@@ -54,8 +56,11 @@ class Session:
         pause_s: float,
         rng: np.random.Generator,
         finished: Callable[[Fought], None],
+        driven: Callable[[], bool] = lambda: True,
     ) -> None:
         self.attacks = 0
+        self.undriven = 0
+        self.script_left = False
         self.av_seen = False
         self.av_present = False
         self.nobody = ""
@@ -66,6 +71,8 @@ class Session:
         self._pause_s = pause_s
         self._rng = rng
         self._finished = finished
+        self._driven = driven
+        self._counts = True
         self._parts = parts_of_a_step(float(scenery.api.simulation.getDeltaT()))
         self._part = 0
         self._history: deque[Sighting] = deque(maxlen=HISTORY_STEPS)
@@ -122,15 +129,16 @@ class Session:
         if self._attack is not None:
             self._attack.look(sighting)
             if self._attack.turn is not None:
-                self._next_s = self.time_s + self._pause_s
+                self._over()
         elif len(self._history) == HISTORY_STEPS and self.time_s > self._next_s - 1e-6:
             self._begin()
 
     def hand_back(self) -> None:
-        """End the attack, if one goes on. One more step lets the vehicle find its way."""
+        """End the attack, if one goes on, and begin none. In one more step it finds its way."""
         if self._attack is not None and self._attack.turn is None:
             self._attack.stop(av_gone=False)
-            self._next_s = self.time_s + self._pause_s
+            self._over()
+        self._next_s = np.inf
 
     def close(self) -> None:
         """Hand back, and take away all that was put into the simulation."""
@@ -172,7 +180,17 @@ class Session:
         self._history.clear()
         if self._attack is not None:
             self._attack.stop(av_gone=True)
-            self._next_s = self.time_s + self._pause_s
+            self._over()
+
+    def check_script(self) -> None:
+        """See whether the script has left; asking costs up to some milliseconds."""
+        self.script_left = self.script_left or not self._driven()
+
+    def _over(self) -> None:
+        """The attack has ended just now."""
+        self._next_s = self.time_s + self._pause_s
+        self.check_script()
+        self._counts = not self.script_left
 
     def _begin(self) -> None:
         moment = self._moment()
@@ -220,6 +238,9 @@ class Session:
         if attack is None or attack.turn is None:
             return
         self._attack = None
+        if not self._counts:
+            self.undriven += 1
+            return
         self.attacks += 1
         rollout = attack.rollout()
         end_s = self._begin_s + (attack.turn.last_step - rollout.now) * DT_S

@@ -7,9 +7,10 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Floats, Ints, View
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.geometry.slow import WAITING_MPS
 
 _TIMES_S = np.arange(0.0, 8.01, 0.1)
-_STILL_MPS, _STILL_M = 0.5, 0.5
+_STILL_M = 0.5
 _BESIDE, _AHEAD = 2.0, 0.2
 """Cost of a metre beside the AV's heading, and of a metre along it."""
 
@@ -31,7 +32,7 @@ def nearest_moving(view: View, rows: Ints) -> Floats:
     tracks = view.history
     first = tracks.valid[rows].argmax(1)
     moved = np.hypot(*(tracks.position_m[rows, -1] - tracks.position_m[rows, first]).T)
-    moving = (tracks.speed_mps[rows, -1] > _STILL_MPS) | (moved > _STILL_M)
+    moving = (tracks.speed_mps[rows, -1] > WAITING_MPS) | (moved > _STILL_M)
     return np.where(moving, nearest(view, rows), -np.inf)
 
 

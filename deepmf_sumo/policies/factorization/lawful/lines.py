@@ -19,7 +19,9 @@ OVER_M: Final = 2.0
 YELLOW_MPS2: Final = 3.0
 RED_MPS2: Final = 5.0
 """Somewhat more than SUMO's drivers brake with for a light that has long been red."""
-_STOP_ZONE_M, _STANDING_MPS = 6.0, 0.7
+_STOP_ZONE_M = 6.0
+_STOP_MPS = 0.7
+"""Slower before a stop sign counts as a stop: drivers roll."""
 _STOPS_MPS2 = (1.0, 2.0, 3.0)
 
 
@@ -49,12 +51,12 @@ class Line(NamedTuple):
             lanes = [lane.id for lane in driven.ways.lanes]
             return crossed & driven.ways.driven[:, lanes.index(self.lane.id)]
         waiting = (ahead <= OVER_M) & (ahead > -_STOP_ZONE_M)
-        stands = np.asarray((waiting & (driven.speed_mps < _STANDING_MPS)).any(axis=1))
+        stands = np.asarray((waiting & (driven.speed_mps < _STOP_MPS)).any(axis=1))
         return crossed & ~stands
 
     def stood(self, driven: Driven, slowest_mps: float) -> bool:
         """Whether who was so slow just now stood before the sign; at lights that does not count."""
-        return self.sign and self.before_m(driven) < _STOP_ZONE_M and slowest_mps < _STANDING_MPS
+        return self.sign and self.before_m(driven) < _STOP_ZONE_M and slowest_mps < _STOP_MPS
 
     def before_m(self, driven: Driven) -> float:
         """How far the front is before the line now; negative beyond it."""
