@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from deepmf_sumo.datatypes import (
     SignalState,
     VehicleModel,
 )
+from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.simulation.av import Av
 from deepmf_sumo.simulation.bystanders import Bystanders
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
@@ -79,6 +81,7 @@ class RecordedStage:
         self._case = case
         self._tracks = case.scene.tracks
         self._log = log_of(case)
+        self._ground = ground_of(case.road)
         self._now = self._step = case.scene.now
         self._row = {agent: row for row, agent in enumerate(self._tracks.ids)}
         self._av_row = self._row[case.av_id]
@@ -149,8 +152,30 @@ class RecordedStage:
         logged = np.ones(self._tracks.agents, bool)
         logged[[self._row[agent] for agent in extra] + [self._av_row]] = False
         logged[list(self._free.entered - self._free.lost)] = False
-        self._frame = self._logged(step, logged).with_poses(extra)
+        self._frame = self._logged(step, logged).with_poses(self._raised(extra))
         return self._frame
+
+    def _raised(
+        self, poses: dict[AgentId, tuple[Pose, Driver]]
+    ) -> dict[AgentId, tuple[Pose, Driver]]:
+        """Poses with heights: as the recording's, and from there on as the road climbs."""
+        before, tracks = self._frame, self._tracks
+        rows = {agent: row for row, agent in enumerate(before.ids)}
+        known = [agent for agent in poses if agent in rows]
+        ways = [
+            [before.position_m[rows[agent]], (poses[agent][0].x_m, poses[agent][0].y_m)]
+            for agent in known
+        ]
+        z_m = before.z_m[[rows[agent] for agent in known]]
+        heights = dict(zip(known, self._ground.follow(np.reshape(ways, (-1, 2, 2)), z_m)[:, 1]))
+        last = min(self._step, tracks.steps - 1)
+        return {
+            agent: (
+                replace(pose, z_m=float(heights.get(agent, tracks.z_m[self._row[agent], last]))),
+                driver,
+            )
+            for agent, (pose, driver) in poses.items()
+        }
 
     def _start(self, model: VehicleModel | None) -> None:
         """Insert everybody where the recording has them now; the first step leaves them there."""
