@@ -31,6 +31,20 @@ def clear(z_m: Floats, other_m: Floats) -> Bools:
     return apart
 
 
+def on_nearest_level(group: Ints, heights_m: Floats, z_m: Floats) -> Bools:
+    """(K) which heights of roads are of that level of their group which is nearest to a height.
+
+    ``group`` (K) tells what belongs together, e.g. all lanes under one vehicle, whose height is
+    ``z_m`` (K). Nearest, and not near: recordings may count heights from elsewhere than maps.
+    """
+    heights, away = np.asarray(heights_m, float), np.abs(np.asarray(heights_m, float) - z_m)
+    order = np.lexsort((away, group))
+    _, first, member = np.unique(group[order], return_index=True, return_inverse=True)
+    nearest = np.empty(len(heights))
+    nearest[order] = heights[order][first][member]
+    return ~clear(heights, nearest)
+
+
 def distance_m(gap_m: Floats, z_m: Floats, other_m: Floats) -> Floats:
     """(...) metres between vehicles with a gap in the plan; 0 where they meet.
 

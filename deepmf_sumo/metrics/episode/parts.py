@@ -43,6 +43,12 @@ def driving(rollout: Rollout) -> Driving | str:
     return Driving(row, steps) if steps.any() else NEVER_DRIVEN
 
 
+def places(rollout: Rollout, at: tuple[int, Bools]) -> tuple[Floats, Floats]:
+    """(N, 2) box centres and (N) heights of an agent's row at the steps of a mask (T)."""
+    row, steps = at
+    return rollout.tracks.position_m[row, steps], rollout.tracks.z_m[row, steps]
+
+
 def together(rollout: Rollout, row: int) -> tuple[int, Bools]:
     """Row of the AV, and (T) steps after the current one at which it and the agent are there."""
     av = rollout.tracks.row(rollout.av_id)
