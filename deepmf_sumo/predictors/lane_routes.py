@@ -283,7 +283,12 @@ def _geometry(
         on = _ALONG + first - before[at]
         node[row] = index.segment_start_m[segment[at]] + on[:, None] * direction[row]
         end[row] = before[-1] + length[-1] - first
-    return {"node_m": node, "node_z_m": height, "direction": direction, "end_m": np.minimum(end, _MOST_M)}
+    return {
+        "node_m": node,
+        "node_z_m": height,
+        "direction": direction,
+        "end_m": np.minimum(end, _MOST_M),
+    }
 
 
 def _stops(

@@ -157,9 +157,7 @@ def _length(points_m: Floats) -> float:
 def _heights(lane: Lane, segments: int) -> Floats:
     """(segments) heights where segments of equal length begin."""
     along = polylines.arc_lengths(lane.centre_m)
-    heights: Floats = np.interp(
-        np.arange(segments) / max(segments, 1) * along[-1], along, lane.z_m
-    )
+    heights: Floats = np.interp(np.arange(segments) / max(segments, 1) * along[-1], along, lane.z_m)
     return heights
 
 

@@ -27,9 +27,7 @@ class TrafficReader:
         table = np.array(list(states.values())).reshape(-1, 5)
         lengths = np.array([self._bodies[name].size_m[0] for name in states])
         centres, headings = sumo_frame.from_sumo(table[:, :2], table[:, 2], lengths)
-        rows = zip(
-            states, centres.tolist(), headings.tolist(), table[:, 3:].tolist(), strict=True
-        )
+        rows = zip(states, centres.tolist(), headings.tolist(), table[:, 3:].tolist(), strict=True)
         return {
             name: (Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed, z_m=z), Driver.SUMO)
             for name, (x, y), heading, (speed, z) in rows

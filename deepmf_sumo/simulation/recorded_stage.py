@@ -158,22 +158,21 @@ class RecordedStage:
     def _raised(
         self, poses: dict[AgentId, tuple[Pose, Driver]]
     ) -> dict[AgentId, tuple[Pose, Driver]]:
-        """Poses with heights: as the recording's, and from there on as the road climbs."""
+        """Poses with heights: from those of the step before on as the road climbs.
+
+        Who was not there before has that of the recording.
+        """
         before, tracks = self._frame, self._tracks
-        rows = {agent: row for row, agent in enumerate(before.ids)}
-        known = [agent for agent in poses if agent in rows]
-        ways = [
-            [before.position_m[rows[agent]], (poses[agent][0].x_m, poses[agent][0].y_m)]
-            for agent in known
-        ]
-        z_m = before.z_m[[rows[agent] for agent in known]]
-        heights = dict(zip(known, self._ground.follow(np.reshape(ways, (-1, 2, 2)), z_m)[:, 1]))
         last = min(self._step, tracks.steps - 1)
+        heights = {agent: tracks.z_m[self._row[agent], last] for agent in poses}
+        known = [row for row, agent in enumerate(before.ids) if agent in poses]
+        shown = [poses[before.ids[row]][0] for row in known]
+        ends = np.array([(pose.x_m, pose.y_m) for pose in shown]).reshape(-1, 2)
+        ways = np.stack([before.position_m[known], ends], axis=1)
+        climbed = self._ground.follow(ways, before.z_m[known])[:, 1]
+        heights.update(zip([before.ids[row] for row in known], climbed, strict=True))
         return {
-            agent: (
-                replace(pose, z_m=float(heights.get(agent, tracks.z_m[self._row[agent], last]))),
-                driver,
-            )
+            agent: (replace(pose, z_m=float(heights[agent])), driver)
             for agent, (pose, driver) in poses.items()
         }
 

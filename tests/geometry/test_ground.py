@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.datatypes import Lane, RoadMap
-from deepmf_sumo.geometry.ground import CLEARANCE_M, clear, ground_of, off_level
+from deepmf_sumo.geometry.ground import (
+    CLEARANCE_M,
+    clear,
+    distance_m,
+    ground_of,
+    off_level,
+    on_nearest_level,
+)
 
 
 def lane(name, points, **more):
@@ -76,3 +83,15 @@ def test_who_is_on_another_level():
     heights = np.array([8.0, 0.0, 0.2])
     found = off_level(CROSSING, np.array([-20.0, 0.0]), 0.0, others, heights)
     assert found.tolist() == [True, False, False]
+
+
+def test_distance_in_height_counts_beyond_the_clearance():
+    found = distance_m(np.array([0.0, 3.0, 3.0, 0.0]), np.zeros(4), np.array([8.0, 6.5, 2.4, 2.4]))
+    np.testing.assert_allclose(found, [5.5, 5.0, 3.0, 0.0])
+
+
+def test_nearest_levels_of_groups():
+    group, heights = np.array([7, 7, 7, 2, 2]), np.array([0.0, 8.0, 7.0, 0.0, 8.0])
+    found = on_nearest_level(group, heights, np.array([8.5, 8.5, 8.5, 1.0, 1.0]))
+    assert found.tolist() == [False, True, True, True, False]
+    assert on_nearest_level(group[:0], heights[:0], np.zeros(())).shape == (0,)

@@ -42,9 +42,10 @@ class Trip(NamedTuple):
 def time_to_spare(av: Trip, other: Trip, dt_s: float) -> float:
     """Least time that kept an encounter from being a contact, in seconds; inf without encounter.
 
-    Ways that pass over each other do not meet. Where ways cross (by more than 30 degrees): the time between one leaving a common place and the
-    other coming onto it. Where they join (at most 30 degrees, and one came from beside the other's
-    lane in the last 4 s): the time to collision along the lane.
+    Ways that pass over each other do not meet. Where ways cross (by more than 30 degrees): the time
+    between one leaving a common place and the other coming onto it. Where they join (at most 30
+    degrees, and one came from beside the other's lane in the last 4 s): the time to collision along
+    the lane.
     """
     if not _near(av, other):
         return float("inf")

@@ -140,10 +140,7 @@ class Observer:
             if name not in placed and self._known(name, person=name not in vehicles)
         ]
         table = np.array(
-            [
-                (*states[name][POSITION], states[name][ANGLE], states[name][SPEED])
-                for name in ids
-            ]
+            [(*states[name][POSITION], states[name][ANGLE], states[name][SPEED]) for name in ids]
         ).reshape(-1, 5)
         centre, heading = sumo_frame.from_sumo(table[:, :2], table[:, 3], self.sizes_m(ids)[:, 0])
         speed = np.maximum(table[:, 4:], 0.0)
