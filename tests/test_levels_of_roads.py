@@ -1,4 +1,4 @@
-"""Every look-up of lanes keeps to the level that a vehicle is on: two roads, one above the other."""
+"""Every look-up of lanes keeps to the level that a vehicle is on."""
 
 from dataclasses import replace
 

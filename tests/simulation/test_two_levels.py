@@ -73,7 +73,7 @@ class Straight:
 
 @pytest.mark.parametrize("policy", [None, Straight("over")])
 def test_who_drives_over_the_av_on_a_bridge_does_not_meet_it(config, policy):
-    case, rollout = run(config, BRIDGE_S, 130, policy)
+    _, rollout = run(config, BRIDGE_S, 130, policy)
     assert len(overlapping(rollout, "over")) > 3  # seen from above they do
     assert not rollout.contacts
     assert rollout.ended == "time"
