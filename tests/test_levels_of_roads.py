@@ -1,12 +1,15 @@
 """Every look-up of lanes keeps to the level that a vehicle is on."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from predictor_doubles import straight_tracks
 from rollout_doubles import case_of, rollout_of, straight
 
+from deepmf_sumo.adversaries.aiming import motions
+from deepmf_sumo.adversaries.search.scouting import Motion
 from deepmf_sumo.avoidance.ahead import way_ahead
 from deepmf_sumo.avoidance.lanes import keeps_lane
 from deepmf_sumo.datatypes import DT_S, Lane, RoadMap, View
@@ -126,3 +129,24 @@ def test_who_passes_over():
     assert over(crossing(), (0.0, 8.0)) == [True]
     assert over(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0)) == [False]
     assert over(stacked(), (0.0, 8.0)) == [False]  # it drives across, off every lane
+
+
+def test_gaps_of_made_attacks():
+    """What CAT's, ART's and the rule's choice go by: on the bridge 5.5 m are left."""
+    steps = np.arange(1, 81)[:, None] * DT_S
+    under = np.array([-40.0, 0.0]) + 10 * steps * [1, 0]
+    over = (np.array([0.0, -40.0]) + 10 * steps * [0, 1])[None]
+    av = Motion(
+        position_m=under,
+        heading_rad=np.zeros(80),
+        speed_mps=np.full(80, 10.0),
+        valid=np.ones(80, bool),
+    )
+
+    def least(road, heights):
+        view = view_of(road, heights)
+        scouted = SimpleNamespace(view=view, opponent_id="b")
+        return motions.gaps(scouted, av, over, np.full((1, 80), np.pi / 2)).min()
+
+    assert least(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0)) == 0.0
+    assert least(crossing(), (0.0, 8.0)) == pytest.approx(5.5)

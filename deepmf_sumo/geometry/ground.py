@@ -15,8 +15,9 @@ from deepmf_sumo.geometry import polylines
 
 CLEARANCE_M: Final = 2.5
 """Vehicles whose heights differ by so much pass over each other."""
-_CELL_M: Final = 2.0
-_SPACING_M: Final = 1.0
+_CELL_M: Final = 4.0
+_SPACING_M: Final = 2.8
+"""Of points on lanes: no cell of a lane is without one."""
 _APART_M: Final = CLEARANCE_M / 2
 """Lanes that differ by more in one cell are two levels, nearer ones are one surface."""
 _WIDTH_M, _MARGIN_M = 3.7, 0.5
@@ -78,7 +79,7 @@ def off_level(
 
 
 class Ground:
-    """The surface of all lanes of a road, in cells of 2 m; several where roads cross.
+    """The surface of all lanes of a road, in cells of 4 m; several where roads cross.
 
     Attributes:
         has_levels: whether the road passes over itself anywhere with room for a vehicle.
@@ -145,7 +146,7 @@ class Ground:
 
 
 def _surface(lane: Lane) -> Floats:
-    """(S, 5) x, y, z of points on a lane, a metre apart at most, and its slope along x and y."""
+    """(S, 5) x, y, z of points on a lane, 2.8 m apart at most, and its slope along x and y."""
     length = polylines.arc_lengths(lane.centre_m)
     along = np.linspace(0.0, length[-1], 2 + int(length[-1] / _SPACING_M))
     line = np.stack(

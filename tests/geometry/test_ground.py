@@ -42,7 +42,7 @@ def test_paths_keep_to_their_level(side):
     under = over[:, ::-1]
     z = ground.follow(np.stack([over, under]), np.zeros(2))
     expected = np.clip((110 - np.abs(along)) / 10, 0, 8)
-    np.testing.assert_allclose(z[0], expected, atol=0.15)
+    np.testing.assert_allclose(z[0], expected, atol=0.4)
     np.testing.assert_array_equal(z[1], 0.0)
 
 
@@ -50,7 +50,7 @@ def test_a_height_above_the_road_is_kept():
     """Recorded heights are those of the vehicles' middles."""
     up = np.stack([np.zeros(81), np.linspace(-110, -30, 81)], axis=-1)
     z = ground_of(CROSSING).follow(up[None], np.array([0.8]))
-    np.testing.assert_allclose(z[0], 0.8 + np.linspace(0, 8, 81), atol=0.15)
+    np.testing.assert_allclose(z[0], 0.8 + np.linspace(0, 8, 81), atol=0.4)
 
 
 def test_off_the_road_nobody_falls():

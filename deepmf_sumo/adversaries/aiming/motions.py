@@ -87,7 +87,7 @@ def gaps(scouted: Scouted, av: Motion, position_m: Floats, heading_rad: Floats) 
     )
     levels = Levels.of(view, scouted.opponent_id)
     if levels is not None:
-        own_z, av_z = levels.opponent_z_m(position_m), levels.av_z_m(av.position_m)
-        gap = distance_m(gap, own_z[:, :steps], av_z[:steps])
+        own_z, av_z = levels.opponent_z_m(position_m), levels.av_z_m(av.position_m[None])
+        gap = distance_m(gap, own_z[:, :steps], av_z[:, :steps])
     apart: Floats = np.where(av.valid[:steps], gap, np.inf)
     return apart

@@ -38,22 +38,29 @@ class Levels:
         return cls(ground=ground, opponent=now[0], av=now[1])
 
     def opponent_z_m(self, futures_m: Floats) -> Floats:
-        """(..., F) heights of futures (..., F, 2) of the opponent, which follow the road."""
+        """(N, F) heights of futures (N, F, 2) of the opponent, which follow the road."""
         return self._along(futures_m, self.opponent)
 
     def av_z_m(self, futures_m: Floats) -> Floats:
-        """(..., F) heights of futures (..., F, 2) of the AV."""
+        """(N, F) heights of futures (N, F, 2) of the AV."""
         return self._along(futures_m, self.av)
 
+    def clear(self, own_m: Floats, av_m: Floats, at: tuple[Ints, Ints, Ints]) -> Bools:
+        """(K) whether candidates (N, F, 2) and reactions (N, M, F, 2) pass over each other.
+
+        ``at``: K rows, modes and steps.
+        """
+        row, mode, step = at
+        mine, own = np.unique(row, return_inverse=True)
+        theirs, other = np.unique(row * av_m.shape[1] + mode, return_inverse=True)
+        reactions = av_m[np.divmod(theirs, av_m.shape[1])]
+        own_z, other_z = self.opponent_z_m(own_m[mine]), self.av_z_m(reactions)
+        return clear(own_z[own, step], other_z[other, step])
+
     def _along(self, futures_m: Floats, now: Floats) -> Floats:
-        futures = np.asarray(futures_m, float)
-        if futures.ndim == 4 and futures.strides[0] == 0:  # the same for all
-            return np.broadcast_to(self._along(futures[0], now), futures.shape[:-1])
-        paths = futures.reshape(-1, *futures.shape[-2:])
-        begin = np.broadcast_to(now[:2], (len(paths), 1, 2))
-        z_m = np.full(len(paths), now[2])
-        heights = self.ground.follow(np.concatenate([begin, paths], axis=1), z_m)[:, 1:]
-        return heights.reshape(futures.shape[:-1])
+        begin = np.broadcast_to(now[:2], (len(futures_m), 1, 2))
+        paths = np.concatenate([begin, futures_m], axis=1)
+        return self.ground.follow(paths, np.full(len(paths), now[2]))[:, 1:]
 
 
 def collisions(
@@ -86,9 +93,8 @@ def collisions(
         other_heading[near],
         av_size_m,
     )
-    if levels is not None and hit.any():
-        own_z, other_z = levels.opponent_z_m(own), levels.av_z_m(other)
-        hit &= ~clear(own_z[row, step], other_z[near])
+    if levels is not None:
+        hit[hit] = ~levels.clear(own, other, (row[hit], mode[hit], step[hit]))
     steps = own.shape[1]
     first = np.full(other.shape[:2], float(steps))
     np.minimum.at(first, (row[hit], mode[hit]), step[hit].astype(float))
