@@ -99,6 +99,6 @@ def _tracks(file, poses):
                 role = "av" if name == "ego" else "opponent"
                 lines.append(
                     f"{step},{(step - 10) * 0.1:.1f},{name},vehicle,{role},sumo,"
-                    f"{x:.4f},{y:.4f},{heading:.5f},10.0,4.5,1.8"
+                    f"{x:.4f},{y:.4f},{heading:.5f},10.0,4.5,1.8,0.00"
                 )
     file.write_bytes(gzip.compress("\n".join(lines).encode()))

@@ -4,6 +4,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Case, Floats, Lane, RoadMap, Rollout
 from deepmf_sumo.geometry import angles, polylines
+from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 
 _REACH_M = 150.0
 _BESIDE_M = 2.0
@@ -26,7 +27,7 @@ def way_ahead(rollout: Rollout, case: Case, step: int) -> Floats:
         way = _rest(scene.tracks.position_m[recorded, there], position, float(heading))
         if way is not None:
             return way
-    return _along_lanes(case.road, position, float(heading))
+    return _along_lanes(case.road, position, float(heading), float(rollout.tracks.z_m[row, step]))
 
 
 def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | None:
@@ -41,19 +42,28 @@ def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | No
     return line[polylines.arc_lengths(line) > foot.along_m]
 
 
-def _along_lanes(road: RoadMap, position_m: Floats, heading_rad: float) -> Floats:
-    """The rest of the nearest lane that leads on, and lanes after it until they are 150 m long."""
-    found: tuple[float, Lane, Floats] | None = None
+def _along_lanes(road: RoadMap, position_m: Floats, heading_rad: float, z_m: float) -> Floats:
+    """The rest of the nearest lane that leads on, and lanes after it until they are 150 m long.
+
+    Where roads cross the nearest lane of those on the level nearest to the height ``z_m``.
+    """
+    found: list[tuple[float, Lane, Floats]] = []
+    heights: list[float] = []
     for lane in road.lanes.values():
         rest = None if lane.kind == "bike" else _near(lane, position_m, heading_rad)
         if rest is None:
             continue
-        away = float(polylines.project(lane.centre_m, position_m).distance_m)
-        if found is None or away < found[0]:
-            found = (away, lane, rest)
-    if found is None:
+        foot = polylines.project(lane.centre_m, position_m)
+        found.append((float(foot.distance_m), lane, rest))
+        length = polylines.arc_lengths(lane.centre_m)
+        heights.append(float(np.interp(foot.along_m, length, lane.z_m)))
+    if not found:
         return np.empty((0, 2))
-    _, lane, way = found
+    if ground_of(road).has_levels:
+        one = np.zeros(len(found), np.int64)
+        level = on_nearest_level(one, np.array(heights), np.array(z_m))
+        found = [each for each, same in zip(found, level, strict=True) if same]
+    _, lane, way = min(found, key=lambda each: each[0])
     seen = {lane.id}
     while polylines.arc_lengths(way)[-1] < _REACH_M:
         following = [road.lanes[name] for name in lane.next if name in road.lanes]

@@ -7,6 +7,7 @@ import numpy as np
 from deepmf_sumo.avoidance.manoeuvres import GRID, Driven
 from deepmf_sumo.datatypes import Bools, Case, Floats, Rollout
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.ground import off_level
 from deepmf_sumo.geometry.touching import touching
 
 
@@ -20,7 +21,7 @@ class Bystanders(NamedTuple):
 
 
 def bystanders_of(rollout: Rollout, case: Case, first: int, steps: int) -> Bystanders:
-    """All agents but AV and opponent, from a step of the rollout on.
+    """All agents but AV and opponent, from a step of the rollout on, on the AV's level.
 
     As simulated while the rollout lasts; then as recorded, if the recording drove them, else at
     the velocity that they had at its end.
@@ -44,6 +45,16 @@ def bystanders_of(rollout: Rollout, case: Case, first: int, steps: int) -> Bysta
     found = Bystanders(position, heading, valid, tracks.size_m[rows, :2])
     if case.scene is not None and case.traffic == "log":
         _as_recorded(found, [tracks.ids[row] for row in rows], case, first, known)
+    av = tracks.row(rollout.av_id)
+    heights = np.repeat(tracks.z_m[rows, first + known - 1, None], steps, axis=1)
+    heights[:, :known] = tracks.z_m[rows, shown]
+    found.valid[:] &= ~off_level(
+        case.road,
+        tracks.position_m[av, first],
+        float(tracks.z_m[av, first]),
+        found.position_m.reshape(-1, 2),
+        heights.reshape(-1),
+    ).reshape(found.valid.shape)
     return found
 
 

@@ -68,5 +68,6 @@ def av_at_fault(rollout: Rollout, case: Case) -> bool | None:
     if found == "active_lateral":
         width = float(rollout.tracks.size_m[rollout.tracks.row(contact.first_id), 1])
         pose = contact.pose_first
-        return not keeps_lane(case.road, pose[:2], float(pose[2]), width)
+        z_m = rollout.tracks.z_m[rollout.tracks.row(contact.first_id), contact.step]
+        return not keeps_lane(case.road, pose[:2], float(pose[2]), width, float(z_m))
     return found in ("other_stopped", "active_front")

@@ -87,7 +87,12 @@ def ways_out(encounter: Encounter, rollout: Rollout, case: Case) -> Bools:
     hit = braking.met(approach.since(start), driven.centre_m, driven.heading_rad).any(axis=1)
     free = driven.holds & ~hit
     free &= stays_on_road(
-        case.road, encounter.path, driven.along_m, driven.left_m, approach.av_size_m[1] / 2
+        case.road,
+        encounter.path,
+        driven.along_m,
+        driven.left_m,
+        approach.av_size_m[1] / 2,
+        float(rollout.tracks.z_m[rollout.tracks.row(rollout.av_id), encounter.first_step + start]),
     )
     if free.any():
         first = encounter.first_step + start

@@ -6,6 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Case, Floats, Ints, Rollout
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.geometry.ground import clear
 
 DEPARTURE_M: Final = 0.5
 CONFLICT_S: Final = 3.0
@@ -35,6 +36,7 @@ def _on_collision_course(rollout: Rollout, opponent: int, steps: Ints) -> Bools:
         return position, tracks.heading_rad[row, steps][:, None], tracks.size_m[row, :2]
 
     hits = boxes.overlap(*ahead(av), *ahead(opponent))
+    hits &= ~clear(tracks.z_m[av, steps], tracks.z_m[opponent, steps])[:, None]
     return np.asarray(hits.any(axis=1))
 
 

@@ -10,7 +10,7 @@ from deepmf_sumo.benchmark import files
 from deepmf_sumo.datatypes import Driver, Plan, PlanReason, Rollout
 
 TRACK_COLUMNS: Final = (
-    "step,time_s,id,kind,role,driver,x_m,y_m,heading_rad,speed_mps,length_m,width_m"
+    "step,time_s,id,kind,role,driver,x_m,y_m,heading_rad,speed_mps,length_m,width_m,z_m"
 )
 
 
@@ -34,11 +34,12 @@ def write_tracks(path: Path, rollout: Rollout) -> None:
         *tracks.position_m[row, step].T,
         tracks.heading_rad[row, step],
         tracks.speed_mps[row, step],
+        tracks.z_m[row, step],
     )
     lines = [
         f"{at},{time},{who[agent]},{drivers[driver]},{x:.4f},{y:.4f},{heading:.5f},{speed:.4f},"
-        f"{size[agent]}"
-        for at, time, agent, driver, x, y, heading, speed in zip(
+        f"{size[agent]},{z:.2f}"
+        for at, time, agent, driver, x, y, heading, speed, z in zip(
             *(cell.tolist() for cell in cells), strict=True
         )
     ]

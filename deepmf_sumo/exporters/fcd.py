@@ -178,15 +178,18 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
     )
     begun = [f'        <vehicle id={quoteattr(agent)} x="' for agent in tracks.ids]
     # Lists, for formatting numbers of numpy takes several times as long.
-    values = np.concatenate([front, angle[..., None], tracks.speed_mps[..., None]], axis=-1)
+    values = np.concatenate(
+        [front, angle[..., None], tracks.speed_mps[..., None], tracks.z_m[..., None]], axis=-1
+    )
+    raised = bool(tracks.z_m.any())  # SUMO writes heights only where there are any
     lines = ["<fcd-export>"]
     for step in range(tracks.steps):
         lines.append(f'    <timestep time="{step * rollout.dt_s:.2f}">')
         rows = np.flatnonzero(present[:, step])
         lines += [
             f'{begun[row]}{x:.4f}" y="{y:.4f}" angle="{turned:.4f}" type="type_{row}" '
-            f'speed="{speed:.4f}"/>'
-            for row, (x, y, turned, speed) in zip(
+            f'speed="{speed:.4f}"' + (f' z="{z:.2f}"/>' if raised else "/>")
+            for row, (x, y, turned, speed, z) in zip(
                 rows.tolist(), values[rows, step].tolist(), strict=True
             )
         ]

@@ -7,9 +7,9 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 UNIT = "nat"
 BETTER: Better = "lower"
 DEFINITION = (
-    "signed change of the opponent's speed over the planned 8 s, raw 10 Hz differences, against "
-    "its recording's: KL(recorded || planned), 20 bins of 1 m/s2 on [-10, 10], values outside in "
-    "the end bins, 1e-10 added to each count"
+    "signed change of the opponent's speed over the planned 8 s, as far as it is recorded, raw 10 "
+    "Hz differences, against its recording's: KL(recorded || planned), 21 bins of 1 m/s2 on "
+    "[-10.5, 10.5], values outside in the end bins, 1e-10 added to each count"
 )
 _QUANTITY = Quantity("acceleration_kl_reverse", UNIT, BETTER)
 

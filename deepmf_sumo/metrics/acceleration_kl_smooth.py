@@ -7,9 +7,10 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 UNIT = "nat"
 BETTER: Better = "lower"
 DEFINITION = (
-    "signed change of the opponent's speed over the planned 8 s, Savitzky-Golay filtered (11 "
-    "samples, order 2) on both sides, against its recording's: KL(planned || recorded), 20 bins "
-    "of 1 m/s2 on [-10, 10], values outside in the end bins, 1e-10 added to each count"
+    "signed change of the opponent's speed over the planned 8 s, as far as it is recorded, "
+    "Savitzky-Golay filtered (11 samples, order 2) on both sides, against its recording's: "
+    "KL(planned || recorded), 21 bins of 1 m/s2 on [-10.5, 10.5], values outside in the end bins, "
+    "1e-10 added to each count"
 )
 _QUANTITY = Quantity("acceleration_kl_smooth", UNIT, BETTER)
 

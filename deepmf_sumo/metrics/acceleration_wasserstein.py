@@ -7,8 +7,8 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 UNIT = "m/s2"
 BETTER: Better = "lower"
 DEFINITION = (
-    "signed change of the opponent's speed over the planned 8 s, raw 10 Hz differences, against "
-    "its recording's: first Wasserstein distance of the two samples"
+    "signed change of the opponent's speed over the planned 8 s, as far as it is recorded, raw 10 "
+    "Hz differences, against its recording's: first Wasserstein distance of the two samples"
 )
 _QUANTITY = Quantity("acceleration_wasserstein", UNIT, BETTER)
 

@@ -7,9 +7,9 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 UNIT = "m/s2"
 BETTER: Better = "lower"
 DEFINITION = (
-    "signed change of the opponent's speed over the planned 8 s, Savitzky-Golay filtered (11 "
-    "samples, order 2) on both sides, against its recording's: first Wasserstein distance of the "
-    "two samples"
+    "signed change of the opponent's speed over the planned 8 s, as far as it is recorded, "
+    "Savitzky-Golay filtered (11 samples, order 2) on both sides, against its recording's: first "
+    "Wasserstein distance of the two samples"
 )
 _QUANTITY = Quantity("acceleration_wasserstein_smooth", UNIT, BETTER)
 

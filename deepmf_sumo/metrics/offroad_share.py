@@ -23,5 +23,5 @@ def measure(rollout: Rollout, case: Case) -> MetricValue:
     found = parts.driving(rollout)
     if isinstance(found, str):
         return _QUANTITY.missing(found)
-    inside = road.on_road(case.road, rollout.tracks.position_m[found])
+    inside = road.on_road(case.road, *parts.places(rollout, found))
     return _QUANTITY.value(1.0 - inside.mean())

@@ -23,4 +23,4 @@ def measure(rollout: Rollout, case: Case) -> MetricValue:
     found = parts.driving(rollout)
     if isinstance(found, str):
         return _QUANTITY.missing(found)
-    return _QUANTITY.value(road.on_road(case.road, rollout.tracks.position_m[found]).mean())
+    return _QUANTITY.value(road.on_road(case.road, *parts.places(rollout, found)).mean())

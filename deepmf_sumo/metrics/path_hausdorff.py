@@ -8,8 +8,8 @@ UNIT = "m"
 BETTER: Better = "lower"
 DEFINITION = (
     "the opponent's planned path of 8 s (after a contact its last plan goes on) against its "
-    "recorded path of 8 s, without regard to time: largest distance of a point to the other "
-    "polyline, both ways"
+    "recorded path over the same steps, without regard to time: largest distance of a point to the "
+    "other polyline, both ways"
 )
 _QUANTITY = Quantity("path_hausdorff", UNIT, BETTER)
 

@@ -7,8 +7,8 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 UNIT = "m"
 BETTER: Better = "lower"
 DEFINITION = (
-    "the opponent's path until the contact (or the end) against its recorded path up to the same "
-    "time, without regard to time: largest distance of a point to the other polyline, both ways"
+    "the opponent's path until the contact (or the end) against its recorded path over the same "
+    "steps, without regard to time: largest distance of a point to the other polyline, both ways"
 )
 _QUANTITY = Quantity("path_hausdorff_cut", UNIT, BETTER)
 

@@ -8,8 +8,8 @@ UNIT = "m"
 BETTER: Better = "lower"
 DEFINITION = (
     "the opponent's planned path of 8 s (after a contact its last plan goes on) against its "
-    "recorded path of 8 s, without regard to time: mean of the two mean distances of points to "
-    "the other polyline"
+    "recorded path over the same steps, without regard to time: mean of the two mean distances of "
+    "points to the other polyline"
 )
 _QUANTITY = Quantity("path_sspd", UNIT, BETTER)
 

@@ -7,8 +7,8 @@ from deepmf_sumo.metrics.episode.quantity import Better, Quantity
 UNIT = "m"
 BETTER: Better = "lower"
 DEFINITION = (
-    "the opponent's path until the contact (or the end) against its recorded path up to the same "
-    "time, without regard to time: mean of the two mean distances of points to the other polyline"
+    "the opponent's path until the contact (or the end) against its recorded path over the same "
+    "steps, without regard to time: mean of the two mean distances of points to the other polyline"
 )
 _QUANTITY = Quantity("path_sspd_cut", UNIT, BETTER)
 

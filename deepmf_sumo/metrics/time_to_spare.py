@@ -54,4 +54,5 @@ def _trip(rollout: Rollout, row: int) -> encounters.Trip:
         heading_rad=tracks.heading_rad[row, step],
         speed_mps=np.hypot(*tracks.velocity_mps[row, step].T),
         size_m=tracks.size_m[row, :2],
+        z_m=tracks.z_m[row, step],
     )

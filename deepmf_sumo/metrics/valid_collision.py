@@ -42,5 +42,5 @@ def measure(rollout: Rollout, case: Case) -> MetricValue:
 def _leaves_road(rollout: Rollout, case: Case, row: int) -> bool:
     """Whether the opponent is off the road after it has been on it, while the policy drives it."""
     driven = parts.driven(rollout, row)
-    inside = road.on_road(case.road, rollout.tracks.position_m[row, driven])
+    inside = road.on_road(case.road, *parts.places(rollout, (row, driven)))
     return bool((~inside & np.maximum.accumulate(inside)).any())

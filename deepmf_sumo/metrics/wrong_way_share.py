@@ -26,5 +26,6 @@ def measure(rollout: Rollout, case: Case) -> MetricValue:
     row, steps = found
     velocity = rollout.tracks.velocity_mps[row, steps]
     course = np.arctan2(velocity[:, 1], velocity[:, 0])
-    against = road.against_traffic(case.road, rollout.tracks.position_m[row, steps], course)
+    position_m, z_m = parts.places(rollout, found)
+    against = road.against_traffic(case.road, position_m, course, z_m)
     return _QUANTITY.value((against & (np.hypot(*velocity.T) > _MOVING_MPS)).mean())

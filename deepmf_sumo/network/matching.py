@@ -12,6 +12,7 @@ import shapely
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 from deepmf_sumo.network.graph import simplified
 
 NEAR_M: Final = 4.0
@@ -32,7 +33,11 @@ class Match:
 
 
 def lane_sequence(
-    road: RoadMap, position_m: Floats, heading_rad: Floats, valid: Bools
+    road: RoadMap,
+    position_m: Floats,
+    heading_rad: Floats,
+    valid: Bools,
+    z_m: Floats | None = None,
 ) -> list[str]:
     """Lanes in the order in which a track uses them, each once in a row.
 
@@ -44,8 +49,9 @@ def lane_sequence(
         position_m: (T, 2) box centres.
         heading_rad: (T).
         valid: (T) False where there is no pose.
+        z_m: (T) heights: where roads cross lanes of the level nearest to them are taken.
     """
-    found = [lane for lane in match(road, position_m, heading_rad, valid).lane_ids if lane]
+    found = [lane for lane in match(road, position_m, heading_rad, valid, z_m).lane_ids if lane]
     sequence = found[:1]
     for before, lane in pairwise(found):
         if lane != before:
@@ -54,12 +60,19 @@ def lane_sequence(
     return sequence
 
 
-def match(road: RoadMap, position_m: Floats, heading_rad: Floats, valid: Bools) -> Match:
+def match(
+    road: RoadMap,
+    position_m: Floats,
+    heading_rad: Floats,
+    valid: Bools,
+    z_m: Floats | None = None,
+) -> Match:
     """Lane of each step of a track (T, 2), (T), (T); steps that are not valid have none."""
     index = lane_index(road)
     steps = np.flatnonzero(valid)
     kept = steps[_moved(np.asarray(position_m, float)[steps])]
-    place, lanes, costs, distances = index.candidates(position_m[kept], heading_rad[kept])
+    heights = None if z_m is None else np.asarray(z_m, float)[kept]
+    place, lanes, costs, distances = index.candidates(position_m[kept], heading_rad[kept], heights)
     chosen = index.cheapest(place, lanes, costs)
     lane_ids: list[str | None] = [None] * len(valid)
     distance_m = np.full(len(valid), np.inf)
@@ -117,11 +130,14 @@ class LaneIndex:
         self._delta = np.concatenate([empty, *deltas])
         self._owner = np.repeat(np.arange(len(shapes)), [len(delta) for delta in deltas])
         self._heading = np.arctan2(self._delta[:, 1], self._delta[:, 0])
+        self._z = np.concatenate([np.zeros(0), *(xyz[:-1, 2] for xyz in shapes.values())])
+        self._rise = np.concatenate([np.zeros(0), *(np.diff(xyz[:, 2]) for xyz in shapes.values())])
+        self._has_levels = ground_of(road).has_levels
         lines = np.stack([self._start, self._start + self._delta], axis=1)
         self._tree = shapely.STRtree(np.asarray(shapely.linestrings(lines)))
 
     def candidates(
-        self, position_m: Floats, heading_rad: Floats
+        self, position_m: Floats, heading_rad: Floats, z_m: Floats | None = None
     ) -> tuple[Ints, Ints, Floats, Floats]:
         """Lanes near points (N, 2) and headings (N): point, lane, cost, distance, by point."""
         points = shapely.points(np.asarray(position_m, float))
@@ -136,6 +152,9 @@ class LaneIndex:
         lane = self._owner[segment]
         order = np.lexsort((cost, lane, place))
         order = order[turn[order] <= TURNED_RAD]
+        if z_m is not None and self._has_levels:
+            heights = (self._z[segment] + share * self._rise[segment])[order]
+            order = order[on_nearest_level(place[order], heights, z_m[place[order]])]
         place, lane, cost, distance = place[order], lane[order], cost[order], distance[order]
         best = np.ones(len(order), dtype=bool)
         best[1:] = (np.diff(place) != 0) | (np.diff(lane) != 0)

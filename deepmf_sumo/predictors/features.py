@@ -60,7 +60,8 @@ def features(
     near = nearest_agents(view, row, NEIGHBOURS)
     agents, agent_info = agent_arrays(view, near, AGENTS, origin, heading)
     lanes, lane_info = lane_arrays(view, index, origin, heading, speed, LANES)
-    paths = path_set(index, origin, heading, speed, view.signals)
+    z_m = float(tracks.z_m[row, -1])
+    paths = path_set(index, origin, heading, speed, view.signals, z_m)
     driver = 1.0 + view.av_recorded_steps / (HISTORY_STEPS - 1) if planner else 0.0
     motion = np.append(_motion(view, row), driver)
     arrays: Features = {

@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, View
 from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.predictors.lane_routes import SPACING_M, Routes, lane_routes
 from deepmf_sumo.predictors.motion_relations import Motion
+from deepmf_sumo.predictors.road_index import road_index
 
 LANES: Final = 50
 """Columns of `lane_columns`."""
@@ -23,6 +25,8 @@ _MEET_M = 2.5
 """Routes whose centre lines come nearer than this meet."""
 _NODES_OWN = 36
 """Nodes of other vehicles' routes that are looked at: 140 m."""
+_ELSEWHERE_M = 400.0
+"""Distance of nodes of which one passes over the other: beyond all that a feature tells apart."""
 _TIME_CAP_S = 16.0
 _LEAST_MPS = 4.0
 """Who stands may drive off: times of arrival at this speed at least."""
@@ -42,7 +46,10 @@ def lane_columns(view: View, rows: Ints, motion: Motion) -> Floats:
         tracks.heading_rad[rows, -1],
         tracks.speed_mps[rows, -1],
         view.signals,
+        tracks.z_m[rows, -1],
     )
+    levels = road_index(view.road).has_levels
+    height = routes.node_z_m if levels else np.zeros(routes.node_z_m.shape)
     origin, heading = tracks.position_m[rows[0], -1], float(tracks.heading_rad[rows[0], -1])
     node = frames.to_local(routes.node_m, origin, heading)
     direction = frames.rotate(routes.direction, -heading)
@@ -55,7 +62,7 @@ def lane_columns(view: View, rows: Ints, motion: Motion) -> Floats:
             np.broadcast_to(_own_lane_of(routes, 0)[:9], (count, 9)),
             place,
             own_place,
-            _meetings(routes, node, direction, motion, count),
+            _meetings(routes, node, direction, height, motion, count),
             _order(place, own_place),
         ],
         axis=1,
@@ -156,7 +163,7 @@ class _Met(NamedTuple):
 
 
 def _meetings(
-    routes: Routes, node: Floats, direction: Floats, motion: Motion, count: int
+    routes: Routes, node: Floats, direction: Floats, height: Floats, motion: Motion, count: int
 ) -> Floats:
     """(V - 1, 15) the soonest meeting (11); distance of the first routes; shares that meet (3)."""
     out = np.zeros((count, 15))
@@ -167,6 +174,7 @@ def _meetings(
     owner = routes.owner[others]
     found = _first_meetings(
         node[others], direction[others], node[mine], direction[mine],
+        _passing(height[others], height[mine]) if height.any() else None,
         np.maximum(motion.speed_mps[owner], _LEAST_MPS)[:, None],
         max(float(motion.speed_mps[0]), _LEAST_MPS),
     )  # fmt: skip
@@ -186,11 +194,14 @@ def _first_meetings(
     own_direction: Floats,
     ego: Floats,
     ego_direction: Floats,
+    passing_over: Bools | None,
     own_mps: Floats,
     ego_mps: float,
 ) -> _Met:
     """Of routes (R, N, 2) with the AV's (E, N, 2); speeds (R, 1) and the AV's."""
     apart = _apart(own[:, :_NODES_OWN], ego)  # (R, 36, E, 46)
+    if passing_over is not None:
+        apart[passing_over] = _ELSEWHERE_M**2
     nearest = apart.argmin(3)
     square = np.take_along_axis(apart, nearest[..., None], 3)[..., 0]
     least = np.sqrt(square)  # (R, 36, E)
@@ -214,6 +225,11 @@ def _first_meetings(
     )  # fmt: skip
     late = np.where(met, np.maximum(own_s, ego_s), 40.0 + least.min(1))
     return _Met(columns, met, late)
+
+
+def _passing(own_z_m: Floats, ego_z_m: Floats) -> Bools:
+    """(R, 36, E, 46) nodes of which one passes over the other."""
+    return clear(own_z_m[:, :_NODES_OWN, None, None], ego_z_m)
 
 
 def _apart(own: Floats, ego: Floats) -> NDArray[np.float32]:

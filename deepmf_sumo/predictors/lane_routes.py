@@ -12,6 +12,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SignalState
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.ground import clear, on_nearest_level
 from deepmf_sumo.predictors.lane_walk import first_signal, lane_sequences
 from deepmf_sumo.predictors.paths import signal_colour
 from deepmf_sumo.predictors.road_index import RoadIndex, road_index
@@ -39,6 +40,7 @@ class Routes:
         owner: (R) row of the vehicle in the arguments.
         rank: (R) 0 for the first route of each vehicle.
         node_m: (R, 46, 2) every 4 m along the lanes, straight on past the end of the graph.
+        node_z_m: (R, 46) heights of the lanes there.
         direction: (R, 46, 2) unit vectors along the lanes.
         left_m, turn_rad: (R) the vehicle's offset from the start lane and its heading to it.
         end_m: (R) length of the lane graph, at most 180 m. limit_mps: (R) 0 where unknown.
@@ -49,6 +51,7 @@ class Routes:
     owner: Ints
     rank: Ints
     node_m: Floats
+    node_z_m: Floats
     direction: Floats
     left_m: Floats
     turn_rad: Floats
@@ -97,10 +100,14 @@ def lane_routes(
     heading_rad: Floats,
     speed_mps: Floats,
     signals: dict[str, SignalState],
+    z_m: Floats | None = None,
 ) -> Routes:
-    """Routes of V vehicles: positions (V, 2), headings (V), speeds (V). Off the lanes: none."""
+    """Routes of V vehicles: positions (V, 2), headings (V), speeds (V). Off the lanes: none.
+
+    Where roads cross they begin on the level nearest to the vehicles' heights (V), if given.
+    """
     index, grid = road_index(road), _grid(road)
-    feet = _feet(index, grid, position_m, heading_rad)
+    feet = _feet(index, grid, position_m, heading_rad, z_m)
     owner, rank, foot_of, chains = [], [], [], []
     taken: dict[int, int] = {}
     starts: dict[int, int] = {}
@@ -150,21 +157,56 @@ def _grid(road: RoadMap) -> _Grid:
 
 
 def on_lanes(
-    road: RoadMap, position_m: Floats, heading_rad: Floats, reach_m: float, turn_rad: float
+    road: RoadMap,
+    position_m: Floats,
+    heading_rad: Floats,
+    reach_m: float,
+    turn_rad: float,
+    z_m: Floats | None = None,
 ) -> Bools:
-    """(V) who is within reach (at most 8 m) and angle of any drivable lane."""
-    pairs = _pairs(road_index(road), _grid(road), position_m, heading_rad)
+    """(V) who is within reach (at most 8 m) and angle of any drivable lane; z as `lane_routes`."""
+    pairs = _pairs(road_index(road), _grid(road), position_m, heading_rad, z_m)
     near = (pairs.apart_m < reach_m) & (np.abs(pairs.turn_rad) < turn_rad)
     found = np.zeros(len(position_m), bool)
     found[pairs.vehicle[near]] = True
     return found
 
 
-def _pairs(index: RoadIndex, grid: _Grid, position_m: Floats, heading_rad: Floats) -> _Pairs:
+def passes_over(
+    road: RoadMap, position_m: Floats, heading_rad: Floats, speed_mps: Floats, z_m: Floats
+) -> Bools:
+    """(V - 1) whose routes come onto the first vehicle's seen from above, but on another level."""
+    others = len(position_m) - 1
+    over, level = np.zeros((2, others), bool)
+    if not road_index(road).has_levels:
+        return over
+    routes = lane_routes(road, position_m, heading_rad, speed_mps, {}, z_m)
+    mine = routes.owner == 0
+    node, height = routes.node_m[mine].reshape(-1, 2), routes.node_z_m[mine].reshape(-1)
+    for row in np.flatnonzero(~mine):
+        other = routes.owner[row] - 1
+        apart = routes.node_m[row][:, None] - node
+        near = (apart**2).sum(-1) < SPACING_M**2
+        same = ~clear(routes.node_z_m[row][:, None], height)
+        over[other] |= near.any()
+        level[other] |= (near & same).any()
+    return over & ~level
+
+
+def _pairs(
+    index: RoadIndex,
+    grid: _Grid,
+    position_m: Floats,
+    heading_rad: Floats,
+    z_m: Floats | None,
+) -> _Pairs:
     """Vehicles and the drivable segments near them."""
     vehicle, segment = _near(grid, position_m)
     drivable = index.drivable[index.segment_lane[segment]]
     vehicle, segment = vehicle[drivable], segment[drivable]
+    if z_m is not None and index.has_levels:
+        level = on_nearest_level(vehicle, index.segment_z_m[segment], z_m[vehicle])
+        vehicle, segment = vehicle[level], segment[level]
     direction = index.segment_direction[segment]
     offset = position_m[vehicle] - index.segment_start_m[segment]
     share = np.clip((offset * direction).sum(-1), 0.0, index.segment_length_m[segment])
@@ -181,9 +223,15 @@ def _pairs(index: RoadIndex, grid: _Grid, position_m: Floats, heading_rad: Float
     )
 
 
-def _feet(index: RoadIndex, grid: _Grid, position_m: Floats, heading_rad: Floats) -> _Feet:
+def _feet(
+    index: RoadIndex,
+    grid: _Grid,
+    position_m: Floats,
+    heading_rad: Floats,
+    z_m: Floats | None,
+) -> _Feet:
     """The foot of each vehicle on each lane within reach and angle."""
-    pairs = _pairs(index, grid, position_m, heading_rad)
+    pairs = _pairs(index, grid, position_m, heading_rad, z_m)
     kept = np.flatnonzero((pairs.apart_m < _REACH_M) & (np.abs(pairs.turn_rad) < _TURN_RAD))
     kept = kept[np.argsort(pairs.apart_m[kept], kind="stable")]
     lane = index.segment_lane[pairs.segment[kept]]
@@ -220,6 +268,7 @@ def _geometry(
 ) -> dict[str, Floats]:
     """Nodes, directions and ends of the routes."""
     node, direction = np.empty((2, len(chains), NODES, 2))
+    height = np.empty((len(chains), NODES))
     end = np.empty(len(chains))
     for row, (foot, lanes) in enumerate(zip(picked.tolist(), chains, strict=True)):
         spans = [np.arange(feet.segment[foot], grid.first[lanes[0] + 1])]
@@ -230,10 +279,16 @@ def _geometry(
         first = feet.along_m[foot] - index.segment_along_m[feet.segment[foot]]
         at = np.maximum(np.searchsorted(before, _ALONG + first, side="right") - 1, 0)
         direction[row] = index.segment_direction[segment[at]]
+        height[row] = index.segment_z_m[segment[at]]
         on = _ALONG + first - before[at]
         node[row] = index.segment_start_m[segment[at]] + on[:, None] * direction[row]
         end[row] = before[-1] + length[-1] - first
-    return {"node_m": node, "direction": direction, "end_m": np.minimum(end, _MOST_M)}
+    return {
+        "node_m": node,
+        "node_z_m": height,
+        "direction": direction,
+        "end_m": np.minimum(end, _MOST_M),
+    }
 
 
 def _stops(

@@ -109,7 +109,8 @@ def _parked(view: View, rows: Ints) -> Bools:
         tracks.speed_mps[rows, -1] <= motion_relations.STILL_MPS
     )
     pose = tracks.position_m[rows, -1], tracks.heading_rad[rows, -1]
-    parked: Bools = still & ~on_lanes(view.road, *pose, _ON_LANE_M, float(_ALONG_LANE_RAD))
+    near = on_lanes(view.road, *pose, _ON_LANE_M, float(_ALONG_LANE_RAD), tracks.z_m[rows, -1])
+    parked: Bools = still & ~near
     return parked
 
 

@@ -61,11 +61,12 @@ def path_set(
     heading_rad: float,
     speed_mps: float,
     signals: dict[str, SignalState],
+    z_m: float | None = None,
 ) -> PathSet:
-    """The paths of a vehicle at a pose."""
+    """The paths of a vehicle at a pose; see `RoadIndex.feet` for its height."""
     depth = min(8 * speed_mps + 60.0, 230.0)
     merge = max(3 * speed_mps, 10.0)
-    routes = _routes(index, position_m, heading_rad, depth)
+    routes = _routes(index, position_m, heading_rad, depth, z_m)
     points = np.zeros((PATHS, NODES, 2))
     info = np.zeros((PATHS, INFO))
     lanes: list[tuple[int, ...]] = []
@@ -88,9 +89,11 @@ def path_set(
 Route = tuple[Foot, tuple[int, ...]]
 
 
-def _routes(index: RoadIndex, position_m: Floats, heading_rad: float, depth: float) -> list[Route]:
+def _routes(
+    index: RoadIndex, position_m: Floats, heading_rad: float, depth: float, z_m: float | None
+) -> list[Route]:
     """Lane sequences from all start lanes, cheapest start first."""
-    feet = index.feet(position_m, heading_rad, _REACH_M, float(_TURN_RAD))
+    feet = index.feet(position_m, heading_rad, _REACH_M, float(_TURN_RAD), z_m)
     feet.sort(key=lambda foot: foot.distance_m + 4 * abs(foot.turn_rad))
     routes: list[Route] = []
     for foot in feet:

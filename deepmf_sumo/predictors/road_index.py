@@ -8,6 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, Lane, Polygon, RoadMap
 from deepmf_sumo.geometry import polylines
+from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 
 LANE_SPACING_M = 1.0
 PIECE_POINTS = 10
@@ -39,7 +40,8 @@ class RoadIndex:
         lane_ids: (L). points_m: (L) arrays (P, 2) at 1 m. length_m: (L). limit_mps: (L) 0 unknown.
         following: (L) rows of the lanes that follow. drivable: (L) False for bike lanes.
         segment_start_m, segment_direction: (S, 2). segment_length_m, segment_along_m: (S).
-        segment_lane: (S) row of the lane.
+        segment_lane: (S) row of the lane. segment_z_m: (S) height of its beginning.
+        has_levels: the road passes over itself somewhere.
         piece_m: (N, 10, 2). piece_kind: (N, 4) one-hot: freeway, street, bike or unknown,
             interpolating. piece_lane: (N) row of the lane.
         pixel_m: (Q, 2) points of everything drawn. pixel_channel: (Q) index in ROAD_CHANNELS.
@@ -56,6 +58,8 @@ class RoadIndex:
     segment_length_m: Floats
     segment_along_m: Floats
     segment_lane: Ints
+    segment_z_m: Floats
+    has_levels: bool
     piece_m: Floats
     piece_kind: Floats
     piece_lane: Ints
@@ -63,9 +67,17 @@ class RoadIndex:
     pixel_channel: Ints
 
     def feet(
-        self, position_m: Floats, heading_rad: float, reach_m: float, turn_rad: float
+        self,
+        position_m: Floats,
+        heading_rad: float,
+        reach_m: float,
+        turn_rad: float,
+        z_m: float | None = None,
     ) -> list[Foot]:
-        """The pose's foot on each drivable lane within reach and angle, nearest first."""
+        """The pose's foot on each drivable lane within reach and angle, nearest first.
+
+        Where roads cross only lanes of the level nearest to its height, if that is given.
+        """
         offset = position_m - self.segment_start_m
         direction = self.segment_direction
         share = np.clip((offset * direction).sum(-1), 0.0, self.segment_length_m)
@@ -74,6 +86,9 @@ class RoadIndex:
         aligned = direction @ np.array([np.cos(heading_rad), np.sin(heading_rad)])
         near = (square < reach_m**2) & (aligned > np.cos(turn_rad))
         rows = np.flatnonzero(near & self.drivable[self.segment_lane])
+        if z_m is not None and self.has_levels:
+            one = np.zeros(len(rows), np.int64)
+            rows = rows[on_nearest_level(one, self.segment_z_m[rows], np.array(z_m))]
         rows = rows[np.argsort(square[rows], kind="stable")]
         lanes, first = np.unique(self.segment_lane[rows], return_index=True)
         feet = []
@@ -125,6 +140,8 @@ def road_index(road: RoadMap) -> RoadIndex:
         segment_length_m=step_length,
         segment_along_m=_restarting_sums(step_length, counts),
         segment_lane=np.repeat(np.arange(len(ids)), counts),
+        segment_z_m=np.concatenate([np.zeros(0), *map(_heights, lanes.values(), counts)]),
+        has_levels=ground_of(road).has_levels,
         piece_m=np.concatenate(pieces) if pieces else np.zeros((0, PIECE_POINTS, 2)),
         piece_kind=_kinds(tuple(lanes.values()), piece_counts),
         piece_lane=np.repeat(np.arange(len(ids)), piece_counts),
@@ -135,6 +152,13 @@ def road_index(road: RoadMap) -> RoadIndex:
 
 def _length(points_m: Floats) -> float:
     return float(polylines.arc_lengths(points_m)[-1]) if len(points_m) > 1 else 0.0
+
+
+def _heights(lane: Lane, segments: int) -> Floats:
+    """(segments) heights where segments of equal length begin."""
+    along = polylines.arc_lengths(lane.centre_m)
+    heights: Floats = np.interp(np.arange(segments) / max(segments, 1) * along[-1], along, lane.z_m)
+    return heights
 
 
 def _restarting_sums(lengths: Floats, counts: Ints) -> Floats:

@@ -161,12 +161,12 @@ def move(api: SumoApi, vehicle_id: str, pose: Pose, length_m: float, match_m: fl
 def read_pose(api: SumoApi, vehicle_id: str, length_m: float) -> Pose:
     """Box centre of a vehicle."""
     vehicle = api.vehicle
-    centre, heading = sumo_frame.from_sumo(
-        vehicle.getPosition(vehicle_id), vehicle.getAngle(vehicle_id), length_m
-    )
+    x_m, y_m, z_m = vehicle.getPosition3D(vehicle_id)
+    centre, heading = sumo_frame.from_sumo((x_m, y_m), vehicle.getAngle(vehicle_id), length_m)
     return Pose(
         x_m=float(centre[0]),
         y_m=float(centre[1]),
         heading_rad=float(heading),
         speed_mps=float(vehicle.getSpeed(vehicle_id)),
+        z_m=float(z_m),
     )

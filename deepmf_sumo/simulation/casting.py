@@ -6,6 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, Tracks
 from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry.ground import distance_m
 
 _MOVES_M = 10.0
 _PARTNER_MOVES_M = 3.0
@@ -104,6 +105,7 @@ def _partner(tracks: Tracks, av: int, now: int, candidates: Bools) -> int | None
         tracks.heading_rad[rows, now:],
         np.broadcast_to(tracks.size_m[rows, None, :2], (*tracks.position_m[rows, now:].shape,)),
     )
+    gap = distance_m(gap, tracks.z_m[av, now:], tracks.z_m[rows, now:])
     closest = np.where(tracks.valid[rows, now:], gap, np.inf).min(axis=1)
     best = int(closest.argmin())
     return rows[best] if closest[best] < _PARTNER_GAP_M else None

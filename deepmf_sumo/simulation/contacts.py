@@ -7,11 +7,14 @@ import numpy as np
 from deepmf_sumo.datatypes import AgentId, Contact, Event, Floats
 from deepmf_sumo.datatypes.rollout import ContactKind
 from deepmf_sumo.geometry import boxes, frames, impact
+from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.simulation.frame import Frame
 
 
 class Judge:
     """Finds the first overlap of the AV and of the opponent with every other agent.
+
+    Boxes overlap where they do so seen from above and their heights differ by less than 2.5 m.
 
     A pair that overlaps at the first frame, or in the frame in which one of the two appears, has
     not driven into each other: it is not counted, and an event says so.
@@ -64,6 +67,7 @@ class Judge:
                 frame.heading_rad,
                 size_m,
             )
+            hit &= ~clear(frame.z_m[me], frame.z_m)
             for other in np.flatnonzero(hit):
                 if other != me:
                     yield me, int(other), frozenset((mine, frame.ids[other]))

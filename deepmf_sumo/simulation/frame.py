@@ -18,13 +18,17 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """Where a box is and how fast it goes; None: along its heading (backwards if negative)."""
+    """Where a box is and how fast it goes; None: along its heading (backwards if negative).
+
+    ``z_m``: of the road below it in SUMO, of its middle in recordings.
+    """
 
     x_m: float
     y_m: float
     heading_rad: float
     speed_mps: float
     course_rad: float | None = None
+    z_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,21 +49,24 @@ class Frame:
 
     @staticmethod
     def of_poses(poses: dict[AgentId, tuple[Pose, Driver]]) -> "Frame":
-        """Agents given one by one; their height is 0."""
+        """Agents given one by one."""
         ids = list(poses)
         table = np.array(
-            [[pose.x_m, pose.y_m, pose.heading_rad, pose.speed_mps] for pose, _ in poses.values()]
-        ).reshape(-1, 4)
+            [
+                [pose.x_m, pose.y_m, pose.heading_rad, pose.speed_mps, pose.z_m]
+                for pose, _ in poses.values()
+            ]
+        ).reshape(-1, 5)
         drivers = np.array([int(driver) for _, driver in poses.values()], np.uint8)
         course = [
             pose.heading_rad if pose.course_rad is None else pose.course_rad
             for pose, _ in poses.values()
         ]
-        velocity = table[:, 3:] * angles.unit(np.array(course))
+        velocity = table[:, 3:4] * angles.unit(np.array(course))
         return Frame(
             ids=ids,
             position_m=table[:, :2],
-            z_m=np.zeros(len(ids)),
+            z_m=table[:, 4],
             heading_rad=table[:, 2],
             velocity_mps=velocity,
             driver=drivers,

@@ -147,5 +147,7 @@ def _route(case: Case, row: int) -> tuple[str, ...]:
     # from where the vehicle is inserted on: SUMO looks for it at the beginning of its route
     valid = tracks.valid[row].copy()
     valid[: case.scene.now] = False
-    lanes = lane_sequence(case.road, tracks.position_m[row], tracks.heading_rad[row], valid)
+    lanes = lane_sequence(
+        case.road, tracks.position_m[row], tracks.heading_rad[row], valid, tracks.z_m[row]
+    )
     return edge_route(case.net, lanes, _EXTEND_M)

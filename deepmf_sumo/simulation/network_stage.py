@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
 )
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.network.sumo_road import signal_links
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.configuration import Configuration, read_configuration
@@ -60,6 +62,7 @@ class NetworkStage:
         self._api = api
         self._reader = TrafficReader(api)
         self._step = HISTORY_STEPS - 1
+        self._ground = ground_of(case.road)
         self._note_step_length(configuration)
         _check_start(case.network, configuration)
         self._frames = self._run_to(case.network.start_s)
@@ -112,13 +115,30 @@ class NetworkStage:
             self._av.after_step()
         self._opponent.after_step(self._step)
         poses = self._reader.read()
-        if self._av.id in poses:
-            poses[self._av.id] = (self._av.pose, Driver.PLANNER)
+        av = self._av.id
+        if av in poses:
+            put = self._av.placed is not None
+            shown = self._raised(av, self._av.pose, poses[av][0].z_m, put=put)
+            poses[av] = (shown, Driver.PLANNER)
         placed = self._opponent.placed()
         if placed is not None and placed[0] in poses:
-            poses[placed[0]] = (placed[1], Driver.POLICY)
+            agent, pose = placed
+            shown = self._raised(agent, pose, poses[agent][0].z_m, put=True)
+            poses[agent] = (shown, Driver.POLICY)
         self._frame = Frame.of_poses(poses)
         return self._frame
+
+    def _raised(self, agent: AgentId, pose: Pose, sumo_z_m: float, *, put: bool) -> Pose:
+        """A pose with its height: SUMO's, but of what is put somewhere where roads cross.
+
+        There SUMO takes the nearest lane by x and y alone.
+        """
+        if not (put and self._ground.has_levels and agent in self._frame.ids):
+            return replace(pose, z_m=sumo_z_m)
+        row = self._frame.ids.index(agent)
+        way = np.array([[self._frame.position_m[row], (pose.x_m, pose.y_m)]])
+        z_m = self._ground.follow(way, self._frame.z_m[row : row + 1])
+        return replace(pose, z_m=float(z_m[0, 1]))
 
     def _crowd(self) -> Crowd:
         """Who was where at the end of the last step."""

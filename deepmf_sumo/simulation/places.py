@@ -8,6 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, Lane, RoadMap
 from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.geometry.ground import clear, off_level
 from deepmf_sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -40,6 +41,7 @@ class _Candidates:
     """(N) places in order of cost, and their lanes."""
 
     front_m: Floats
+    z_m: Floats
     heading_rad: Floats
     moved_m: Floats
     lanes: list[Lane]
@@ -54,7 +56,7 @@ class Places:
     """
 
     def __init__(self, api: SumoApi, road: RoadMap) -> None:
-        self._api = api
+        self._api, self._road = api, road
         self._lanes = [
             lane
             for lane in road.lanes.values()
@@ -83,7 +85,7 @@ class Places:
             part = slice(begin, begin + _AT_ONCE)
             limit = [lane.speed_limit_mps or speed_mps for lane in found.lanes[part]]
             speed = np.minimum(speed_mps, limit)
-            poses = found.front_m[part], found.heading_rad[part], speed
+            poses = found.front_m[part], found.heading_rad[part], speed, found.z_m[part]
             for row in np.flatnonzero(_free(poses, me, frame, size_m)):
                 lane = found.lanes[begin + row]
                 if self._permitted(lane.id, permission):
@@ -112,10 +114,11 @@ class Places:
         front = frame.position_m[me] + length_m / 2 * angles.unit(np.array(heading))
         near = ((self._low <= front + _REACH_M) & (self._high >= front - _REACH_M)).all(axis=1)
         points, headings, costs, lanes = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)], []
+        heights = [np.zeros(0)]
         for index in np.flatnonzero(near):
             lane = self._lanes[index]
-            end = polylines.arc_lengths(lane.centre_m)[-1]
-            along = np.arange(length_m, end, _EVERY_M)
+            length = polylines.arc_lengths(lane.centre_m)
+            along = np.arange(length_m, length[-1], _EVERY_M)
             if not len(along):
                 continue
             point, direction = polylines.points_at(lane.centre_m, along)
@@ -123,15 +126,17 @@ class Places:
             costs.append(np.full(len(along), off_route * _OFF_ROUTE_COSTS_M))
             points.append(point)
             headings.append(direction)
+            heights.append(np.interp(along, length, lane.z_m))
             lanes += [lane] * len(along)
-        point, direction = np.concatenate(points), np.concatenate(headings)
+        point, direction, z = (np.concatenate(one) for one in (points, headings, heights))
         moved = np.hypot(*(point - front).T)
         turned = np.abs(angles.difference(direction, heading))
         cost = np.concatenate(costs) + moved + _TURN_COSTS_M * turned
         cost[(moved > _REACH_M) | (turned > _LARGEST_TURN_RAD)] = np.inf
+        cost[off_level(self._road, front, float(frame.z_m[me]), point, z)] = np.inf
         order = [row for row in np.argsort(cost, kind="stable") if np.isfinite(cost[row])]
         return _Candidates(
-            point[order], direction[order], moved[order], [lanes[row] for row in order]
+            point[order], z[order], direction[order], moved[order], [lanes[row] for row in order]
         )
 
     def _permitted(self, lane_id: str, permission: str) -> bool:
@@ -153,12 +158,15 @@ def overlapped(agent: AgentId, frame: Frame, size_m: Floats, but: AgentId) -> bo
         frame.heading_rad,
         size_m,
     )
+    hit &= ~clear(frame.z_m[me], frame.z_m)
     return any(frame.ids[row] not in (agent, but) for row in np.flatnonzero(hit))
 
 
-def _free(poses: tuple[Floats, Floats, Floats], me: int, frame: Frame, size_m: Floats) -> Bools:
-    """(K) whether nobody is in the way at fronts (K, 2), headings (K) and speeds (K)."""
-    front, heading, speed = poses
+def _free(
+    poses: tuple[Floats, Floats, Floats, Floats], me: int, frame: Frame, size_m: Floats
+) -> Bools:
+    """(K) whether nobody is in the way at fronts (K, 2), headings, speeds and heights (K)."""
+    front, heading, speed, z_m = poses
     others = np.arange(len(frame.ids)) != me
     ahead = speed[:, None] * _SECONDS - size_m[me, 0] / 2
     mine = front[:, None] + ahead[..., None] * angles.unit(heading)[:, None]
@@ -171,4 +179,5 @@ def _free(poses: tuple[Floats, Floats, Floats], me: int, frame: Frame, size_m: F
         frame.heading_rad[others, None],
         size_m[others][:, None],
     )
+    hit &= ~clear(z_m[:, None], frame.z_m[others])[..., None]
     return np.asarray(~hit.any(axis=(1, 2)), bool)

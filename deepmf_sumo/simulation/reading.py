@@ -24,17 +24,17 @@ class TrafficReader:
     def read(self) -> dict[AgentId, tuple[Pose, Driver]]:
         """Everybody who is there, vehicles before persons, sorted by id."""
         states = self.states()
-        table = np.array(list(states.values())).reshape(-1, 4)
+        table = np.array(list(states.values())).reshape(-1, 5)
         lengths = np.array([self._bodies[name].size_m[0] for name in states])
         centres, headings = sumo_frame.from_sumo(table[:, :2], table[:, 2], lengths)
-        rows = zip(states, centres.tolist(), headings.tolist(), table[:, 3].tolist(), strict=True)
+        rows = zip(states, centres.tolist(), headings.tolist(), table[:, 3:].tolist(), strict=True)
         return {
-            name: (Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed), Driver.SUMO)
-            for name, (x, y), heading, speed in rows
+            name: (Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed, z_m=z), Driver.SUMO)
+            for name, (x, y), heading, (speed, z) in rows
         }
 
-    def states(self) -> dict[AgentId, tuple[float, float, float, float]]:
-        """As ``read``, in SUMO's terms: front bumper (m), angle (degrees), speed (m/s).
+    def states(self) -> dict[AgentId, tuple[float, float, float, float, float]]:
+        """As ``read``, in SUMO's terms: front bumper x, y (m), angle (degrees), speed (m/s), z (m).
 
         For who reads thousands of steps, and converts them all at once.
         """
@@ -45,10 +45,10 @@ class TrafficReader:
         for domain, name in everybody:
             if name not in self._bodies:
                 self._bodies[name] = self._ask_body(domain, name)
-            x_m, y_m = domain.getPosition(name)
+            x_m, y_m, z_m = domain.getPosition3D(name)
             # of the order of -1e9 while a vehicle is not on the road
             speed_mps = max(0.0, domain.getSpeed(name))
-            states[str(name)] = (x_m, y_m, domain.getAngle(name), speed_mps)
+            states[str(name)] = (x_m, y_m, domain.getAngle(name), speed_mps, z_m)
         return states
 
     def _ask_body(self, domain: Any, name: AgentId) -> Body:

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
 )
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.simulation.av import Av
 from deepmf_sumo.simulation.bystanders import Bystanders
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
@@ -83,6 +85,7 @@ class RecordedStage:
         self._case = case
         self._tracks = case.scene.tracks
         self._log = log_of(case)
+        self._ground = ground_of(case.road)
         self._now = self._step = case.scene.now
         self._row = {agent: row for row, agent in enumerate(self._tracks.ids)}
         self._av_row = self._row[case.av_id]
@@ -155,8 +158,29 @@ class RecordedStage:
         logged = np.ones(self._tracks.agents, bool)
         logged[[self._row[agent] for agent in extra] + [self._av_row]] = False
         logged[list(self._free.entered - self._free.lost)] = False
-        self._frame = self._logged(step, logged).with_poses(extra)
+        self._frame = self._logged(step, logged).with_poses(self._raised(extra))
         return self._frame
+
+    def _raised(
+        self, poses: dict[AgentId, tuple[Pose, Driver]]
+    ) -> dict[AgentId, tuple[Pose, Driver]]:
+        """Poses with heights: from those of the step before on as the road climbs.
+
+        Who was not there before has that of the recording.
+        """
+        before, tracks = self._frame, self._tracks
+        last = min(self._step, tracks.steps - 1)
+        heights = {agent: tracks.z_m[self._row[agent], last] for agent in poses}
+        known = [row for row, agent in enumerate(before.ids) if agent in poses]
+        shown = [poses[before.ids[row]][0] for row in known]
+        ends = np.array([(pose.x_m, pose.y_m) for pose in shown]).reshape(-1, 2)
+        ways = np.stack([before.position_m[known], ends], axis=1)
+        climbed = self._ground.follow(ways, before.z_m[known])[:, 1]
+        heights.update(zip([before.ids[row] for row in known], climbed, strict=True))
+        return {
+            agent: (replace(pose, z_m=float(heights[agent])), driver)
+            for agent, (pose, driver) in poses.items()
+        }
 
     def _start(self, model: VehicleModel | None) -> None:
         """Insert everybody where the recording has them now; the first step leaves them there."""

@@ -71,7 +71,7 @@ class Recording:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Moment:
-    states: dict[AgentId, tuple[float, float, float, float]]
+    states: dict[AgentId, tuple[float, float, float, float, float]]
     signals: dict[str, SignalState]
 
 
@@ -200,12 +200,12 @@ class _Scenes:
 
 def _tracks(window: list[_Moment], body: Callable[[AgentId], Body]) -> Tracks:
     ids = sorted({agent for moment in window for agent in moment.states})
-    state = np.zeros((len(ids), len(window), 4))
+    state = np.zeros((len(ids), len(window), 5))
     valid = np.zeros((len(ids), len(window)), bool)
     row_of = {agent: row for row, agent in enumerate(ids)}
     for step, moment in enumerate(window):
         rows = [row_of[agent] for agent in moment.states]
-        state[rows, step] = list(moment.states.values()) or np.zeros((0, 4))
+        state[rows, step] = list(moment.states.values()) or np.zeros((0, 5))
         valid[rows, step] = True
     bodies = [body(agent) for agent in ids]
     size = np.array([one.size_m for one in bodies]).reshape(-1, 3)
@@ -215,9 +215,9 @@ def _tracks(window: list[_Moment], body: Callable[[AgentId], Body]) -> Tracks:
         kinds=tuple(one.kind for one in bodies),
         size_m=size,
         position_m=centre,
-        z_m=np.zeros(valid.shape),
+        z_m=state[..., 4],
         heading_rad=heading,
-        velocity_mps=state[..., 3:] * angles.unit(heading),
+        velocity_mps=state[..., 3:4] * angles.unit(heading),
         valid=valid,
     )
     return smoothing.smooth(raw)

@@ -29,6 +29,7 @@ from deepmf_sumo.datatypes import (
     frozen,
 )
 from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry.ground import clear, ground_of
 from deepmf_sumo.planners.base import FixedPlanner
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation.contacts import Judge
@@ -116,6 +117,7 @@ class _World:
         self.now = scene.now
         log = _logged(scene, scene.now + 1 + case.duration_steps)
         self._state, self._driver = log.state.copy(), log.driver.copy()
+        self._ground = ground_of(case.road)
         after = np.arange(len(av_poses)) + self.now + 1
         self._drive(self._av, after, av_poses, av_poses[:, 2], Driver.PLANNER)
         self.recorder = Recorder(self._driver.shape[1], self._body)
@@ -167,8 +169,10 @@ class _World:
     ) -> None:
         """Put an agent on poses (K, 4) at steps (K), moving along courses (K)."""
         state = self._state[row]
+        before = int(steps[0]) - 1
+        way = np.concatenate([state[before : before + 1, :2], poses[:, :2]])
+        state[steps, 2] = self._ground.follow(way[None], state[before : before + 1, 2])[0, 1:]
         state[steps, :2] = poses[:, :2]
-        state[steps, 2] = 0.0
         state[steps, 3] = poses[:, 2]
         state[steps, 4:] = poses[:, 3:] * angles.unit(course_rad)
         self._driver[row, steps] = driver
@@ -193,6 +197,7 @@ class _World:
                 state[row, at, 3],
                 self._size_m[row],
             )
+            hit &= ~clear(state[me, at, 2], state[row, at, 2])
             _, first = np.unique(row[hit], return_index=True)
             found |= {span.start + int(step) for step in at[hit][first]}
         return sorted(found)

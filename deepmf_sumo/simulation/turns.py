@@ -10,6 +10,7 @@ from deepmf_sumo.datatypes import DT_S, AgentId, Event, Floats, Plan, Turn, Turn
 from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.datatypes.turn import TurnEnd
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.geometry.ground import clear, distance_m
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.simulation.opponent import Opponent
@@ -138,7 +139,7 @@ class Turns:
             return False
         if self._open is None:
             touching = _overlapping(
-                self._av, frame.ids, frame.position_m, frame.heading_rad, size_m
+                self._av, frame.ids, frame.position_m, frame.heading_rad, size_m, frame.z_m
             )
             self._clear = not touching
             return False
@@ -183,6 +184,7 @@ class Turns:
             tracks.position_m[:, -1],
             tracks.heading_rad[:, -1],
             tracks.size_m[:, :2],
+            tracks.z_m[:, -1],
         )
         since = view.step - _steps(rules.again_after_s)
         tired = {turn.opponent_id for turn in self._closed if turn.last_step > since}
@@ -210,6 +212,7 @@ class Turns:
         mine, theirs = frame.position_m[pair]
         heading, size = frame.heading_rad[pair], size_m[pair]
         gap_m = float(boxes.gap(mine, heading[0], size[0], theirs, heading[1], size[1]))
+        gap_m = float(distance_m(np.array(gap_m), *frame.z_m[pair]))
         turn.gap_m = 0.0 if hit else min(turn.gap_m, gap_m)
         plans_once = self._policy is not None and self._policy.period_steps is None
         reasons: dict[TurnEnd, bool] = {
@@ -246,9 +249,15 @@ def _steps(seconds: float) -> int:
 
 
 def _overlapping(
-    agent: AgentId, ids: Sequence[AgentId], centre_m: Floats, heading_rad: Floats, size_m: Floats
+    agent: AgentId,
+    ids: Sequence[AgentId],
+    centre_m: Floats,
+    heading_rad: Floats,
+    size_m: Floats,
+    z_m: Floats,
 ) -> set[AgentId]:
-    """Whose boxes overlap an agent's, of N centres (N, 2), headings (N) and sizes (N, 2)."""
+    """Whose boxes overlap an agent's, of N centres (N, 2), headings, sizes (N, 2) and heights."""
     me = ids.index(agent)
     hit = boxes.overlap(centre_m[me], heading_rad[me], size_m[me], centre_m, heading_rad, size_m)
+    hit &= ~clear(z_m[me], z_m)
     return {ids[row] for row in np.flatnonzero(hit).tolist()} - {agent}

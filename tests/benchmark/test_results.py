@@ -3,6 +3,7 @@ import io
 import json
 import xml.etree.ElementTree as ET
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -137,6 +138,11 @@ def test_tracks(rollout, tmp_path):
     assert (now.step, now.role, now.driver, now.x_m, now.speed_mps) == (10, "av", "log", 0, 10)
     assert set(table[table.role == "opponent"].driver) == {"log", "policy"}
     assert 'odd,"id"' in set(table.id)
+    tracks = rollout.tracks
+    high = replace(rollout, tracks=replace(tracks, z_m=np.full(tracks.z_m.shape, 8.0)))
+    artifacts.write_tracks(tmp_path / "high.csv.gz", high)
+    assert set(table.z_m) == {0.0}
+    assert set(pd.read_csv(tmp_path / "high.csv.gz").z_m) == {8.0}
     raw = (tmp_path / "t.csv.gz").read_bytes()
     assert raw[4:8] == b"\0\0\0\0"
     assert gzip.decompress(raw).startswith(b"step,time_s")

@@ -47,6 +47,18 @@ def test_whoever_is_asked_for_is_read_whole_wherever_the_text_is_cut(tmp_path, m
             assert found.heading_rad[number, step] == float(row["heading_rad"])
 
 
+def test_heights_are_read_where_a_result_has_them(tmp_path):
+    file = tmp_path / "tracks.csv.gz"
+    write(file, [("ego", "av"), ("12", "opponent")], 20)
+    assert not driven.read(file, ["12"]).z_m.any()
+    with gzip.open(file, "rt", encoding="utf-8") as stream:
+        head, *rows = stream.read().splitlines()
+    with gzip.open(file, "wt", encoding="utf-8") as stream:
+        stream.write("\n".join([head + ",z_m", *(row + ",8.0" for row in rows)]) + "\n")
+    found = driven.read(file, ["12"])
+    assert (found.z_m[found.valid] == 8.0).all()
+
+
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.9])
 def test_a_file_cut_short_is_refused_by_name(tmp_path, share):
     file = tmp_path / "tracks.csv.gz"

@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,3 +123,15 @@ def case_of_folder(folder, rollout):
         scene=scene,
         net=network.read(folder.parent / "net"),
     )
+
+
+def test_heights_are_written_where_there_are_any(exported, tmp_path):
+    rollout, folder = exported
+    assert ' z="' not in (folder / fcd.FCD).read_text()
+    case = case_of(
+        scene_of(straight_road(), {"av": straight_motion(60.0, 0.4, 0.0, 12.0)}), tmp_path
+    )
+    tracks = replace(rollout.tracks, z_m=np.full(rollout.tracks.z_m.shape, 8.0))
+    fcd.write(replace(rollout, tracks=tracks), case, tmp_path / "sumo")
+    text = (tmp_path / "sumo" / fcd.FCD).read_text()
+    assert text.count(' z="8.00"/>') == text.count("<vehicle ") == rollout.tracks.valid.sum()

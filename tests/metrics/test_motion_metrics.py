@@ -146,8 +146,10 @@ def test_the_last_plan_completes_a_path_cut_off_by_the_contact():
     cut = {"av": AV[:31], "b": whole[:31]}
     rollout = rollout_of(cut, contacts=[contact_of(step=30)], plans=[plan])
     assert measured("path_hausdorff", rollout).value == pytest.approx(0.0, abs=1e-9)
-    alone = rollout_of(cut, contacts=[contact_of(step=30)])
-    assert measured("path_hausdorff", alone).value == pytest.approx(72.0, abs=0.1)
+    late = dataclasses.replace(plan, position_m=plan.position_m + np.array([0.0, 2.0]))
+    rollout = rollout_of(cut, contacts=[contact_of(step=30)], plans=[late])
+    assert measured("path_hausdorff", rollout).value == pytest.approx(2.0, abs=1e-9)
+    assert measured("path_hausdorff_cut", rollout).value == pytest.approx(0.0, abs=1e-9)
 
 
 def test_hausdorff_against_scipy_on_dense_points():

@@ -1,5 +1,6 @@
 """Naturalness against independent implementations, and worked by hand."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.metrics.episode import accelerations, distributions, paths, savitzky_golay
+from deepmf_sumo.metrics.episode import accelerations, distributions, parts, paths, savitzky_golay
 from deepmf_sumo.metrics.episode.accelerations import Samples
 from deepmf_sumo.metrics.statistics import pooled
 
@@ -28,7 +29,7 @@ def measured(name, path, **more):
 
 def histogram(sample, bins):
     """Of a sample in single bins by hand: floor, ends clipped."""
-    at = np.clip(np.floor((sample + 10) / (20 / bins)), 0, bins - 1).astype(int)
+    at = np.clip(np.floor(sample * (bins - 1) / 20 + bins / 2), 0, bins - 1).astype(int)
     return np.bincount(at, minlength=bins) + 1e-10
 
 
@@ -38,7 +39,7 @@ def two_samples(seed):
 
 
 @SEEDS
-@pytest.mark.parametrize("bins", [20, 200])
+@pytest.mark.parametrize("bins", [21, 201])
 def test_divergences_against_scipy(seed, bins):
     a, b = two_samples(seed)
     p, q = histogram(a, bins), histogram(b, bins)
@@ -61,13 +62,21 @@ def test_a_constant_speed_is_counted_in_one_bin_whichever_way_it_leads(angle):
     path = straight(-800, 3.5, 12, heading=angle)[11:, :2]
     steady = accelerations.speed_changes(path, 0.1)
     assert np.abs(steady).max() < 1e-6
-    gaining = np.full(80, 0.5)  # in the bin from 0 to 1 as well
+    gaining = np.full(80, 0.4)  # in the bin from -0.5 to 0.5 as well
     assert distributions.divergence(steady, gaining) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_tenth_of_a_millimetre_does_not_move_the_divergence_of_a_standing_car():
+    noise = np.random.default_rng(0).normal(0, 1e-4, (2, 80))
+    attack, recorded = (accelerations.speed_changes(np.c_[one, one], 0.1) for one in noise)
+    assert 0.005 < np.abs(attack).max() < 0.5
+    assert distributions.divergence(attack, recorded) == pytest.approx(0.0, abs=1e-9)
+    assert pooled([Samples(attack, recorded)]).jsd < 0.01
 
 
 def test_divergence_by_hand():
     # all mass in one bin against half in it and half in another: log 2
-    kl = distributions.divergence(np.full(10, 0.5), np.repeat([0.5, 3.5], 5))
+    kl = distributions.divergence(np.full(10, 0.4), np.repeat([0.4, 3.6], 5))
     assert kl == pytest.approx(np.log(2), abs=1e-6)
     apart = np.full(10, -15.0), np.full(7, 99.0)  # counted in the end bins
     assert distributions.jensen_shannon(*apart) == pytest.approx(np.log(2))
@@ -143,7 +152,36 @@ def test_a_path_cut_at_the_contact_is_compared_up_to_it():
     for name in ("path_sspd", "path_hausdorff"):
         cut = plugins.load("metrics", f"{name}_cut").measure(rollout, case_of()).value
         assert cut == pytest.approx(1.0, abs=1e-9)
-        assert plugins.load("metrics", name).measure(rollout, case_of()).value > 10
+        # no plan says what comes after the contact: that is not compared with the rest of the log
+        whole = plugins.load("metrics", name).measure(rollout, case_of()).value
+        assert whole == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_log_that_ends_early_is_compared_over_its_own_time():
+    """The attack swerves after 3 s; a log of 3 s cannot say that this is unnatural, or natural."""
+    swerve = straight(-8, 3.5, 12)
+    swerve[11:, 1] += 1.0
+    swerve[41:, 1] += 4.0
+    rollout = rollout_of({"av": AV, "b": swerve})
+    whole, short = case_of(), with_log_until(case_of(), 41)
+    for name in ("path_sspd", "path_hausdorff"):
+        metric = plugins.load("metrics", name)
+        assert metric.measure(rollout, short).value == pytest.approx(1.0, abs=1e-9)
+        assert metric.measure(rollout, whole).value > 2.0
+    found = accelerations.compared(rollout, short)
+    assert len(found.attack) == len(found.recorded) == 30 - 2
+    assert len(accelerations.compared(rollout, whole).attack) == 80 - 2
+    none = plugins.load("metrics", "path_sspd").measure(rollout, with_log_until(short, 13))
+    assert none.reason == parts.TOO_SHORT
+
+
+def with_log_until(case, step):
+    """The case, whose recording loses sight of the opponent at a step."""
+    tracks = case.scene.tracks
+    valid = tracks.valid.copy()
+    valid[tracks.row("b"), step:] = False
+    scene = dataclasses.replace(case.scene, tracks=dataclasses.replace(tracks, valid=valid))
+    return dataclasses.replace(case, scene=scene)
 
 
 def test_pooled_naturalness():
@@ -153,7 +191,7 @@ def test_pooled_naturalness():
     assert (same.runs, same.attack_samples, same.recorded_samples) == (60, 4800, 4800)
     every = [np.concatenate(side) for side in zip(*runs, strict=True)]
     assert same.wasserstein == pytest.approx(scipy.stats.wasserstein_distance(*every))
-    histograms = [histogram(side, 200) for side in every]
+    histograms = [histogram(side, 201) for side in every]
     assert same.kl == pytest.approx(scipy.stats.entropy(*histograms))
     assert same.kl_reverse == pytest.approx(scipy.stats.entropy(*histograms[::-1]))
     harder = pooled([Samples(run.attack * 3, run.recorded) for run in runs])

@@ -15,7 +15,7 @@ import numpy as np
 from deepmf_sumo.adversaries.aiming import motions
 from deepmf_sumo.adversaries.search.scouting import Motion
 from deepmf_sumo.datatypes import FUTURE_STEPS, Bools, Floats, Forecast, Futures, View
-from deepmf_sumo.policies.factorization.collision import collisions, footprint
+from deepmf_sumo.policies.factorization.collision import Levels, collisions, footprint
 from deepmf_sumo.policies.factorization.tracking import Start
 
 _DECAY = 0.99
@@ -86,7 +86,7 @@ def flattened(probability: Floats, kept: int) -> Floats:
 
 def score(weight: Floats, candidates: Futures, answers: Answers, view: View) -> Scored:
     """Score candidates (N1) with weights (N1) against the rollouts, within the time left."""
-    horizon = min(FUTURE_STEPS, view.steps_left)
+    horizon, levels = min(FUTURE_STEPS, view.steps_left), Levels.of(view, candidates.agent_id)
     share = answers.forecast.probability
     # Rollouts end at different times: each is judged by itself, up to its own end.
     rows = [
@@ -96,6 +96,7 @@ def score(weight: Floats, candidates: Futures, answers: Answers, view: View) -> 
             footprint(view, candidates.agent_id),
             footprint(view, view.av_id),
             min(horizon, answers.lasts(row)),
+            levels,
         )
         for row in range(len(share))
     ]

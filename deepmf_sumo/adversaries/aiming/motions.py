@@ -5,8 +5,9 @@ import numpy as np
 from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Plan, View
 from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry.ground import distance_m
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
-from deepmf_sumo.policies.factorization.collision import footprint
+from deepmf_sumo.policies.factorization.collision import Levels, footprint
 from deepmf_sumo.policies.factorization.tracking import Start, Tracked
 
 _SPAN = 2  # steps on each side of a difference
@@ -84,5 +85,9 @@ def gaps(scouted: Scouted, av: Motion, position_m: Floats, heading_rad: Floats) 
         av.heading_rad[:steps],
         footprint(view, view.av_id),
     )
+    levels = Levels.of(view, scouted.opponent_id)
+    if levels is not None:
+        own_z, av_z = levels.opponent_z_m(position_m), levels.av_z_m(av.position_m[None])
+        gap = distance_m(gap, own_z[:, :steps], av_z[:, :steps])
     apart: Floats = np.where(av.valid[:steps], gap, np.inf)
     return apart

@@ -11,6 +11,7 @@ import numpy as np
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Case, Floats, Rollout
 from deepmf_sumo.geometry import boxes, road
+from deepmf_sumo.geometry.ground import distance_m
 
 _FAR_M = 100.0
 """Distance to an AV or an opponent that was gone before the first step."""
@@ -59,7 +60,8 @@ def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
     path = tracks.position_m[opponent, first:][there]
     hit = rollout.first("av_opponent")
     late = 1.0 if hit is None else (hit.step - rollout.now) / FUTURE_STEPS
-    off_road = 1 - road.on_road(case.road, path).mean() if len(path) else 0.0
+    heights = tracks.z_m[opponent, first:][there]
+    off_road = 1 - road.on_road(case.road, path, heights).mean() if len(path) else 0.0
     return Cost(
         distance=nearest_m(rollout),
         late=weights.late * late,
@@ -87,7 +89,8 @@ def nearest_m(rollout: Rollout) -> float:
     )
     sizes = tracks.size_m[:, :2]
     gap = boxes.gap(centre_a, heading_a, sizes[av], centre_b, heading_b, sizes[opponent])
-    return float(gap.min())
+    heights = (tracks.z_m[row, after][both] for row in (av, opponent))
+    return float(distance_m(gap, *heights).min())
 
 
 def _mean_square_jerk(path_m: Floats) -> float:

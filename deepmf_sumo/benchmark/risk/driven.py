@@ -13,9 +13,10 @@ import numpy as np
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.geometry.ground import distance_m
 from deepmf_sumo.network import matching
 
-_NUMBERS: Final = ("step", "time_s", "x_m", "y_m", "heading_rad", "length_m", "width_m")
+_NUMBERS: Final = ("step", "time_s", "x_m", "y_m", "heading_rad", "length_m", "width_m", "z_m")
 _PIECE: Final = 1 << 20
 """Characters that are looked at in one go."""
 
@@ -26,13 +27,14 @@ class Driven:
 
     Attributes:
         ids: (A) of the opponents; the AV's, before them, is empty.
-        position_m: (A, T, 2) box centres. heading_rad: (A, T). size_m: (A, 2).
+        position_m: (A, T, 2) box centres. heading_rad, z_m: (A, T). size_m: (A, 2).
         valid: (A, T) False where one is not there. now: step at which the simulation took over.
     """
 
     ids: tuple[str, ...]
     position_m: Floats
     heading_rad: Floats
+    z_m: Floats
     size_m: Floats
     valid: Bools
     now: int
@@ -53,12 +55,15 @@ class Driven:
         gap_m = boxes.gap(
             position[0], heading[0], self.size_m[0], position[row], heading[row], self.size_m[row]
         )
+        gap_m = distance_m(gap_m, self.z_m[0, steps], self.z_m[row, steps])
         return int(steps[gap_m.argmin()])
 
     def lanes(self, road: RoadMap, who: str = "") -> tuple[str | None, ...]:
         """(T) the lane under the centre of an opponent, or the AV; None where it is on none."""
         row = self.ids.index(who)
-        found = matching.match(road, self.position_m[row], self.heading_rad[row], self.valid[row])
+        found = matching.match(
+            road, self.position_m[row], self.heading_rad[row], self.valid[row], self.z_m[row]
+        )
         return found.lane_ids
 
 
@@ -73,6 +78,7 @@ def read(file: Path, opponents: Sequence[str]) -> Driven:
             for row in csv.DictReader(_of_interest(stream, opponents)):
                 one = "" if row["role"] == "av" else row["id"]
                 if one in rows:
+                    row.setdefault("z_m", "0")  # results of older versions have no heights
                     rows[one].append([float(row[name]) for name in _NUMBERS])
         return _driven({one: np.array(found) for one, found in rows.items() if found})
     except FileNotFoundError:
@@ -110,17 +116,18 @@ def _driven(tables: Mapping[str, Floats]) -> Driven:
     """Of the rows (K, columns) of each; the AV is there at the start."""
     steps = 1 + int(max(table[-1, 0] for table in tables.values()))
     shape = len(tables), steps
-    position, heading = np.zeros((*shape, 2)), np.zeros(shape)
+    position, heading, z_m = np.zeros((*shape, 2)), np.zeros(shape), np.zeros(shape)
     size, valid = np.zeros((len(tables), 2)), np.zeros(shape, bool)
     for row, table in enumerate(tables.values()):
         at = table[:, 0].astype(int)
         position[row, at], heading[row, at] = table[:, 2:4], table[:, 4]
-        size[row], valid[row, at] = table[0, 5:], True
+        size[row], valid[row, at], z_m[row, at] = table[0, 5:7], True, table[:, 7]
     of_av = tables[""]
     return Driven(
         ids=tuple(tables),
         position_m=position,
         heading_rad=heading,
+        z_m=z_m,
         size_m=size,
         valid=valid,
         now=int(of_av[np.abs(of_av[:, 1]).argmin(), 0]),

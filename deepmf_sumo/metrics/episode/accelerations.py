@@ -7,18 +7,20 @@ import numpy as np
 from deepmf_sumo.datatypes import Case, Floats, Rollout
 from deepmf_sumo.metrics.episode import parts, savitzky_golay
 
-TOO_SHORT = f"fewer than {savitzky_golay.WINDOW + 1} recorded or planned poses in a row"
+TOO_SHORT = f"fewer than {savitzky_golay.WINDOW + 1} steps in a row, both recorded and planned"
 
 
 class Samples(NamedTuple):
-    """Signed changes of speed in m/s2: of the attack (N), and of the recording (M)."""
+    """Signed changes of speed in m/s2: of the attack (N), and of the recording (N)."""
 
     attack: Floats
     recorded: Floats
 
 
 def compared(rollout: Rollout, case: Case, *, smooth: bool = False) -> Samples | str:
-    """Samples of one rollout over the planned 8 s, or the reason why there are none.
+    """Samples of one rollout, or the reason why there are none.
+
+    Over the steps of the planned 8 s that the recording has, too.
 
     Raw: 10 Hz differences, as the paper's figures ask for; noise of a centimetre makes 1 m/s2 and
     more of them. Smooth: the same Savitzky-Golay filter of 1.1 s on both sides.
@@ -26,16 +28,18 @@ def compared(rollout: Rollout, case: Case, *, smooth: bool = False) -> Samples |
     row = parts.opponent_row(rollout)
     if row is None:
         return parts.NO_OPPONENT
-    logged = parts.logged_stretches(case, rollout.tracks.ids[row])
-    if not logged:
+    if not parts.is_recorded(case, rollout.tracks.ids[row]):
         return parts.NO_LOG
     if not parts.driven(rollout, row).any():
         return parts.NEVER_DRIVEN
-    path = parts.planned_path(rollout, row, case.duration_steps)
+    stretches = parts.compared_stretches(rollout, case, row, beyond=True)
     change = smooth_changes if smooth else speed_changes
+    sides = zip(*stretches, strict=True) if stretches else ([], [])
     found = Samples(
-        change(path, rollout.dt_s),
-        np.concatenate([np.empty(0), *(change(one, rollout.dt_s) for one in logged)]),
+        *(
+            np.concatenate([np.empty(0), *(change(one, rollout.dt_s) for one in side)])
+            for side in sides
+        )
     )
     if len(found.attack) and len(found.recorded):
         return found

@@ -1,24 +1,32 @@
 """What two boxes do to each other if they go on as they move now."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints, Tracks
+from deepmf_sumo.datatypes import DT_S, Bools, Floats, Ints, Tracks
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.ground import CLEARANCE_M
 
 _TIMES_S = np.concatenate([np.arange(0.1, 8.0, 0.1), np.geomspace(8.0, 120.0, 50)])
 """At which braking is looked at: gentle braking brings two cars together after a long time."""
 _SPAN = 2  # steps over which an acceleration is taken
+_CLIMB_STEPS = 10  # heights change slowly, and recorded ones are noisy
+_LEVEL: Final = np.zeros(())
 
 
 class Moving(NamedTuple):
-    """One agent at K steps: centre (K, 2), heading (K), velocity (K, 2); its size (2)."""
+    """One agent at K steps: centre (K, 2), heading (K), velocity (K, 2); its size (2).
+
+    ``z_m``, ``climb_mps``: (K), or () for all, its height and how fast that grows.
+    """
 
     position_m: Floats
     heading_rad: Floats
     velocity_mps: Floats
     size_m: Floats
+    z_m: Floats = _LEVEL
+    climb_mps: Floats = _LEVEL
 
     @classmethod
     def of(cls, tracks: Tracks, row: int, steps: Ints) -> "Moving":
@@ -28,22 +36,27 @@ class Moving(NamedTuple):
             tracks.heading_rad[row, steps],
             tracks.velocity_mps[row, steps],
             tracks.size_m[row, :2],
+            tracks.z_m[row, steps],
+            _climb(tracks, row, steps),
         )
 
     def at(self, some: Bools) -> "Moving":
         """The agent at some of its steps (K)."""
         heading, velocity = self.heading_rad[some], self.velocity_mps[some]
-        return Moving(self.position_m[some], heading, velocity, self.size_m)
+        z_m, climb = (np.broadcast_to(one, some.shape)[some] for one in (self.z_m, self.climb_mps))
+        return Moving(self.position_m[some], heading, velocity, self.size_m, z_m, climb)
 
 
 def time_to_collision(a: Moving, b: Moving) -> Floats:
     """(K) seconds until two boxes overlap at constant velocity; inf where they never do, 0 if now.
 
-    On each of the four box axes the projections overlap during one interval of time; the boxes
-    overlap while all four do.
+    On each of the four box axes the projections overlap during one interval of time, and so do the
+    heights; the boxes overlap while all five do.
     """
     offset, relative = b.position_m - a.position_m, b.velocity_mps - a.velocity_mps
     enter, leave = _overlapping(a, b, offset, relative)
+    begin, end = _within(b.z_m - a.z_m, b.climb_mps - a.climb_mps, np.array(CLEARANCE_M))
+    enter, leave = np.maximum(enter, begin), np.minimum(leave, end)
     met = (enter < leave) & (leave > 0)
     seconds: Floats = np.where(met, np.maximum(enter, 0.0), np.inf)
     return seconds
@@ -117,14 +130,31 @@ def _overlapping(a: Moving, b: Moving, offset: Floats, rate: Floats) -> tuple[Fl
         line = angles.unit(heading)
         reach = _half(line, a.heading_rad, a.size_m) + _half(line, b.heading_rad, b.size_m)
         line, reach = (_spread(part, len(shape)) for part in (line, reach[:, None]))
-        distance, speed = (offset * line).sum(-1), (rate * line).sum(-1)
-        still = np.abs(speed) < 1e-9
-        divisor = np.where(still, 1.0, speed)
-        ends = (-reach[..., 0] - distance) / divisor, (reach[..., 0] - distance) / divisor
-        inside = np.where(np.abs(distance) < reach[..., 0], -np.inf, np.inf)
-        enter = np.maximum(enter, np.where(still, inside, np.minimum(*ends)))
-        leave = np.minimum(leave, np.where(still, np.inf, np.maximum(*ends)))
+        begin, end = _within((offset * line).sum(-1), (rate * line).sum(-1), reach[..., 0])
+        enter, leave = np.maximum(enter, begin), np.minimum(leave, end)
     return enter, leave
+
+
+def _within(distance: Floats, speed: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    """Interval of x in which ``distance + x * speed`` is less than ``reach``, either way."""
+    still = np.abs(speed) < 1e-9
+    divisor = np.where(still, 1.0, speed)
+    ends = (-reach - distance) / divisor, (reach - distance) / divisor
+    inside = np.where(np.abs(distance) < reach, -np.inf, np.inf)
+    return (
+        np.where(still, inside, np.minimum(*ends)),
+        np.where(still, np.inf, np.maximum(*ends)),
+    )
+
+
+def _climb(tracks: Tracks, row: int, steps: Ints) -> Floats:
+    """(K) how fast an agent climbed in the last second, as far as it was there."""
+    before = np.maximum(steps - _CLIMB_STEPS, 0)
+    there = np.flatnonzero(tracks.valid[row])
+    before = there[np.searchsorted(there, before)] if len(there) else before
+    seconds = np.maximum(steps - before, 1) * DT_S
+    climb: Floats = (tracks.z_m[row, steps] - tracks.z_m[row, before]) / seconds
+    return climb
 
 
 def _spread(values: Floats, axes: int) -> Floats:

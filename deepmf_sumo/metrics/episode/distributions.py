@@ -5,12 +5,11 @@ import numpy as np
 from deepmf_sumo.datatypes import Floats
 
 LIMIT_MPS2 = 10.0
-"""Histograms reach from -10 to 10 m/s2; what lies outside is counted in the end bins."""
-BINS = 20
-"""Of one run's histograms: 1 m/s2 wide."""
+"""Centres of the end bins; what lies outside is counted in them."""
+BINS = 21
+"""Of one run's histograms: 1 m/s2 wide, from -10.5 to 10.5. An odd number has a bin around 0: most
+samples of slow cars lie there, and an edge at 0 would count them by the sign of their noise."""
 _PSEUDO_COUNT = 1e-10
-_DECIMALS = 6
-"""0 is the edge of two bins: rounding errors must not tell in which a constant speed is counted."""
 
 
 def wasserstein(a: Floats, b: Floats) -> float:
@@ -35,8 +34,9 @@ def jensen_shannon(a: Floats, b: Floats, bins: int = BINS) -> float:
 
 
 def shares(sample: Floats, bins: int) -> Floats:
-    """(bins) relative frequencies on [-10, 10], all positive."""
-    inside = np.clip(np.round(sample, _DECIMALS), -LIMIT_MPS2, LIMIT_MPS2)
-    count = np.histogram(inside, bins, (-LIMIT_MPS2, LIMIT_MPS2))[0] + _PSEUDO_COUNT
+    """(bins) relative frequencies, all positive; the end bins are centred on -10 and 10 m/s2."""
+    inside = np.clip(sample, -LIMIT_MPS2, LIMIT_MPS2)
+    end = LIMIT_MPS2 * bins / (bins - 1)
+    count = np.histogram(inside, bins, (-end, end))[0] + _PSEUDO_COUNT
     frequency: Floats = count / count.sum()
     return frequency

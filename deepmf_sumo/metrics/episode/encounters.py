@@ -9,6 +9,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints
 from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.geometry.ground import CLEARANCE_M, clear
 
 _WAY_STEPS: Final = 2
 _STANDING_M = 0.05
@@ -21,24 +22,30 @@ _MOVED_M = 2.0
 _NEAR_M = 60.0
 _BEYOND_M = 100.0
 _BLOCK_STEPS = 256
+_LEVEL: Final = np.zeros(())
 
 
 class Trip(NamedTuple):
-    """A vehicle's way: steps (K), positions (K, 2), headings, speeds (K), length and width (2)."""
+    """A vehicle's way: steps (K), positions (K, 2), headings, speeds (K), length and width (2).
+
+    ``z_m``: (K) heights, or () for all.
+    """
 
     step: Ints
     position_m: Floats
     heading_rad: Floats
     speed_mps: Floats
     size_m: Floats
+    z_m: Floats = _LEVEL
 
 
 def time_to_spare(av: Trip, other: Trip, dt_s: float) -> float:
     """Least time that kept an encounter from being a contact, in seconds; inf without encounter.
 
-    Where ways cross (by more than 30 degrees): the time between one leaving a common place and the
-    other coming onto it. Where they join (at most 30 degrees, and one came from beside the other's
-    lane in the last 4 s): the time to collision along the lane.
+    Ways that pass over each other do not meet. Where ways cross (by more than 30 degrees): the time
+    between one leaving a common place and the other coming onto it. Where they join (at most 30
+    degrees, and one came from beside the other's lane in the last 4 s): the time to collision along
+    the lane.
     """
     if not _near(av, other):
         return float("inf")
@@ -79,6 +86,7 @@ def _crossing_s(av: Trip, other: Trip, came: tuple[Bools, Bools], dt_s: float) -
             other.heading_rad[theirs],
             other.size_m,
         )
+        shared &= ~clear(_heights(av)[mine], _heights(other)[theirs])
         between = np.abs(av.step[mine] - other.step[theirs])[shared]
         least = min(least, float(between.min()) if len(between) else np.inf)
     return least * dt_s
@@ -103,10 +111,15 @@ def _joining_s(av: Trip, other: Trip, came: tuple[Bools, Bools]) -> float:
     # one of them may have changed lanes just now: the way of either may be that of both
     ahead_m, off_m = _from(av, mine, other.position_m[theirs])
     behind_m, beside_m = _from(other, theirs, av.position_m[mine])
+    on_level = np.where(
+        off_m < reach_m,
+        ~_passes(av, other.position_m[theirs], _heights(other)[theirs]),
+        ~_passes(other, av.position_m[mine], _heights(av)[mine]),
+    )
     ahead_m = np.where(off_m < reach_m, ahead_m, -behind_m)
     turn = np.cos(av.heading_rad[mine] - other.heading_rad[theirs])
     in_lane = (np.minimum(off_m, beside_m) < reach_m) & (turn > np.cos(_ACROSS_RAD))
-    joined = in_lane & came[0][theirs] & came[1][mine]
+    joined = in_lane & on_level & came[0][theirs] & came[1][mine]
     gap = np.maximum(np.abs(ahead_m) - (av.size_m[0] + other.size_m[0]) / 2, 0.0)
     closing = (av.speed_mps[mine] - other.speed_mps[theirs]) * np.sign(ahead_m)
     soon = joined & ((closing > 0) | (gap == 0))
@@ -120,6 +133,26 @@ def _from(trip: Trip, rows: Ints, position_m: Floats) -> tuple[Floats, Floats]:
     along_m, off_m = _feet(way, position_m)
     own_m, _ = _feet(way, trip.position_m[rows])
     return along_m - own_m, off_m
+
+
+def _heights(trip: Trip) -> Floats:
+    """(K)."""
+    return np.broadcast_to(trip.z_m, trip.step.shape)
+
+
+def _passes(trip: Trip, position_m: Floats, z_m: Floats) -> Bools:
+    """(K) whether positions (K, 2) in heights (K) are above or below where a vehicle drove.
+
+    Beyond the ends of its way nothing is known of it.
+    """
+    length = polylines.arc_lengths(trip.position_m)
+    if length[-1] < _STANDING_M or np.ptp(np.append(_heights(trip), z_m)) < CLEARANCE_M:
+        return np.zeros(len(position_m), bool)
+    moved = np.concatenate([[True], np.diff(length) > 0])
+    along, _ = _feet(trip.position_m[moved], position_m)
+    inside = (along > 0.0) & (along < length[-1])
+    passes: Bools = inside & clear(np.interp(along, length[moved], _heights(trip)[moved]), z_m)
+    return passes
 
 
 def _feet(way: Floats, position_m: Floats) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ NO_OPPONENT = "nobody was attacked"
 NEVER_DRIVEN = "the policy never drove the opponent"
 NO_COLLISION = "AV and opponent did not collide"
 NO_LOG = "the case has no recording to compare with"
-TOO_SHORT = "fewer than three recorded or planned poses to compare"
+TOO_SHORT = "fewer than three steps with both a recorded and a planned pose"
 
 
 def opponent_row(rollout: Rollout) -> int | None:
@@ -43,6 +43,12 @@ def driving(rollout: Rollout) -> Driving | str:
     return Driving(row, steps) if steps.any() else NEVER_DRIVEN
 
 
+def places(rollout: Rollout, at: tuple[int, Bools]) -> tuple[Floats, Floats]:
+    """(N, 2) box centres and (N) heights of an agent's row at the steps of a mask (T)."""
+    row, steps = at
+    return rollout.tracks.position_m[row, steps], rollout.tracks.z_m[row, steps]
+
+
 def together(rollout: Rollout, row: int) -> tuple[int, Bools]:
     """Row of the AV, and (T) steps after the current one at which it and the agent are there."""
     av = rollout.tracks.row(rollout.av_id)
@@ -50,40 +56,52 @@ def together(rollout: Rollout, row: int) -> tuple[int, Bools]:
     return av, both & (np.arange(rollout.tracks.steps) > rollout.now)
 
 
-def planned_path(rollout: Rollout, row: int, steps_at_most: int) -> Floats:
-    """(K, 2) the opponent's driven poses, and what its last plan says of the time after the end.
+class Stretch(NamedTuple):
+    """Positions (K, 2) of the opponent at K steps in a row: of the attack and of its recording."""
 
-    The episode ends at the contact; what the opponent was going to do is in its plan.
+    attack_m: Floats
+    recorded_m: Floats
+
+
+def compared_stretches(rollout: Rollout, case: Case, row: int, *, beyond: bool) -> list[Stretch]:
+    """The opponent beside its recording, over the steps that both have: most logs end early.
+
+    The attack is what the policy drove; ``beyond`` the end of the episode, which is the contact, it
+    goes on as its last plan says, up to the case's duration.
     """
-    steps = np.flatnonzero(driven(rollout, row))
-    path: Floats = rollout.tracks.position_m[row, steps]
-    if len(steps) == 0 or not rollout.plans:
-        return path
-    plan = rollout.plans[-1]
-    rest = plan.position_m[max(0, int(steps[-1]) + 1 - plan.first_step) :]
-    whole: Floats = np.concatenate([path, rest])[:steps_at_most]
-    return whole
+    assert case.scene is not None
+    last = rollout.now + case.duration_steps
+    attack = planned_poses(rollout, row, last if beyond else rollout.tracks.steps - 1)
+    recorded = case.scene.tracks
+    mine = recorded.row(rollout.tracks.ids[row])
+    # a rollout begins at the recording's first step, so that steps are the same in both
+    shared = np.zeros(recorded.steps, bool)
+    shared[[step for step in attack if step < recorded.steps]] = True
+    return [
+        Stretch(
+            np.array([attack[step] for step in range(run.start, run.stop)]),
+            recorded.position_m[mine, run],
+        )
+        for run in motion.runs(shared & recorded.valid[mine])
+    ]
 
 
-def logged_path(case: Case, agent_id: AgentId, steps_at_most: int) -> Floats | None:
-    """(K, 2) where the recording has the agent after now; None if it has fewer than three."""
-    stretches = logged_stretches(case, agent_id, steps_at_most)
-    path: Floats = np.concatenate([np.empty((0, 2)), *stretches])
-    return path if len(path) > 2 else None
+def planned_poses(rollout: Rollout, row: int, last: int) -> dict[int, Floats]:
+    """(2) positions by step up to ``last``: driven ones, then those of the last plan."""
+    steps = np.flatnonzero(driven(rollout, row)).tolist()
+    found = {step: rollout.tracks.position_m[row, step] for step in steps if step <= last}
+    if steps and rollout.plans:
+        plan = rollout.plans[-1]
+        end = plan.first_step + len(plan.position_m)
+        for step in range(max(steps[-1] + 1, plan.first_step), min(end, last + 1)):
+            found[step] = plan.position_m[step - plan.first_step]
+    return found
 
 
-def logged_stretches(
-    case: Case, agent_id: AgentId, steps_at_most: int | None = None
-) -> list[Floats]:
-    """Where the recording has the agent after now, (K, 2) each, without the gaps between them.
-
-    At most the case's duration, or the given number of steps.
-    """
+def is_recorded(case: Case, agent_id: AgentId) -> bool:
+    """Whether the recording has the agent after now, within the case's duration."""
     scene = case.scene
     if scene is None or agent_id not in scene.tracks.ids:
-        return []
-    row = scene.tracks.row(agent_id)
-    count = case.duration_steps if steps_at_most is None else steps_at_most
-    steps = slice(scene.now + 1, scene.now + 1 + count)
-    position = scene.tracks.position_m[row, steps]
-    return [position[run] for run in motion.runs(scene.tracks.valid[row, steps])]
+        return False
+    steps = slice(scene.now + 1, scene.now + 1 + case.duration_steps)
+    return bool(scene.tracks.valid[scene.tracks.row(agent_id), steps].any())

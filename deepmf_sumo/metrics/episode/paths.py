@@ -10,7 +10,7 @@ from deepmf_sumo.metrics.episode import parts
 
 
 class Paths(NamedTuple):
-    """The opponent's path (K, 2) and its recording's (L, 2), at least three points each."""
+    """The opponent's path (K, 2) and its recording's (K, 2), at least three points."""
 
     attack: Floats
     recorded: Floats
@@ -19,21 +19,21 @@ class Paths(NamedTuple):
 def compared(rollout: Rollout, case: Case, *, until_contact: bool = False) -> Paths | str:
     """Paths of one rollout, or the reason why there are none.
 
-    The whole: what the policy drove, and what its last plan says of the time after the end, against
-    the recorded 8 s. Until contact: what it drove, against the recording up to the same time.
+    Both over the steps that attack and recording have: what the policy drove, and what its last
+    plan says of the time after the end; until contact: what it drove alone.
     """
     row = parts.opponent_row(rollout)
     if row is None:
         return parts.NO_OPPONENT
-    whole = case.duration_steps
-    steps = min(whole, rollout.tracks.steps - 1 - rollout.now) if until_contact else whole
-    if not parts.logged_stretches(case, rollout.tracks.ids[row]):
+    if not parts.is_recorded(case, rollout.tracks.ids[row]):
         return parts.NO_LOG
     if not parts.driven(rollout, row).any():
         return parts.NEVER_DRIVEN
-    recorded = parts.logged_path(case, rollout.tracks.ids[row], steps)
-    path = parts.planned_path(rollout, row, steps)
-    return parts.TOO_SHORT if recorded is None or len(path) < 3 else Paths(path, recorded)
+    stretches = parts.compared_stretches(rollout, case, row, beyond=not until_contact)
+    if sum(len(one.attack_m) for one in stretches) < 3:
+        return parts.TOO_SHORT
+    attack, recorded = (np.concatenate(side) for side in zip(*stretches, strict=True))
+    return Paths(attack, recorded)
 
 
 def directed(points_m: Floats, path_m: Floats) -> Floats:

@@ -6,6 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Floats, Ints, Rollout
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.geometry.ground import clear, distance_m
 from deepmf_sumo.metrics.episode import conflict, parts
 
 NEVER_TOGETHER = "AV and opponent were never there together"
@@ -20,8 +21,9 @@ class Conflict:
 
     Attributes:
         step: (K) of the rollout. time_s: (K) since the current step.
-        gap_m: (K) between the boxes.
-        ttc_s: (K) until the boxes touch if both keep velocity and heading; inf where they do not.
+        gap_m: (K) between the boxes; a difference in height counts beyond 2.5 m.
+        ttc_s: (K) until the boxes touch if both keep velocity and heading; inf where they do not,
+            or one passes over the other.
         drac_mps2: (K) relative speed over twice the time to collision; 0 off a collision course,
             inf in contact. Of a follower and its leader this is (speed difference)^2 / (2 gap).
         braking_mps2: (K) least constant braking, along the AV's heading and at once, that keeps the
@@ -53,17 +55,18 @@ def over_time(rollout: Rollout) -> Conflict | str:
     relative = np.hypot(*(me.velocity_mps - other.velocity_mps).T)
     slowing = conflict.slowing(tracks, row, rollout.dt_s)[step]
     drac = np.divide(relative, 2 * ttc, out=np.full_like(ttc, np.inf), where=ttc > 0)
+    gap = boxes.gap(
+        me.position_m,
+        me.heading_rad,
+        me.size_m,
+        other.position_m,
+        other.heading_rad,
+        other.size_m,
+    )
     return Conflict(
         step=step,
         time_s=np.asarray((step - rollout.now) * rollout.dt_s, float),
-        gap_m=boxes.gap(
-            me.position_m,
-            me.heading_rad,
-            me.size_m,
-            other.position_m,
-            other.heading_rad,
-            other.size_m,
-        ),
+        gap_m=distance_m(gap, me.z_m, other.z_m),
         ttc_s=ttc,
         drac_mps2=drac,
         braking_mps2=conflict.braking_to_stay_behind(me, other, slowing, ttc),
@@ -108,6 +111,7 @@ def encroachment_s(rollout: Rollout) -> float | str:
         tracks.heading_rad[row, theirs],
         tracks.size_m[row, :2],
     )
+    shared &= ~clear(tracks.z_m[av, mine, None], tracks.z_m[row, theirs])
     if not shared.any():
         return "AV and opponent came over no common place"
     return float(np.abs(mine[:, None] - theirs)[shared].min()) * rollout.dt_s

@@ -13,8 +13,8 @@ import numpy as np
 from deepmf_sumo.metrics.episode import distributions
 from deepmf_sumo.metrics.episode.accelerations import Samples
 
-BINS = 200
-"""Of 0.1 m/s2 on [-10, 10] m/s2, values outside in the end bins, 1e-10 added to each count."""
+BINS = 201
+"""Of 0.1 m/s2 on [-10.05, 10.05], values outside in the end bins, 1e-10 added to each count."""
 
 
 class Pooled(NamedTuple):

@@ -6,6 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, View
 from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.geometry.ground import off_level
 
 _SPACING_M = 1.0
 """Distance of the points that stand for a box's outline: well below any corridor's width."""
@@ -23,6 +24,8 @@ class Leader:
 def nearest_in_corridor(view: View, path_m: Floats, margin_m: float) -> Leader | None:
     """The nearest box, of whatever kind, that reaches into the swept corridor; None if clear.
 
+    What is on a road above or below does not.
+
     Args:
         view: the present.
         path_m: (P, 2) from the AV's front bumper on.
@@ -31,9 +34,9 @@ def nearest_in_corridor(view: View, path_m: Floats, margin_m: float) -> Leader |
     tracks = view.history
     me = tracks.row(view.av_id)
     half = float(tracks.size_m[me, 1]) / 2 + margin_m
-    gap, heading = entries(
-        path_m, half, tracks.position_m[:, -1], tracks.heading_rad[:, -1], tracks.size_m[:, :2]
-    )
+    position, z_m = tracks.position_m[:, -1], tracks.z_m[:, -1]
+    gap, heading = entries(path_m, half, position, tracks.heading_rad[:, -1], tracks.size_m[:, :2])
+    gap[off_level(view.road, position[me], float(z_m[me]), position, z_m)] = np.inf
     gap[me] = np.inf
     row = int(gap.argmin())
     if not np.isfinite(gap[row]):

@@ -15,7 +15,7 @@ import numpy as np
 from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.geometry import angles, boxes, polylines
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
-from deepmf_sumo.policies.factorization.collision import collisions, impact_sectors
+from deepmf_sumo.policies.factorization.collision import Levels, collisions, impact_sectors
 from deepmf_sumo.policies.factorization.goals import GoalPaths
 from deepmf_sumo.policies.factorization.own_paths import OwnPath, own_paths
 from deepmf_sumo.policies.factorization.tracking import Limits, Start
@@ -56,6 +56,7 @@ def aimed_paths(
     limits: Limits,
     horizon: int,
     count: int,
+    levels: Levels | None = None,
 ) -> GoalPaths:
     """At most ``count`` references that first touch the predicted AV in ``sector``, best first.
 
@@ -72,7 +73,7 @@ def aimed_paths(
     if len(aims.path) == 0:
         return none
     reference = _references(aims, paths, start, steps)
-    mass = _wanted_mass(reference, start, av, sizes_m, sector, horizon)
+    mass = _wanted_mass(reference, start, av, sizes_m, sector, horizon, levels)
     order = np.lexsort((aims.effort, -np.round(mass, 1)))
     best = order[mass[order] > 0][:count]
     return GoalPaths(reference_m=reference[best], limits=limits.rows(len(best)))
@@ -249,13 +250,14 @@ def _wanted_mass(
     sizes_m: tuple[Floats, Floats],
     sector: int,
     horizon: int,
+    levels: Levels | None,
 ) -> Floats:
     """(K) mass of the AV's modes that each reference first touches in the sector."""
     futures = Futures(
         agent_id="", position_m=reference, heading_rad=_headings(reference, start.heading_rad)
     )
     each = [av] * len(reference)
-    _, step = collisions(futures, each, *sizes_m, horizon)
+    _, step = collisions(futures, each, *sizes_m, horizon, levels)
     found = impact_sectors(futures, each, *sizes_m, step)
     mass: Floats = ((found == sector) * av.probability).sum(axis=1)
     return mass

@@ -7,6 +7,7 @@ import numpy as np
 from deepmf_sumo.datatypes import AgentId, Floats, OpponentScores, View
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.predictors.base import OpponentPredictor
+from deepmf_sumo.predictors.lane_routes import passes_over
 
 SCORED: Final = frozenset({"argmax", "sample", "partner"})
 """Choices that need the opponent network."""
@@ -32,7 +33,7 @@ def choose(
     """
     if how in SCORED:
         assert predictor is not None
-        scores = predictor.score(view)
+        scores = _on_level(view, predictor.score(view))
         return from_scores(scores, how, rng), scores
     if how != "labelled":
         return named(view, how), None
@@ -42,6 +43,29 @@ def choose(
             "argmax, sample or partner."
         )
     return named(view, partner_id), None
+
+
+def _on_level(view: View, scores: OpponentScores) -> OpponentScores:
+    """The scores without vehicles that pass over or under the AV's way; all if no other is there.
+
+    The opponent network does not know heights.
+    """
+    tracks = view.history
+    rows = [tracks.row(one) for one in (view.av_id, *scores.ids)]
+    level = ~passes_over(
+        view.road,
+        tracks.position_m[rows, -1],
+        tracks.heading_rad[rows, -1],
+        tracks.speed_mps[rows, -1],
+        tracks.z_m[rows, -1],
+    )
+    if level.all() or not level.any():
+        return scores
+    return OpponentScores(
+        ids=tuple(scores.ids[row] for row in np.flatnonzero(level)),
+        logits=scores.logits[level],
+        partner_logits=scores.partner_logits[level],
+    )
 
 
 def from_scores(scores: OpponentScores, how: str, rng: np.random.Generator) -> AgentId | None:

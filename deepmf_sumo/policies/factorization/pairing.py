@@ -8,6 +8,7 @@ from deepmf_sumo.datatypes import FUTURE_STEPS, Forecast, View
 from deepmf_sumo.policies.factorization import steering
 from deepmf_sumo.policies.factorization.candidates import Candidates
 from deepmf_sumo.policies.factorization.collision import (
+    Levels,
     collisions,
     delta_v,
     footprint,
@@ -43,7 +44,8 @@ def pairs(
     futures = own.forecast.futures
     sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
     horizon = min(FUTURE_STEPS, view.steps_left)
-    collides, step = collisions(futures, reactions, *sizes, horizon)
+    levels = Levels.of(view, futures.agent_id)
+    collides, step = collisions(futures, reactions, *sizes, horizon, levels)
     sector = fair = severity = lawful = None
     if settings.wanted_sector is not None:
         sector = impact_sectors(futures, reactions, *sizes, step)

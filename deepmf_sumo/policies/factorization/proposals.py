@@ -10,7 +10,7 @@ from deepmf_sumo.datatypes import FUTURE_STEPS, AgentId, Forecast, Plan, View
 from deepmf_sumo.policies.factorization import candidates
 from deepmf_sumo.policies.factorization.aims import aimed_paths
 from deepmf_sumo.policies.factorization.candidates import Candidates, References
-from deepmf_sumo.policies.factorization.collision import collisions, footprint
+from deepmf_sumo.policies.factorization.collision import Levels, collisions, footprint
 from deepmf_sumo.policies.factorization.goals import goal_paths
 from deepmf_sumo.policies.factorization.lawful import stops
 from deepmf_sumo.policies.factorization.settings import Settings
@@ -78,7 +78,8 @@ def shortlisted(
         return own
     futures, horizon = own.forecast.futures, min(FUTURE_STEPS, view.steps_left)
     sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
-    meets, _ = collisions(futures, [alone] * len(own.origin), *sizes, horizon)
+    levels = Levels.of(view, futures.agent_id)
+    meets, _ = collisions(futures, [alone] * len(own.origin), *sizes, horizon, levels)
     return candidates.of_use(own, meets @ alone.probability, most)
 
 
@@ -93,6 +94,7 @@ def _goals(
     if settings.wanted_sector is not None:
         sizes = footprint(view, modes.futures.agent_id), av_size
         sector = settings.wanted_sector
-        aimed = aimed_paths(modes, av, start, sizes, sector, limits, horizon, count)
+        levels = Levels.of(view, modes.futures.agent_id)
+        aimed = aimed_paths(modes, av, start, sizes, sector, limits, horizon, count, levels)
         found.append(References.of("aim", aimed.reference_m, aimed.limits))
     return found

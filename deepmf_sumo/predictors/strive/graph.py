@@ -87,7 +87,14 @@ def graph_of(view: View, ids: Sequence[AgentId]) -> Graph:
     found["pose"][:count, 2] = angles.wrap(heading - heading[0])
     for number in range(count):
         speed = float(found["motion"][number, 0])
-        paths = path_set(index, position[number], float(heading[number]), speed, view.signals)
+        paths = path_set(
+            index,
+            position[number],
+            float(heading[number]),
+            speed,
+            view.signals,
+            float(tracks.z_m[rows[number], -1]),
+        )
         straight = len(paths.lanes)
         lanes = min(straight, PATHS - 1)
         chosen = [*range(lanes), straight]  # the fan begins with straight on

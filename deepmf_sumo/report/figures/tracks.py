@@ -36,7 +36,7 @@ def read_rollout(folder: Path, contacts: Sequence[Contact], ended: str) -> Rollo
             kinds=tuple(first["kind"]),
             size_m=np.column_stack([first["length_m"], first["width_m"], np.zeros(len(ids))]),
             position_m=np.stack([dense("x_m"), dense("y_m")], axis=-1),
-            z_m=np.zeros(shape),
+            z_m=dense("z_m") if "z_m" in table else np.zeros(shape),  # older results have none
             heading_rad=heading,
             velocity_mps=speed[..., None] * angles.unit(heading),
             valid=valid,

@@ -23,8 +23,8 @@ _FEW_SCENES: Final = 10
 _POOLED: Final = (
     "pooled_kl, pooled_jsd [nat], pooled_wasserstein [m/s2]: smoothed accelerations of all runs at"
     " once, attacks against recordings; Savitzky-Golay filter of 1.1 s on both,"
-    f" {BINS} bins of 0.1 m/s2 on [-10, 10], values outside in the end bins, 1e-10 added to each"
-    " count."
+    f" {BINS} bins of 0.1 m/s2 on [-10.05, 10.05], values outside in the end bins, 1e-10 added to"
+    " each count."
 )
 _DIVERSITY: Final = (
     "diversity_m: mean distance of the opponents' trajectories at equal times, over all pairs of"

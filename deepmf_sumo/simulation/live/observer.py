@@ -7,7 +7,7 @@ would hold what was never asked for.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,8 +17,8 @@ from deepmf_sumo.geometry import angles, sumo_frame
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.live.connection import LiveApi
 
-POSITION, ANGLE, SPEED = 0x42, 0x43, 0x40
-"""TraCI's numbers of the variables: front bumper (m), degrees clockwise from north, m/s."""
+POSITION, ANGLE, SPEED = 0x39, 0x43, 0x40
+"""TraCI's numbers of the variables: front bumper x, y, z (m), degrees clockwise from north, m/s."""
 _VEHICLES, _PERSONS = 0xA4, 0xAE
 """TraCI's numbers of the domains."""
 _INVISIBLE: Final = (0, 0, 0, 0)
@@ -109,6 +109,7 @@ class Observer:
             y_m=float(centre[1]),
             heading_rad=float(heading),
             speed_mps=max(0.0, float(state[SPEED])),
+            z_m=float(state[POSITION][2]),
         )
 
     def may_touch(self, sighting: Sighting, within_s: float) -> bool:
@@ -139,22 +140,25 @@ class Observer:
             if name not in placed and self._known(name, person=name not in vehicles)
         ]
         table = np.array(
-            [
-                (*states[name][POSITION][:2], states[name][ANGLE], states[name][SPEED])
-                for name in ids
-            ]
-        ).reshape(-1, 4)
-        centre, heading = sumo_frame.from_sumo(table[:, :2], table[:, 2], self.sizes_m(ids)[:, 0])
-        speed = np.maximum(table[:, 3:], 0.0)
+            [(*states[name][POSITION], states[name][ANGLE], states[name][SPEED]) for name in ids]
+        ).reshape(-1, 5)
+        centre, heading = sumo_frame.from_sumo(table[:, :2], table[:, 3], self.sizes_m(ids)[:, 0])
+        speed = np.maximum(table[:, 4:], 0.0)
         frame = Frame(
             ids=ids,
             position_m=centre,
-            z_m=np.zeros(len(ids)),
+            z_m=table[:, 2],
             heading_rad=heading,
             velocity_mps=speed * angles.unit(heading),
             driver=np.full(len(ids), int(Driver.SUMO), np.uint8),
         )
-        return frame.with_poses(placed) if placed else frame
+        shown = {
+            name: (replace(pose, z_m=float(states[name][POSITION][2])), driver)
+            if name in states
+            else (pose, driver)
+            for name, (pose, driver) in placed.items()
+        }
+        return frame.with_poses(shown) if shown else frame
 
     def around(self, at: tuple[float, float], radius_m: float) -> Sighting:
         """Who is near any point now: asked once, at the price of a few messages."""
@@ -200,7 +204,7 @@ class Observer:
         if self._av not in seen.vehicles:  # off every lane, where SUMO's search does not find it
             vehicle = self._api.vehicle
             angle, speed = vehicle.getAngle(self._av), vehicle.getSpeed(self._av)
-            own = {POSITION: at, ANGLE: angle, SPEED: speed}
+            own = {POSITION: vehicle.getPosition3D(self._av), ANGLE: angle, SPEED: speed}
             seen = Sighting({**seen.vehicles, self._av: own}, seen.persons)
         return seen
 

@@ -184,6 +184,7 @@ def least_ttc_s(frame: Frame, size_m: Floats, av_id: AgentId) -> float:
         frame.heading_rad[[me]].repeat(count),
         frame.velocity_mps[[me]].repeat(count, 0),
         size_m[me],
+        frame.z_m[[me]].repeat(count),
     )
     # one size each: length and width are read as rows
     rest = Moving(
@@ -191,5 +192,6 @@ def least_ttc_s(frame: Frame, size_m: Floats, av_id: AgentId) -> float:
         frame.heading_rad[others],
         frame.velocity_mps[others],
         size_m[others].T,
+        frame.z_m[others],
     )
     return float(time_to_collision(av, rest).min())

@@ -30,7 +30,12 @@ def lane_following(target: Target) -> Floats:
     start = tracks.position_m[target.row, -1]
     heading = float(tracks.heading_rad[target.row, -1])
     paths = path_set(
-        road_index(target.view.road), start, heading, target.speed_mps, target.view.signals
+        road_index(target.view.road),
+        start,
+        heading,
+        target.speed_mps,
+        target.view.signals,
+        float(tracks.z_m[target.row, -1]),
     )
     place, _ = polylines.points_at(paths.points_m[0], target.speed_mps * _TIMES_S)
     return frames.to_scene(place, start, heading)[None]

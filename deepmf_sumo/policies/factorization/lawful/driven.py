@@ -6,7 +6,8 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, View
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.policies.factorization.collision import footprint
+from deepmf_sumo.geometry.ground import clear
+from deepmf_sumo.policies.factorization.collision import Levels, footprint
 from deepmf_sumo.policies.factorization.lawful.road_ahead import EVERY_STEPS, Ways
 from deepmf_sumo.policies.factorization.tracking import Start
 
@@ -24,6 +25,7 @@ class Driven:
         start: its pose now. ways: the lanes that it drives on.
         av_position_m: (K, R, 2), av_heading_rad: (K, R), R >= S: what the AV does if nobody
             attacks. av_size_m: (2).
+        z_m, av_z_m: (N, S), (K, R) heights; z_now_m: the opponent's now. Zeros on one level.
     """
 
     position_m: Floats
@@ -35,6 +37,9 @@ class Driven:
     av_position_m: Floats
     av_heading_rad: Floats
     av_size_m: Floats
+    z_m: Floats
+    av_z_m: Floats
+    z_now_m: float
 
     @classmethod
     def of(cls, view: View, futures: Futures, speed_mps: Floats, alone: Forecast) -> "Driven":
@@ -48,16 +53,24 @@ class Driven:
         now = start.position_m, start.heading_rad
         likely = alone.probability >= min(_LIKELY, float(alone.probability.max()))
         every = slice(EVERY_STEPS - 1, None, EVERY_STEPS)
+        av_m, levels = alone.futures.position_m[likely], Levels.of(view, futures.agent_id)
+        z_m, av_z_m, z_now_m = np.zeros(heading.shape), np.zeros(av_m[:, every].shape[:2]), 0.0
+        if levels is not None:
+            z_m = levels.opponent_z_m(futures.position_m)[:, steps]
+            av_z_m, z_now_m = levels.av_z_m(av_m)[:, every], float(levels.opponent[2])
         return cls(
             position_m=position,
             heading_rad=heading,
             speed_mps=speed_mps[:, steps],
             size_m=footprint(view, futures.agent_id),
             start=start,
-            ways=Ways.of(view.road, now, (position, heading), reach_m),
-            av_position_m=alone.futures.position_m[likely, every],
+            ways=Ways.of(view.road, now, (position, heading), reach_m, z_now_m),
+            av_position_m=av_m[:, every],
             av_heading_rad=alone.futures.heading_rad[likely, every],
             av_size_m=footprint(view, view.av_id),
+            z_m=z_m,
+            av_z_m=av_z_m,
+            z_now_m=z_now_m,
         )
 
     def meets(self, later_s: float) -> Bools:
@@ -72,6 +85,7 @@ class Driven:
             self.av_heading_rad[:, row].T[None],
             self.av_size_m,
         )
+        hit &= ~clear(self.z_m[:, :, None], self.av_z_m[:, row].T[None])
         meeting: Bools = hit & (times == row)[None, :, None]
         return meeting
 

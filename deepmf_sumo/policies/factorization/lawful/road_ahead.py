@@ -9,6 +9,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, Lane, RoadMap
 from deepmf_sumo.geometry import polylines
+from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 from deepmf_sumo.geometry.road import MARGIN_M, WIDTH_M
 
 EVERY_STEPS: Final = 2
@@ -48,9 +49,13 @@ class Ways:
         now: tuple[Floats, float],
         futures: tuple[Floats, Floats],
         reach_m: float,
+        z_m: float = 0.0,
     ) -> "Ways":
-        """Of a pose now, (2) and heading, and futures: positions (N, S, 2), headings (N, S)."""
-        first = lanes_at(road, *now)
+        """Of a pose now, (2) and heading, and futures: positions (N, S, 2), headings (N, S).
+
+        Where roads cross the lanes now are those of the level nearest to the height ``z_m``.
+        """
+        first = lanes_at(road, *now, z_m)
         straight = _within(road, first, reach_m, beside=False)
         lanes = tuple(road.lanes[name] for name in _within(road, first, reach_m, beside=True))
         shape = (*futures[1].shape, len(lanes))
@@ -75,14 +80,30 @@ class Ways:
         )
 
 
-def lanes_at(road: RoadMap, position_m: Floats, heading_rad: float) -> tuple[str, ...]:
-    """Ids of the lanes for cars under a pose, (2) and heading, that run in its direction."""
+def lanes_at(
+    road: RoadMap, position_m: Floats, heading_rad: float, z_m: float = 0.0
+) -> tuple[str, ...]:
+    """Ids of the lanes for cars under a pose, (2) and heading, that run in its direction.
+
+    Where roads cross only those of the level nearest to the height ``z_m``.
+    """
     point, heading = np.asarray(position_m, float)[None], np.array([heading_rad])
-    return tuple(
-        lane.id
+    found = [
+        lane
         for lane in road.lanes.values()
         if lane.kind != "bike" and _around(lane, point)[0] and on_lane(lane, point, heading)[0][0]
-    )
+    ]
+    if len(found) > 1 and ground_of(road).has_levels:
+        heights = np.array([_height_m(lane, point) for lane in found])
+        level = on_nearest_level(np.zeros(len(found), np.int64), heights, np.array(z_m))
+        found = [lane for lane, same in zip(found, level, strict=True) if same]
+    return tuple(lane.id for lane in found)
+
+
+def _height_m(lane: Lane, point_m: Floats) -> float:
+    """Of a lane below a point (1, 2)."""
+    along = polylines.project(lane.centre_m, point_m).along_m[0]
+    return float(np.interp(along, polylines.arc_lengths(lane.centre_m), lane.z_m))
 
 
 def on_lane(

@@ -6,6 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, View
 from deepmf_sumo.geometry import boxes, frames
+from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.policies.factorization.lawful.driven import PACE_S, Driven
 from deepmf_sumo.policies.factorization.lawful.lines import RED
 from deepmf_sumo.policies.factorization.lawful.road_ahead import (
@@ -126,7 +127,8 @@ def _follows(view: View, driven: Driven) -> bool:
     """Whether the AV is ahead in the opponent's lane, or one that it leads to."""
     row = view.history.row(view.av_id)
     position = view.history.position_m[row, -1]
-    under = lanes_at(view.road, position, float(view.history.heading_rad[row, -1]))
+    heading, z_m = view.history.heading_rad[row, -1], view.history.z_m[row, -1]
+    under = lanes_at(view.road, position, float(heading), float(z_m))
     ahead = zip(driven.ways.lanes, driven.ways.straight, strict=True)
     shared = {lane.id for lane, straight in ahead if straight} & {*under}
     start = driven.start
@@ -145,4 +147,4 @@ def _leads(driven: Driven) -> bool:
         driven.size_m,
     )
     same = np.cos(driven.av_heading_rad - start.heading_rad) > _SAME_WAY
-    return bool((hit & same).any())
+    return bool((hit & same & ~clear(driven.av_z_m, np.array(driven.z_now_m))).any())

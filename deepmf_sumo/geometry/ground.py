@@ -1,0 +1,178 @@
+"""Heights: which of two vehicles passes above the other, and at which height a road runs where.
+
+A vehicle's z is that of the road under it (SUMO) or of its middle (recordings). Neither says how
+high it reaches, so two vehicles meet if their heights differ by less than `CLEARANCE_M`, whatever
+they are: roads that cross leave each other more room than that.
+"""
+
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Floats, Ints, Lane, RoadMap
+from deepmf_sumo.geometry import polylines
+
+CLEARANCE_M: Final = 2.5
+"""Vehicles whose heights differ by so much pass over each other."""
+_CELL_M: Final = 4.0
+_SPACING_M: Final = 2.8
+"""Of points on lanes: no cell of a lane is without one."""
+_APART_M: Final = CLEARANCE_M / 2
+"""Lanes that differ by more in one cell are two levels, nearer ones are one surface."""
+_WIDTH_M, _MARGIN_M = 3.7, 0.5
+_MOST_STEPS: Final = 64
+_ROW: Final = 1 << 32
+"""Cells of a column are numbered one after the other."""
+
+
+def clear(z_m: Floats, other_m: Floats) -> Bools:
+    """(...) whether what is at one height passes above or below what is at the other."""
+    apart: Bools = np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
+    return apart
+
+
+def on_nearest_level(group: Ints, heights_m: Floats, z_m: Floats) -> Bools:
+    """(K) which heights of roads are of that level of their group which is nearest to a height.
+
+    ``group`` (K) tells what belongs together, e.g. all lanes under one vehicle, whose height is
+    ``z_m`` (K). Nearest, and not near: recordings may count heights from elsewhere than maps.
+    """
+    heights, away = np.asarray(heights_m, float), np.abs(np.asarray(heights_m, float) - z_m)
+    order = np.lexsort((away, group))
+    _, first, member = np.unique(group[order], return_index=True, return_inverse=True)
+    nearest = np.empty(len(heights))
+    nearest[order] = heights[order][first][member]
+    return ~clear(heights, nearest)
+
+
+def distance_m(gap_m: Floats, z_m: Floats, other_m: Floats) -> Floats:
+    """(...) metres between vehicles with a gap in the plan; 0 where they meet.
+
+    Of a difference in height what is beyond the clearance counts.
+    """
+    above = np.maximum(np.abs(np.asarray(z_m, float) - other_m) - CLEARANCE_M, 0.0)
+    distance: Floats = np.where(clear(z_m, other_m), np.hypot(gap_m, above), gap_m)
+    return distance
+
+
+@lru_cache(maxsize=8)
+def ground_of(road: RoadMap) -> "Ground":
+    """The ground of a road; a road is compared by identity, and the last eight are kept."""
+    return Ground(road)
+
+
+def off_level(
+    road: RoadMap, position_m: Floats, z_m: float, others_m: Floats, others_z_m: Floats
+) -> Bools:
+    """(N) who of others (N, 2), (N) is where one does not get to straight from a place (2).
+
+    One that is on the bridge ahead, but not one that is farther up on the same slope. False for all
+    where the road passes nowhere over itself.
+    """
+    ground, others = ground_of(road), np.asarray(others_m, float)
+    if not ground.has_levels or not len(others):
+        return np.zeros(len(others), bool)
+    start = np.broadcast_to(np.asarray(position_m, float), others.shape)
+    reached = ground.arrived(start, np.full(len(others), float(z_m)), others)
+    return clear(reached, others_z_m)
+
+
+class Ground:
+    """The surface of all lanes of a road, in cells of 4 m; several where roads cross.
+
+    Attributes:
+        has_levels: whether the road passes over itself anywhere with room for a vehicle.
+    """
+
+    def __init__(self, road: RoadMap) -> None:
+        lanes = [lane for lane in road.lanes.values() if len(lane.centre_m) > 1]
+        heights = np.concatenate([np.zeros(0), *(lane.z_m for lane in lanes)])
+        self._flat = not len(heights) or float(np.ptp(heights)) == 0.0
+        self.has_levels = False
+        if not self._flat:
+            self._fill(np.concatenate([_surface(lane) for lane in lanes]))
+
+    def follow(self, paths_m: Floats, z_m: Floats) -> Floats:
+        """(N, P) heights along paths (N, P, 2) that begin at heights (N).
+
+        Vehicles climb and descend with the road below them; where there is none they keep their
+        height, and so they do where it would be a fall.
+        """
+        points = np.asarray(paths_m, float)
+        found = np.repeat(np.asarray(z_m, float)[:, None], points.shape[1], axis=1)
+        if self._flat:
+            return found
+        surface = self._surfaces(points)
+        for at in range(1, points.shape[1]):
+            here = _nearest(surface[:, at - 1], found[:, at - 1])
+            climb = _nearest(surface[:, at], here) - here
+            follows = np.abs(climb) < CLEARANCE_M  # False where there is no road
+            found[:, at] = found[:, at - 1] + np.where(follows, climb, 0.0)
+        return found
+
+    def arrived(self, start_m: Floats, z_m: Floats, end_m: Floats) -> Floats:
+        """(N) heights at ends (N, 2), reached straight from starts (N, 2) at heights (N)."""
+        start, way = np.asarray(start_m, float), np.asarray(end_m, float) - start_m
+        farthest = float(np.hypot(way[:, 0], way[:, 1]).max(initial=0.0))
+        steps = int(np.clip(np.ceil(farthest / _CELL_M), 1, _MOST_STEPS))
+        share = np.linspace(0.0, 1.0, steps + 1)[:, None]
+        return self.follow(start[:, None] + share * way[:, None], z_m)[:, -1]
+
+    def _fill(self, samples: Floats) -> None:
+        """From points and slopes of the surface (S, 5)."""
+        key = _cells(samples[:, :2])
+        order = np.lexsort((samples[:, 2], key))
+        key, samples = key[order], samples[order]
+        new_cell = np.diff(key, prepend=key[0] - 1) != 0
+        new = new_cell | (np.diff(samples[:, 2], prepend=0.0) > _APART_M)
+        begin = np.flatnonzero(new)
+        count = np.diff(np.append(begin, len(samples)))
+        self._level = np.add.reduceat(samples, begin) / count[:, None]
+        self._key, self._first = np.unique(key[begin], return_index=True)
+        self._count = np.diff(np.append(self._first, len(begin)))
+        highest = self._level[self._first + self._count - 1, 2]
+        self.has_levels = bool((highest - self._level[self._first, 2] >= CLEARANCE_M).any())
+
+    def _surfaces(self, points: Floats) -> Floats:
+        """(..., L) heights of the road at points (..., 2), nan beyond those that there are."""
+        key = _cells(points)
+        cell = np.minimum(np.searchsorted(self._key, key), len(self._key) - 1)
+        each = np.arange(int(self._count.max()))
+        known = (self._key[cell] == key)[..., None] & (each < self._count[cell][..., None])
+        level = self._level[np.where(known, self._first[cell][..., None] + each, 0)]
+        offset = points[..., None, :] - level[..., :2]
+        return np.where(known, level[..., 2] + (offset * level[..., 3:]).sum(-1), np.nan)
+
+
+def _surface(lane: Lane) -> Floats:
+    """(S, 5) x, y, z of points on a lane, 2.8 m apart at most, and its slope along x and y."""
+    length = polylines.arc_lengths(lane.centre_m)
+    along = np.linspace(0.0, length[-1], 2 + int(length[-1] / _SPACING_M))
+    line = np.stack(
+        [np.interp(along, length, part) for part in (*lane.centre_m.T, lane.z_m)], axis=1
+    )
+    step = np.diff(line, axis=0, append=2 * line[-1:] - line[-2:-1])
+    run = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)[:, None]
+    course = step[:, :2] / run
+    half = (lane.width_m or _WIDTH_M) / 2 + _MARGIN_M
+    asides = np.linspace(-half, half, 2 + int(2 * half / _SPACING_M))
+    normal = np.stack([-course[:, 1], course[:, 0]], axis=-1)
+    points = line[:, None, :2] + asides[:, None] * normal[:, None]
+    rest = np.concatenate([line[:, 2:], step[:, 2:] / run * course], axis=1)
+    spread = np.broadcast_to(rest[:, None], (*points.shape[:2], 3))
+    return np.concatenate([points, spread], axis=-1).reshape(-1, 5)
+
+
+def _cells(points: Floats) -> Ints:
+    column, row = np.moveaxis(np.floor(points / _CELL_M).astype(np.int64), -1, 0)
+    cells: Ints = column * _ROW + row
+    return cells
+
+
+def _nearest(surface: Floats, z_m: Floats) -> Floats:
+    """(N) the height of N surfaces (N, L) that is nearest to (N); nan where there is none."""
+    away = np.abs(surface - z_m[:, None])
+    best = np.where(np.isnan(away), np.inf, away).argmin(axis=1)
+    nearest: Floats = surface[np.arange(len(surface)), best]
+    return nearest

@@ -1,0 +1,152 @@
+"""Every look-up of lanes keeps to the level that a vehicle is on."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from predictor_doubles import straight_tracks
+from rollout_doubles import case_of, rollout_of, straight
+
+from deepmf_sumo.adversaries.aiming import motions
+from deepmf_sumo.adversaries.search.scouting import Motion
+from deepmf_sumo.avoidance.ahead import way_ahead
+from deepmf_sumo.avoidance.lanes import keeps_lane
+from deepmf_sumo.datatypes import DT_S, Lane, RoadMap, View
+from deepmf_sumo.geometry import road as roads
+from deepmf_sumo.network import matching
+from deepmf_sumo.policies.factorization.lawful.road_ahead import lanes_at
+from deepmf_sumo.predictors.lane_routes import lane_routes, on_lanes, passes_over
+from deepmf_sumo.predictors.opponent_features import _pairs, surroundings
+from deepmf_sumo.predictors.road_index import road_index
+
+DECKS = {"below": 0.0, "above": 8.0}
+
+
+def lane(name, start, end, z):
+    points = np.linspace(start, end, 101)
+    return Lane(id=name, kind="street", centre_m=points, z_m=np.full(101, float(z)), width_m=3.2)
+
+
+def road_of(*lanes):
+    return RoadMap(lanes={one.id: one for one in lanes})
+
+
+def stacked(z=DECKS):
+    """Both to the east; the upper one half a metre to the left, so that it is the nearer one."""
+    return road_of(
+        lane("below", (-100, 0), (100, 0), z["below"]),
+        lane("above", (-100, 0.5), (100, 0.5), z["above"]),
+    )
+
+
+def crossing(z=DECKS):
+    return road_of(
+        lane("below", (-100, 0), (100, 0), z["below"]),
+        lane("above", (0, -100), (0, 100), z["above"]),
+    )
+
+
+POSE = np.array([0.0, 0.4])
+
+
+@pytest.mark.parametrize("level", DECKS)
+@pytest.mark.parametrize("middle_m", [0.0, 1.2])
+def test_lanes_under_a_vehicle(level, middle_m):
+    """Heights are those of the road (SUMO), or of the vehicle's middle (recordings)."""
+    road, z = stacked(), DECKS[level] + middle_m
+    index = road_index(road)
+    (foot,) = index.feet(POSE, 0.0, 5.0, 1.0, z)
+    assert index.lane_ids[foot.lane] == level
+    assert len(index.feet(POSE, 0.0, 5.0, 1.0)) == 2
+    assert lanes_at(road, POSE, 0.0, z) == (level,)
+    many = np.array([POSE]), np.zeros(1)
+    routes = lane_routes(road, *many, np.ones(1), {}, np.array([z]))
+    np.testing.assert_allclose(routes.node_z_m, DECKS[level])
+    assert on_lanes(road, *many, 2.0, 0.5, np.array([z])).all()
+    found = matching.match(road, *many, np.ones(1, bool), np.array([z]))
+    assert found.lane_ids == (level,)
+
+
+def test_a_map_whose_heights_count_from_elsewhere_has_its_lanes_all_the_same():
+    road = stacked({"below": 100.0, "above": 108.0})
+    assert len(road_index(road).feet(POSE, 0.0, 5.0, 1.0, 0.0)) == 1
+    assert lanes_at(road, POSE, 0.0, 0.0) == ("below",)
+
+
+def test_a_lane_of_another_level_is_no_road():
+    road = crossing()
+    over_the_side = np.array([[20.0, 0.0]])
+    assert roads.on_road(road, over_the_side).all()
+    assert roads.on_road(road, over_the_side, np.zeros(1)).all()
+    assert not roads.on_road(road, over_the_side, np.array([8.8])).any()
+    west = np.array([np.pi])
+    under = np.array([[0.0, 0.0]])
+    assert not roads.against_traffic(road, under, west).any()  # across the bridge's direction
+    assert roads.against_traffic(road, under, west, np.zeros(1)).all()
+    assert keeps_lane(road, under[0], 0.0, 2.0, 0.0)
+    assert not keeps_lane(road, under[0], 0.0, 2.0, 8.0)
+
+
+@pytest.mark.parametrize("level", DECKS)
+def test_the_way_ahead(level):
+    elsewhere = {"av": straight(0, 50, 10), "b": straight(-8, 3.5, 12)}
+    case = replace(case_of(elsewhere), road=stacked())
+    rollout = rollout_of({"av": straight(0, 0.3, 10), "b": straight(-8, 3.5, 12)})
+    tracks = replace(rollout.tracks, z_m=np.full(rollout.tracks.z_m.shape, DECKS[level]))
+    way = way_ahead(replace(rollout, tracks=tracks), case, 10)
+    assert way[0, 1] == {"below": 0.0, "above": 0.5}[level]
+
+
+def view_of(road, heights):
+    """The AV to the east, another to the north: both 40 m before the crossing."""
+    history = straight_tracks({"av": (-40, 0, 0, 10), "b": (0, -40, np.pi / 2, 10)})
+    z_m = np.repeat(np.array(heights, float)[:, None], history.steps, axis=1)
+    history = replace(history, z_m=z_m)
+    return View(
+        step=10, dt_s=DT_S, av_id="av", history=history, road=road, signals={}, steps_left=80
+    )
+
+
+def test_routes_that_pass_over_each_other_do_not_meet():
+    def relations(road, heights):
+        view = view_of(road, heights)
+        return _pairs(view, surroundings(view), 8.0, stands_in=False)
+
+    flat = relations(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0))
+    high = relations(crossing({"below": 5.0, "above": 5.0}), (5.0, 5.0))
+    np.testing.assert_array_equal(flat, high)  # what trained networks read is as it was
+    bridge = relations(crossing(), (0.0, 8.0))
+    assert not np.array_equal(flat, bridge)
+
+
+def test_who_passes_over():
+    def over(road, heights):
+        now = view_of(road, heights).history
+        pose = now.position_m[:, -1], now.heading_rad[:, -1], now.speed_mps[:, -1]
+        return passes_over(road, *pose, now.z_m[:, -1]).tolist()
+
+    assert over(crossing(), (0.0, 8.0)) == [True]
+    assert over(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0)) == [False]
+    assert over(stacked(), (0.0, 8.0)) == [False]  # it drives across, off every lane
+
+
+def test_gaps_of_made_attacks():
+    """What CAT's, ART's and the rule's choice go by: on the bridge 5.5 m are left."""
+    steps = np.arange(1, 81)[:, None] * DT_S
+    under = np.array([-40.0, 0.0]) + 10 * steps * [1, 0]
+    over = (np.array([0.0, -40.0]) + 10 * steps * [0, 1])[None]
+    av = Motion(
+        position_m=under,
+        heading_rad=np.zeros(80),
+        speed_mps=np.full(80, 10.0),
+        valid=np.ones(80, bool),
+    )
+
+    def least(road, heights):
+        view = view_of(road, heights)
+        scouted = SimpleNamespace(view=view, opponent_id="b")
+        return motions.gaps(scouted, av, over, np.full((1, 80), np.pi / 2)).min()
+
+    assert least(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0)) == 0.0
+    assert least(crossing(), (0.0, 8.0)) == pytest.approx(5.5)
