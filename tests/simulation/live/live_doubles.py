@@ -46,7 +46,17 @@ class Brake:
         )
 
 
-def session_on(api, folder, policy, *, triggers=None, pause_s=5.0, rules=None, av="av"):
+def session_on(
+    api,
+    folder,
+    policy,
+    *,
+    triggers=None,
+    pause_s=5.0,
+    rules=None,
+    av="av",
+    net="tiny.net.xml",
+):
     """A session, and the list in which its attacks will be."""
     fought = []
     live = shared(api)
@@ -54,7 +64,7 @@ def session_on(api, folder, policy, *, triggers=None, pause_s=5.0, rules=None, a
         api=live,
         av_id=av,
         observer=Observer(live, av, 80.0),
-        surroundings=Surroundings(live, folder / "tiny.net.xml", ()),
+        surroundings=Surroundings(live, folder / net, ()),
         rules=rules or TurnRules(longest_s=5.0),
     )
     triggers = (Always(),) if triggers is None else triggers
