@@ -5,6 +5,7 @@ import click
 from deepmf_sumo.benchmark.moments import Found, Wish
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.simulation.configuration import Configuration
+from deepmf_sumo.texts import shown
 
 
 def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
@@ -12,13 +13,13 @@ def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
     name = configuration.file.name
     if abs(configuration.step_s - DT_S) > 1e-9:
         steps = f"asks for steps of {configuration.step_s:g} s; it is run with {DT_S:g} s"
-        click.echo(f"{name} {steps}", err=True)
+        click.echo(shown(f"{name} {steps}"), err=True)
     if not found.moments:
-        click.echo(f"nobody to attack in {name}: {found.reason}")
+        click.echo(shown(f"nobody to attack in {name}: {found.reason}"))
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     further = "" if found.complete or wish.at_s else " (--until S looks further)"
-    click.echo(f"{name}: {found.vehicles} vehicles from {span}{further}", err=True)
+    click.echo(shown(f"{name}: {found.vehicles} vehicles from {span}{further}"), err=True)
     moments = "1 moment" if len(found.moments) == 1 else f"{len(found.moments)} moments"
     chosen = f"{moments} of {found.suitable} vehicle seconds"
     if wish.prefer == "encounters":
@@ -26,4 +27,4 @@ def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
         chosen += f", {before} of them before an encounter"
     if len(found.moments) < wish.count:
         chosen += f", not {wish.count}: {found.reason}"
-    click.echo(chosen, err=True)
+    click.echo(shown(chosen), err=True)
