@@ -6,6 +6,7 @@ from deepmf_sumo.benchmark.moments import Found, Wish
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.report.table import counted
 from deepmf_sumo.simulation.configuration import Configuration
+from deepmf_sumo.texts import shown
 
 
 def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
@@ -13,13 +14,14 @@ def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
     name = configuration.file.name
     if abs(configuration.step_s - DT_S) > 1e-9:
         steps = f"asks for steps of {configuration.step_s:g} s; it is run with {DT_S:g} s"
-        click.echo(f"{name} {steps}", err=True)
+        click.echo(shown(f"{name} {steps}"), err=True)
     if not found.moments:
-        click.echo(f"nobody to attack in {name}: {found.reason}")
+        click.echo(shown(f"nobody to attack in {name}: {found.reason}"))
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     further = "" if found.complete or wish.at_s else " (--until S looks further)"
-    click.echo(f"{name}: {counted(found.vehicles, 'vehicle')} from {span}{further}", err=True)
+    seen = counted(found.vehicles, "vehicle")
+    click.echo(shown(f"{name}: {seen} from {span}{further}"), err=True)
     moments = counted(len(found.moments), "moment")
     chosen = f"{moments} of {found.suitable} vehicle seconds"
     if wish.prefer == "encounters":
@@ -27,4 +29,4 @@ def announce(configuration: Configuration, found: Found, wish: Wish) -> None:
         chosen += f", {before} of them before an encounter"
     if len(found.moments) < wish.count:
         chosen += f", not {wish.count}: {found.reason}"
-    click.echo(chosen, err=True)
+    click.echo(shown(chosen), err=True)

@@ -12,7 +12,7 @@ from deepmf_sumo.errors import ReaderError
 Index = Annotated[int, Field(ge=-1, lt=2**31)]  # -1: WOMD's neighbours may end before they begin
 Count = Annotated[int, Field(ge=0, lt=2**31)]
 Number = Annotated[int, Field(ge=0, lt=256)]
-Positive = Annotated[float, Field(gt=0, lt=1000)]
+Amount = Annotated[float, Field(ge=0, lt=1e6)]
 Ids = list[str]
 
 
@@ -78,8 +78,8 @@ class LaneDescription(Feature):
 
     kind: LaneKind
     interpolating: bool
-    width_m: Positive | None
-    speed_limit_mps: Positive | None
+    width_m: Amount | None
+    speed_limit_mps: Amount | None
     next: Ids
     previous: Ids
     left: list[Beside]
@@ -117,7 +117,7 @@ class Description(_Strict):
 
     name: str
     source: SourceDescription
-    dt_s: Positive
+    dt_s: Amount
     now: Count
     av_id: str
     interest: Ids
