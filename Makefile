@@ -24,7 +24,8 @@ run: $(READY)  ## attack every scenario of scenarios/ and print what happened
 test: $(READY) lint types  ## lint, types, import contracts and the tests
 	$(PY) -m pytest -q -n 2 -m "not slow"
 
-test-slow: $(READY)  ## the tests that take minutes
+test-slow: $(READY)  ## the tests that take minutes, those on a Ray cluster of this machine included
+	$(PY) -m pip install --quiet -c constraints.txt -e ".[cluster]"
 	$(PY) -m pytest -q -m slow
 
 COUNT ?= 2000
@@ -101,7 +102,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	test ! -d $(WOMD)/val || $(RUN) evaluate $(WOMD)/val --weights .weights/womd --card
 
 LIGHT = .weights/womd-light
-womd-light-weights: womd-weights  ## besides, the paper's form: the set `womd-light`, all networks with images
+womd-light-weights: womd-weights  ## besides, the set `womd-light`: all networks with images, as in the paper
 	mkdir -p $(LIGHT) && cp .weights/womd/opponent.* $(LIGHT)
 	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(TRAIN) conditional --preset light --steps 2500 --precision auto $(WOMD_DATA) --out $(LIGHT) $(WOMD_SET)

@@ -235,6 +235,37 @@ def test_a_cluster_that_cannot_be_joined(runs, use, said):
     assert ray.said == ["never asked"]
 
 
+def test_a_head_that_does_not_answer_may_want_a_token(runs, use, monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    use(Shy("ray client connection timeout"))
+    said = r"timeout\. A head that has a token .* no token is here, RAY_AUTH_MODE is not set\. Copy"
+    with pytest.raises(UsageError, match=said):
+        do(runs, tasks("a"))
+
+
+@pytest.mark.parametrize("where", ["home", "RAY_AUTH_TOKEN_PATH", "RAY_AUTH_TOKEN", None])
+def test_a_token_of_this_machine_is_sent(use, monkeypatch, tmp_path, where):
+    monkeypatch.setattr(os, "environ", {"HOME": str(tmp_path)})
+    monkeypatch.setattr(Cluster, "_knock", lambda self, host: None)
+    token = tmp_path / ".ray" / "auth_token"
+    token.parent.mkdir()
+    if where == "home":
+        token.write_text("secret")
+    elif where == "RAY_AUTH_TOKEN_PATH":
+        os.environ[where] = str(tmp_path / "elsewhere")
+        (tmp_path / "elsewhere").write_text("secret")
+    elif where:
+        os.environ[where] = "secret"
+    use(Ray())
+    Cluster(host="head", port=10001).check()
+    assert os.environ.get("RAY_AUTH_MODE") == ("token" if where else None)
+    os.environ["RAY_AUTH_MODE"] = "disabled"
+    Cluster(host="head", port=10001).check()
+    assert os.environ["RAY_AUTH_MODE"] == "disabled"
+
+
 def test_a_program_that_was_part_of_a_cluster_before_stays_so(runs, use):
     ray = use(Shy("called twice"))
     ray.running = True

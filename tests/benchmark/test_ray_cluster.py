@@ -20,6 +20,7 @@ if importlib.util.find_spec("ray") is None:
     pytest.skip("Ray is not installed: pip install deepmf-sumo[cluster]", allow_module_level=True)
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.timeout(1200),
     pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning"),
 ]
@@ -34,10 +35,11 @@ START_TRIES = 2
 class Machines:
     """The program `ray_machines`, while it runs."""
 
-    def __init__(self, log):
+    def __init__(self, log, **environment):
         self.process = subprocess.Popen(
             [sys.executable, Path(__file__).with_name("ray_machines.py")],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True,
+            env={**os.environ, "RAY_AUTH_MODE": "disabled", **environment},
         )  # fmt: skip
         self.port = self._heard("up")
 
@@ -182,3 +184,30 @@ def test_files_that_differ_are_refused(machines, tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "inputs_of", and_change)
     with pytest.raises(UsageError, match=r"has another .*tiny\.rou\.xml: all machines"):
         run([one], tmp_path / "out", executor=machines.name)
+
+
+def test_a_head_that_wants_a_token_gets_that_of_this_machine(tiny, tmp_path):
+    home, nobody = tmp_path / "home", tmp_path / "nobody"
+    token = home / ".ray" / "auth_token"
+    token.parent.mkdir(parents=True)
+    nobody.mkdir()
+    token.write_text("3f" * 32)
+    path = tiny_network.spec(tiny, "with a token")
+    free = {key: value for key, value in os.environ.items() if not key.startswith("RAY_AUTH")}
+
+    def call(home):
+        command = [sys.executable, "-m", "deepmf_sumo.cli.main", "run", path, "--no-pictures"]
+        return subprocess.run(
+            [*command, "--out", home / "out", "--executor", machines.name],
+            env={**free, "HOME": str(home)}, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+
+    with (tmp_path / "log.txt").open("w") as log:
+        machines = Machines(log, RAY_AUTH_MODE="token", RAY_AUTH_TOKEN_PATH=str(token))
+        try:
+            refused, done = call(nobody), call(home)
+        finally:
+            machines.end()
+    assert refused.returncode == 2
+    assert "no token is here" in refused.stderr.splitlines()[-1]
+    assert done.returncode == 0, done.stderr

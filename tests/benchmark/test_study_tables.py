@@ -2,6 +2,7 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from deepmf_sumo.benchmark.study.layout import read as read_layout
 from deepmf_sumo.benchmark.study.rows import row_of
 from deepmf_sumo.metrics.statistics.wilson import wilson
 from deepmf_sumo.report import benchmark as report
-from deepmf_sumo.report.tables import latex
+from deepmf_sumo.report.tables import latex, rules
 
 
 def result(scene="a", method="fast", planner="lane", hit=True, **changes):
@@ -191,6 +192,25 @@ def test_other_budgets_are_points_and_no_rows_of_the_table(folder):
     assert [(row["method"], row["scenes"], row["hits"]) for row in equal] == [
         ("fast", "2", "1"), ("slow_&_old", "2", "2"),
     ]  # fmt: skip
+
+
+def test_tables_say_by_which_rule_deepmf_chose():
+    def layout(**methods):
+        return SimpleNamespace(plan={"methods": methods}, methods=list(methods))
+
+    mixed = layout(
+        one={"adversary": {"name": "deepmf", "version": "S1", "rule": "likeliest"}},
+        two={"adversary": "S1"},
+        three={"adversary": {"aggressiveness": 0.7}},
+        other={"adversary": "cat"},
+    )
+    assert rules.title(mixed, ["one", "other"]) == " (DeepMF's rule: likeliest)"
+    assert rules.title(mixed, ["two"]) == " (DeepMF's rule: expected)"
+    assert rules.title(mixed, ["other"]) == ""
+    assert rules.notes(mixed) == [
+        "one: attacks chosen by likeliest, not by the paper's product (rule expected).",
+        "three: attacks chosen by aggressiveness 0.7, not by the paper's product (rule expected).",
+    ]
 
 
 def test_readable_tables_hold_the_papers_columns_and_say_what_is_missing(folder):

@@ -34,6 +34,13 @@ _JOINS: Final = 3
 _BUSY: Final = "client server failed"
 """Ray's words where the process that serves a program was not up in time, as on a busy machine."""
 
+_SILENT: Final = "connection timeout"
+"""Ray's words where its server does not answer: so it treats a program without its token."""
+
+_MODE: Final = "RAY_AUTH_MODE"
+_TOKEN: Final = Path(".ray") / "auth_token"
+"""In the home folder."""
+
 _SAID: Final = 300
 """Characters of Ray's words that are shown; what matters of a long one is at its end."""
 
@@ -60,6 +67,8 @@ class Cluster:
 
     def check(self) -> None:
         """As `Executor.check`: PluginError without Ray, UsageError where nobody listens."""
+        if self.host:
+            _offer_token()
         _ray()
         if self.host:
             self._knock(self.host)
@@ -107,7 +116,8 @@ class Cluster:
                 signal.signal(number, handler)
         if refusal:
             cause = refusal if len(refusal) <= _SAID else f"... {refusal[-_SAID:]}"
-            raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {cause}")
+            hint = _of_tokens() if _SILENT in refusal else ""
+            raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {cause}{hint}")
         return ray
 
     def _refusal(self, ray: Any) -> str:
@@ -278,6 +288,35 @@ def _ray() -> Any:
         raise PluginError(
             "--executor ray needs Ray, which is not installed; install deepmf-sumo[cluster]."
         ) from None
+
+
+def _token_is_here() -> bool:
+    """Whether Ray would find a token on this machine, by its own rules."""
+    if os.environ.get("RAY_AUTH_TOKEN"):
+        return True
+    named = os.environ.get("RAY_AUTH_TOKEN_PATH")
+    return (Path(named) if named else Path.home() / _TOKEN).is_file()
+
+
+def _offer_token() -> None:
+    """Let Ray send the token of this machine, if there is one: a head that finds one demands it.
+
+    `ray start` does so by itself, a program that joins the cluster only where it is told to. It is
+    read when Ray is imported. A head without a token does not mind.
+    """
+    if _token_is_here():
+        os.environ.setdefault(_MODE, "token")
+
+
+def _of_tokens() -> str:
+    """What to do about a server that does not answer."""
+    mode, here = os.environ.get(_MODE), _token_is_here()
+    found = "a token is here" if here else "no token is here"
+    return (
+        f". A head that has a token (Ray 2.60 and later) does not answer programs without it:"
+        f" {found}, {_MODE} is {mode or 'not set'}. Copy ~/{_TOKEN} from the head to this machine"
+        f" and set {_MODE}=token, or start the cluster and this command with {_MODE}=disabled."
+    )
 
 
 def _quiet(*, new: bool) -> dict[str, Any]:

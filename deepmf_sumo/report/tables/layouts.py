@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from deepmf_sumo.benchmark.study.columns import BY_NAME
+from deepmf_sumo.report.tables import rules
 from deepmf_sumo.report.tables.content import Content, Row
 
 
@@ -84,12 +85,14 @@ def tables_of(content: Content) -> list[Table]:
     found = []
     if layout.versions:
         heads = (RATE, _TIME, _SPEED, *_NATURAL, _GENERATION)
-        found.append(_table("Table I. Versions of DeepMF", heads, content.main, layout.versions))
+        title = f"Table I. Versions of DeepMF{rules.title(layout, layout.versions)}"
+        found.append(_table(title, heads, content.main, layout.versions))
     if layout.compared:
         efficiency = (RATE, _TIME, _SPEED, _GENERATION)
+        rule = rules.title(layout, layout.compared)
         found += [
-            _table("Table II. Efficiency", efficiency, content.main, layout.compared),
-            _table("Table III. Naturalness", _NATURAL, content.main, layout.compared),
+            _table(f"Table II. Efficiency{rule}", efficiency, content.main, layout.compared),
+            _table(f"Table III. Naturalness{rule}", _NATURAL, content.main, layout.compared),
         ]
     beyond = {"fairness": _FAIRNESS, "naturalness, variety, cost": _VARIETY}
     found += [

@@ -9,7 +9,7 @@ from deepmf_sumo.benchmark.study import Layout
 from deepmf_sumo.benchmark.study.columns import COLUMNS, Column
 from deepmf_sumo.benchmark.study.rows import STATUSES
 from deepmf_sumo.metrics.statistics.pooled import BINS
-from deepmf_sumo.report.tables import foresight
+from deepmf_sumo.report.tables import foresight, rules
 from deepmf_sumo.report.tables.content import Content, Row
 
 _RATES: Final = (
@@ -46,6 +46,7 @@ def of(content: Content) -> list[str]:
         run_on,
         _RATES,
         *_cautions(layout),
+        *rules.notes(layout),
         *foresight.of(layout),
         *_runs(content.main),
         *(_definition(column, content.main) for column in COLUMNS),
