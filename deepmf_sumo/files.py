@@ -1,0 +1,165 @@
+"""The door through which every file that a user names is opened.
+
+A path can name a device, a pipe or a folder, and a file of a few kilobytes can unpack to gigabytes.
+Only regular files pass here, nothing waits, and no more is read than the caller allows. What does
+not pass raises OSError like a file that is missing, so that callers handle one kind of error;
+`reason` is the end of their sentence::
+
+    except OSError as error:
+        raise SpecError(f"{file}: cannot be read: {files.reason(error)}.") from None
+"""
+
+import errno
+import gzip
+import io
+import os
+import stat
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, Final, cast
+
+GZIP: Final = b"\x1f\x8b"
+"""The first bytes of a gzip file."""
+
+_PIECE: Final = 2**20
+_KINDS: Final = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def opened(path: Path) -> BinaryIO:
+    """A regular file, open for reading; links are followed. Raises OSError."""
+    try:
+        _refuse_special(path, path.stat())  # some devices act when they are opened
+        return open(path, "rb", opener=_regular)
+    except ValueError as error:  # a NUL or half a surrogate pair in the path
+        raise OSError(errno.EINVAL, f"no file can have this name ({error})", str(path)) from None
+
+
+def content(path: Path, largest: int) -> bytes:
+    """All bytes of a regular file. Raises OSError, also where there are more than ``largest``."""
+    with opened(path) as file:
+        # A first piece of the whole size, so that nothing is copied; files of /proc have size 0.
+        size = os.fstat(file.fileno()).st_size
+        return b"".join(_pieces(path, file, largest, first=size + 1))
+
+
+def text(path: Path, largest: int, encoding: str = "utf-8") -> str:
+    """All text of a regular file. Raises OSError as `content`, UnicodeDecodeError."""
+    return content(path, largest).decode(encoding)
+
+
+def pieces(path: Path, largest: int) -> Iterator[bytes]:
+    """A regular file in pieces of 1 MiB, e.g. for a digest. Raises OSError as `content`."""
+    with opened(path) as file:
+        yield from _pieces(path, file, largest)
+
+
+def unpacked(path: Path, largest: int) -> BinaryIO:
+    """A regular file's bytes, unpacked where it is gzip.
+
+    Raises OSError, here or from reading, where it is damaged or unpacks to more than ``largest``.
+    """
+    file = opened(path)
+    packed = file.read(len(GZIP)) == GZIP
+    file.seek(0)
+    return io.BufferedReader(_Unpacked(path, file, packed, largest))
+
+
+def inside(folder: Path) -> Iterator[Path]:
+    """Regular files of a folder at any depth, sorted, without hidden ones.
+
+    Links are followed, but a folder or file that can be reached in several ways is given once.
+    Raises OSError where a folder cannot be read.
+    """
+    yield from _inside(folder, set())
+
+
+def reason(error: OSError) -> str:
+    """Why a file cannot be read, as the end of a sentence without its full stop."""
+    return error.strerror or str(error)
+
+
+def _inside(folder: Path, seen: set[Path]) -> Iterator[Path]:
+    seen.add(folder.resolve())
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith("."):
+            continue
+        try:
+            kind, real = path.stat().st_mode, path.resolve()
+        except (OSError, RuntimeError):  # a link to nowhere, or to itself
+            continue
+        if real in seen:
+            continue
+        if stat.S_ISDIR(kind):
+            yield from _inside(path, seen)
+        elif stat.S_ISREG(kind):
+            seen.add(real)
+            yield path
+
+
+def _pieces(path: Path, file: BinaryIO, largest: int, first: int = _PIECE) -> Iterator[bytes]:
+    total, wanted = 0, min(first, largest + 1)
+    while piece := file.read(wanted):
+        total, wanted = total + len(piece), _PIECE
+        if total > largest:
+            raise _too_large(path, largest)
+        yield piece
+
+
+def _regular(name: str, flags: int) -> int:
+    # O_NONBLOCK: a pipe without a writer would wait for ever.
+    number = os.open(name, flags | os.O_NONBLOCK)
+    try:
+        _refuse_special(Path(name), os.fstat(number))
+    except OSError:
+        os.close(number)
+        raise
+    return number
+
+
+def _refuse_special(path: Path, found: os.stat_result) -> None:
+    if stat.S_ISREG(found.st_mode):
+        return
+    kind = next((name for is_one, name in _KINDS if is_one(found.st_mode)), "no regular file")
+    number = errno.EISDIR if stat.S_ISDIR(found.st_mode) else errno.EINVAL
+    raise OSError(number, f"it is {kind}, not a regular file", str(path))
+
+
+def _too_large(path: Path, largest: int) -> OSError:
+    return OSError(errno.EFBIG, f"it holds more than the {largest} bytes allowed", str(path))
+
+
+class _Unpacked(io.RawIOBase):
+    """Counts what comes out of a file; closes the file with itself."""
+
+    def __init__(self, path: Path, file: BinaryIO, packed: bool, largest: int) -> None:
+        self._path, self._file, self._left, self._largest = path, file, largest, largest
+        self._stream = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any, /) -> int:
+        view = memoryview(buffer).cast("B")
+        try:
+            piece = self._stream.read(len(view))
+        except (EOFError, zlib.error) as error:
+            raise OSError(errno.EIO, f"it is damaged ({error})", str(self._path)) from None
+        self._left -= len(piece)
+        if self._left < 0:
+            raise _too_large(self._path, self._largest)
+        view[: len(piece)] = piece
+        return len(piece)
+
+    def close(self) -> None:
+        super().close()
+        self._file.close()
+
+
+__all__ = ["GZIP", "content", "inside", "opened", "pieces", "reason", "text", "unpacked"]
