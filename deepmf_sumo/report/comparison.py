@@ -1,13 +1,12 @@
 """Result folders -> one row each: rates with their denominators and intervals, means of metrics."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
 
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.metrics.statistics.wilson import wilson
 from deepmf_sumo.report.run_table import runs_of
 
@@ -53,15 +52,10 @@ def _runs(folder: Path) -> pd.DataFrame:
 
 
 def _details(folder: Path, run_id: str) -> dict[str, Any]:
-    file = folder / "runs" / run_id / "result.json"
+    file = stored.run_folder(folder, run_id, "runs.csv") / "result.json"
     if not file.is_file():
         return {}
-    try:
-        result = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise _damaged(file, str(error)) from None
-    if not isinstance(result, dict):
-        raise _damaged(file, "it is no result of a run")
+    result = stored.result_of(file)
     kinds = {contact["kind"] for contact in result.get("contacts", [])}
     values = {name: one["value"] for name, one in result.get("metrics", {}).items()}
     return {
@@ -69,12 +63,6 @@ def _details(folder: Path, run_id: str) -> dict[str, Any]:
         "av_other": "av_other" in kinds,
         **{f"metric_{name}": values.get(name) for name in MEANS},
     }
-
-
-def _damaged(file: Path, why: str) -> UsageError:
-    return UsageError(
-        f"{file} is damaged ({why}); remove the run's folder and go on with --resume."
-    )
 
 
 def _row(folder: Path, spec: str, runs: pd.DataFrame) -> dict[str, Any]:

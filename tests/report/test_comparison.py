@@ -2,6 +2,7 @@
 
 import json
 
+import gate_doubles
 import numpy as np
 import pytest
 
@@ -22,8 +23,12 @@ def folder(tmp_path, outcomes, *, opponents=True):
         row |= {"contact_time_s": str(2 + number), "contact_speed_mps": "5"} if outcome else {}
         lines.append(",".join(str(row[name]) for name in COLUMNS))
         metrics = {"on_road": {"value": on_road}, "feasible": {"value": 1.0}}
-        content = {"contacts": [{"kind": outcome}] if outcome != "none" else []}
-        (run / "result.json").write_text(json.dumps({**content, "metrics": metrics}))
+        content = {
+            **gate_doubles.result(status=status),
+            "contacts": [{"kind": outcome}] if outcome != "none" else [],
+            "metrics": metrics,
+        }
+        (run / "result.json").write_text(json.dumps(content))
     (tmp_path / "runs.csv").write_text("\n".join(lines) + "\n")
     return tmp_path
 
@@ -71,7 +76,7 @@ def test_a_run_that_is_half_written_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"run0/result\.json is damaged .* --resume"):
         compare([made])
     file.write_text("null")
-    with pytest.raises(UsageError, match="it is no result of a run"):
+    with pytest.raises(UsageError, match="it holds no names and values"):
         compare([made])
     (made / "runs.csv").write_text("")
     with pytest.raises(UsageError, match=r"runs\.csv is cut short; .* --resume"):

@@ -2,13 +2,12 @@
 
 import csv
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.risk import places
 from deepmf_sumo.benchmark.risk.attacked import Attacked, of_run
@@ -143,27 +142,14 @@ def results(out: Path) -> dict[str, Result | None]:
     None for a run that is not there yet. Raises UsageError where a file cannot be read.
     """
     found: dict[str, Result | None] = {}
-    keys = _json(out / "manifest.json").get("runs")
-    if not isinstance(keys, dict):
-        raise UsageError(f"{out / 'manifest.json'} names no runs: it is damaged; run it anew.")
-    for run_id, key in keys.items():
+    for run_id, key in stored.keys_of(out).items():
         file = out / "runs" / run_id / "result.json"
-        result = _json(file) if file.is_file() else None
+        result = stored.result_of(file) if file.is_file() else None
         if result is not None and result.get("key") != key:  # of an earlier batch
             result = None
         if result is None or result.get("part", "main") == "main":
             found[run_id] = result
     return found
-
-
-def _json(file: Path) -> dict[str, Any]:
-    try:
-        values: dict[str, Any] = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{file} cannot be read ({error}); run it anew.") from None
-    if not isinstance(values, dict):
-        raise UsageError(f"{file} is damaged: it holds no names and values; run it anew.")
-    return values
 
 
 def _moments(out: Path) -> dict[str, Row]:

@@ -1,6 +1,5 @@
 """A result folder as figures need it: its runs, what each did, and the road that it was on."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
@@ -10,6 +9,7 @@ from typing import Any, Final
 import yaml
 
 from deepmf_sumo import readers
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout
 from deepmf_sumo.errors import ReaderError, UsageError
@@ -52,7 +52,7 @@ class Run:
     @cached_property
     def result(self) -> dict[str, Any]:
         """What figures need of ``result.json``: the trials of thousands of searches are large."""
-        found = json.loads((self.folder / "result.json").read_text("utf-8"))
+        found = stored.result_of(self.folder / "result.json")
         return {key: found[key] for key in KEPT}
 
     @property
@@ -191,7 +191,7 @@ def run_of(out: Path, row: Mapping[str, str]) -> Run:
     """The run of a row of ``runs.csv``."""
     return Run(
         run_id=row["run_id"],
-        folder=out / "runs" / row["run_id"],
+        folder=stored.run_folder(out, row["run_id"], "runs.csv"),
         method=row.get("method") or row["spec"],
         planner=row.get("planner_label") or f"{row['planner']} {row['perception']}".strip(),
         scene=row["scene"],

@@ -1,6 +1,5 @@
 """A run of a result folder -> its row in the table and what is shown when it is opened."""
 
-import json
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -10,8 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.datatypes import Floats, RoadMap
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.figures.results import Run, run_of
 from deepmf_sumo.report.page.packing import packed
 from deepmf_sumo.report.page.places import element
@@ -69,13 +70,12 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
 
 
 def _result(folder: Path, status: str) -> tuple[Result | None, str]:
-    try:
-        found: Result = json.loads((folder / "result.json").read_text("utf-8"))
-    except FileNotFoundError:
+    if not (folder / "result.json").exists():
         return None, "" if status == "skipped" else "result.json is missing"
-    except (OSError, ValueError) as error:
-        return None, f"result.json cannot be read: {error}"
-    return found, ""
+    try:
+        return stored.result_of(folder / "result.json"), ""
+    except UsageError as error:
+        return None, f"cannot be shown: {error}".replace(f"{folder}/", "")
 
 
 def _broken(result: Result | None) -> list[str]:
