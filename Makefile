@@ -27,6 +27,10 @@ test: $(READY) lint types  ## lint, types, import contracts and the tests
 test-slow: $(READY)  ## the tests that take minutes
 	$(PY) -m pytest -q -m slow
 
+COUNT ?= 2000
+fuzz: $(READY)  ## inputs changed at random (KIND= of one kind, COUNT= of each, SEED=): none may do harm
+	$(PY) -m tests.fuzz --count $(COUNT) --seed $(or $(SEED),1) $(KIND)
+
 lint: $(READY)  ## ruff, formatting, import contracts, unused dependencies
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
@@ -146,4 +150,4 @@ docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results
+.PHONY: help setup run test test-slow fuzz lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results

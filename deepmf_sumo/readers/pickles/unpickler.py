@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-_DTYPE: Final = re.compile(r"[biufcSUO][0-9]{1,4}")
+_DTYPE: Final = re.compile(r"[biufSUO][0-9]{1,4}")
 
 
 class ForbiddenClassError(pickle.UnpicklingError):
