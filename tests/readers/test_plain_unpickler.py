@@ -37,7 +37,11 @@ def test_arrays_and_scalars_come_back(value, protocol):
 @settings(deadline=None)
 @given(
     st.recursive(
-        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+        st.none()
+        | st.booleans()
+        | st.integers(-(2**63), 2**63)
+        | st.floats(allow_nan=False)
+        | st.text(),
         lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner),
         max_leaves=10,
     ),
@@ -143,3 +147,112 @@ def test_flipped_bytes_give_data_or_that_error(data):
         content[where] = data.draw(st.integers(0, 255))
     with contextlib.suppress(pickle.UnpicklingError):
         load_plain(bytes(content))
+
+
+class Filled:
+    """An array as pickles write it, with a state of one's own."""
+
+    def __init__(self, shape, code, content, order="|"):
+        self.state = (1, shape, Typed(code, order), False, content)
+
+    def __reduce__(self):
+        return np.arange(1.0).__reduce__()[0], (np.ndarray, (0,), b"b"), self.state
+
+
+class Typed:
+    def __init__(self, code, order):
+        self.code, self.order = code, order
+
+    def __reduce__(self):
+        return np.dtype, (self.code, False, True), (3, self.order, None, None, None, -1, -1, 0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "code", "content"),
+    [
+        ((3,), "O8", []),  # numpy would take what lies behind the list for pointers
+        ((1,), "O8", []),
+        ((2, 2), "O8", [1, 2, 3]),
+        ((1,), "O8", [1, 2]),
+        ((1,), "O8", (1,)),
+        ((1,), "O8", b"12345678"),
+        ((2,), "f8", b"12345678"),
+        ((2,), "f8", [1.0, 2.0]),
+        ((-1,), "O8", []),
+        ((2**62, 2**62, 0), "f8", b""),
+        ((2**31,), "S0", b""),
+        ([1], "i1", b"1"),
+        (1, "i1", b"1"),
+    ],
+)
+def test_an_array_has_exactly_the_items_that_its_shape_says(shape, code, content):
+    with pytest.raises(pickle.UnpicklingError, match=r"an array of shape|damaged"):
+        load_plain(pickle.dumps({"x": Filled(shape, code, content)}, 4))
+
+
+def test_an_array_of_objects_with_all_of_its_items_comes_back():
+    content = pickle.dumps(Filled((2, 2), "O8", ["a", None, 1, 2.5]), 4)
+    assert load_plain(content).tolist() == [["a", None], [1, 2.5]]
+
+
+def test_an_array_cannot_be_filled_twice():
+    """numpy would free what a view of it may still show."""
+    array = Filled((1,), "u1", b"1")
+    state = pickle.dumps(array.state, 2)[2:-1]
+    with pytest.raises(pickle.UnpicklingError, match="fills an array twice"):
+        load_plain(pickle.dumps(array, 2)[:-1] + state + b"b.")
+
+
+def nested(depth, width):
+    inner = ["x"]
+    for _ in range(depth):
+        inner = [inner] * width
+    return {"id": inner}
+
+
+def deep(depth):
+    return b"\x80\x04" + b"]" * depth + b"a" * (depth - 1) + b"."
+
+
+def itself():
+    held = []
+    held.append(held)
+    return held
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (pickle.dumps(nested(26, 2)), "deep"),
+        (pickle.dumps(nested(12, 10)), "more than 10000000 items"),
+        (deep(100_000), "deep"),
+        (pickle.dumps(itself()), "deep|themselves"),
+        (pickle.dumps({key * (2**61 - 1): 0 for key in range(40_000)}), "a number of"),
+        (b"\x80\x04" + b"]0" * 1_500_000 + b"N.", "more than 2000000 operations"),
+        (pickle.dumps(np.arange(3) * 1j), "array of type"),
+    ],
+)
+@pytest.mark.timeout(20)
+def test_what_unfolds_without_end_is_refused(content, reason):
+    with pytest.raises(pickle.UnpicklingError, match=reason):
+        load_plain(content)
+
+
+def test_what_stands_in_several_places_comes_back():
+    shared = np.arange(3.0)
+    assert len(load_plain(pickle.dumps([[shared] * 100] * 100))) == 100
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        b"cnumpy\nndarray\n",
+        b"cnumpy\ndtype\n",
+        b"c_codecs\nencode\n",
+        b"cmetadrive.scenario.scenario_description\nScenarioDescription\n",
+    ],
+)
+def test_a_pickle_cannot_change_what_it_names(named):
+    """Else it could change how the next file is read."""
+    with pytest.raises(pickle.UnpicklingError):
+        load_plain(b"\x80\x02" + named + b"(N}X\x01\x00\x00\x00kK\x01stb.")

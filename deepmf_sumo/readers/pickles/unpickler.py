@@ -3,59 +3,102 @@
 A pickle is a program: it may call whatever it names. This reader lets it name numpy's way to
 rebuild arrays and scalars, plain containers, and the one dict subclass that old ScenarioNet files
 use; everything else is refused by name before it is looked up. What is allowed is replaced where
-the original could be made to reserve memory at will.
+the original could be made to reserve memory at will, or believes what the pickle says of itself.
 """
 
 import collections
+import math
 import pickle
 import pickletools
 import re
 from collections.abc import Callable
 from io import BytesIO
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
+from deepmf_sumo.readers.pickles.extent import check_extent
+
+MOST_OPERATIONS: Final = 2_000_000
+"""Of one pickle; the largest scene seen has 100 000. Each takes up to some hundred bytes."""
+LARGEST_NUMBER: Final = 8
+"""Bytes of a whole number. Longer ones can be chosen so that a dict of them takes hours to fill."""
+
 _DTYPE: Final = re.compile(r"[biufSUO][0-9]{1,4}")
+_MOST_DIMENSIONS: Final = 8
+_STORES: Final = {"PUT", "BINPUT", "LONG_BINPUT"}
 
 
 class ForbiddenClassError(pickle.UnpicklingError):
     """The pickle names something that is not on the list."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"it names '{name}', which is no plain data and was not loaded")
+        super().__init__(f"it names '{name[:100]}', which is no plain data and was not loaded")
 
 
-class ScenarioDescription(dict):  # type: ignore[type-arg]
+class _Fixed(type):
+    """A class that a pickle cannot change: it can set attributes of all that it can name."""
+
+    def __setattr__(cls, name: str, value: object) -> NoReturn:
+        raise pickle.UnpicklingError(f"it sets '{name}' of a class")
+
+
+class ScenarioDescription(dict, metaclass=_Fixed):  # type: ignore[type-arg]
     """Stands for MetaDrive's class of this name, which is a dict without state of its own."""
 
+    __slots__ = ()
 
-class _TypeName:
+
+class _TypeName(metaclass=_Fixed):
     """Stands for a type that a pickle names as an argument: it can be named, but builds nothing."""
+
+    __slots__ = ()
+
+
+class _Function:
+    """A function that a pickle may call, but not change."""
+
+    __slots__ = ("_call",)
+
+    def __init__(self, call: Callable[..., Any]) -> None:
+        self._call = call
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._call(*arguments)
+
+    def __setstate__(self, state: object) -> NoReturn:
+        raise pickle.UnpicklingError("it changes a function")
 
 
 def load_plain(content: bytes) -> Any:
-    """What the pickle holds.
+    """What the pickle holds, not deeper or larger than `check_extent` allows.
 
     Raises:
         ForbiddenClassError: it names a class or function that is not allowed.
         pickle.UnpicklingError: it is damaged or makes no sense.
     """
     try:
-        _check_memo(content)
-        return _Unpickler(BytesIO(content)).load()
-    except pickle.UnpicklingError:
+        _check_operations(content)
+        loaded = _Unpickler(BytesIO(content)).load()
+        check_extent(loaded)
+    except (pickle.UnpicklingError, MemoryError):
         raise
     except Exception as error:  # noqa: BLE001 - a damaged pickle can raise anything
         raise pickle.UnpicklingError(f"it is damaged ({type(error).__name__}: {error})") from None
+    return loaded
 
 
-def _check_memo(content: bytes) -> None:
-    """Refuse numbers of memo entries that only an attack on memory uses."""
-    for opcode, argument, _ in pickletools.genops(content):
-        entry = argument if opcode.name in {"PUT", "BINPUT", "LONG_BINPUT"} else 0
+def _check_operations(content: bytes) -> None:
+    """Refuse what only an attack on memory or time does."""
+    for count, (opcode, argument, _) in enumerate(pickletools.genops(content)):
+        if count >= MOST_OPERATIONS:
+            raise pickle.UnpicklingError(f"it has more than {MOST_OPERATIONS} operations")
+        entry = argument if opcode.name in _STORES else 0
         if not isinstance(entry, int) or not 0 <= entry <= len(content):
             raise pickle.UnpicklingError(f"it stores to memo entry {argument}")
+        bits = argument.bit_length() if isinstance(argument, int) else 0
+        if bits > 8 * LARGEST_NUMBER:
+            raise pickle.UnpicklingError(f"it holds a number of {bits} bits")
 
 
 class _DType:
@@ -65,25 +108,76 @@ class _DType:
     pointers; here only the byte order is taken from it.
     """
 
+    __slots__ = ("real",)
+
     def __init__(self, code: Any, *_: Any) -> None:
         if not isinstance(code, str) or not _DTYPE.fullmatch(code):
-            raise pickle.UnpicklingError(f"it holds an array of type {code!r}")
+            raise pickle.UnpicklingError(f"it holds an array of type {_told(code)}")
         self.real = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
         order = state[1]
-        if order not in {"<", ">", "|", "="}:
-            raise pickle.UnpicklingError(f"it holds an array of byte order {order!r}")
-        if order in {"<", ">"}:
+        if order not in ("<", ">", "|", "="):
+            raise pickle.UnpicklingError(f"it holds an array of byte order {_told(order)}")
+        if order in ("<", ">"):
             self.real = self.real.newbyteorder(order)
 
 
 class _Array(np.ndarray):
-    """An array that is filled by a pickle's state, with a dtype that cannot be forged."""
+    """An array that is filled once, by a state that cannot lie.
+
+    numpy copies as many pointers out of a list as the shape says, without looking at its length,
+    and frees what an array held before though a view may still show it.
+    """
+
+    _filled = False
 
     def __setstate__(self, state: Any) -> None:
         version, shape, dtype, is_fortran, content = state
-        super().__setstate__((version, shape, dtype.real, is_fortran, content))
+        if self._filled:
+            raise pickle.UnpicklingError("it fills an array twice")
+        _check_content(shape, _real(dtype), content)
+        self._filled = True
+        checked: Any = (version, shape, dtype.real, bool(is_fortran), content)
+        super().__setstate__(checked)
+
+
+def _check_content(shape: Any, dtype: np.dtype[Any], content: Any) -> None:
+    """An array's items are there: a list of objects, or the bytes of all others."""
+    sound = isinstance(shape, tuple) and len(shape) <= _MOST_DIMENSIONS
+    if not sound or not all(type(size) is int and 0 <= size < 2**31 for size in shape):
+        raise pickle.UnpicklingError(f"it holds an array of shape {_told(shape)}")
+    # numpy multiplies the sizes that are not 0, too
+    count, extent = math.prod(shape), math.prod(size for size in shape if size)
+    if dtype.hasobject:
+        there, needed = (len(content) if type(content) is list else -1), count
+    else:
+        there, needed = (len(content) if type(content) is bytes else -1), count * dtype.itemsize
+    if there != needed or extent >= 2**31:
+        kind = "objects" if dtype.hasobject else "bytes"
+        raise pickle.UnpicklingError(
+            f"it holds an array of shape {_told(shape)} with {there} {kind}, not {needed}"
+        )
+
+
+def _told(value: Any) -> str:
+    """A value in an error message: what it holds may be without end."""
+    plain = isinstance(value, int) or (
+        isinstance(value, tuple) and all(type(one) is int for one in value[:10])
+    )
+    if isinstance(value, str):
+        return repr(value[:40])
+    return (
+        repr(value[:10] if isinstance(value, tuple) else value)
+        if plain
+        else f"a {type(value).__name__}"
+    )
+
+
+def _real(dtype: Any) -> np.dtype[Any]:
+    if type(dtype) is not _DType:
+        raise pickle.UnpicklingError(f"it holds an array of type {type(dtype).__name__}")
+    return dtype.real
 
 
 def _empty_array(subtype: Any, shape: Any, dtype: Any) -> np.ndarray:  # noqa: ARG001
@@ -91,21 +185,29 @@ def _empty_array(subtype: Any, shape: Any, dtype: Any) -> np.ndarray:  # noqa: A
     return _Array((0,), "b")
 
 
-def _scalar(dtype: _DType, content: bytes | str) -> Any:
-    """``numpy.core.multiarray.scalar`` for numbers and booleans."""
+def _scalar(dtype: Any, content: Any) -> Any:
+    """``numpy.core.multiarray.scalar`` for numbers, booleans and text."""
     raw = content.encode("latin1") if isinstance(content, str) else content
-    return np.frombuffer(raw, dtype=dtype.real, count=1)[0]
+    real = _real(dtype)
+    if real.hasobject:
+        raise pickle.UnpicklingError("it holds a scalar of type 'object'")
+    _check_content((), real, raw)
+    return np.frombuffer(raw, dtype=real, count=1)[0]
 
 
-def _from_buffer(content: Any, dtype: _DType, shape: Any, order: Any) -> np.ndarray:
+def _from_buffer(content: Any, dtype: Any, shape: Any, order: Any) -> np.ndarray:
     """``numpy._core.numeric._frombuffer``: arrays in pickles of protocol 5."""
-    return np.frombuffer(content, dtype=dtype.real).reshape(shape, order=order)
+    raw, real = bytes(content) if type(content) is bytearray else content, _real(dtype)
+    if real.hasobject:
+        raise pickle.UnpicklingError("it takes numbers for objects")
+    _check_content(shape, real, raw)
+    return np.frombuffer(raw, dtype=real).reshape(shape, order=order)
 
 
 def _encode(text: str, encoding: str) -> bytes:
     """``_codecs.encode``: how protocols 0 to 2 write bytes."""
     if encoding != "latin1":
-        raise pickle.UnpicklingError(f"it encodes text as {encoding}")
+        raise pickle.UnpicklingError(f"it encodes text as {_told(encoding)}")
     return text.encode("latin1")
 
 
@@ -122,22 +224,22 @@ def _default_dict(factory: Any = None) -> dict[Any, Any]:  # noqa: ARG001
 _DESCRIPTION = "metadrive.scenario.scenario_description"
 _ALLOWED: Final[dict[tuple[str, str], Callable[..., Any]]] = {
     ("numpy", "ndarray"): _TypeName,
-    ("numpy", "dtype"): _DType,
-    ("numpy.core.multiarray", "_reconstruct"): _empty_array,
-    ("numpy.core.multiarray", "scalar"): _scalar,
-    ("numpy.core.numeric", "_frombuffer"): _from_buffer,
-    ("numpy._core.multiarray", "_reconstruct"): _empty_array,
-    ("numpy._core.multiarray", "scalar"): _scalar,
-    ("numpy._core.numeric", "_frombuffer"): _from_buffer,
-    ("_codecs", "encode"): _encode,
-    ("builtins", "bytes"): _no_bytes,
-    ("__builtin__", "bytes"): _no_bytes,
+    ("numpy", "dtype"): _Function(_DType),
+    ("numpy.core.multiarray", "_reconstruct"): _Function(_empty_array),
+    ("numpy.core.multiarray", "scalar"): _Function(_scalar),
+    ("numpy.core.numeric", "_frombuffer"): _Function(_from_buffer),
+    ("numpy._core.multiarray", "_reconstruct"): _Function(_empty_array),
+    ("numpy._core.multiarray", "scalar"): _Function(_scalar),
+    ("numpy._core.numeric", "_frombuffer"): _Function(_from_buffer),
+    ("_codecs", "encode"): _Function(_encode),
+    ("builtins", "bytes"): _Function(_no_bytes),
+    ("__builtin__", "bytes"): _Function(_no_bytes),
     ("builtins", "set"): set,
     ("builtins", "frozenset"): frozenset,
     ("__builtin__", "set"): set,
     ("__builtin__", "frozenset"): frozenset,
     ("collections", "OrderedDict"): collections.OrderedDict,
-    ("collections", "defaultdict"): _default_dict,
+    ("collections", "defaultdict"): _Function(_default_dict),
     **{("builtins", name): _TypeName for name in ("bool", "dict", "float", "int", "list", "str")},
     (_DESCRIPTION, "ScenarioDescription"): ScenarioDescription,
 }
@@ -155,4 +257,4 @@ class _Unpickler(pickle.Unpickler):
 
     def persistent_load(self, pid: Any) -> Any:
         """Nothing is stored elsewhere. Raises UnpicklingError."""
-        raise pickle.UnpicklingError(f"it refers to {pid!r} outside itself")
+        raise pickle.UnpicklingError(f"it refers to {_told(pid)} outside itself")
