@@ -15,12 +15,14 @@ import io
 import os
 import stat
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final, cast
 
 GZIP: Final = b"\x1f\x8b"
 """The first bytes of a gzip file."""
+
+Instead = Callable[[Path], list[Path] | None]
 
 _PIECE: Final = 2**20
 _KINDS: Final = (
@@ -71,13 +73,14 @@ def unpacked(path: Path, largest: int) -> BinaryIO:
     return io.BufferedReader(_Unpacked(path, file, packed, largest))
 
 
-def inside(folder: Path) -> Iterator[Path]:
+def inside(folder: Path, instead: Instead | None = None) -> Iterator[Path]:
     """Regular files of a folder at any depth, sorted, without hidden ones.
 
     Links are followed, but a folder or file that can be reached in several ways is given once.
+    Where ``instead`` gives a list for a folder, that is taken for all that is in the folder.
     Raises OSError where a folder cannot be read.
     """
-    yield from _inside(folder, set())
+    yield from _inside(folder, instead or (lambda _: None), set())
 
 
 def reason(error: OSError) -> str:
@@ -85,11 +88,12 @@ def reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _inside(folder: Path, seen: set[Path]) -> Iterator[Path]:
+def _inside(folder: Path, instead: Instead, seen: set[Path]) -> Iterator[Path]:
     seen.add(folder.resolve())
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith("."):
-            continue
+    listed = instead(folder)
+    if listed is None:
+        listed = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    for path in sorted(listed):
         try:
             kind, real = path.stat().st_mode, path.resolve()
         except (OSError, RuntimeError):  # a link to nowhere, or to itself
@@ -97,7 +101,7 @@ def _inside(folder: Path, seen: set[Path]) -> Iterator[Path]:
         if real in seen:
             continue
         if stat.S_ISDIR(kind):
-            yield from _inside(path, seen)
+            yield from _inside(path, instead, seen)
         elif stat.S_ISREG(kind):
             seen.add(real)
             yield path

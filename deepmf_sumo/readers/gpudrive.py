@@ -11,25 +11,26 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import HISTORY_STEPS, Scene, Source
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import checks, nocturne
 from deepmf_sumo.readers.base import Refusal
 
-LARGEST_FILE: Final = 2**28
+LARGEST_FILE: Final = 2**26
 """Bytes. The largest scene seen has 10 MB."""
 HEAD: Final = 2**16
 """Bytes at the start of a file in which one of its keys is looked for."""
 
 _NAME = "gpudrive"
 _KEYS = (b'"objects"', b'"roads"', b'"tl_states"')
-_MALFORMED = (TypeError, ValueError, AttributeError, IndexError, OverflowError)
+_MALFORMED = (TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
 
 
 def accepts(path: Path) -> bool:
     """Whether the file is a JSON object with a key of these scenes near its start."""
     try:
-        with path.open("rb") as file:
+        with files.opened(path) as file:
             start = file.read(HEAD)
     except OSError:
         return False
@@ -46,12 +47,10 @@ def scenes(path: Path) -> Iterator[Scene | Refusal]:
 
 def _recording(path: Path) -> checks.Recording:
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ReaderError(f"{path} is larger than {LARGEST_FILE} bytes, too much for a scene.")
-        content = path.read_bytes()
+        content = files.content(path, LARGEST_FILE)
         described = json.loads(content)
     except OSError as error:
-        raise ReaderError(f"{path} cannot be read ({error.strerror}).") from None
+        raise ReaderError(f"{path} cannot be read ({files.reason(error)}).") from None
     except (ValueError, RecursionError) as error:
         raise ReaderError(f"{path} is no valid JSON ({error}); copy it again.") from None
     source = Source(
@@ -74,7 +73,7 @@ def _described(described: Mapping[str, Any], source: Source) -> checks.Recording
     metadata = described.get("metadata") or {}
     road = nocturne.road(described["roads"], repairs)
     return checks.Recording(
-        name=str(described.get("scenario_id") or Path(source.file).stem),
+        name=checks.identifier(described.get("scenario_id") or Path(source.file).stem),
         source=source,
         now=HISTORY_STEPS - 1,
         timestamps_s=np.zeros(0),
@@ -84,7 +83,7 @@ def _described(described: Mapping[str, Any], source: Source) -> checks.Recording
             described.get("tl_states") or {}, road.lanes, tracks.valid.shape[1], repairs
         ),
         av_id=_av_id(metadata, tracks),
-        interest=tuple(str(agent) for agent in metadata.get("objects_of_interest", ())),
+        interest=tuple(map(checks.identifier, metadata.get("objects_of_interest", ()))),
         to_predict=tuple(
             _by_index(tracks.ids, wanted["track_index"], "tracks_to_predict")
             for wanted in metadata.get("tracks_to_predict", ())

@@ -1,23 +1,33 @@
 """The native format: one scene in one .npz file, without pickled objects; it loses nothing."""
 
+import io
+import math
 import os
+import struct
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import checks, native
 from deepmf_sumo.readers.base import Refusal
 
-LARGEST_FILE: Final = 2**30
+LARGEST_FILE: Final = 2**27
 """Bytes that a file may unpack to. The largest scene seen has 8 MB."""
 
 _NAME = "npz"
+_DAMAGES: Final = (
+    *(OSError, EOFError, ValueError, KeyError, RuntimeError, struct.error),
+    *(zlib.error, zipfile.BadZipFile),
+)
+"""What damaged archives and arrays raise; NotImplementedError is a RuntimeError."""
 
 
 def write(scene: Scene, path: Path) -> None:
@@ -39,13 +49,13 @@ def write(scene: Scene, path: Path) -> None:
 
 
 def accepts(path: Path) -> bool:
-    """Whether the file is a zip archive with a scene's description."""
+    """Whether the file is a zip archive with a scene's description, or named as a native file."""
     try:
-        with path.open("rb") as file:
+        with files.opened(path) as file:
             if file.read(4) != b"PK\x03\x04":
                 return False
-        with zipfile.ZipFile(path) as archive:
-            return {"format_version.npy", "description.npy"} <= set(archive.namelist())
+            with zipfile.ZipFile(file) as archive:
+                return {"format_version.npy", "description.npy"} <= set(archive.namelist())
     except Exception:  # noqa: BLE001 - a damaged archive can raise anything
         return path.suffix == ".npz"
 
@@ -60,22 +70,46 @@ def scenes(path: Path) -> Iterator[Scene | Refusal]:
 
 def _scene(path: Path) -> Scene:
     try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        if size > LARGEST_FILE:
-            raise ReaderError(f"{path} unpacks to {size} bytes, more than a scene can have.")
-        with np.load(path, allow_pickle=False) as arrays:
-            version = int(arrays["format_version"])
-            if version != native.FORMAT_VERSION:
-                raise ReaderError(
-                    f"{path} is of format version {version}; this program reads "
-                    f"{native.FORMAT_VERSION}. Write it again from the recording."
-                )
-            return native.from_arrays(arrays)
-    except ReaderError:
-        raise
-    except Exception as error:  # noqa: BLE001 - so can damaged arrays
+        arrays = _arrays(path)
+    except _DAMAGES as error:
+        why = files.reason(error) if isinstance(error, OSError) else str(error)
         raise ReaderError(
-            f"{path} is damaged ({type(error).__name__}: {error}); write it again from the "
-            "recording."
+            f"{path} is damaged ({why}); write it again from the recording."
         ) from None
+    version = arrays["format_version"]
+    if version.tolist() != native.FORMAT_VERSION:
+        raise ReaderError(
+            f"{path} is of format version {str(version)[:40]}; this program reads "
+            f"{native.FORMAT_VERSION}. Write it again from the recording."
+        )
+    try:
+        return native.from_arrays(arrays)
+    except ReaderError as error:
+        raise ReaderError(f"{path} is not a scene: {error}.") from None
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """All arrays. Raises any of `_DAMAGES`."""
+    with files.opened(path) as file, zipfile.ZipFile(file) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+        if size > LARGEST_FILE:
+            raise ValueError(f"it unpacks to {size} bytes, more than the {LARGEST_FILE} allowed")
+        return {name: _array(archive, f"{name}.npy") for name in native.NAMES}
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """One array, whose items are as many as it says."""
+    if archive.getinfo(name).compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
+        raise ValueError(f"{name} is packed in another way than with deflate")
+    content = io.BytesIO(archive.read(name))
+    version = np.lib.format.read_magic(content)
+    if version != (1, 0):
+        raise ValueError(f"{name} is of npy version {version}")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(content)
+    needed = math.prod(shape) * dtype.itemsize
+    there = len(content.getbuffer()) - content.tell()
+    if dtype.hasobject or min(shape, default=0) < 0 or needed != there:
+        raise ValueError(f"{name} says {dtype} of shape {shape}, but has {there} bytes")
+    content.seek(0)
+    array: np.ndarray = np.lib.format.read_array(content, allow_pickle=False)
+    return array

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import HISTORY_STEPS, AgentKind, Floats, Scene, Source
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import checks, description
@@ -19,7 +20,7 @@ KINDS: Final[dict[str, AgentKind]] = {
     "PEDESTRIAN": "pedestrian",
     "CYCLIST": "cyclist",
 }
-LARGEST_FILE: Final = 2**28
+LARGEST_FILE: Final = 2**25
 """Bytes. The largest scene seen has 2 MB."""
 
 _NAME = "scenarionet"
@@ -30,7 +31,7 @@ _MALFORMED = (KeyError, TypeError, ValueError, AttributeError, IndexError, Overf
 def accepts(path: Path) -> bool:
     """Whether the file is a pickle (one of protocol 0 or 1 is known by its name alone)."""
     try:
-        with path.open("rb") as file:
+        with files.opened(path) as file:
             start = file.read(2)
     except OSError:
         return False
@@ -48,12 +49,10 @@ def scenes(path: Path) -> Iterator[Scene | Refusal]:
 
 def _recording(path: Path) -> checks.Recording:
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ReaderError(f"{path} is larger than {LARGEST_FILE} bytes, too much for a scene.")
-        content = path.read_bytes()
+        content = files.content(path, LARGEST_FILE)
         described = load_plain(content)
     except OSError as error:
-        raise ReaderError(f"{path} cannot be read ({error.strerror}).") from None
+        raise ReaderError(f"{path} cannot be read ({files.reason(error)}).") from None
     except pickle.UnpicklingError as error:
         raise ReaderError(f"{path} cannot be unpickled: {error}.") from None
     if not isinstance(described, dict) or not {"tracks", "map_features"} <= described.keys():
@@ -77,12 +76,14 @@ def _described(described: Mapping[str, Any], source: Source) -> checks.Recording
     metadata = described["metadata"]
     if metadata.get("metadrive_processed"):
         raise ReaderError(f"{source.file} was recorded in MetaDrive; take the file made of WOMD.")
-    ids = [str(key) for key in described["tracks"]]
+    ids = [checks.identifier(key) for key in described["tracks"]]
     repairs: list[str] = []
     tracks = _tracks(ids, list(described["tracks"].values()))
     steps = tracks.valid.shape[1]
     return checks.Recording(
-        name=str(metadata.get("scenario_id", described.get("id", Path(source.file).stem))),
+        name=checks.identifier(
+            metadata.get("scenario_id", described.get("id", Path(source.file).stem))
+        ),
         source=source,
         now=max(int(metadata.get("current_time_index", 0)), HISTORY_STEPS - 1),
         timestamps_s=np.asarray(metadata.get("ts", ()), float).reshape(-1),
@@ -96,15 +97,15 @@ def _described(described: Mapping[str, Any], source: Source) -> checks.Recording
             repairs=repairs,
         ),
         av_id=_av_id(metadata, ids),
-        interest=tuple(str(agent) for agent in metadata.get("objects_of_interest", ())),
-        to_predict=tuple(str(agent) for agent in metadata.get("tracks_to_predict", ())),
+        interest=tuple(map(checks.identifier, metadata.get("objects_of_interest", ()))),
+        to_predict=tuple(map(checks.identifier, metadata.get("tracks_to_predict", ()))),
         repairs=repairs,
     )
 
 
 def _av_id(metadata: Mapping[str, Any], ids: list[str]) -> str:
     if "sdc_id" in metadata:
-        return str(metadata["sdc_id"])
+        return checks.identifier(metadata["sdc_id"])
     index = int(metadata["sdc_track_index"])
     if not 0 <= index < len(ids):
         raise ValueError(f"sdc_track_index is {index}, but there are {len(ids)} tracks")

@@ -27,7 +27,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.datatypes.road import LaneKind
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import checks, framing
+from deepmf_sumo.readers import bounded, checks, framing
 from deepmf_sumo.readers.base import Place, Refusal
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
 
@@ -39,6 +39,9 @@ MPS_PER_MPH: Final = 0.44704
 _SHARD = re.compile(r"\.tfrecords?(-\d+-of-\d+)?(\.gz)?$")
 _NAME = "womd"
 _UNDECODABLE = (DecodeError, UnicodeDecodeError)
+# A file of some kilobytes can unpack to millions of records that cannot be used.
+_MOST_LOST = 1000
+_ENOUGH = f"the rest of it was not read, since {_MOST_LOST} records could not be used"
 
 
 def accepts(path: Path) -> bool:
@@ -48,23 +51,32 @@ def accepts(path: Path) -> bool:
 
 def scenes(path: Path) -> Iterator[Scene | Refusal]:
     """The scenes of a TFRecord file in order."""
+    lost = 0
     for found in framing.records(path):
         if isinstance(found, framing.Broken):
             reason = f"{path} record {found.index}: {found.reason}."
-            yield _refusal(path, found.index, "", reason)
+            scene: Scene | Refusal = _refusal(path, found.index, "", reason)
         else:
-            yield _scene(path, found)
+            scene = _scene(path, found)
+        yield scene
+        lost += isinstance(scene, Refusal)
+        if lost == _MOST_LOST:
+            raise bounded.EndedError(_ENOUGH)
 
 
 def places(path: Path) -> Iterator[Place]:
     """Where the records of a TFRecord file lie; what has no id is called by file and number."""
+    lost = 0
     for found in framing.records(path):
         name = ""
         if isinstance(found, framing.Record):
             with suppress(*_UNDECODABLE):
                 name = pb.Scenario.FromString(found.payload).scenario_id
+        lost += not name
         name = name or f"{path.name} record {found.index}"
         yield Place(name=name, record=found.index, offset=found.offset)
+        if lost == _MOST_LOST:
+            raise bounded.EndedError(_ENOUGH)
 
 
 def scene_at(path: Path, place: Place) -> Scene | Refusal:
@@ -102,6 +114,8 @@ def _recording(message: pb.Scenario, source: Source) -> checks.Recording:
         raise ReaderError(
             f"{where}: no {missing}. Is it a 'scenario' file, not a 'tf_example' one?"
         )
+    if len(message.map_features) > checks.MOST_FEATURES:
+        raise ReaderError(f"{where}: the map has more than {checks.MOST_FEATURES} features.")
     ids = [str(track.id) for track in message.tracks]
     return checks.Recording(
         name=message.scenario_id,
@@ -135,17 +149,9 @@ def _tracks(message: pb.Scenario, ids: list[str], where: str) -> checks.Recordin
                 f"{where}: track {track.id} has {len(track.states)} states, "
                 f"but there are {steps} timestamps."
             )
-    values = np.array(
-        [
-            (
-                *(state.center_x, state.center_y, state.center_z),
-                *(state.length, state.width, state.height),
-                *(state.heading, state.velocity_x, state.velocity_y, state.valid),
-            )
-            for track in message.tracks
-            for state in track.states
-        ]
-    ).reshape(len(ids), steps, 10)
+    if steps * len(ids) > checks.MOST_STATES:
+        raise ReaderError(f"{where}: has more than {checks.MOST_STATES} states.")
+    values = np.array([_states(track) for track in message.tracks])
     return checks.RecordingTracks(
         ids=ids,
         kinds=[KINDS[track.object_type] for track in message.tracks],
@@ -155,6 +161,19 @@ def _tracks(message: pb.Scenario, ids: list[str], where: str) -> checks.Recordin
         velocity_mps=values[..., 7:9],
         valid=values[..., 9] > 0,
     )
+
+
+def _states(track: pb.Track) -> Floats:
+    """(T, 10); agent by agent, since the numbers take much more memory than the array."""
+    values = [
+        (
+            *(state.center_x, state.center_y, state.center_z),
+            *(state.length, state.width, state.height),
+            *(state.heading, state.velocity_x, state.velocity_y, state.valid),
+        )
+        for state in track.states
+    ]
+    return np.array(values, float).reshape(-1, 10)
 
 
 def _signals(states: Iterable[pb.DynamicMapState]) -> Signals:

@@ -52,7 +52,7 @@ def test_a_flipped_bit_never_gives_a_wrong_payload(file, payloads, data):
     good = [one for one in found if isinstance(one, framing.Record)]
     assert all(one.payload == payloads[one.index] for one in good)
     # With its length known, only the damaged record is lost.
-    lost = len(payloads) - broken[0].index if broken[0].last else 1
+    lost = len(payloads) - broken[0].index if broken[0].end is None else 1
     assert len(good) == len(payloads) - lost
 
 
@@ -71,7 +71,7 @@ def test_a_cut_file_gives_the_whole_records_and_one_report(file, payloads, packe
         assert len(found) == len(good)
     elif len(good) < len(payloads):
         assert isinstance(found[-1], framing.Broken)
-        assert found[-1].last
+        assert found[-1].end is None
 
 
 @settings(deadline=None)

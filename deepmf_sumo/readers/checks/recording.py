@@ -3,13 +3,30 @@
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Bools, Floats, RoadMap, Scene, Signals, Source, frozen
+from deepmf_sumo.datatypes import (
+    DT_S,
+    Bools,
+    Floats,
+    RoadMap,
+    Scene,
+    Signals,
+    SignalState,
+    Source,
+    frozen,
+)
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers.checks import motion, road
+from deepmf_sumo.readers.checks import ids, motion, road
 from deepmf_sumo.readers.checks.motion import RecordingTracks
+from deepmf_sumo.texts import shown
+
+MOST_STATES: Final = 1_000_000
+"""Agents times steps; the largest scenes have 80 000."""
+LONGEST_REPAIR: Final = 2000
+"""Letters of the sentence about one repair; it may name many ids."""
 
 
 @dataclass(kw_only=True)
@@ -52,10 +69,15 @@ def checked(recording: Recording) -> Scene:
 def confirmed(scene: Scene) -> Scene:
     """A scene that was checked before, as it is. Raises ReaderError where it is unusable now."""
     try:
+        ids.refuse(scene.name, scene.tracks.ids, scene.signals.lane_ids, scene.road)
+        _refuse_size(scene.tracks.agents, scene.tracks.steps)
         _refuse_steps(scene.tracks.steps, scene.now)
+        _refuse_twice(scene.tracks.ids)
         motion.refuse_values(scene.tracks)
         _refuse_av(scene.av_id, scene.tracks.valid[scene.tracks.row(scene.av_id)], scene.now)
+        _refuse_unknown(scene)
         road.refuse(scene.road)
+        road.refuse_links(scene.road)
     except ReaderError as error:
         raise ReaderError(f"{_where(scene.source)}: {error}.") from None
     return scene
@@ -68,10 +90,10 @@ def _where(source: Source) -> str:
 def _checked(recording: Recording) -> Scene:
     raw, repairs = recording.tracks, list(recording.repairs)
     steps = raw.valid.shape[1]
+    ids.refuse(recording.name, raw.ids, recording.signals.lane_ids, recording.road)
+    _refuse_size(len(raw.ids), steps)
     _refuse_steps(steps, recording.now)
-    twice = [agent for agent, count in Counter(raw.ids).items() if count > 1]
-    if twice:
-        raise ReaderError(f"two tracks have the id {twice[0]}")
+    _refuse_twice(raw.ids)
     av_id = _named_av(recording)
     timestamps = _timestamps(recording.timestamps_s, steps, repairs)
     motion.drop_impossible_states(raw, repairs)
@@ -91,8 +113,45 @@ def _checked(recording: Recording) -> Scene:
         av_id=av_id,
         interest=_known(recording.interest, tracks.ids, "objects of interest", repairs),
         to_predict=_known(recording.to_predict, tracks.ids, "tracks to predict", repairs),
-        repairs=tuple(repairs),
+        repairs=tuple(map(_readable, repairs)),
     )
+
+
+def _readable(repair: str) -> str:
+    cut = repair if len(repair) <= LONGEST_REPAIR else f"{repair[:LONGEST_REPAIR]} ..."
+    return shown(cut)
+
+
+def _refuse_size(agents: int, steps: int) -> None:
+    if agents * steps > MOST_STATES:
+        raise ReaderError(
+            f"has {agents} agents over {steps} steps, more than {MOST_STATES} states in all"
+        )
+
+
+def _refuse_twice(agents: Sequence[str]) -> None:
+    twice = next((agent for agent, count in Counter(agents).items() if count > 1), None)
+    if twice is not None:
+        raise ReaderError(f"two tracks have the id {twice}")
+
+
+def _refuse_unknown(scene: Scene) -> None:
+    """Raises ReaderError where the scene speaks of agents that it lacks, or of other times."""
+    missing = next(
+        (a for a in (*scene.interest, *scene.to_predict) if a not in scene.tracks.ids), ""
+    )
+    if missing:
+        raise ReaderError(f"'interest' or 'to_predict' names {missing}, which is not there")
+    if abs(scene.dt_s - DT_S) > 1e-9:
+        raise ReaderError(f"'dt_s' is {scene.dt_s:g}; only {DT_S} s can be used")
+    times = scene.timestamps_s
+    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise ReaderError("'timestamps_s' is not finite or runs backwards")
+    strange = scene.signals.state[scene.signals.state > max(SignalState)]
+    if len(strange):
+        raise ReaderError(f"'signals_state' has the unknown state {strange[0]}")
+    if not np.isfinite(scene.signals.stop_m).all():
+        raise ReaderError("'signals_stop_m' is not finite")
 
 
 def _refuse_steps(steps: int, now: int) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -9,17 +10,38 @@ from deepmf_sumo.datatypes import Lane, Neighbour, Polygon, Polyline, RoadMap, S
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers.checks.motion import FARTHEST_M
 
+MOST_FEATURES: Final = 50_000
+MOST_POINTS: Final = 2_000_000
+"""The largest maps of scenes have 2 000 features with 100 000 points in all."""
+
 
 def refuse(road: RoadMap) -> None:
-    """Raises ReaderError where there is no lane, or a lane is not made of finite numbers."""
+    """Raises ReaderError where there is no lane, or a lane is not made of finite numbers.
+
+    Also where the map is larger than any recording's.
+    """
     if not road.lanes:
         raise ReaderError("the record has no lanes")
+    features: tuple[Polyline | Polygon, ...] = (*road.lines, *road.edges, *road.polygons)
+    if len(road.lanes) + len(features) + len(road.stop_signs) > MOST_FEATURES:
+        raise ReaderError(f"the map has more than {MOST_FEATURES} features")
+    points = sum(len(lane.centre_m) for lane in road.lanes.values())
+    if points + sum(len(feature.points_m) for feature in features) > MOST_POINTS:
+        raise ReaderError(f"the map has more than {MOST_POINTS} points")
     for lane in road.lanes.values():
         if not is_placed(lane):
             # Other lanes point into this one by index: no point of it can be left out.
             raise ReaderError(
                 f"lane {lane.id} has points that are not finite numbers, or too far away"
             )
+
+
+def refuse_links(road: RoadMap) -> None:
+    """Raises ReaderError for what `mended` would leave out: for maps that were mended before."""
+    repairs: list[str] = []
+    mended(road, repairs)
+    if repairs:
+        raise ReaderError(f"the road was changed: {repairs[0].rstrip('.')}")
 
 
 def is_placed(lane: Lane) -> bool:

@@ -20,6 +20,7 @@ from deepmf_sumo.datatypes import (
     StopSign,
 )
 from deepmf_sumo.datatypes.road import LaneKind, PolygonKind
+from deepmf_sumo.readers.checks import identifier
 
 MPS_PER_MPH: Final = 0.44704
 LANE_KINDS: Final[dict[str, LaneKind]] = {
@@ -60,7 +61,7 @@ def road(features: Mapping[Any, Feature], repairs: list[str]) -> RoadMap:
     signs: list[StopSign] = []
     unknown: set[str] = set()
     for key, feature in features.items():
-        name, kind = str(key), str(feature["type"])
+        name, kind = identifier(key), identifier(feature["type"])
         # UNKNOWN is a lane's and a road line's type; only lanes have a speed limit.
         if kind.startswith("LANE_") or "speed_limit_mph" in feature:
             lanes[name] = _lane(name, kind, feature)
@@ -100,8 +101,8 @@ def _lane(name: str, kind: str, feature: Feature) -> Lane:
         z_m=points[:, 2],
         interpolating=bool(feature.get("interpolating", False)),
         speed_limit_mps=limit_mph * MPS_PER_MPH if limit_mph > 0 else None,
-        next=tuple(str(other) for other in feature.get("exit_lanes", ())),
-        previous=tuple(str(other) for other in feature.get("entry_lanes", ())),
+        next=tuple(map(identifier, feature.get("exit_lanes", ()))),
+        previous=tuple(map(identifier, feature.get("entry_lanes", ()))),
         left=_neighbours(feature, "left"),
         right=_neighbours(feature, "right"),
         left_boundaries=_boundaries(feature.get("left_boundaries", ())),
@@ -113,7 +114,7 @@ def _neighbours(feature: Feature, side: str) -> tuple[Neighbour, ...]:
     listed = feature.get(f"{side}_neighbor", feature.get(f"{side}_neighbors", ()))
     return tuple(
         Neighbour(
-            lane_id=str(one["feature_id"]),
+            lane_id=identifier(one["feature_id"]),
             self_start=int(one["self_start_index"]),
             self_end=int(one["self_end_index"]),
             other_start=int(one["neighbor_start_index"]),
@@ -128,7 +129,7 @@ def _boundaries(listed: Any) -> tuple[Boundary, ...]:
         Boundary(
             start=int(one["lane_start_index"]),
             end=int(one["lane_end_index"]),
-            feature_id=str(one["boundary_feature_id"]),
+            feature_id=identifier(one["boundary_feature_id"]),
             kind=_number(LINE_KINDS, one["boundary_type"]),
         )
         for one in listed
@@ -143,7 +144,7 @@ def _stop_sign(name: str, feature: Feature) -> StopSign:
         id=name,
         position_m=position[:2],
         z_m=float(position[2]) if len(position) > 2 else 0.0,
-        lane_ids=tuple(str(lane) for lane in feature.get("lane", ())),
+        lane_ids=tuple(map(identifier, feature.get("lane", ()))),
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Floats, Ints, Signals, SignalState
+from deepmf_sumo.readers.checks import identifier
 
 STATES: Final = {f"LANE_STATE_{state.name}": state.value for state in SignalState}
 """How a state is written in files of all versions but the earliest, which have numbers."""
@@ -25,7 +26,7 @@ def signals(
         unknown_is_missing: the file writes UNKNOWN for steps without a state, too.
         repairs: gets a sentence for states that are not known.
     """
-    lane_ids = [str(key) for key in described]
+    lane_ids = [identifier(key) for key in described]
     state = np.zeros((len(lane_ids), steps), "int64")
     seen = np.zeros(state.shape, bool)
     stop = np.zeros((len(lane_ids), 3))
@@ -63,7 +64,7 @@ def _from_numbers(listed: np.ndarray) -> tuple[Ints, np.ndarray]:
 def _from_names(
     listed: Any, unknown_is_missing: bool, strange: set[str]
 ) -> tuple[Ints, np.ndarray]:
-    names = [None if name is None else str(name) for name in listed]
+    names = [None if name is None else identifier(name) for name in listed]
     strange.update(name for name in names if name is not None and name not in STATES)
     numbers = np.array([STATES.get(name or "", 0) for name in names], "int64")
     there = np.array([name is not None for name in names], bool)

@@ -5,47 +5,53 @@
     8 bytes  payload length n, little-endian      4 bytes  masked CRC-32C of the length
     n bytes  payload                              4 bytes  masked CRC-32C of the payload
 
-The file is plain, or gzip around the whole stream; its first two bytes tell which.
+The file is plain, or gzip around the whole stream; its first two bytes tell which. Offsets count in
+the unpacked stream.
 """
 
-import gzip
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Final, cast
+from typing import BinaryIO, Final
 
 import google_crc32c
 
+from deepmf_sumo import files
 from deepmf_sumo.errors import ReaderError
 
 HEADER: Final = 12
 FOOTER: Final = 4
-LARGEST_RECORD: Final = 256 * 2**20
+LARGEST_RECORD: Final = 32 * 2**20
 """Bytes. The largest scene seen has 4 MB; a larger length is taken for damage, not for data."""
+LARGEST_FILE: Final = 2**40
+"""Bytes, unpacked. A file is never in memory as a whole; this only says that there is an end."""
 
-_GZIP_MAGIC: Final = b"\x1f\x8b"
-_UNREADABLE: Final = (OSError, EOFError, zlib.error)
+_PIECE: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """One whole record; ``offset`` counts in the decompressed stream."""
+    """One whole record, and where it begins."""
 
     index: int
     offset: int
     payload: bytes
 
+    @property
+    def end(self) -> int:
+        """Where the next one begins."""
+        return self.offset + HEADER + len(self.payload) + FOOTER
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Broken:
-    """A record that cannot be read; ``last`` where the rest of the file is lost with it."""
+    """A record that cannot be read; ``end`` is None where the rest of the file is lost with it."""
 
     index: int
     offset: int
     reason: str
-    last: bool
+    end: int | None = None
 
 
 def framed(payload: bytes) -> bytes:
@@ -59,7 +65,7 @@ def looks_framed(path: Path) -> bool:
     try:
         with _stream(path) as stream:
             header = stream.read(HEADER)
-    except _UNREADABLE:
+    except OSError:
         return False
     return len(header) == HEADER and _masked_crc(header[:8]) == header[8:]
 
@@ -78,12 +84,12 @@ def records(path: Path) -> Iterator[Record | Broken]:
                 if found is None:
                     return
                 yield found
-                if isinstance(found, Broken) and found.last:
+                if found.end is None:
                     return
-                offset, index = stream.tell(), index + 1
-    except _UNREADABLE as error:
-        reason = f"cannot be read on ({error}); copy or download the file again"
-        yield Broken(index=index, offset=offset, reason=reason, last=True)
+                offset, index = found.end, index + 1
+    except OSError as error:
+        reason = f"cannot be read on ({files.reason(error)}); copy or download the file again"
+        yield Broken(index=index, offset=offset, reason=reason)
 
 
 def record_at(path: Path, offset: int, index: int) -> Record:
@@ -93,10 +99,12 @@ def record_at(path: Path, offset: int, index: int) -> Record:
     """
     try:
         with _stream(path) as stream:
-            stream.seek(offset)
+            _skip(stream, offset)
             found = _next(stream, index, offset)
-    except _UNREADABLE as error:
-        raise ReaderError(f"{path} record {index}: cannot be read ({error}).") from None
+    except OSError as error:
+        raise ReaderError(
+            f"{path} record {index}: cannot be read ({files.reason(error)})."
+        ) from None
     if isinstance(found, Record):
         return found
     reason = found.reason if found else "the file ends before it"
@@ -113,14 +121,15 @@ def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:
     (length,) = struct.unpack("<Q", header[:8])
     damage = _damage(header, length)
     if damage:
-        return Broken(index=index, offset=offset, reason=damage, last=True)
+        return Broken(index=index, offset=offset, reason=damage)
     body = stream.read(length + FOOTER)
     if len(body) < length + FOOTER:
         return _truncated(index, offset, HEADER + len(body), HEADER + length + FOOTER)
     payload = body[:length]
     if _masked_crc(payload) != body[length:]:
         reason = "the checksum of its content is wrong; copy or download the file again"
-        return Broken(index=index, offset=offset, reason=reason, last=False)
+        end = offset + HEADER + len(body)
+        return Broken(index=index, offset=offset, reason=reason, end=end)
     return Record(index=index, offset=offset, payload=payload)
 
 
@@ -138,7 +147,7 @@ def _damage(header: bytes, length: int) -> str:
 
 def _truncated(index: int, offset: int, there: int, needed: int) -> Broken:
     reason = f"is cut off: {there} of its {needed} bytes are there; copy or download the file again"
-    return Broken(index=index, offset=offset, reason=reason, last=True)
+    return Broken(index=index, offset=offset, reason=reason)
 
 
 def _masked_crc(content: bytes) -> bytes:
@@ -148,6 +157,15 @@ def _masked_crc(content: bytes) -> bytes:
 
 
 def _stream(path: Path) -> BinaryIO:
-    with path.open("rb") as file:
-        packed = file.read(2) == _GZIP_MAGIC
-    return cast(BinaryIO, gzip.open(path, "rb")) if packed else path.open("rb")
+    with files.opened(path) as file:
+        packed = file.read(len(files.GZIP)) == files.GZIP
+    return files.unpacked(path, LARGEST_FILE) if packed else files.opened(path)
+
+
+def _skip(stream: BinaryIO, count: int) -> None:
+    """Go on by a number of bytes, or to the end; what is packed must be unpacked for that."""
+    if stream.seekable():
+        stream.seek(count)
+        return
+    while count and (piece := stream.read(min(count, _PIECE))):
+        count -= len(piece)

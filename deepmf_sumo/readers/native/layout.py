@@ -14,17 +14,24 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import (
-    Boundary,
     Lane,
-    Neighbour,
     Polygon,
     Polyline,
     RoadMap,
     Scene,
     Signals,
-    Source,
     StopSign,
     Tracks,
+)
+from deepmf_sumo.errors import ReaderError
+from deepmf_sumo.readers.native.description import (
+    Area,
+    Description,
+    LaneDescription,
+    Line,
+    Road,
+    Sign,
+    described,
 )
 
 FORMAT_VERSION: Final = 1
@@ -32,6 +39,20 @@ FORMAT_VERSION: Final = 1
 Arrays = dict[str, np.ndarray]
 _MOTION: Final = ("size_m", "position_m", "z_m", "heading_rad", "velocity_mps", "valid")
 _SIGNAL: Final = ("state", "seen", "stop_m", "stop_z_m")
+# Kinds of numpy's types; all other arrays are of real numbers.
+_KINDS: Final = {"tracks_valid": "b", "signals_seen": "b", "signals_state": "u"}
+_CALLED: Final = {"b": "booleans", "u": "bytes", "f": "real numbers"}
+
+NAMES: Final = (
+    "format_version",
+    "description",
+    "timestamps_s",
+    "road_points_m",
+    "road_z_m",
+    *(f"tracks_{name}" for name in _MOTION),
+    *(f"signals_{name}" for name in _SIGNAL),
+)
+"""Of all arrays of a file."""
 
 
 def to_arrays(scene: Scene) -> Arrays:
@@ -64,29 +85,64 @@ def to_arrays(scene: Scene) -> Arrays:
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> Scene:
-    """The scene of the arrays. Raises KeyError, ValueError or TypeError where they are not one."""
-    description = json.loads(arrays["description"].tobytes())
+    """The scene of the arrays `names`. Raises ReaderError, naming the field that is wrong."""
+    told = described(arrays["description"].tobytes())
+    _check_arrays(arrays, told)
     return Scene(
-        name=description["name"],
-        source=Source(**description["source"]),
-        dt_s=description["dt_s"],
-        now=description["now"],
+        name=told.name,
+        source=told.source.made(),
+        dt_s=told.dt_s,
+        now=told.now,
         timestamps_s=arrays["timestamps_s"],
         tracks=Tracks(
-            ids=tuple(description["ids"]),
-            kinds=tuple(description["kinds"]),
+            ids=tuple(told.ids),
+            kinds=tuple(told.kinds),
             **{name: arrays[f"tracks_{name}"] for name in _MOTION},
         ),
-        road=_road(description["road"], arrays["road_points_m"], arrays["road_z_m"]),
+        road=_road(told.road, arrays["road_points_m"], arrays["road_z_m"]),
         signals=Signals(
-            lane_ids=tuple(description["signal_lane_ids"]),
+            lane_ids=tuple(told.signal_lane_ids),
             **{name: arrays[f"signals_{name}"] for name in _SIGNAL},
         ),
-        av_id=description["av_id"],
-        interest=tuple(description["interest"]),
-        to_predict=tuple(description["to_predict"]),
-        repairs=tuple(description["repairs"]),
+        av_id=told.av_id,
+        interest=tuple(told.interest),
+        to_predict=tuple(told.to_predict),
+        repairs=tuple(told.repairs),
     )
+
+
+def _check_arrays(arrays: Mapping[str, np.ndarray], told: Description) -> None:
+    """Raises ReaderError for an array of another type or shape than the description asks for."""
+    agents, signals = len(told.ids), len(told.signal_lane_ids)
+    if len(told.kinds) != agents:
+        raise ReaderError(f"'kinds' has {len(told.kinds)} items, but there are {agents} ids")
+    if told.av_id not in told.ids:
+        raise ReaderError(f"'av_id' is '{told.av_id}', but there is no such agent")
+    steps = arrays["timestamps_s"].size
+    road = told.road
+    features = (*road.lanes, *road.lines, *road.edges, *road.polygons, *road.stop_signs)
+    points = sum(feature.points for feature in features)
+    shapes = {
+        "timestamps_s": (steps,),
+        "road_points_m": (points, 2),
+        "road_z_m": (points,),
+        "tracks_size_m": (agents, 3),
+        "tracks_position_m": (agents, steps, 2),
+        "tracks_z_m": (agents, steps),
+        "tracks_heading_rad": (agents, steps),
+        "tracks_velocity_mps": (agents, steps, 2),
+        "tracks_valid": (agents, steps),
+        "signals_state": (signals, steps),
+        "signals_seen": (signals, steps),
+        "signals_stop_m": (signals, 2),
+        "signals_stop_z_m": (signals,),
+    }
+    for name, shape in shapes.items():
+        array, kind = arrays[name], _KINDS.get(name, "f")
+        if array.dtype.kind != kind:
+            raise ReaderError(f"array '{name}' holds {array.dtype}, not {_CALLED[kind]}")
+        if array.shape != shape:
+            raise ReaderError(f"array '{name}' has shape {array.shape}, not {shape}")
 
 
 def _road_description(
@@ -132,53 +188,48 @@ class _Points:
 
     def take(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         start, self._next = self._next, self._next + count
-        if count < 0 or self._next > len(self._points_m):
-            raise ValueError("the road has fewer points than its description says")
         return self._points_m[start : self._next], self._z_m[start : self._next]
 
 
-def _road(described: dict[str, list[dict[str, Any]]], xy: np.ndarray, z: np.ndarray) -> RoadMap:
+def _road(told: Road, xy: np.ndarray, z: np.ndarray) -> RoadMap:
     points = _Points(xy, z)
-    lanes = [_lane(one, points) for one in described["lanes"]]
+    lanes = [_lane(one, points) for one in told.lanes]
+    if len({lane.id for lane in lanes}) < len(lanes):
+        raise ReaderError("two lanes have the same id")
     return RoadMap(
         lanes={lane.id: lane for lane in lanes},
-        lines=tuple(Polyline(**_shape(one, points)) for one in described["lines"]),
-        edges=tuple(Polyline(**_shape(one, points)) for one in described["edges"]),
-        polygons=tuple(Polygon(**_shape(one, points)) for one in described["polygons"]),
-        stop_signs=tuple(_sign(one, points) for one in described["stop_signs"]),
+        lines=tuple(Polyline(**_shape(one, points)) for one in told.lines),
+        edges=tuple(Polyline(**_shape(one, points)) for one in told.edges),
+        polygons=tuple(Polygon(**_shape(one, points)) for one in told.polygons),
+        stop_signs=tuple(_sign(one, points) for one in told.stop_signs),
     )
 
 
-def _shape(described: dict[str, Any], points: _Points) -> dict[str, Any]:
-    xy, z = points.take(described["points"])
-    return {"id": described["id"], "kind": described["kind"], "points_m": xy, "z_m": z}
+def _shape(told: Line | Area, points: _Points) -> dict[str, Any]:
+    xy, z = points.take(told.points)
+    return {"id": told.id, "kind": told.kind, "points_m": xy, "z_m": z}
 
 
-def _sign(described: dict[str, Any], points: _Points) -> StopSign:
-    xy, z = points.take(described["points"])
-    return StopSign(
-        id=described["id"],
-        position_m=xy[0],
-        z_m=float(z[0]),
-        lane_ids=tuple(described["lane_ids"]),
-    )
+def _sign(told: Sign, points: _Points) -> StopSign:
+    xy, z = points.take(told.points)
+    return StopSign(id=told.id, position_m=xy[0], z_m=float(z[0]), lane_ids=tuple(told.lane_ids))
 
 
-def _lane(described: dict[str, Any], points: _Points) -> Lane:
-    xy, z = points.take(described["points"])
+def _lane(told: LaneDescription, points: _Points) -> Lane:
+    xy, z = points.take(told.points)
     return Lane(
-        id=described["id"],
-        kind=described["kind"],
+        id=told.id,
+        kind=told.kind,
         centre_m=xy,
         z_m=z,
-        interpolating=described["interpolating"],
-        width_m=described["width_m"],
-        speed_limit_mps=described["speed_limit_mps"],
-        next=tuple(described["next"]),
-        previous=tuple(described["previous"]),
-        left=tuple(Neighbour(**one) for one in described["left"]),
-        right=tuple(Neighbour(**one) for one in described["right"]),
-        left_boundaries=tuple(Boundary(**one) for one in described["left_boundaries"]),
-        right_boundaries=tuple(Boundary(**one) for one in described["right_boundaries"]),
-        gives_way_to=tuple(described.get("gives_way_to", ())),
+        interpolating=told.interpolating,
+        width_m=told.width_m,
+        speed_limit_mps=told.speed_limit_mps,
+        next=tuple(told.next),
+        previous=tuple(told.previous),
+        left=tuple(one.made() for one in told.left),
+        right=tuple(one.made() for one in told.right),
+        left_boundaries=tuple(one.made() for one in told.left_boundaries),
+        right_boundaries=tuple(one.made() for one in told.right_boundaries),
+        gives_way_to=tuple(told.gives_way_to),
     )

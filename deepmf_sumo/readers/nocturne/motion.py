@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentKind, Bools, Floats
-from deepmf_sumo.readers.checks import RecordingTracks
+from deepmf_sumo.readers.checks import RecordingTracks, identifier
 from deepmf_sumo.readers.nocturne.points import points
 
 KINDS: Final[dict[str, AgentKind]] = {
@@ -46,7 +46,7 @@ def tracks(objects: Sequence[Mapping[str, Any]], repairs: list[str]) -> Recordin
         )
     valid &= ~marked
     return RecordingTracks(
-        ids=[str(one.get("id", index)) for index, one in enumerate(objects)],
+        ids=[identifier(one.get("id", index)) for index, one in enumerate(objects)],
         kinds=[KINDS.get(str(one["type"]), "other") for one in objects],
         size_m=np.repeat(size[:, None], steps, axis=1),
         position_m=position,

@@ -29,7 +29,7 @@ def road(roads: Sequence[Mapping[str, Any]], repairs: list[str]) -> RoadMap:
     signs: list[StopSign] = []
     strange: set[str] = set()
     for index, feature in enumerate(roads):
-        name = str(feature.get("id", index))
+        name = checks.identifier(feature.get("id", index))
         xyz = points(feature["geometry"])
         shape, z = xyz[:, :2], xyz[:, 2]
         element = int(feature.get("map_element_id", -1))

@@ -1,0 +1,137 @@
+"""Reading in a process of its own that has limits: a file can end that process and no other.
+
+The process is a copy of this one (`os.fork`), so it starts in milliseconds. It hands over one item
+at a time. On systems other than Linux reading happens here, without limits.
+"""
+
+import contextlib
+import ctypes
+import gc
+import os
+import pickle
+import resource
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, NoReturn, TypeVar
+
+from deepmf_sumo.errors import DeepmfError, ReaderError
+
+CPU_S: Final = 4.0
+"""Until the next item is there. The largest scenes take below 1 s."""
+MEMORY_MB: Final = 384
+"""More than this process has. The largest scenes take about 100 MB."""
+TOO_LARGE: Final = f"reading it takes more than {MEMORY_MB} MB"
+
+_TOO_SLOW: Final = f"reading it takes more than {CPU_S:g} s of CPU time"
+_PR_SET_PDEATHSIG: Final = 1
+_ITEM, _END, _ERROR = range(3)
+
+T = TypeVar("T")
+
+
+class EndedError(ReaderError):
+    """Reading went beyond the limits, or ended the process that did it."""
+
+
+def each(work: Callable[[], Iterator[T]]) -> Iterator[T]:
+    """What ``work`` gives, which is called in the other process; its items must be picklable.
+
+    Closing the iterator ends the process. Raises EndedError where it goes beyond the limits, and
+    whatever DeepmfError it raises. Either comes after the items that were there before.
+    """
+    if sys.platform != "linux":
+        yield from work()
+        return
+    ours, theirs = os.pipe()
+    here = os.getpid()
+    pid = os.fork()
+    if pid == 0:
+        os.close(ours)
+        _work(work, theirs, here)
+    os.close(theirs)
+    status = None
+    try:
+        with open(ours, "rb") as stream:  # noqa: PTH123 - a pipe has no path
+            while status is None:
+                # A broken item is one that the process did not live to finish.
+                try:
+                    kind, value = pickle.load(stream)  # noqa: S301 - our own copy wrote it
+                except (EOFError, pickle.UnpicklingError):
+                    _, status = os.waitpid(pid, 0)
+                    break
+                if kind == _END:
+                    return
+                if kind == _ERROR:
+                    raise value
+                yield value
+    finally:
+        if status is None:
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+    raise EndedError(_reason(os.waitstatus_to_exitcode(status)))
+
+
+def _reason(code: int) -> str:
+    if code == -signal.SIGPROF:
+        return _TOO_SLOW
+    name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+    return f"reading it ended the process that did so ({name})"
+
+
+def _work(work: Callable[[], Iterator[T]], pipe: int, parent: int) -> NoReturn:
+    """The other process's life."""
+    code = 1
+    try:
+        _limit(parent)
+        with open(pipe, "wb") as stream:
+            _hand_over(work, stream.fileno())
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _limit(parent: int) -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPROF):
+        signal.signal(number, signal.SIG_DFL)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # a crash may print; the reason tells of it
+    gc.freeze()  # else the first collection touches, and so copies, all that there is
+    pages = int(Path("/proc/self/statm").read_text("ascii").split()[5])
+    most = pages * os.sysconf("SC_PAGE_SIZE") + MEMORY_MB * 2**20
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(
+        resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard)
+    )
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _hand_over(work: Callable[[], Iterator[T]], pipe: int) -> None:
+    signal.setitimer(signal.ITIMER_PROF, CPU_S)
+    try:
+        for item in work():
+            _say(pipe, _ITEM, item)
+            del item
+            signal.setitimer(signal.ITIMER_PROF, CPU_S)
+        _say(pipe, _END, None)
+    except DeepmfError as error:
+        _say(pipe, _ERROR, error)
+    except MemoryError:
+        _say(pipe, _ERROR, EndedError(TOO_LARGE))
+    except Exception as error:  # noqa: BLE001 - a mistake of ours ends one file, not the listing
+        reason = f"unexpected {type(error).__name__}: {error}; please report this"
+        _say(pipe, _ERROR, EndedError(reason))
+
+
+def _say(pipe: int, kind: int, value: object) -> None:
+    # In memory first: half an item must not be followed by an error.
+    said = memoryview(pickle.dumps((kind, value), protocol=5))
+    with contextlib.suppress(BrokenPipeError):
+        while said:
+            said = said[os.write(pipe, said) :]
+
+
+__all__ = ["CPU_S", "MEMORY_MB", "TOO_LARGE", "EndedError", "each"]

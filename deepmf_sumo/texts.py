@@ -1,0 +1,26 @@
+"""Text of files that others wrote: ids and names, and what of them a terminal may be given."""
+
+import re
+from typing import Final
+
+LONGEST_ID: Final = 256
+"""Characters of an id or a name; the longest seen has 60."""
+
+# Control characters and escape sequences, halves of surrogate pairs, what turns the direction of
+# writing, and what XML does not allow.
+_HIDDEN: Final = re.compile(
+    "[\x00-\x1f\x7f-\x9f\ud800-\udfff\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufffe\uffff]"
+)
+
+
+def is_plain(text: str) -> bool:
+    """Whether nothing in the text acts on a terminal or breaks a file that it is written to."""
+    return _HIDDEN.search(text) is None
+
+
+def shown(text: str) -> str:
+    """The text with `\N{REPLACEMENT CHARACTER}` for each character that is not plain."""
+    return _HIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+__all__ = ["LONGEST_ID", "is_plain", "shown"]
