@@ -5,6 +5,7 @@ A command file exposes ``command`` and imports what is heavy inside it, so that 
 
 import errno
 import importlib
+import io
 import os
 import pkgutil
 import signal
@@ -17,6 +18,7 @@ import click
 import deepmf_sumo
 from deepmf_sumo import cli
 from deepmf_sumo.errors import DeepmfError, OutputError
+from deepmf_sumo.texts import shown
 
 INTERRUPTED = 130
 FAILED = DeepmfError.exit_code
@@ -59,6 +61,9 @@ def commands(debug: bool) -> None:
 def main() -> NoReturn:
     """Run the command line; errors are one line on standard error, never a traceback."""
     signal.signal(signal.SIGTERM, _interrupt)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files can be any bytes
     sys.exit(_run(sys.argv[1:]))
 
 
@@ -95,7 +100,7 @@ def _run(arguments: list[str]) -> int:
 def _show(error: Exception, text: str, arguments: list[str]) -> None:
     if "--debug" in arguments[:1]:
         traceback.print_exception(error)
-    click.echo(f"deepmf-sumo: {' '.join(text.split())}", err=True)
+    click.echo(f"deepmf-sumo: {shown(' '.join(text.split()))}", err=True)
 
 
 def _interrupt(number: int, frame: object) -> NoReturn:  # noqa: ARG001 - as `signal` wants it

@@ -13,7 +13,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.errors import OutputError, ReaderError
 
 if TYPE_CHECKING:  # numpy and the readers are loaded when the command runs
@@ -118,7 +118,7 @@ def _row(found: "Scene | Refusal") -> Row:
 def _show_file(console: Console, row: Row) -> None:
     """The file's name, and the names of the columns."""
     console.print()
-    console.print(f"{row['file']}  {row['dataset']}".rstrip(), style="bold", markup=False)
+    console.print(escape(f"{row['file']}  {row['dataset']}".rstrip()), style="bold")
     console.print(_line({name: name for name in _SHOWN}, style="dim"))
 
 
@@ -126,7 +126,7 @@ def _show(console: Console, row: Row) -> None:
     console.print(_line(row, style=""))
     if row["reason"]:
         console.print(
-            f"{'':8}{row['reason']}", style=_STYLES[row["status"]], markup=False, highlight=False
+            escape(f"{'':8}{row['reason']}"), style=_STYLES[row["status"]], highlight=False
         )
 
 
@@ -137,7 +137,7 @@ def _line(row: Row, style: str) -> Table:
         is_text = name in {"scene", "status", "av", "interest"}
         justify: Any = "left" if is_text else "right"
         table.add_column(width=width, justify=justify, no_wrap=True, overflow="ellipsis")
-    table.add_row(*(str(row[name]) for name in _SHOWN))
+    table.add_row(*(escape(str(row[name])) for name in _SHOWN))
     return table
 
 

@@ -63,7 +63,7 @@ def accepts(path: Path) -> bool:
 def scenes(path: Path) -> Iterator[Scene | Refusal]:
     """The file's one scene, as it was written (its source is the original recording)."""
     try:
-        yield checks.confirmed(_scene(path))
+        yield _scene(path)
     except ReaderError as error:
         yield Refusal(file=str(path), record=0, name=path.stem, reason=str(error), dataset=_NAME)
 
@@ -83,17 +83,19 @@ def _scene(path: Path) -> Scene:
             f"{native.FORMAT_VERSION}. Write it again from the recording."
         )
     try:
-        return native.from_arrays(arrays)
+        return checks.confirmed(native.from_arrays(arrays))
     except ReaderError as error:
         raise ReaderError(f"{path} is not a scene: {error}.") from None
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """All arrays. Raises any of `_DAMAGES`."""
+    """All arrays. Raises ReaderError where they are too large, and any of `_DAMAGES`."""
     with files.opened(path) as file, zipfile.ZipFile(file) as archive:
         size = sum(member.file_size for member in archive.infolist())
         if size > LARGEST_FILE:
-            raise ValueError(f"it unpacks to {size} bytes, more than the {LARGEST_FILE} allowed")
+            raise ReaderError(
+                f"{path} unpacks to {size} bytes, more than the {LARGEST_FILE} allowed."
+            )
         return {name: _array(archive, f"{name}.npy") for name in native.NAMES}
 
 
@@ -102,10 +104,13 @@ def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
     if archive.getinfo(name).compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
         raise ValueError(f"{name} is packed in another way than with deflate")
     content = io.BytesIO(archive.read(name))
-    version = np.lib.format.read_magic(content)
+    try:
+        version = np.lib.format.read_magic(content)
+        shape, _, dtype = np.lib.format.read_array_header_1_0(content)
+    except Exception as error:  # noqa: BLE001 - numpy reads the header as Python text
+        raise ValueError(f"the header of {name} cannot be read: {error}") from None
     if version != (1, 0):
         raise ValueError(f"{name} is of npy version {version}")
-    shape, _, dtype = np.lib.format.read_array_header_1_0(content)
     needed = math.prod(shape) * dtype.itemsize
     there = len(content.getbuffer()) - content.tell()
     if dtype.hasobject or min(shape, default=0) < 0 or needed != there:

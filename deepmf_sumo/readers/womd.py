@@ -96,8 +96,10 @@ def _scene(path: Path, record: framing.Record) -> Scene | Refusal:
             sha256=hashlib.sha256(record.payload).hexdigest(),
         )
         return checks.checked(_recording(message, source))
-    except _UNDECODABLE:
+    except _UNDECODABLE as error:
         reason = "is no Scenario message. Is it a 'scenario' file, not a 'tf_example' one?"
+        if "alloc failed" in str(error):  # a MemoryError by another name
+            reason = f"{bounded.TOO_LARGE}."
         return _refusal(path, record.index, name, f"{path} record {record.index}: {reason}")
     except ReaderError as error:
         return _refusal(path, record.index, name, str(error))

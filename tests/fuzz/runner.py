@@ -33,7 +33,7 @@ WALL_S = 60.0
 _CPU_LIMIT_S = 15
 _MEMORY_LIMIT = 6 * 2**30
 _REFUSED, _TRACEBACK = 10, 11
-_UNEXPECTED = re.compile(r"unexpected [A-Za-z.]+: ")
+_UNEXPECTED = re.compile(r"unexpected\s+[A-Za-z.]+:\s")
 GOOD = ("accepted", "refused")
 BAD = ("traceback", "killed", "hang", "memory", "outside")
 

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.ablation import Row, cells, headings
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 
 
 def show(notes: Sequence[str], rows: Sequence[Row], out: Path) -> None:

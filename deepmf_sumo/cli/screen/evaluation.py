@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
-from rich.markup import escape
 from rich.table import Table
 
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 
 _SECONDS: Final = ("1.0", "2.0", "3.0", "5.0", "8.0")
 _LATE: Final = ("3.0", "5.0", "8.0")

@@ -1,10 +1,9 @@
 """What `check` shows: a line a threshold and comparison, and what is wrong."""
 
-from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.gate import Verdict, summary
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 
 
 def show(verdict: Verdict) -> None:

@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.live import Attached
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 
 _ENDS: Final = {
     "until": "left at {time:.1f} s, as asked",

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from typing import Final
 
-from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.risk import Row, worst
 from deepmf_sumo.benchmark.risk.comparison import Compared
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.report.risk import Written, comparison
 
 _HEADINGS: Final = (

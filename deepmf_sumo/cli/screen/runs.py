@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from deepmf_sumo.benchmark.batch import Progress
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.report import table as tables
 
 

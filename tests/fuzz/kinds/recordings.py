@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from deepmf_sumo import readers
+from deepmf_sumo.cli import main, scenes  # noqa: F401 - loaded once, not in each process
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.readers import framing, npz, womd
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
