@@ -6,8 +6,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from deepmf_sumo import readers
 from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.home import cache_folder
@@ -18,6 +16,7 @@ from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.report.figures import tracks
 from deepmf_sumo.report.run_table import runs_of
 from deepmf_sumo.report.table import SECTORS
+from deepmf_sumo.spec import document
 
 HIT: Final = "av_opponent"
 KEPT: Final = ("contacts", "ended", "metrics", "opponent", "settings")
@@ -138,7 +137,9 @@ def source_of(folder: Path) -> dict[str, Any]:
     file = folder / "spec.yaml"
     if not file.is_file():
         return {}
-    source: dict[str, Any] = yaml.safe_load(file.read_text("utf-8"))["source"]
+    source = document.read(file).values.get("source")
+    if not isinstance(source, dict):
+        raise UsageError(f"{file} is damaged: it has no key 'source' with keys; run it anew.")
     return source
 
 

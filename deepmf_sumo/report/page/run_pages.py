@@ -28,7 +28,10 @@ _FACTS: Final = (
     "error", "expectations_broken",
 )  # fmt: skip
 """Of ``result.json``, as it is."""
-_DAMAGE: Final = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error)
+_DAMAGE: Final = (
+    UsageError, OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
+    MemoryError, EOFError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 """What files raise that were cut off, or hold something else."""
 
 
