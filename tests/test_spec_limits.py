@@ -75,9 +75,7 @@ def test_a_spec_that_is_a_device_or_a_pipe(file):
 
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("kind", ["network", "recording"])
-@pytest.mark.parametrize(
-    "name", ["/dev/zero", "pipe", "~nobody/x", "x" * 5000, "loop"]
-)
+@pytest.mark.parametrize("name", ["/dev/zero", "pipe", "~nobody/x", "x" * 5000, "loop"])
 def test_what_a_spec_names_is_a_file_or_a_folder(file, kind, name):
     os.mkfifo(file.with_name("pipe"))
     file.with_name("loop").symlink_to("loop")

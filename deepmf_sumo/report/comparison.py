@@ -10,6 +10,9 @@ from deepmf_sumo.benchmark import stored
 from deepmf_sumo.metrics.statistics.wilson import wilson
 from deepmf_sumo.report.run_table import runs_of
 
+_NUMBERS: Final = ("contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median")
+"""Columns of ``runs.csv`` that are averaged."""
+
 MEANS: Final = {
     "opponent_rms_acceleration": "rms_a_mps2",
     "feasible": "feasible",
@@ -44,9 +47,9 @@ def compare(folders: Sequence[Path]) -> pd.DataFrame:
 
 def _runs(folder: Path) -> pd.DataFrame:
     """``runs.csv`` with the contacts and metrics of each run's ``result.json``."""
-    runs_of(folder)  # says what is wrong with it
-    texts = {"opponent": str, "scene": str, "perception": str}
-    table = pd.read_csv(folder / "runs.csv", dtype=texts)
+    table = pd.DataFrame(runs_of(folder)).replace("", None)
+    for name in _NUMBERS:
+        table[name] = pd.to_numeric(table[name], errors="coerce")
     details = [_details(folder, run_id) for run_id in table["run_id"]]
     return pd.concat([table, pd.DataFrame(details)], axis=1)
 

@@ -88,7 +88,7 @@ class _Bounded(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
-            raise _refused(event, f"aliases (*{event.anchor:.80}) are refused here")
+            raise _refused(event, f"aliases (*{event.anchor:.80}) are refused")
         self._depth, self._count = self._depth + 1, self._count + 1
         if self._depth > _DEEPEST:
             raise _refused(event, f"it is nested more than {_DEEPEST} deep")

@@ -2,11 +2,14 @@
 
 import csv
 import hashlib
+import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
+from deepmf_sumo import files
 from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.risk import places
@@ -15,8 +18,11 @@ from deepmf_sumo.benchmark.risk.places import Places
 from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.texts import of_cell
 
 Row = Mapping[str, str]
+
+_LARGEST: Final = 2**26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,9 +164,12 @@ def _moments(out: Path) -> dict[str, Row]:
     if not file.is_file():
         return {}
     try:
-        with file.open(newline="", encoding="utf-8") as lines:
-            return {row["run_id"]: row for row in csv.DictReader(lines)}
-    except (OSError, KeyError, ValueError, csv.Error):
+        lines = io.StringIO(files.text(file, _LARGEST), newline="")
+        return {
+            row["run_id"]: {name: of_cell(text) for name, text in row.items()}
+            for row in csv.DictReader(lines)
+        }
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, csv.Error):
         raise UsageError(
             f"{file} is no table of moments (column run_id); run it anew, or remove it: places"
             " then come from the tracks alone."
@@ -189,10 +198,10 @@ def net_digest(folder: Path) -> str:
 
 
 def _net_file(folder: Path) -> Path:
-    files = sorted((folder / "sumo").glob("net.net.xml*"))
-    if not files:
+    nets = sorted((folder / "sumo").glob("net.net.xml*"))
+    if not nets:
         raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it anew.")
-    return files[0]
+    return nets[0]
 
 
 __all__ = ["Attacked", "Network", "net_digest", "of_runs", "read", "result_folders", "results"]
