@@ -34,7 +34,7 @@ _KINDS: Final = (
 )
 
 
-def opened(path: Path) -> BinaryIO:
+def opened(path: Path) -> io.BufferedReader:
     """A regular file, open for reading; links are followed. Raises OSError."""
     try:
         _refuse_special(path, path.stat())  # some devices act when they are opened

@@ -21,6 +21,7 @@ import numpy as np
 
 from deepmf_sumo import readers
 from deepmf_sumo.errors import OutputError, ReaderError, RunError
+from deepmf_sumo.files import opened, reason
 from deepmf_sumo.training import parts
 from deepmf_sumo.training.cache import Arrays, Progress, Source
 from deepmf_sumo.training.parts import Contents, Samples
@@ -114,8 +115,11 @@ def digest_of(kind: str, data: Data, settings: str) -> str:
     """
     hasher = hashlib.sha256(f"{VERSION} {kind} {settings}".encode())
     for path in readers.find([data.path]):
-        with path.open("rb") as file:
-            content = hashlib.file_digest(file, "sha256").hexdigest()
+        try:
+            with opened(path) as file:
+                content = hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise ReaderError(f"{path} cannot be read: {reason(error)}.") from None
         hasher.update(f"{path.name} {content}".encode())
     return hasher.hexdigest()
 
@@ -185,10 +189,8 @@ def _nothing(path: Path, files: Sequence[Path], contents: Contents) -> str:
             f"None of the {len(contents.scenes)} scenes of {path} gives a sample: no vehicle moves"
             " there for 3 s; there is nothing to learn from."
         )
-    reason = next(iter(contents.refused.values()), "the files are empty")
-    return (
-        f"No record of {path} can be used ({reason.rstrip('.')}); there is nothing to learn from."
-    )
+    why = next(iter(contents.refused.values()), "the files are empty")
+    return f"No record of {path} can be used ({why.rstrip('.')}); there is nothing to learn from."
 
 
 def _mention_refused(path: Path, contents: Contents, report: Progress) -> None:

@@ -1,5 +1,6 @@
 import csv
 import gzip
+import json
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from deepmf_sumo.cli.scenes import COLUMNS, command
 from deepmf_sumo.errors import ReaderError, UsageError
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "readers"))
-from recordings_by_hand import scenario, shard
+from recordings_by_hand import gpudrive, scenario, shard
 
 
 @pytest.fixture
@@ -73,3 +74,17 @@ def test_a_missing_path_is_a_usage_error_and_leaves_no_csv(tmp_path):
     result = run(tmp_path / "none", "--csv", tmp_path / "rows.csv")
     assert isinstance(result.exception, UsageError)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ids_are_no_markup_and_do_not_end_the_listing(tmp_path):
+    names = ["[/x]", "[red]", "a\x1b[2J", "last"]
+    for number, name in enumerate(names):
+        described = gpudrive(scenario()) | {"scenario_id": name}
+        (tmp_path / f"{number}.json").write_text(json.dumps(described))
+    result = run(tmp_path, "--csv", tmp_path / "rows.csv")
+    assert result.exit_code == 0
+    assert "4 scenes: 3 ok, 0 repaired, 1 refused" in result.output
+    assert all(name in result.output for name in ("[/x]", "[red]", "last"))
+    assert "\x1b[2J" not in result.output
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        assert [row["scene"] for row in csv.DictReader(file)] == ["[/x]", "[red]", "2", "last"]

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import zipfile
 
 import numpy as np
@@ -138,3 +139,83 @@ def test_another_zip_is_not_accepted(tmp_path):
     with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
         archive.writestr("a.txt", "text")
     assert not npz.accepts(tmp_path / "other.zip")
+
+
+def changed(file, **changes):
+    """The native file with arrays, or keys of its description, replaced."""
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    described = json.loads(arrays["description"].tobytes())
+    for name, value in changes.items():
+        if name in arrays:
+            arrays[name] = value
+        else:
+            described[name] = value
+    arrays["description"] = np.frombuffer(json.dumps(described).encode(), "uint8")
+    np.savez(file, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"name": True}, "'name'"),
+        ({"name": "a\x1b[2J"}, "the name of the scene"),
+        ({"now": "10"}, "'now'"),
+        ({"now": [10]}, "'now'"),
+        ({"now": 90}, "no future was recorded"),
+        ({"dt_s": '"'}, "'dt_s'"),
+        ({"dt_s": -2147483648}, "'dt_s'"),
+        ({"dt_s": 0.2}, "'dt_s' is 0.2"),
+        ({"ids": [{}, "7", "9"]}, "'ids.0'"),
+        ({"ids": ["7", "7", "12"]}, "two tracks have the id 7"),
+        ({"ids": ["7", "12"]}, "'kinds' has 3 items"),
+        ({"kinds": ["vehicle", "tank", "vehicle"]}, "'kinds.1'"),
+        ({"av_id": "none"}, "'av_id' is 'none'"),
+        ({"interest": ["none"]}, "names none, which is not there"),
+        ({"source": {}}, "'source.dataset'"),
+        ({"signal_lane_ids": ["102", "100"]}, "array 'signals_state' has shape"),
+        ({"signal_lane_ids": []}, "array 'signals_state' has shape"),
+        ({"extra": 1}, "'extra'"),
+        ({"tracks_valid": np.ones((3, 91, 1), bool)}, "array 'tracks_valid' has shape"),
+        ({"tracks_valid": np.ones((3, 91))}, "array 'tracks_valid' holds float64"),
+        ({"tracks_position_m": np.zeros((3, 91, 2), complex)}, "array 'tracks_position_m' holds"),
+        ({"tracks_z_m": np.zeros((3, 90))}, "array 'tracks_z_m' has shape"),
+        ({"timestamps_s": np.zeros((91, 1))}, "array 'timestamps_s' has shape"),
+        ({"timestamps_s": np.arange(91.0)[::-1]}, "runs backwards"),
+        ({"road_points_m": np.zeros((3, 2))}, "array 'road_points_m' has shape"),
+        ({"signals_state": np.full((1, 91), 9, "uint8")}, "unknown state 9"),
+        ({"format_version": np.array([1, 1])}, "format version"),
+    ],
+    ids=str,
+)
+def test_a_wrong_field_is_a_refusal_that_names_file_and_field(changes, field, scene, tmp_path):
+    file = tmp_path / "scene.npz"
+    npz.write(scene, file)
+    changed(file, **changes)
+    (refusal,) = npz.scenes(file)
+    assert isinstance(refusal, Refusal)
+    assert str(file) in refusal.reason
+    assert field in refusal.reason, refusal.reason
+
+
+def test_links_to_what_is_not_there_are_refused(scene, tmp_path):
+    lane = dataclasses.replace(scene.road.lanes["100"], next=("nowhere",))
+    road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})
+    npz.write(dataclasses.replace(scene, road=road), tmp_path / "scene.npz")
+    (refusal,) = npz.scenes(tmp_path / "scene.npz")
+    assert "links to lanes" in refusal.reason
+
+
+def test_an_array_that_claims_more_than_it_has_is_not_made(scene, tmp_path):
+    file = tmp_path / "scene.npz"
+    npz.write(scene, file)
+    with zipfile.ZipFile(file) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    told = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }"
+    header = b"\x93NUMPY\x01\x00\x76\x00" + told
+    members["road_z_m.npy"] = header.ljust(127) + b"\n" + bytes(80)
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    (refusal,) = npz.scenes(file)
+    assert "shape (99999999999,), but has 80 bytes" in refusal.reason
