@@ -117,8 +117,8 @@ def _pieces(path: Path, file: BinaryIO, largest: int, first: int = _PIECE) -> It
 
 
 def _regular(name: str, flags: int) -> int:
-    # O_NONBLOCK: a pipe without a writer would wait for ever.
-    number = os.open(name, flags | os.O_NONBLOCK)
+    # Else a pipe without a writer would wait for ever; Windows has neither.
+    number = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
     try:
         _refuse_special(Path(name), os.fstat(number))
     except OSError:

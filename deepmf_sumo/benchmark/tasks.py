@@ -13,7 +13,7 @@ from zlib import crc32
 
 import deepmf_sumo
 from deepmf_sumo import readers
-from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.errors import ReaderError, SpecError, UsageError
 from deepmf_sumo.spec import First, FromNetwork, FromRecording, Spec
 
 Part = Literal["main", "budgets", "figures"]
@@ -156,7 +156,10 @@ def scenes(spec: Spec, cache: Path) -> Iterator[str]:
     if isinstance(source, FromNetwork):
         yield source.network.stem
         return
-    ids = list(dict.fromkeys(readers.ids(source.recording, cache)))
+    try:
+        ids = list(dict.fromkeys(readers.ids(source.recording, cache)))
+    except ReaderError as error:
+        raise SpecError(f"spec '{spec.name}': {error}") from None
     if not ids:
         raise SpecError(f"spec '{spec.name}': {source.recording} holds no recorded scene.")
     if isinstance(source.scenes, First):

@@ -55,8 +55,14 @@ def ids(path: Path, cache: Path | None = None) -> list[str]:
     Args:
         path: a recorded file, or a folder of such.
         cache: folder in which to keep what was found out about large files.
+
+    Raises ReaderError where the only file is not a recording; of several, it is left out.
     """
-    return [place.name for file in find([path]) for place in _places(file, cache)]
+    found = find([path])
+    names = [place.name for file in found for place in _places(file, cache)]
+    if len(found) == 1 and not names:
+        _check(found[0])
+    return names
 
 
 def scene(path: Path, scene_id: str, cache: Path | None = None) -> Scene:

@@ -204,3 +204,9 @@ def test_a_file_whose_name_cannot_be_shown_is_refused(folder):
     assert (first.name, last.name) == ("a", "c")
     assert "rename it" in bad.reason
     assert len(readers.ids(folder)) == 3
+
+
+def test_ids_of_what_cannot_be_read_say_why(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ReaderError, match="pipe cannot be read: it is a pipe"):
+        readers.ids(tmp_path / "pipe")

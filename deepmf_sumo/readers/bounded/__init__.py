@@ -9,7 +9,6 @@ import ctypes
 import gc
 import os
 import pickle
-import resource
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -93,6 +92,8 @@ def _work(work: Callable[[], Iterator[T]], pipe: int, parent: int) -> NoReturn:
 
 
 def _limit(parent: int) -> None:
+    import resource  # not on Windows, which does not come here
+
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
