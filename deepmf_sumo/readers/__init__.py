@@ -56,12 +56,12 @@ def ids(path: Path, cache: Path | None = None) -> list[str]:
         path: a recorded file, or a folder of such.
         cache: folder in which to keep what was found out about large files.
 
-    Raises ReaderError where the only file is not a recording; of several, it is left out.
+    Raises ReaderError where the file is not a recording; one in a folder is left out.
     """
     found = find([path])
     names = [place.name for file in found for place in _places(file, cache)]
-    if len(found) == 1 and not names:
-        _check(found[0])
+    if not names and not path.is_dir():
+        _check(path)
     return names
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from deepmf_sumo import readers
+from deepmf_sumo import plugins, readers
 from deepmf_sumo.cli import main, scenes  # noqa: F401 - loaded once, not in each process
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.readers import framing, npz, womd
@@ -21,13 +21,16 @@ from tests.fuzz import mutators, runner
 sys.path.append(str(Path(__file__).resolve().parents[2] / "readers"))
 import recordings_by_hand as by_hand
 
+for _name in plugins.names("readers"):
+    plugins.load("readers", _name)
+
 
 def _used(path: Path, out: Path) -> None:
     """As `scenes`, `run` and `record` use a recording."""
     refused = False
-    for name in dict.fromkeys(readers.ids(path)):
+    for name in dict.fromkeys(readers.ids(path, out)):
         try:
-            scene = readers.scene(path, name)
+            scene = readers.scene(path, name, out)
         except DeepmfError:
             refused = True
             continue
