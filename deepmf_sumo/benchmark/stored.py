@@ -3,10 +3,17 @@
 A folder may come from elsewhere, or be damaged. What is wrong is one sentence that names the file.
 """
 
+import io
 import json
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, TextIO
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from deepmf_sumo import files as door
@@ -17,6 +24,18 @@ from deepmf_sumo.errors import UsageError
 
 _LARGEST: Final = 2**26
 """Bytes of a JSON file: thousands of trials of a search are some MB."""
+
+_LARGEST_UNPACKED: Final = 2**28
+"""Bytes of tracks or plans."""
+
+MOST_STEPS: Final = 1_000_000
+"""A day is 864 000."""
+
+DAMAGE: Final = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError,
+    EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, UsageError,
+)  # fmt: skip
+"""What files raise that were cut off, or hold something else."""
 
 _AGAIN: Final = "remove the run's folder and go on with --resume"
 
@@ -187,6 +206,28 @@ def mapping(file: Path, *, again: str = "run it anew") -> dict[str, Any]:
     return found
 
 
+@contextmanager
+def arrays(file: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """The arrays of a ``.npz``. Raises OSError and what a damaged file raises, see `DAMAGE`."""
+    content = io.BytesIO(door.content(file, _LARGEST))
+    with zipfile.ZipFile(content) as archive:
+        if sum(member.file_size for member in archive.infolist()) > _LARGEST_UNPACKED:
+            raise ValueError(f"{file.name} unpacks to more than {_LARGEST_UNPACKED} bytes")
+    content.seek(0)
+    with np.load(content, allow_pickle=False) as found:
+        yield found
+
+
+@contextmanager
+def tracks(file: Path) -> Iterator[TextIO]:
+    """The text of a ``tracks.csv.gz``. Raises OSError, here or from reading, UnicodeError."""
+    with (
+        door.unpacked(file, _LARGEST_UNPACKED) as stream,
+        io.TextIOWrapper(stream, "utf-8", newline="") as text,
+    ):
+        yield text
+
+
 def first_wrong(error: ValidationError) -> str:
     """The first key that is wrong, and why."""
     first = error.errors()[0]
@@ -198,4 +239,7 @@ def _damaged(file: Path, why: str, again: str) -> UsageError:
     return UsageError(f"{file} is damaged ({why}); {again}.")
 
 
-__all__ = ["first_wrong", "keys_of", "mapping", "result_of", "run_folder"]
+__all__ = [
+    "DAMAGE", "MOST_STEPS", "arrays", "first_wrong", "keys_of", "mapping", "result_of",
+    "run_folder", "tracks",
+]  # fmt: skip

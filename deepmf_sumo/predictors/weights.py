@@ -16,6 +16,7 @@ import hashlib
 import json
 import os
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -192,12 +193,13 @@ def find(name: str | Path) -> Path:
     """The folder of a set of weights. Raises WeightsError, with all places that were tried."""
     places = list(dict.fromkeys(_places(name)))
     for place in places:
-        if place.is_dir():
-            return place
-    tried = ", ".join(str(place) for place in places)
+        with suppress(OSError, ValueError):  # a name that no folder can have
+            if place.is_dir():
+                return place
+    tried = ", ".join(str(place)[:200] for place in places)
     raise WeightsError(
-        f"There are no weights '{name}': none of these folders exists: {tried}. Use 'open', or "
-        f"make them with `deepmf-sumo train all --data RECORDINGS --name {Path(name).name}`."
+        f"There are no weights '{name!s:.80}': none of these folders exists: {tried}. Use 'open', or "
+        f"make them with `deepmf-sumo train all --data RECORDINGS --name {Path(name).name[:80]}`."
     )
 
 

@@ -8,7 +8,7 @@ values, and numbers of very many digits.
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import yaml
 
@@ -86,7 +86,7 @@ class _Bounded(yaml.SafeLoader):
         self._depth = self._count = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
             raise _refused(event, f"aliases (*{event.anchor:.80}) are refused")
         self._depth, self._count = self._depth + 1, self._count + 1
@@ -114,7 +114,7 @@ class _Bounded(yaml.SafeLoader):
 
 
 def _refused(what: yaml.Node | yaml.Event, why: str) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=why, problem_mark=what.start_mark)
+    return yaml.MarkedYAMLError(problem=why, problem_mark=cast(yaml.Mark, what.start_mark))
 
 
 class _Loader:

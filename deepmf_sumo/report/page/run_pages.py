@@ -1,7 +1,5 @@
 """A run of a result folder -> its row in the table and what is shown when it is opened."""
 
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,11 +26,6 @@ _FACTS: Final = (
     "error", "expectations_broken",
 )  # fmt: skip
 """Of ``result.json``, as it is."""
-_DAMAGE: Final = (
-    UsageError, OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
-    MemoryError, EOFError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""What files raise that were cut off, or hold something else."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +54,7 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     if result and table["status"] == "ok":
         try:
             shown, place = _shown(run, roads, result.get("turns") or [])
-        except _DAMAGE as error:
+        except stored.DAMAGE as error:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
     note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
     return RunPage(
