@@ -198,8 +198,9 @@ def find(name: str | Path) -> Path:
                 return place
     tried = ", ".join(str(place)[:200] for place in places)
     raise WeightsError(
-        f"There are no weights '{name!s:.80}': none of these folders exists: {tried}. Use 'open', or "
-        f"make them with `deepmf-sumo train all --data RECORDINGS --name {Path(name).name[:80]}`."
+        f"There are no weights '{name!s:.80}': none of these folders exists: {tried}. Use 'open',"
+        " or make them with `deepmf-sumo train all --data RECORDINGS --name"
+        f" {Path(name).name[:80]}`."
     )
 
 

@@ -150,6 +150,13 @@ def test_devices_and_pipes_in_place_of_files(folder, name):
         weights.load(folder)
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "a\0b", "half \ud800"])
+def test_names_that_no_folder_can_have(name):
+    with pytest.raises(WeightsError, match="There are no weights") as caught:
+        weights.find(name)
+    assert len(str(caught.value)) < 1000
+
+
 def test_more_members_than_anybody_trains(folder):
     changed(folder, members=[{"training_digest": "x"}] * 65)
     with pytest.raises(WeightsError, match="a list of 1 to 64 trained networks"):
