@@ -32,6 +32,9 @@ COUNT ?= 2000
 fuzz: $(READY)  ## inputs changed at random (KIND= of one kind, COUNT= of each, SEED=): none may do harm
 	$(PY) -m tests.fuzz --count $(COUNT) --seed $(or $(SEED),1) $(KIND)
 
+signals: $(READY)  ## sweeps ended by SIGKILL, SIGTERM and SIGINT at random moments (COUNT= of each, SEED=)
+	$(PY) -m tests.fuzz.signals --count $(if $(filter command line,$(origin COUNT)),$(COUNT),50) --seed $(or $(SEED),1)
+
 lint: $(READY)  ## ruff, formatting, import contracts, unused dependencies
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
@@ -151,4 +154,4 @@ docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow fuzz lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results
+.PHONY: help setup run test test-slow fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results

@@ -31,6 +31,11 @@ def names(kind: Kind) -> list[str]:
     return sorted({*_own(kind), *(point.name for point in _entry_points(kind))})
 
 
+def own(kind: Kind, name: str) -> bool:
+    """Whether a plug-in is this package's own, not somebody else's code."""
+    return name in _own(kind) and all(point.name != name for point in _entry_points(kind))
+
+
 @functools.cache
 def _own(kind: Kind) -> tuple[str, ...]:
     """Of this package. Every run asks for each metric by name, and folders are slow to list."""

@@ -12,6 +12,8 @@ _HIDDEN: Final = re.compile(
     "[\x00-\x1f\x7f-\x9f\ud800-\udfff\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufffe\uffff]"
 )
 
+_FORMULA: Final = re.compile("'*[=+@\t\r-]")
+
 
 def is_plain(text: str) -> bool:
     """Whether nothing in the text acts on a terminal or breaks a file that it is written to."""
@@ -23,4 +25,25 @@ def shown(text: str) -> str:
     return _HIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
-__all__ = ["LONGEST_ID", "is_plain", "shown"]
+def cell(text: str) -> str:
+    """The text as a cell of a CSV table, in which no spreadsheet takes it for a formula.
+
+    Numbers, and what cannot be a formula, stay as they are. `of_cell` gives the text back.
+    """
+    return f"'{text}" if _FORMULA.match(text) and not _is_number(text) else text
+
+
+def of_cell(text: str) -> str:
+    """The text that `cell` was given."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+__all__ = ["LONGEST_ID", "cell", "is_plain", "of_cell", "shown"]

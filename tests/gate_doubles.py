@@ -26,6 +26,9 @@ def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):
         "error": "",
         "opponent": "b",
         "outcome": "av_opponent" if hit else "none",
+        "ended": "contact" if hit else "time",
+        "steps": 40,
+        "search": {"simulations": 1},
         "contacts": [{"kind": "av_opponent", "sector": 0, "relative_mps": 6.0}] if hit else [],
         "metrics": {name: {"value": value} for name, value in metrics.items()},
         "expectations_broken": [],
@@ -36,14 +39,14 @@ def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):
 
 def failed(scene="a", seed=0, status="failed"):
     """A run that has no result."""
-    left = ("opponent", "outcome", "contacts", "metrics")
+    left = ("opponent", "outcome", "ended", "steps", "search", "contacts", "metrics")
     values = result(scene, seed, status=status, error="SUMO refused")
     return {key: value for key, value in values.items() if key not in left}
 
 
 def write_folder(out, results, missing=(), version="0.1.0"):
     """A result folder of these runs; ``missing`` are ids of runs that were never begun."""
-    out.mkdir()
+    out.mkdir(parents=True)
     for one in results:
         folder = out / "runs" / one["run_id"]
         folder.mkdir(parents=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmf_sumo.benchmark.artifacts import TRACK_COLUMNS
+from deepmf_sumo.benchmark.tasks import slug
 
 NET = Path(__file__).resolve().parents[1] / "sumo_nets" / "four_way" / "four_way.net.xml"
 LEFT_IN = "w_in", "n_out"
@@ -39,7 +40,7 @@ class Attacks:
         planner="idm lane", other=None, network="four_way", **changes,
     ):  # fmt: skip
         """Add a run; the AV is hit at step ``hit``, or touches somebody else at step ``other``."""
-        run_id = f"{spec}--{scene}--{seed}"
+        run_id = f"{slug(spec)}--{slug(scene)}--{seed}"
         folder = self.out / "runs" / run_id
         (folder / "sumo").mkdir(parents=True)
         shutil.copyfile(self.net, folder / "sumo" / "net.net.xml")
@@ -66,7 +67,8 @@ class Attacks:
             "settings": {"planner": {}, "adversary": {}}, "weights": "open", "status": "ok",
             "error": "", "opponent": None if opponent is None else "foe",
             "outcome": contacts[0]["kind"] if contacts else "none", "contacts": contacts,
-            "steps": len(av) - 11, "duration_steps": 80,
+            "steps": len(av) - 11, "duration_steps": 80, "ended": "contact" if hit else "time",
+            "search": {"simulations": 1},
             "expectations_broken": [], "timings": {"wall_s": 1.0},
             "metrics": {name: {"value": one} for name, one in {**known, **dict(metrics)}.items()},
             **changes,

@@ -174,7 +174,10 @@ BAD = {
     "log of a network": (("seed: 3", "seed: 3\ntraffic: log"), ":8: key 'traffic'"),
     "expect": (("av_collision", "collision"), ":8: key 'expect.collision': unknown key"),
     "weights folder": (("seed: 3", "weights: ./no"), "no such file or folder"),
-    "alias": (("seed: 3", "seed: &a 3\nduration_s: *a"), ":8: aliases (*a) are refused"),
+    "alias": (
+        ("seed: 3", "seed: &a 3\nduration_s: *a"),
+        ":8: is not YAML: aliases (*a) are refused",
+    ),
     "tag": (("seed: 3", "seed: !!python/name:os.system 3"), ":7: is not YAML"),
     "syntax": (("seed: 3", "seed: [3"), "is not YAML"),
     "key of numbers": (("seed: 3", "3: 3"), ":7: key '3' is not text"),

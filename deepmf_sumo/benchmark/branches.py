@@ -1,9 +1,11 @@
-"""A run as a copy of a worker in which SUMO has come to the run's moment.
+"""A run as a copy of a worker.
 
 A worker that does the runs of one network in the order of their moments need not let SUMO begin
-anew for each: `simulation.hold` brings it there, and a copy of the process does the run. However
-the copy ends, the worker passes it on: what it raised is raised again, and as it died, so the
-worker dies.
+anew for each: `simulation.hold` brings it there, and a copy of the process does the run. Runs with
+a planner or an adversary that is not of this package are done in copies, too: what they change in
+their process does not reach the next run. However the copy ends, the worker passes it on: what it
+raised is raised again, and as it died, so the worker dies, unless a planner is to blame. All
+processes that a copy leaves behind are ended.
 """
 
 import contextlib
@@ -13,7 +15,7 @@ import pickle
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -22,7 +24,8 @@ from deepmf_sumo.benchmark import pool
 from deepmf_sumo.benchmark.logs import logged
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import Case, VehicleModel
-from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.errors import DeepmfError, PlannerError
+from deepmf_sumo.planners.doors import guard, warden
 from deepmf_sumo.spec import FromNetwork
 
 _DONE: Final = b"done"
@@ -77,6 +80,20 @@ def note_model(task: Task, model: VehicleModel | None) -> None:
         _models[what] = model
 
 
+def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
+    """Do a task's work in a copy of this process; ``load`` is what all copies shall have.
+
+    False: nothing was done, for the process has threads, which copies lack.
+    """
+    simulation.release()
+    with contextlib.suppress(Exception), logged(Path(os.devnull)):  # the run itself will say it
+        load()
+    if not _alone():
+        return False
+    _copied(work)
+    return True
+
+
 def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:
     """Whether SUMO has come to the moment, and can be copied: it may have threads of its own."""
     with contextlib.suppress(DeepmfError), logged(Path(os.devnull)):  # the run itself will say it
@@ -99,27 +116,58 @@ def _copied(work: Callable[[], None]) -> None:
     ours, theirs = os.pipe()
     here = os.getpid()
     gc.freeze()  # else the copy's first collection touches, and so copies, all that there is
-    pid = os.fork()
-    if pid == 0:
-        os.close(ours)
-        _work(work, theirs, here)
+    with _leaving_none():
+        pid = os.fork()
+        if pid == 0:
+            os.close(ours)
+            _work(work, theirs, here)
+        _, status = os.waitpid(pid, 0)
+        warden.end_all(pid)
     gc.unfreeze()
     os.close(theirs)
-    _, status = os.waitpid(pid, 0)
     os.set_blocking(ours, False)  # whatever it started may have the pipe open still
     try:
         said = os.read(ours, 1 << 16)
     except BlockingIOError:
         said = b""
     os.close(ours)
+    blamed = guard.at_work()
+    if not said and blamed:
+        raise PlannerError(f"the planner ended its process ({_ending(status)}; see log.txt).")
     if not said:
         _die(os.waitstatus_to_exitcode(status))
     if said != _DONE:
         raise pickle.loads(said)  # noqa: S301 - its own copy said it
 
 
+@contextlib.contextmanager
+def _leaving_none() -> Iterator[None]:
+    """While a copy works: whoever ends this process ends the copy, and all that it has begun."""
+    warden.adopt()
+    before = signal.signal(signal.SIGTERM, _leave)
+    pool.end_with_parent(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        pool.end_with_parent()
+        signal.signal(signal.SIGTERM, before)
+
+
+def _leave(number: int, frame: object) -> NoReturn:  # noqa: ARG001 - as `signal` wants it
+    for child in warden.children():
+        warden.end_all(child)
+    os._exit(1)
+
+
+def _ending(status: int) -> str:
+    code = os.waitstatus_to_exitcode(status)
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
 def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
     """The copy's life."""
+    os.setpgid(0, 0)  # of its own, so that all of it can be ended at once
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     pool.end_with_parent()
     if os.getppid() != parent:
         os._exit(1)

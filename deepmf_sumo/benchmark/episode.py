@@ -2,10 +2,12 @@
 
 import functools
 import json
+import os
 import shutil
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.errors import DeepmfError, PlannerError, ReaderError, RunError, UsageError
 from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.planners.doors.guard import blamed
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.readers import npz
 from deepmf_sumo.spec import FromNetwork
@@ -59,10 +62,23 @@ class Episode:
 
     def __call__(self, task: Task) -> None:
         """Run the task. A run that fails leaves its reason in ``result.json``."""
+        begin = time.perf_counter()
+        try:
+            self._do(task)
+        except PlannerError as error:  # it ended the process
+            wall_s = time.perf_counter() - begin
+            finish(self.runs, task, result.unfinished(task, "failed", str(error), wall_s))
+
+    def _do(self, task: Task) -> None:
         run = functools.partial(self._run, task)
         case = functools.partial(make_case, task, self.cache)
-        if self.gui or not branches.branch(task, case, run):
+        if self.gui:
             run()
+        elif not branches.branch(task, case, run) and not (
+            _foreign(task) and branches.apart(functools.partial(_load, task, self.cache), run)
+        ):
+            with _as_before():
+                run()
 
     def _run(self, task: Task) -> None:
         folder = working_folder(self.runs, task)
@@ -112,6 +128,37 @@ class Episode:
         if wrong:
             raise RunError(f"{wrong} is not a finite number; the run is not used.")
         return found
+
+
+def _foreign(task: Task) -> bool:
+    """Whether planner or adversary are not of this package."""
+    choices: tuple[tuple[plugins.Kind, str], ...] = (
+        ("planners", task.spec.planner.name),
+        ("adversaries", task.spec.adversary.name),
+    )
+    return not all(plugins.own(kind, name) for kind, name in choices)
+
+
+def _load(task: Task, cache: Path) -> None:
+    """What the runs that follow need, too, and the code of others, which may import a lot."""
+    plugins.load("planners", task.spec.planner.name)
+    if plugins.own("adversaries", task.spec.adversary.name):
+        _adversary_of(task)
+    if not isinstance(task.spec.source, FromNetwork):
+        make_case(task, cache)
+
+
+@contextmanager
+def _as_before() -> Iterator[None]:
+    """What a planner changes of the process's folder and environment does not stay."""
+    folder, environment = Path.cwd(), dict(os.environ)
+    try:
+        yield
+    finally:
+        os.chdir(folder)
+        if dict(os.environ) != environment:
+            os.environ.clear()
+            os.environ.update(environment)
 
 
 def make_case(task: Task, cache: Path) -> Case:
@@ -177,7 +224,8 @@ def planner_of(task: Task) -> Planner:
     """A new planner as the spec says."""
     choice = task.spec.planner
     settings = plugins.settings("planners", choice.name, choice.settings)
-    planner: Planner = plugins.load("planners", choice.name).build(settings)
+    with blamed():
+        planner: Planner = plugins.load("planners", choice.name).build(settings)
     return planner
 
 

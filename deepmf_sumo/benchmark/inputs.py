@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
+from deepmf_sumo import files
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import UsageError, WeightsError
 from deepmf_sumo.simulation import command_line
@@ -106,15 +107,16 @@ def lacking(inputs: Iterable[Input]) -> str:
 def digest(path: Path) -> str:
     """Of a file or of all in a folder; empty where there is none that can be read."""
     try:
-        files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
-        sizes = [one.stat().st_size for one in files]
+        found = list(files.inside(path)) if path.is_dir() else [path]
+        sizes = [one.stat().st_size for one in found]
         small = sum(sizes) <= _READ_BYTES
         hasher = hashlib.sha256()
-        for file, size in zip(files, sizes, strict=True):
-            hasher.update(f"{file.relative_to(path)} {size} ".encode())
-            if small:
-                hasher.update(file.read_bytes())
-    except OSError:
+        for file, size in zip(found, sizes, strict=True):
+            name = os.fsencode(file.relative_to(path))
+            hasher.update(b"%s %d " % (name, size))
+            for piece in files.pieces(file, _READ_BYTES) if small else ():
+                hasher.update(piece)
+    except (OSError, ValueError):
         return ""
     return hasher.hexdigest()
 

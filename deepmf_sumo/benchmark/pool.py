@@ -41,6 +41,9 @@ _LOOK_S: Final = 0.2
 _LAST_WORDS_S: Final = 5.0
 """A worker that cannot be heard any more may take to end by itself, which its exit code tells."""
 
+_LEAVE_S: Final = 2.0
+"""For a worker to end by itself, before it is ended."""
+
 WATCHER: Final = "watches the parent"
 """A thread of every worker, which sleeps and holds no lock."""
 
@@ -198,6 +201,8 @@ class Worker:
         if not self.alive:
             return
         self.alive = False
+        self.process.terminate()  # while a copy of it does a run, it ends all that this has begun
+        self.process.join(_LEAVE_S)
         if self.process.pid:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
@@ -251,13 +256,13 @@ def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> 
             connection.send(("done", ""))
 
 
-def end_with_parent() -> None:
-    """Let the system kill this process with its parent.
+def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
+    """Let the system send this process a signal when its parent ends.
 
     At once, so that no folder has two writers after a resume; on Linux alone.
     """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def _end_with(parent: int) -> None:

@@ -17,6 +17,7 @@ from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, Metri
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics.episode import accelerations
 from deepmf_sumo.spec import VERSIONS, FromNetwork
+from deepmf_sumo.texts import cell
 
 Status = Literal["ok", "failed", "timeout", "skipped"]
 Result = dict[str, Any]
@@ -266,4 +267,4 @@ def _plain(value: Any) -> Any:
 def _text(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))

@@ -3,17 +3,17 @@
 Benchmarks have more to join than runs (`study.merge`); they share `Shard`.
 """
 
-import json
 import re
 import shutil
+import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark import files, stored
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import Store, opened
 from deepmf_sumo.benchmark.tasks import Task
@@ -93,7 +93,7 @@ def found_in(shards: Sequence[Path], runs: Mapping[str, str]) -> dict[str, Path]
     found: dict[str, Path] = {}
     for shard in shards:
         for run_id, key in runs.items():
-            folder = shard / "runs" / run_id
+            folder = stored.run_folder(shard, run_id, FILE)
             if not folder.is_dir() or Store(shard).read_run(run_id).get("key") != key:
                 continue
             if run_id in found:
@@ -139,6 +139,7 @@ def copied(
     try:
         for run_id in keys:
             beside = store.runs / f".{run_id}.partial"
+            _check_plain(found[run_id])
             shutil.copytree(found[run_id], beside)
             beside.replace(store.runs / run_id)
     except OSError as error:
@@ -146,6 +147,20 @@ def copied(
     read = {path: digest for shard in shards for path, digest in Store(shard).inputs().items()}
     store.manifest(keys, {"shards": [str(shard) for shard in shards], "inputs": read})
     return [store.read_run(run_id) for run_id in keys]
+
+
+def _check_plain(folder: Path) -> None:
+    """Raise UsageError where a folder is or holds anything but files and folders.
+
+    A link would bring in what lies elsewhere, and a device or pipe never ends.
+    """
+    for path in (folder, *folder.rglob("*")):
+        mode = path.lstat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise UsageError(
+                f"{path} is a link, a device or a pipe; a run has files and folders alone: take it"
+                " away, or run that shard again."
+            )
 
 
 def _common(shards: Sequence[Path]) -> dict[str, str]:
@@ -162,13 +177,11 @@ def _common(shards: Sequence[Path]) -> dict[str, str]:
 
 def _read(shard: Path) -> list[tuple[str, str]]:
     file = shard / FILE
+    if not file.exists():
+        raise UsageError(f"{shard} is no part of anything: it has no {FILE}, which --shard writes.")
     try:
-        values: Any = json.loads(file.read_text("utf-8"))
+        values = stored.mapping(file, again="run that shard again")
         version, runs = values["version"], [(str(run), str(key)) for run, key in values["runs"]]
-    except OSError:
-        raise UsageError(
-            f"{shard} is no part of anything: it has no {FILE}, which --shard writes."
-        ) from None
     except (ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{file} is damaged ({error}); run that shard again.") from None
     if version != deepmf_sumo.__version__:
@@ -176,6 +189,8 @@ def _read(shard: Path) -> list[tuple[str, str]]:
             f"{shard} was made by version {version} of deepmf-sumo, and this is"
             f" {deepmf_sumo.__version__}: run that shard again, or merge with that version."
         )
+    for run_id, _ in runs:
+        stored.run_folder(shard, run_id, FILE)
     return runs
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import os
 import platform
 import shutil
@@ -18,7 +17,7 @@ from statistics import fmean, median
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, junit, locks, result, turns
+from deepmf_sumo.benchmark import files, junit, locks, result, stored, turns
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import OutputError, UsageError
@@ -62,10 +61,10 @@ class Store:
         It is an equal run's where its ``key`` is the task's.
         """
         try:
-            found: Any = json.loads((self.runs / task.run_id / "result.json").read_text("utf-8"))
-        except (OSError, ValueError):
+            found = self.read(task)
+        except UsageError:  # none, or damaged: it is done anew
             return None
-        return found if isinstance(found, dict) and found.get("status") == "ok" else None
+        return found if found["status"] == "ok" else None
 
     def read(self, task: Task) -> Result:
         """The result that a worker has written."""
@@ -73,30 +72,19 @@ class Store:
 
     def read_run(self, run_id: str) -> Result:
         """The result of a run that is there. Raises UsageError where it cannot be read."""
-        file = self.runs / run_id / "result.json"
-        try:
-            found: Any = json.loads(file.read_text("utf-8"))
-            if not isinstance(found, dict):
-                raise ValueError("it is no result of a run")
-        except OSError as error:
-            raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
-        except ValueError as error:
-            raise UsageError(
-                f"{file} is damaged ({error}); remove the run's folder and go on with --resume."
-            ) from None
-        return found
+        return stored.result_of(stored.run_folder(self.out, run_id, "runs.csv") / "result.json")
 
     def inputs(self) -> dict[str, str]:
         """Digests of the files that the batch of the manifest read, by path; none before one."""
         try:
-            found: Any = json.loads((self.out / "manifest.json").read_text("utf-8"))
-            return dict(found["machine"]["inputs"])
-        except (OSError, ValueError, LookupError, TypeError):
+            found = stored.mapping(self.out / "manifest.json")["machine"]["inputs"]
+        except (UsageError, LookupError, TypeError):
             return {}
+        return dict(found) if isinstance(found, dict) else {}
 
     def planned(self) -> int:
         """How many runs the batch of the manifest has, ended or not."""
-        return len(json.loads((self.out / "manifest.json").read_text("utf-8"))["runs"])
+        return len(stored.keys_of(self.out))
 
     def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
         """Write the manifest of a batch; ``machine`` is what may differ between equal ones."""
@@ -280,8 +268,8 @@ def _is_empty(out: Path) -> bool:
 
 def _is_ours(manifest: Path) -> bool:
     try:
-        return bool(json.loads(manifest.read_text("utf-8"))["tool"] == "deepmf-sumo")
-    except (OSError, ValueError, KeyError, TypeError):
+        return bool(stored.mapping(manifest).get("tool") == "deepmf-sumo")
+    except UsageError:
         return False
 
 

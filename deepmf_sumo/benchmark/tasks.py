@@ -135,6 +135,14 @@ def run_id_of(spec: Spec, scene: str) -> str:
     return "--".join([slug(spec.name), slug(scene), str(spec.seed)])
 
 
+def is_run_id(text: object) -> bool:
+    """Whether this can be the id of a run: letters, digits and dashes, at most 200 of them.
+
+    Ids that are read from files become folders: anything else could name a folder elsewhere.
+    """
+    return isinstance(text, str) and re.fullmatch(r"[a-z0-9][a-z0-9-]{0,199}", text) is not None
+
+
 def slug(name: str) -> str:
     """Lower-case letters, digits and single dashes; a checksum where that lost something."""
     plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60].strip("-")

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from deepmf_sumo.datatypes import Case, MetricValue, Rollout, Turn
 from deepmf_sumo.datatypes.rollout import decisive
+from deepmf_sumo.texts import cell
 
 TABLE: Final = "turns.csv"
 _RUN: Final = ("run_id", "spec", "scene", "planner", "adversary", "version", "seed")
@@ -80,4 +81,4 @@ def _turn(turn: Turn, rollout: Rollout, case: Case, measure: Measure) -> dict[st
 def _text(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))

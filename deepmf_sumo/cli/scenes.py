@@ -15,6 +15,7 @@ from rich.table import Table
 
 from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.errors import OutputError, ReaderError
+from deepmf_sumo.texts import cell
 
 if TYPE_CHECKING:  # numpy and the readers are loaded when the command runs
     from deepmf_sumo.datatypes import Scene
@@ -155,7 +156,9 @@ def _written(path: Path | None) -> Iterator[Any]:
             try:
                 writer = csv.DictWriter(file, COLUMNS)
                 writer.writeheader()
-                yield writer.writerow
+                yield lambda row: writer.writerow(
+                    {key: cell(one) if isinstance(one, str) else one for key, one in row.items()}
+                )
                 file.flush()
                 os.fsync(file.fileno())
             except BaseException:

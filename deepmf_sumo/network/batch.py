@@ -14,6 +14,7 @@ from typing import Final, Literal, Protocol
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import DeepmfError, OutputError
 from deepmf_sumo.network.conversion import convert
+from deepmf_sumo.texts import cell
 
 TABLE: Final = "convert.csv"
 _AHEAD: Final = 2
@@ -91,6 +92,8 @@ def _cell(value: object) -> object:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, str):
+        return cell(value)
     return f"{value:.4f}" if isinstance(value, float) else value
 
 

@@ -1,6 +1,6 @@
 """A .net.xml read as it stands, fast: the elements that road maps and routes need."""
 
-import gzip
+import math
 import xml.etree.ElementTree as ET
 import zlib
 from collections.abc import Iterator
@@ -8,12 +8,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import IO
+from typing import IO, Final
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.errors import SimulationError
+
+_LARGEST: Final = 2**32
+"""Bytes of a network, unpacked; that of a country is some GB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,13 +124,16 @@ def read_net(file: Path) -> NetFile:
     links: list[NetLink] = []
     junctions: list[NetJunction] = []
     for element in elements(file, "net"):
-        if element.tag == "edge":
-            edge = _edge(element)
-            edges[edge.id] = edge
-        elif element.tag == "connection":
-            links.append(_link(element))
-        elif element.tag == "junction" and element.get("type") != "internal":
-            junctions.append(_junction(element))
+        try:
+            if element.tag == "edge":
+                edge = _edge(element)
+                edges[edge.id] = edge
+            elif element.tag == "connection":
+                links.append(_link(element))
+            elif element.tag == "junction" and element.get("type") != "internal":
+                junctions.append(_junction(element))
+        except ValueError as error:
+            raise SimulationError(f"{file} is not a network of SUMO: {error}.") from None
     return NetFile(
         edges=edges,
         links=tuple(links),
@@ -176,24 +183,40 @@ def elements(file: Path, kind: str) -> Iterator[ET.Element]:
 
 
 def points(text: str) -> Floats:
-    """(P, 3) of SUMO's ``x,y x,y,z``; z = 0 where it is left out."""
+    """(P, 3) of SUMO's ``x,y x,y,z``; z = 0 where it is left out.
+
+    Raises ValueError where that is no list of finite numbers.
+    """
     rows = [pair.split(",") for pair in text.split()]
     if not rows:
         return np.zeros((0, 3))
-    return np.array([[float(row[0]), float(row[1]), float((*row, "0")[2])] for row in rows])
+    try:
+        found = np.array([[float(row[0]), float(row[1]), float((*row, "0")[2])] for row in rows])
+    except (ValueError, IndexError):
+        raise ValueError(f"the shape {text!r:.80} is not a list of x,y or x,y,z") from None
+    if not np.isfinite(found).all():
+        raise ValueError(f"the shape {text!r:.80} has numbers that are not finite")
+    return found
+
+
+def number(element: ET.Element, name: str, default: float) -> float:
+    """A finite number of an element. Raises ValueError, with the element and its value."""
+    text = element.get(name, str(default))
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        which = element.get("id", element.get("from", ""))
+        raise ValueError(f"{name} of <{element.tag}> {which!r:.80} is {text!r:.80}, not a number")
+    return value
 
 
 @contextmanager
 def _opened(file: Path) -> Iterator[IO[bytes]]:
     """The file's content, unpacked where its first bytes are gzip's."""
-    with file.open("rb") as raw:
-        packed = raw.read(2) == b"\x1f\x8b"
-        raw.seek(0)
-        if packed:
-            with gzip.open(raw) as stream:
-                yield stream  # type: ignore[misc]
-        else:
-            yield raw
+    with files.unpacked(file, _LARGEST) as stream:
+        yield stream
 
 
 def _edge(element: ET.Element) -> NetEdge:
@@ -219,10 +242,10 @@ def _lane(element: ET.Element, edge: str) -> NetLane:
     return NetLane(
         id=element.get("id", ""),
         edge=edge,
-        index=int(element.get("index", "0")),
-        speed_mps=float(element.get("speed", "13.89")),
-        length_m=float(element.get("length", "0")),
-        width_m=float(element.get("width", "3.2")),
+        index=int(number(element, "index", 0)),
+        speed_mps=number(element, "speed", 13.89),
+        length_m=number(element, "length", 0),
+        width_m=number(element, "width", 3.2),
         allow=None if allow is None else frozenset(allow.split()),
         disallow=frozenset(element.get("disallow", "").split()),
         shape_m=points(element.get("shape", "")),
@@ -230,7 +253,7 @@ def _lane(element: ET.Element, edge: str) -> NetLane:
 
 
 def _junction(element: ET.Element) -> NetJunction:
-    requests = sorted(element.iter("request"), key=lambda one: int(one.get("index", "0")))
+    requests = sorted(element.iter("request"), key=lambda one: number(one, "index", 0))
     return NetJunction(
         id=element.get("id", ""),
         type=element.get("type", ""),
@@ -253,7 +276,7 @@ def _link(element: ET.Element) -> NetLink:
         target=f"{element.get('to')}_{element.get('toLane')}",
         via=element.get("via", ""),
         light=element.get("tl", ""),
-        index=int(element.get("linkIndex", "-1")),
+        index=int(number(element, "linkIndex", -1)),
         state=element.get("state", ""),
         direction=element.get("dir", ""),
     )

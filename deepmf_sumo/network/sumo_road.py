@@ -19,6 +19,7 @@ from deepmf_sumo.datatypes import (
     StopSign,
 )
 from deepmf_sumo.datatypes.road import LaneKind, PolygonKind
+from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network.borders import borders
 from deepmf_sumo.network.net_file import NetEdge, NetFile, NetLane, elements, points, read_once
 from deepmf_sumo.network.right_of_way import going_first
@@ -175,7 +176,10 @@ def _polygons(file: Path) -> list[Polygon]:
     for element in elements(file, "additional"):
         kind = element.get("type", "")
         if element.tag == "poly" and kind in _POLYGONS:
-            shape = points(element.get("shape", ""))
+            try:
+                shape = points(element.get("shape", ""))
+            except ValueError as error:
+                raise SimulationError(f"{file} has a wrong <poly>: {error}.") from None
             if len(shape) > 3 and (shape[0] == shape[-1]).all():
                 shape = shape[:-1]
             found.append(

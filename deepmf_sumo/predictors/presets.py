@@ -1,5 +1,6 @@
 """Sizes of the networks: ``light`` runs on a CPU, ``paper`` follows the published sizes."""
 
+import math
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Final, Literal, get_type_hints
 
@@ -7,9 +8,23 @@ from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.road_index import ROAD_CHANNELS
 
 AGENT_CLASSES: Final = ("target", "vehicle", "vru", "av")
-_LEAST: Final = {"hidden": 1, "heads": 1, "profiles": 7, "raster_pixels": 32}
-"""Smallest sizes. VGG16 halves the image five times; a vehicle has at least five paths, and
-`evaluate` asks for 32 modes of their goals."""
+_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "hidden": (1, 1024),
+    "heads": (1, 64),
+    "profiles": (7, 1024),
+    "raster_pixels": (32, 1024),
+    "raster_m": (0, 100),
+    "condition_stage": (0, 5),
+    "condition_channels": (0, 1024),
+    "dropout": (0, 1),
+}
+"""Smallest and largest sizes, so that no card asks for all memory.
+
+VGG16 halves the image five times; a vehicle has at least five paths, and `evaluate` asks for 32
+modes of their goals."""
+
+_WIDEST: Final = 1024
+"""Channels of a block of VGG16."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,13 +146,18 @@ def _check(key: str, value: Any, kind: Any) -> None:
     right = {
         str: isinstance(value, str),
         bool: isinstance(value, bool),
-        int: whole and value >= _LEAST.get(key, 0),
-        float: isinstance(value, int | float) and not isinstance(value, bool) and value >= 0,
+        int: whole and _within(key, value),
+        float: (whole or isinstance(value, float)) and _within(key, value),
     }.get(kind)
     if right is None:  # a tuple or a choice
         right = value in (3, 7) if key == "raster_signals" else _numbers(key, value)
     if not right:
-        raise WeightsError(f"The size '{key}' of the network is {value!r}; that cannot be.")
+        raise WeightsError(f"The size '{key}' of the network is {value!r:.80}; that cannot be.")
+
+
+def _within(key: str, value: float) -> bool:
+    least, most = _RANGES.get(key, (0, math.inf))
+    return least <= value <= most
 
 
 def _numbers(key: str, value: Any) -> bool:
@@ -145,8 +165,8 @@ def _numbers(key: str, value: Any) -> bool:
     if not (isinstance(value, tuple) and all(map(_whole, value))):
         return False
     if key == "vgg_widths":
-        return len(value) == 5 and min(value) > 0
-    return bool(value) and all(0 <= step <= 10 for step in value)
+        return len(value) == 5 and min(value) > 0 and max(value) <= _WIDEST
+    return 0 < len(value) <= 11 and all(0 <= step <= 10 for step in value)
 
 
 def _whole(value: Any) -> bool:

@@ -5,22 +5,28 @@ is asked for. The marginal network may have several members, each in files of it
 (``marginal``, ``marginal-2``, ...): the card of the first one lists them under ``members``, with
 the temperature of their mixture.
 
+A card has the digest of its tensor file: a file that was changed, or belongs to another card, is
+refused. Cards of earlier versions have none; they are counted (`unchecked`) and said.
+
 ``open`` is part of the package. Other names are looked up in ``$DEEPMF_SUMO_HOME/weights`` and in
 ``.weights`` of the working directory; a path to a folder works as well.
 """
 
+import hashlib
 import json
-import math
 import os
+import sys
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors.torch import load as tensors_of
 from torch import Tensor, nn
 
+from deepmf_sumo import files
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.predictors.densetnt import DenseTNT
@@ -35,13 +41,20 @@ NETWORKS: Final[tuple[Network, ...]] = ("opponent", "marginal", "conditional")
 BASELINES: Final[tuple[Network, ...]] = ("strive",)
 """Those that single baselines need: a set may be without them."""
 FORMAT_VERSION: Final = 1
+DIGEST: Final = "tensors_sha256"
+"""Of the tensor file, in the card."""
+_LARGEST_CARD: Final = 2**20
+_LARGEST_TENSORS: Final = 2**30
+_MOST_MEMBERS: Final = 64
+_LARGEST_NUMBER: Final = 1e6
+"""Of a temperature or offset; fitted ones are within 0.1 to 10."""
 _TEMPERATURES: Final[dict[Network, tuple[str, ...]]] = {
     "opponent": ("temperature", "partner_temperature"),
     "marginal": ("temperature",),
     "conditional": ("temperature",),
     "strive": (),
 }
-"""Numbers above 0 in a network's card."""
+"""Numbers above 0, up to 1e6, in a network's card."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +75,13 @@ class Predictors:
 def load(name: str | Path) -> Predictors:
     """The predictors of a name or folder. Raises WeightsError where they cannot be used."""
     folder = find(name)
+    lacking = unchecked(folder)
+    if lacking:
+        sys.stderr.write(
+            f"weights {name}: {len(lacking)} cards without a digest of the tensors, which an"
+            f" earlier version wrote ({', '.join(lacking)}): whether files were changed is not"
+            " known\n"
+        )
     opponent, opponent_card = read_network(folder, "opponent")
     marginal, marginal_card = _marginal(folder)
     conditional, conditional_card = read_network(folder, "conditional")
@@ -87,10 +107,11 @@ def members(folder: Path, card: dict[str, Any]) -> list[str | None]:
     if "members" not in card:
         return [card.get("training_digest")]
     listed = card["members"]
-    if not (isinstance(listed, list) and listed and all(isinstance(one, dict) for one in listed)):
+    right = isinstance(listed, list) and all(isinstance(one, dict) for one in listed)
+    if not (right and 0 < len(listed) <= _MOST_MEMBERS):
         raise WeightsError(
             f"{folder / 'marginal.json'} has members {str(listed)[:80]!r}; it must be a list of"
-            f" trained networks; {_again(folder, 'marginal')}."
+            f" 1 to {_MOST_MEMBERS} trained networks; {_again(folder, 'marginal')}."
         )
     return [one.get("training_digest") for one in listed]
 
@@ -111,6 +132,19 @@ def listed(folder: Path) -> list[str]:
         after = names.index("marginal") + 1
         names[after:after] = [member("marginal", number) for number in range(2, count + 1)]
     return [name for name in names if (folder / f"{name}.json").is_file()]
+
+
+def unchecked(folder: Path) -> list[str]:
+    """The networks and members of a folder whose cards have no digest of their tensors.
+
+    Raises WeightsError where a card cannot be read.
+    """
+    return [name for name in listed(folder) if DIGEST not in read_card(folder, name)]
+
+
+def digest_of(content: bytes) -> str:
+    """Of a tensor file, for its card."""
+    return hashlib.sha256(content).hexdigest()
 
 
 def motion_prior(name: str | Path) -> MotionPrior:
@@ -159,12 +193,14 @@ def find(name: str | Path) -> Path:
     """The folder of a set of weights. Raises WeightsError, with all places that were tried."""
     places = list(dict.fromkeys(_places(name)))
     for place in places:
-        if place.is_dir():
-            return place
-    tried = ", ".join(str(place) for place in places)
+        with suppress(OSError, ValueError):  # a name that no folder can have
+            if place.is_dir():
+                return place
+    tried = ", ".join(str(place)[:200] for place in places)
     raise WeightsError(
-        f"There are no weights '{name}': none of these folders exists: {tried}. Use 'open', or "
-        f"make them with `deepmf-sumo train all --data RECORDINGS --name {Path(name).name}`."
+        f"There are no weights '{name!s:.80}': none of these folders exists: {tried}. Use 'open',"
+        " or make them with `deepmf-sumo train all --data RECORDINGS --name"
+        f" {Path(name).name[:80]}`."
     )
 
 
@@ -183,29 +219,50 @@ def read_card(folder: Path, network: str) -> dict[str, Any]:
     """The card of one network or `member`. Raises WeightsError where it is missing or no card."""
     file = folder / f"{network}.json"
     try:
-        card: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except OSError:
+        card: dict[str, Any] = json.loads(files.content(file, _LARGEST_CARD))
+    except FileNotFoundError:
         raise WeightsError(_missing(folder, file)) from None
+    except OSError as error:
+        why = files.reason(error)
+        raise WeightsError(f"{file} is not a card ({why}); {_again(folder, network)}.") from None
     except ValueError as error:
-        raise WeightsError(f"{file} is not a card ({error}); {_again(folder, network)}.") from None
+        why = f"{error}"[:200]
+        raise WeightsError(f"{file} is not a card ({why}); {_again(folder, network)}.") from None
+    except RecursionError:
+        why = "nested too deeply"
+        raise WeightsError(f"{file} is not a card ({why}); {_again(folder, network)}.") from None
     if not isinstance(card, dict):
         raise WeightsError(f"{file} is not a card (no mapping); {_again(folder, network)}.")
     version = card.get("format_version")
     if version != FORMAT_VERSION:
         raise WeightsError(
-            f"{file} has format_version {version}, not {FORMAT_VERSION}; {_again(folder, network)}."
+            f"{file} has format_version {version!r:.80}, not {FORMAT_VERSION};"
+            f" {_again(folder, network)}."
         )
     return card
 
 
-def tensors(folder: Path, network: str) -> dict[str, Tensor]:
-    """The tensors of one network or `member`. Raises WeightsError where they cannot be read."""
+def tensors(folder: Path, network: str, digest: object = None) -> dict[str, Tensor]:
+    """The tensors of one network or `member`.
+
+    Raises WeightsError where they cannot be read, or have another digest than the one given.
+    """
     file = folder / f"{network}.safetensors"
-    if not file.is_file():
-        raise WeightsError(_missing(folder, file))
     try:
-        return load_file(file)
-    except (SafetensorError, OSError) as error:
+        content = files.content(file, _LARGEST_TENSORS)
+    except FileNotFoundError:
+        raise WeightsError(_missing(folder, file)) from None
+    except OSError as error:
+        why = files.reason(error)
+        raise WeightsError(f"{file} is damaged ({why}); {_again(folder, network)}.") from None
+    if digest is not None and digest != digest_of(content):
+        raise WeightsError(
+            f"{file} is damaged, or of another training than its card: its digest is not the card's"
+            f" {DIGEST}; {_again(folder, network)}."
+        )
+    try:
+        return tensors_of(content)
+    except (SafetensorError, ValueError, KeyError) as error:
         raise WeightsError(f"{file} is damaged ({error}); {_again(folder, network)}.") from None
 
 
@@ -217,16 +274,16 @@ def read_network(
     card = read_card(folder, stem)
     for key in _TEMPERATURES[network]:
         value = card.get(key)
-        if not (isinstance(value, int | float) and 0.0 < value < float("inf")):
+        if not (isinstance(value, int | float) and 0.0 < value <= _LARGEST_NUMBER):
             raise WeightsError(
-                f"{folder / stem}.json has {key} {value!r}; it must be a number above 0; "
-                f"{_again(folder, stem)}."
+                f"{folder / stem}.json has {key} {value!r:.80}; it must be a number above 0, at"
+                f" most {_LARGEST_NUMBER:g}; {_again(folder, stem)}."
             )
     offset = card.get("offset", 0.0)
-    if not (isinstance(offset, int | float) and math.isfinite(offset)):
+    if not (isinstance(offset, int | float) and abs(offset) <= _LARGEST_NUMBER):
         raise WeightsError(
-            f"{folder / stem}.json has offset {offset!r}; it must be a number; "
-            f"{_again(folder, stem)}."
+            f"{folder / stem}.json has offset {offset!r:.80}; it must be a number, at most"
+            f" {_LARGEST_NUMBER:g}; {_again(folder, stem)}."
         )
     try:
         preset = Preset.from_record(card.get("sizes"))
@@ -234,7 +291,7 @@ def read_network(
         raise WeightsError(f"{folder / stem}.json: {error} {_again(folder, stem)}.") from None
     net = build(network, preset)
     try:
-        net.load_state_dict(tensors(folder, stem))
+        net.load_state_dict(tensors(folder, stem, card.get(DIGEST)))
     except RuntimeError as error:
         reason = " ".join(str(error).split())[:200]
         raise WeightsError(

@@ -1,6 +1,5 @@
 """Result folders -> one row each: rates with their denominators and intervals, means of metrics."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,9 +8,12 @@ from typing import Any, Final
 
 import pandas as pd
 
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.metrics.statistics.wilson import wilson
 from deepmf_sumo.report.run_table import runs_of
+
+_NUMBERS: Final = ("contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median")
+"""Columns of ``runs.csv`` that are averaged."""
 
 MEANS: Final = {
     "opponent_rms_acceleration": "rms_a_mps2",
@@ -127,23 +129,18 @@ def compare(found: Sequence[Group]) -> pd.DataFrame:
 
 def _runs(folder: Path) -> pd.DataFrame:
     """``runs.csv`` with the contacts and metrics of each run's ``result.json``."""
-    runs_of(folder)  # says what is wrong with it
-    texts = {"opponent": str, "scene": str, "perception": str}
-    table = pd.read_csv(folder / "runs.csv", dtype=texts)
+    table = pd.DataFrame(runs_of(folder)).replace("", None)
+    for name in _NUMBERS:
+        table[name] = pd.to_numeric(table[name], errors="coerce")
     details = [_details(folder, run_id) for run_id in table["run_id"]]
     return pd.concat([table, pd.DataFrame(details)], axis=1)
 
 
 def _details(folder: Path, run_id: str) -> dict[str, Any]:
-    file = folder / "runs" / run_id / "result.json"
+    file = stored.run_folder(folder, run_id, "runs.csv") / "result.json"
     if not file.is_file():
         return {}
-    try:
-        result = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise _damaged(file, str(error)) from None
-    if not isinstance(result, dict):
-        raise _damaged(file, "it is no result of a run")
+    result = stored.result_of(file)
     kinds = {contact["kind"] for contact in result.get("contacts", [])}
     metrics = result.get("metrics", {})
     values = {name: one["value"] for name, one in metrics.items()}
@@ -153,12 +150,6 @@ def _details(folder: Path, run_id: str) -> dict[str, Any]:
         **{f"metric_{name}": values.get(name) for name in MEANS},
         "metrics": metrics,
     }
-
-
-def _damaged(file: Path, why: str) -> UsageError:
-    return UsageError(
-        f"{file} is damaged ({why}); remove the run's folder and go on with --resume."
-    )
 
 
 def _row(group: Group) -> dict[str, Any]:

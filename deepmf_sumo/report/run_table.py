@@ -5,9 +5,12 @@ import io
 from pathlib import Path
 from typing import Final
 
+from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.texts import of_cell
 
 _NEEDED: Final = ("run_id", "status", "spec", "scene", "planner")
+_LARGEST: Final = 2**28
 _ANEW: Final = "write it anew with --resume"
 
 
@@ -32,7 +35,7 @@ def runs_of(folder: Path) -> list[dict[str, str]]:
 def rows_of(file: Path) -> list[dict[str, str]]:
     """Rows of any table of a result folder. Raises UsageError as `runs_of` does."""
     try:
-        text = file.read_text("utf-8")
+        text = files.text(file, _LARGEST)
         rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
     except (OSError, ValueError, csv.Error) as error:
         raise UsageError(f"{file} is damaged ({error}); {_ANEW}.") from None
@@ -41,4 +44,4 @@ def rows_of(file: Path) -> list[dict[str, str]]:
     for number, row in enumerate(rows, 1):
         if None in row or None in row.values():
             raise UsageError(f"{file} is damaged: row {number} has other columns; {_ANEW}.")
-    return rows
+    return [{name: of_cell(text) for name, text in row.items()} for row in rows]

@@ -1,21 +1,29 @@
 """YAML text -> plain values, with the place of every key.
 
 Stricter than PyYAML: a key that stands twice is refused, and so are aliases (a small file could
-unfold into gigabytes), keys that are not text, and whole numbers that are not plain decimals.
+unfold into gigabytes), keys that are not text, whole numbers that are not plain decimals, and what
+takes long to read: deep nesting, very many values, and numbers of very many digits.
 """
 
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import yaml
 
+from deepmf_sumo import files
 from deepmf_sumo.errors import SpecError
 
 LARGEST_BYTES: Final = 1_000_000
 _PLAIN: Final = re.compile(r"[-+]?(0|[1-9][0-9]*)")
 """YAML 1.1 knows other whole numbers: 010 is 8, 1:30 is 90, 0x10 is 16."""
+_DEEPEST: Final = 50
+_MOST_VALUES: Final = 20_000
+_LONGEST_TEXT: Final = 10_000
+_LONGEST_NUMBER: Final = 100
+"""Characters of all that is not text: long numbers take quadratic time."""
+_TEXT: Final = "tag:yaml.org,2002:str"
 
 KeyPath = tuple[str | int, ...]
 
@@ -40,13 +48,15 @@ class Document:
         place = f"--set {assignment}"
         key, equals, text = assignment.partition("=")
         path = tuple(key.strip().split("."))
-        if not (equals and all(path)):
+        if not (equals and all(path) and len(path) <= _DEEPEST):
             raise SpecError(f"{place}: must be key=value, e.g. adversary.period_s=2.0.")
         node = self.values
         for depth, part in enumerate(path[:-1], start=1):
             node = node.setdefault(part, {})
             if not isinstance(node, dict):
-                raise SpecError(f"{place}: '{'.'.join(path[:depth])}' holds no keys, but {node!r}.")
+                raise SpecError(
+                    f"{place}: '{'.'.join(path[:depth])}' holds no keys, but {node!r:.80}."
+                )
         loader = _Loader(text, place, self.places, path)
         node[path[-1]] = loader.read()
         self.places[path] = place
@@ -55,11 +65,9 @@ class Document:
 def read(file: Path) -> Document:
     """The file's values. Raises SpecError with file and line for all that is not a mapping."""
     try:
-        if file.stat().st_size > LARGEST_BYTES:
-            raise SpecError(f"{file}: larger than {LARGEST_BYTES} bytes; this is no spec.")
-        text = file.read_bytes().decode("utf-8-sig")
+        text = files.text(file, LARGEST_BYTES, "utf-8-sig")
     except OSError as error:
-        raise SpecError(f"{file}: cannot be read: {error.strerror}.") from None
+        raise SpecError(f"{file}: cannot be read: {files.reason(error)}.") from None
     except UnicodeDecodeError as error:
         raise SpecError(f"{file}: is not UTF-8 text (byte {error.start}).") from None
     places: dict[KeyPath, str] = {}
@@ -67,6 +75,48 @@ def read(file: Path) -> Document:
     if not isinstance(values, dict):
         raise SpecError(f"{file}:1: a spec or a plan is a mapping that begins with 'version: 1'.")
     return Document(file=file, values=values, places=places)
+
+
+class _Bounded(yaml.SafeLoader):
+    """PyYAML's, with limits.
+
+    What is beyond them, or is not a value of its type, is a MarkedYAMLError.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._count = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            raise _refused(event, f"aliases (*{event.anchor:.80}) are refused")
+        self._depth, self._count = self._depth + 1, self._count + 1
+        if self._depth > _DEEPEST:
+            raise _refused(event, f"it is nested more than {_DEEPEST} deep")
+        if self._count > _MOST_VALUES:
+            raise _refused(event, f"it holds more than {_MOST_VALUES} values")
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        if isinstance(node, yaml.ScalarNode):
+            longest = _LONGEST_TEXT if node.tag == _TEXT else _LONGEST_NUMBER
+            if len(node.value) > longest:
+                what = f"{node.value[:20]}... has more than {longest} characters"
+                raise _refused(node, what)
+            if re.search("[\\0\ud800-\udfff]", node.value):
+                raise _refused(node, f"{node.value!r:.80} has a character that no text may have")
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep=deep)
+        except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError):
+            kind = node.tag.rpartition(":")[2]
+            raise _refused(node, f"{node.value!r:.80} is not of the type '{kind:.80}'") from None
+
+
+def _refused(what: yaml.Node | yaml.Event, why: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=why, problem_mark=cast(yaml.Mark, what.start_mark))
 
 
 class _Loader:
@@ -78,23 +128,19 @@ class _Loader:
 
     def read(self) -> Any:
         try:
-            for token in yaml.scan(self.text, Loader=yaml.SafeLoader):
-                if isinstance(token, yaml.AliasToken):
-                    raise SpecError(f"{self._place(token)}: aliases (*{token.value}) are refused.")
-            node = yaml.compose(self.text, Loader=yaml.SafeLoader)
+            loader = _Bounded(self.text)
+            node = loader.get_single_node()
             if node is None:
                 return None
             self._visit(node, self.at)
-            return yaml.safe_load(self.text)
+            return loader.construct_document(node)
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             place = f"{self.name}:{mark.line + 1}" if mark and self.in_file else self.name
             raise SpecError(f"{place}: is not YAML: {error.problem}.") from None
         except (yaml.YAMLError, ValueError) as error:
-            reason = str(error).splitlines()[0]
+            reason = " ".join(str(error).split())[:200]
             raise SpecError(f"{self.name}: is not YAML: {reason}.") from None
-        except RecursionError:
-            raise SpecError(f"{self.name}: is nested too deeply.") from None
 
     def _visit(self, node: yaml.Node, path: KeyPath) -> None:
         if node.tag == "tag:yaml.org,2002:int" and not _PLAIN.fullmatch(str(node.value)):
@@ -110,8 +156,8 @@ class _Loader:
             seen: dict[str, str] = {}
             for key_node, value_node in node.value:
                 place = self._place(key_node)
-                if key_node.tag != "tag:yaml.org,2002:str":
-                    raise SpecError(f"{place}: key {key_node.value!r} is not text.")
+                if key_node.tag != _TEXT:
+                    raise SpecError(f"{place}: key {key_node.value!r:.80} is not text.")
                 key = key_node.value
                 if key in seen:
                     dotted = ".".join(str(part) for part in (*path, key))

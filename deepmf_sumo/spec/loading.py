@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PluginError, SpecError
 from deepmf_sumo.spec.document import Document, KeyPath, read
-from deepmf_sumo.spec.model import Plugin, Spec, unknown_key
+from deepmf_sumo.spec.model import Plugin, Spec, placed, unknown_key
 
 VERSIONS: Final[dict[str, float | None]] = {"G": None, "S1": 1.0, "S2": 2.0, "S4": 4.0}
 """The paper's versions of DeepMF: seconds between plans; G plans once."""
@@ -95,8 +95,7 @@ def _place_files(document: Document) -> None:
     for key in ("planner", "adversary"):
         choice = document.values.get(key)
         if isinstance(choice, dict) and isinstance(choice.get("file"), str):
-            beside = document.file.parent / Path(choice["file"]).expanduser()
-            choice["file"] = str(beside.resolve())
+            choice["file"] = str(placed(document.file.parent, choice["file"]))
 
 
 def _check_plugin(kind: plugins.Kind, key: str, choice: Plugin, document: Document) -> None:

@@ -1,6 +1,7 @@
 """What a spec may hold, key by key."""
 
 import difflib
+import stat
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -53,14 +54,25 @@ def _existing(value: Any, info: ValidationInfo) -> Path:
     """An absolute path; relative ones start at the spec's folder."""
     if not isinstance(value, str):
         raise _wrong("must be a path in text")
-    path = Path((info.context or {}).get("folder", ".")) / Path(value).expanduser()
+    path = placed(Path((info.context or {}).get("folder", ".")), value)
     try:
-        found = path.exists()
-    except (OSError, ValueError):  # too long, or holding a null character
-        found = False
-    if not found:
-        raise _wrong(f"no such file or folder: {path}")
-    return path.resolve()
+        kind = path.stat().st_mode
+    except (OSError, ValueError):  # not there, too long, or holding a null character
+        raise _wrong(f"no such file or folder: {path}") from None
+    if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
+        raise _wrong(f"a device, a pipe or a socket, not a file or folder: {path}")
+    return path
+
+
+def placed(folder: Path, name: str) -> Path:
+    """The absolute path of a file that a spec in ``folder`` names, with its links followed.
+
+    As it is written where it cannot be: what opens it says so.
+    """
+    try:
+        return (folder / Path(name).expanduser()).resolve()
+    except (OSError, ValueError, RuntimeError):  # no such user, a loop of links, a null character
+        return folder / name
 
 
 ExistingPath = Annotated[Path, BeforeValidator(_existing), WithJsonSchema({"type": "string"})]

@@ -8,7 +8,17 @@ from safetensors.torch import save
 from torch import nn
 
 import deepmf_sumo
-from deepmf_sumo.predictors.weights import FORMAT_VERSION, NETWORKS, Network, listed, read_card
+from deepmf_sumo.predictors.weights import (
+    DIGEST,
+    FORMAT_VERSION,
+    NETWORKS,
+    Network,
+    digest_of,
+    listed,
+    read_card,
+    tensors,
+    unchecked,
+)
 from deepmf_sumo.training import files
 
 LIMITS: Final[dict[Network, str]] = {
@@ -31,12 +41,13 @@ def write(folder: Path, network: str, net: nn.Module, card: dict[str, Any]) -> N
     Layers' weights are stored in half precision; tables, norms and biases as they are.
     """
     layers = {name for name, value in net.named_parameters() if value.ndim > 1}
-    tensors = {
+    values = {
         name: (value.half() if name in layers else value).detach().cpu().contiguous()
         for name, value in net.state_dict().items()
     }
-    files.write(folder / f"{network}.safetensors", save(tensors))
-    write_card(folder, network, card)
+    content = save(values)
+    files.write(folder / f"{network}.safetensors", content)
+    write_card(folder, network, card | {DIGEST: digest_of(content)})
 
 
 def write_card(folder: Path, network: str, card: dict[str, Any]) -> None:
@@ -44,6 +55,20 @@ def write_card(folder: Path, network: str, card: dict[str, Any]) -> None:
     full = {"format_version": FORMAT_VERSION, "deepmf_sumo": deepmf_sumo.__version__, **card}
     files.write(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
     files.write(folder / "card.md", _page(folder).encode())
+
+
+def add_digests(folder: Path) -> list[str]:
+    """Give the cards of earlier versions the digests of their tensors as they are now.
+
+    Returns the networks whose cards had none. Raises WeightsError where one cannot be read.
+    """
+    lacking = unchecked(folder)
+    for network in lacking:
+        card = read_card(folder, network)
+        tensors(folder, network)  # those that cannot be read shall not get a digest
+        content = (folder / f"{network}.safetensors").read_bytes()
+        write_card(folder, network, card | {DIGEST: digest_of(content)})
+    return lacking
 
 
 def add_results(folder: Path, results: dict[str, Any]) -> None:

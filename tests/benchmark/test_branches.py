@@ -47,12 +47,6 @@ class Hungry(_Planner):
         self.much = bytearray(2_000_000_000)
         self.much[::4096] = b"x" * len(self.much[::4096])
         time.sleep(600)
-
-class Threads(_Planner):
-    def act(self, view):
-        if self.start_s == 2.0:
-            threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
-        return self.idm.act(view)
 """
 
 COUNTED = """
@@ -162,9 +156,14 @@ def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_
     ]
 
 
+def test_somebody_elses_planner_drives_in_copies_alone(tiny, paths, tmp_path):
+    assert done(tmp_path / "fine", paths("late_planners:Fine"), tiny) == 3
+
+
 def test_a_planner_with_threads_is_not_copied(tiny, paths, tmp_path):
-    assert done(tmp_path / "fine", paths("late_planners:Fine"), tiny) == 2
-    assert done(tmp_path / "threads", paths("late_planners:Threads"), tiny) == 0
+    thread = "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
+    (tiny / "threaded_planners.py").write_text(f"{PLANNERS}\n{thread}\n")
+    assert done(tmp_path / "threads", paths("threaded_planners:Fine"), tiny) == 0
 
 
 def test_sumo_that_cannot_be_copied_is_held_once_alone(tiny, paths, tmp_path):
@@ -193,8 +192,8 @@ def test_traffic_that_breaks_off_is_said_by_the_run(tiny, tmp_path):
 @pytest.mark.parametrize(
     ("planner", "said"),
     [
-        ("Crash", "the worker died: SIGSEGV"),
-        ("Leave", "the worker died: exit code 0"),
+        ("Crash", "planner_error: the planner ended its process (SIGSEGV;"),
+        ("Leave", "planner_error: the planner ended its process (exit code 0;"),
         ("Hang", "longer than 10 s"),
         ("Hungry", "more than 1500 MB of memory"),
     ],

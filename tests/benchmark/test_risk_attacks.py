@@ -7,6 +7,8 @@ from deepmf_sumo.benchmark import risk
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network import programs
 
+ENDED = {"ended": "longest", "outcome": "none", "hit_speed_mps": None}
+
 
 def only(out):
     [network] = risk.read([out])
@@ -116,8 +118,8 @@ def test_networks_without_lanes_in_junctions(without_lanes_inside, tmp_path, mom
 def test_turns_are_attacks_of_their_own(tmp_path):
     """Turn 1 without a hit up to 2 s, turn 2 with one at 5 s."""
     turns = [
-        {"opponent": "foe", "begin_s": 0.0, "end_s": 2.0, "metrics": {"ttc_min": 3.0}},
-        {"opponent": "foe", "begin_s": 4.0, "end_s": 5.0, "metrics": {"avoidable": 0.0}},
+        {"opponent": "foe", "begin_s": 0.0, "end_s": 2.0, **ENDED, "metrics": {"ttc_min": 3.0}},
+        {"opponent": "foe", "begin_s": 4.0, "end_s": 5.0, **ENDED, "metrics": {"avoidable": 0.0}},
     ]
     out = Attacks(tmp_path / "out")
     out.add("a", av=eastward(), opponent=eastward(x=-155.0), hit=60, turns=turns)
@@ -136,7 +138,7 @@ def test_what_is_not_counted_is_told(tmp_path):
     out.add("d", av=eastward(), opponent=eastward(), network=None)
     damaged = out.add("e", av=eastward(), opponent=eastward())
     (tmp_path / "out" / "runs" / damaged / "tracks.csv.gz").write_bytes(b"no gzip")
-    out.keys["never begun"] = "x"
+    out.keys["never-begun"] = "x"
     out.write()
     [network] = risk.read([tmp_path / "out"])
     assert len(network.attacks) == 1
@@ -176,7 +178,7 @@ def test_what_cannot_be_mapped_is_refused(tmp_path):
 def test_what_ends_a_turn_is_not_the_next_ones_too(tmp_path):
     """The AV touches somebody else at the step at which one turn ends and the next begins."""
     turns = [
-        {"opponent": "foe", "begin_s": begin, "end_s": begin + 2.0, "metrics": {}}
+        {"opponent": "foe", "begin_s": begin, "end_s": begin + 2.0, **ENDED, "metrics": {}}
         for begin in (0.0, 2.0)
     ]
     out = Attacks(tmp_path / "out")

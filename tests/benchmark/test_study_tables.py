@@ -13,6 +13,7 @@ from deepmf_sumo.benchmark.study.columns import BY_NAME, COLUMNS
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.layout import read as read_layout
 from deepmf_sumo.benchmark.study.rows import row_of
+from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.metrics.statistics.wilson import wilson
 from deepmf_sumo.report import benchmark as report
 from deepmf_sumo.report.tables import latex, rules
@@ -28,7 +29,9 @@ def result(scene="a", method="fast", planner="lane", hit=True, **changes):
     metrics |= changes.pop("metrics", {})
     contact = {"kind": "av_opponent", "sector": 2, "time_s": 2.0, "relative_mps": 5.0}
     one = {
-        "run_id": f"{method}-on-{planner}--{scene}--0",
+        "run_id": f"{slug(method)}-on-{planner}--{scene}--0",
+        "key": "key",
+        "settings": {"planner": {}, "adversary": {}},
         "spec": f"{method} on {planner}",
         "scene": scene,
         "seed": 0,
@@ -46,6 +49,8 @@ def result(scene="a", method="fast", planner="lane", hit=True, **changes):
         "version": "S1",
         "opponent": "b",
         "outcome": "av_opponent" if hit else "none",
+        "ended": "contact" if hit else "time",
+        "steps": 40,
         "contacts": [contact] if hit else [],
         "metrics": {name: {"value": value} for name, value in metrics.items()},
         "samples": {

@@ -151,3 +151,25 @@ def test_a_road_is_read_again_where_its_file_has_changed(grid, tmp_path):
 def test_a_missing_net_is_an_error_that_names_the_file(tmp_path):
     with pytest.raises(SimulationError, match=r"none\.net\.xml"):
         road_of_net(tmp_path / "none.net.xml")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (' index="0"', ' index="inf"', "index of <lane> .* is 'inf', not a number"),
+        (' index="0"', ' index="1e400"', "index of <lane> .* is '1e400', not a number"),
+        (' speed="13.00"', ' speed="fast"', "speed of <lane> .* is 'fast', not a number"),
+        (' linkIndex="0"', ' linkIndex="x"', "linkIndex of <connection> .* is 'x', not a number"),
+        (' shape="', ' shape="a,b ', "the shape 'a,b .* is not a list of x,y or x,y,z"),
+        (' shape="', ' shape="nan,1 ', "the shape 'nan,1 .* has numbers that are not finite"),
+        (' shape="', ' shape="1 ', "the shape '1 .* is not a list of x,y or x,y,z"),
+    ],
+)
+def test_attributes_that_are_no_numbers_are_named_with_the_file(
+    grid, tmp_path, before, after, said
+):
+    text = grid.read_text()
+    assert before in text
+    (tmp_path / "bad.net.xml").write_text(text.replace(before, after, 1))
+    with pytest.raises(SimulationError, match=rf"bad\.net\.xml is not a network of SUMO: {said}"):
+        road_of_net(tmp_path / "bad.net.xml")

@@ -65,6 +65,23 @@ def test_a_server_that_does_not_know_the_episode_says_so(config):
         server.close()
 
 
+@pytest.mark.parametrize("length", ["abc", "1e12", "-1", "1000000000000", "\u0663", "9" * 5000, ""])
+def test_a_question_of_a_length_that_is_none_is_a_clean_400(length):
+    server = serve.on_port(serve.Answerer("idm", {}), 0)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        for _ in range(2):  # it goes on
+            with socket.create_connection(("127.0.0.1", server.server_port), timeout=10) as client:
+                head = f"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: {length}\r\n\r\n"
+                client.sendall(head.encode())
+                answer = b"".join(iter(lambda: client.recv(65536), b""))
+            assert answer.startswith(b"HTTP/1.1 400 ")
+            assert b"it must be a number of bytes" in answer
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
 def response(body: bytes, status: str = "200 OK") -> bytes:
     return f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n\r\n".encode() + body
 

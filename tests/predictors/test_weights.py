@@ -67,7 +67,13 @@ def test_a_damaged_file_is_named(folder):
 
 
 def test_tensors_of_another_network_are_refused(folder):
-    (folder / "marginal.safetensors").write_bytes((folder / "opponent.safetensors").read_bytes())
+    content = (folder / "opponent.safetensors").read_bytes()
+    (folder / "marginal.safetensors").write_bytes(content)
+    with pytest.raises(WeightsError, match="of another training than its card"):
+        weights.load(folder)
+    card = json.loads((folder / "marginal.json").read_text())
+    card[weights.DIGEST] = weights.digest_of(content)
+    (folder / "marginal.json").write_text(json.dumps(card))
     with pytest.raises(WeightsError, match="does not fit the marginal network"):
         weights.load(folder)
 

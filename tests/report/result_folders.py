@@ -113,6 +113,7 @@ class Folder:
             for name, value in dict(metrics).items()
         ]
         found = result.finished(task, case_of(), Attack(rollout=rollout), values, 0.0)
+        found["expectations_broken"] = []
         files.write_json(folder / "result.json", found)
         self.rows.append(result.row(found))
         self.write()

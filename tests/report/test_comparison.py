@@ -2,6 +2,7 @@
 
 import json
 
+import gate_doubles
 import numpy as np
 import pytest
 
@@ -31,8 +32,12 @@ def folder(tmp_path, outcomes, *, opponents=True, planners=("idm",), reason="nev
         else:
             none = {"value": None, "unit": "s", "reason": reason}
             metrics |= {"ttc_min": none, "min_gap": none, "pet": none}
-        content = {"contacts": [{"kind": outcome}] if outcome != "none" else []}
-        (run / "result.json").write_text(json.dumps({**content, "metrics": metrics}))
+        content = {
+            **gate_doubles.result(status=status),
+            "contacts": [{"kind": outcome}] if outcome != "none" else [],
+            "metrics": metrics,
+        }
+        (run / "result.json").write_text(json.dumps(content))
     (tmp_path / "runs.csv").write_text("\n".join(lines) + "\n")
     return tmp_path
 
@@ -82,7 +87,7 @@ def test_a_run_that_is_half_written_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"run0/result\.json is damaged .* --resume"):
         groups([made])
     file.write_text("null")
-    with pytest.raises(UsageError, match="it is no result of a run"):
+    with pytest.raises(UsageError, match="it holds no names and values"):
         groups([made])
     (made / "runs.csv").write_text("")
     with pytest.raises(UsageError, match=r"runs\.csv is cut short; .* --resume"):

@@ -179,7 +179,7 @@ def test_a_damaged_run_is_shown_with_its_reason(folder):
     parsed = Parsed(page.write(folder.out))
     notes = [row["note"] for row in parsed.rows]
     assert "tracks.csv.gz" in notes[0]
-    assert notes[1].startswith("result.json cannot be read")
+    assert notes[1].startswith("cannot be shown: result.json is damaged")
     assert notes[2].startswith("cannot be replayed")
     assert parsed.content["missing"] == 3
     assert "replay" not in parsed.details(0)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark import files, stored
 from deepmf_sumo.benchmark.gate.quantities import QUANTITIES, judged
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import FORMAT_VERSION as FOLDER_VERSION
@@ -105,12 +105,9 @@ def _of_folder(out: Path) -> Results:
             f"{out} has format {manifest.get('format_version')}, this version of deepmf-sumo reads"
             f" format {FOLDER_VERSION}; run it anew."
         )
-    keys = manifest.get("runs")
-    if not isinstance(keys, dict):
-        raise UsageError(f"{out / 'manifest.json'} is damaged: it names no runs; run it anew.")
     store, rows = Store(out), {}
     attacks: dict[str, dict[str, Any]] = {}
-    for run_id, key in keys.items():
+    for run_id, key in stored.keys_of(out).items():
         row = _row_of(store, run_id, key, attacks)
         if row is not None:
             rows[run_id] = row

@@ -1,13 +1,19 @@
 """The moments of another attack, so that two designs or two planners are compared in pairs."""
 
 import csv
+import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Final
 
+from deepmf_sumo import files
 from deepmf_sumo.benchmark.moments.moment import VehicleTime
 from deepmf_sumo.benchmark.moments.plan import TABLE
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.texts import of_cell
+
+_LARGEST: Final = 2**26
 
 
 def read(path: Path) -> tuple[VehicleTime, ...]:
@@ -17,11 +23,11 @@ def read(path: Path) -> tuple[VehicleTime, ...]:
     """
     file = path / TABLE if path.is_dir() else path
     try:
-        with file.open(encoding="utf-8", newline="") as table:
-            found = tuple(dict.fromkeys(_rows(csv.DictReader(table))))
+        table = io.StringIO(files.text(file, _LARGEST), newline="")
+        found = tuple(dict.fromkeys(_rows(csv.DictReader(table))))
     except OSError as error:
         raise UsageError(
-            f"--moments-of {path}: {file} cannot be read ({error.strerror}); give a result"
+            f"--moments-of {path}: {file} cannot be read ({files.reason(error)}); give a result"
             " folder of `deepmf-sumo attack`."
         ) from None
     except (KeyError, TypeError, ValueError, csv.Error):
@@ -38,4 +44,4 @@ def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
         start_s = float(row["start_s"])
         if not math.isfinite(start_s):
             raise ValueError(f"start_s {start_s}")
-        yield row["av"], round(start_s, 1)
+        yield of_cell(row["av"]), round(start_s, 1)

@@ -17,6 +17,7 @@ from deepmf_sumo.benchmark.tasks import Task, moment_name, run_id_of
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.spec import Av, Plugin, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
+from deepmf_sumo.texts import cell
 
 TABLE: Final = "moments.csv"
 MET: Final = "met"
@@ -141,5 +142,8 @@ def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:
     writer = csv.DictWriter(table, names, lineterminator="\n")
     writer.writeheader()
     for task, moment in zip(tasks, moments, strict=True):
-        writer.writerow({"run_id": task.run_id, **asdict(moment)})
+        row = {"run_id": task.run_id, **asdict(moment)}
+        writer.writerow(
+            {name: cell(each) if isinstance(each, str) else each for name, each in row.items()}
+        )
     return table.getvalue()

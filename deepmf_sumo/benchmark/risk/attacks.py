@@ -2,13 +2,15 @@
 
 import csv
 import hashlib
-import json
+import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Final
 
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.risk import places
 from deepmf_sumo.benchmark.risk.attacked import Attacked, of_run
@@ -16,8 +18,11 @@ from deepmf_sumo.benchmark.risk.places import Places
 from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.texts import of_cell
 
 Row = Mapping[str, str]
+
+_LARGEST: Final = 2**26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,27 +148,14 @@ def results(out: Path) -> dict[str, Result | None]:
     None for a run that is not there yet. Raises UsageError where a file cannot be read.
     """
     found: dict[str, Result | None] = {}
-    keys = _json(out / "manifest.json").get("runs")
-    if not isinstance(keys, dict):
-        raise UsageError(f"{out / 'manifest.json'} names no runs: it is damaged; run it anew.")
-    for run_id, key in keys.items():
+    for run_id, key in stored.keys_of(out).items():
         file = out / "runs" / run_id / "result.json"
-        result = _json(file) if file.is_file() else None
+        result = stored.result_of(file) if file.is_file() else None
         if result is not None and result.get("key") != key:  # of an earlier batch
             result = None
         if result is None or result.get("part", "main") == "main":
             found[run_id] = result
     return found
-
-
-def _json(file: Path) -> dict[str, Any]:
-    try:
-        values: dict[str, Any] = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{file} cannot be read ({error}); run it anew.") from None
-    if not isinstance(values, dict):
-        raise UsageError(f"{file} is damaged: it holds no names and values; run it anew.")
-    return values
 
 
 def _moments(out: Path) -> dict[str, Row]:
@@ -172,9 +164,12 @@ def _moments(out: Path) -> dict[str, Row]:
     if not file.is_file():
         return {}
     try:
-        with file.open(newline="", encoding="utf-8") as lines:
-            return {row["run_id"]: row for row in csv.DictReader(lines)}
-    except (OSError, KeyError, ValueError, csv.Error):
+        lines = io.StringIO(files.text(file, _LARGEST), newline="")
+        return {
+            row["run_id"]: {name: of_cell(text) for name, text in row.items()}
+            for row in csv.DictReader(lines)
+        }
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, csv.Error):
         raise UsageError(
             f"{file} is no table of moments (column run_id); run it anew, or remove it: places"
             " then come from the tracks alone."
@@ -203,10 +198,10 @@ def net_digest(folder: Path) -> str:
 
 
 def _net_file(folder: Path) -> Path:
-    files = sorted((folder / "sumo").glob("net.net.xml*"))
-    if not files:
+    nets = sorted((folder / "sumo").glob("net.net.xml*"))
+    if not nets:
         raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it anew.")
-    return files[0]
+    return nets[0]
 
 
 __all__ = ["Attacked", "Network", "net_digest", "of_runs", "read", "result_folders", "results"]

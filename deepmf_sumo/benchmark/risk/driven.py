@@ -1,8 +1,6 @@
 """``tracks.csv.gz`` of a run -> how AV and opponents drove, and which lanes the AV was on."""
 
 import csv
-import gzip
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Final, TextIO
 
 import numpy as np
 
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.geometry import boxes
@@ -74,7 +73,7 @@ def read(file: Path, opponents: Sequence[str]) -> Driven:
     """
     rows: dict[str, list[list[float]]] = {one: [] for one in ("", *opponents)}
     try:
-        with gzip.open(file, "rt", encoding="utf-8", newline="") as stream:
+        with stored.tracks(file) as stream:
             for row in csv.DictReader(_of_interest(stream, opponents)):
                 one = "" if row["role"] == "av" else row["id"]
                 if one in rows:
@@ -83,7 +82,7 @@ def read(file: Path, opponents: Sequence[str]) -> Driven:
         return _driven({one: np.array(found) for one, found in rows.items() if found})
     except FileNotFoundError:
         raise UsageError(f"{file} is missing; run it anew.") from None
-    except (OSError, EOFError, zlib.error, ValueError, LookupError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, MemoryError, csv.Error) as error:
         raise UsageError(f"{file} is damaged ({error}); run it anew.") from None
 
 
@@ -114,7 +113,10 @@ def _marked(text: str, marks: Iterable[str]) -> Iterator[str]:
 
 def _driven(tables: Mapping[str, Floats]) -> Driven:
     """Of the rows (K, columns) of each; the AV is there at the start."""
-    steps = 1 + int(max(table[-1, 0] for table in tables.values()))
+    every = np.concatenate([table[:, 0] for table in tables.values()])
+    if not (every.min() >= 0 and every.max() < stored.MOST_STEPS):
+        raise ValueError(f"a step is not within 0 and {stored.MOST_STEPS}")
+    steps = 1 + int(every.max())
     shape = len(tables), steps
     position, heading, z_m = np.zeros((*shape, 2)), np.zeros(shape), np.zeros(shape)
     size, valid = np.zeros((len(tables), 2)), np.zeros(shape, bool)

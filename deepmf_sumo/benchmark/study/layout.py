@@ -1,13 +1,14 @@
 """What a benchmark's folder says of its plan: all that tables need, without specs and scenes."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark import files, stored
 from deepmf_sumo.errors import UsageError
 
 FILE: Final = "study.json"
@@ -72,23 +73,63 @@ class Layout:
         files.write_json(folder / FILE, {"format_version": FORMAT_VERSION, **values})
 
 
+class _First(BaseModel):
+    first: int
+
+
+class _Budget(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+    simulations: int | None
+    seconds: float | None
+
+
+class _Method(BaseModel):
+    planners: list[str]
+    scenes: Literal["all"] | _First
+    budget: _Budget
+
+
+class _Planned(BaseModel):
+    """What `Layout.planned` and the tables need of the plan as written."""
+
+    methods: dict[str, _Method]
+    seeds: list[int]
+
+
 def read(folder: Path) -> Layout:
     """The layout of a benchmark's folder. Raises UsageError where it is none of this version."""
     file = folder / FILE
-    try:
-        values = json.loads(file.read_text("utf-8"))
-    except OSError:
-        raise UsageError(f"{folder} is no benchmark's folder: it has no {FILE}.") from None
-    except ValueError as error:
-        raise UsageError(f"{file} is damaged ({error}); run the benchmark again.") from None
-    found = values.get("version") if isinstance(values, dict) else None
+    if not file.exists():
+        raise UsageError(f"{folder} is no benchmark's folder: it has no {FILE}.")
+    values = stored.mapping(file, again="run the benchmark again")
+    found = values.get("version")
     if found != deepmf_sumo.__version__ or values.pop("format_version", None) != FORMAT_VERSION:
         raise UsageError(
             f"{folder} was made by version {found} of deepmf-sumo, and this is"
             f" {deepmf_sumo.__version__}: results of two versions do not go into one table; "
             "choose another folder, or run that version."
         )
-    for key in ("equal_seconds", "curves"):
-        values[key] = Budgeted(**values[key]) if values[key] else None
-    values["runs"] = dict(values["runs"])
-    return Layout(**values)
+    try:
+        layout = TypeAdapter(Layout).validate_python({**values, "runs": dict(values["runs"])})
+        _check(layout)
+    except ValidationError as error:
+        wrong = stored.first_wrong(error)
+        raise UsageError(f"{file} is damaged ({wrong}); run the benchmark again.") from None
+    except (LookupError, TypeError, ValueError) as error:
+        raise UsageError(f"{file} is damaged ({error}); run the benchmark again.") from None
+    for run_id in layout.runs:
+        stored.run_folder(folder, run_id, FILE)
+    return layout
+
+
+def _check(layout: Layout) -> None:
+    """Raise ValueError where the plan is none, or names methods that it does not have."""
+    plan = _Planned.model_validate(layout.plan)
+    parts = [part for part in (layout.equal_seconds, layout.curves) if part]
+    for part in parts:
+        TypeAdapter(dict[str, list[_Budget]]).validate_python(part.budgets)
+    named = [*layout.methods, layout.baseline]
+    named += [method for part in parts for method in part.budgets]
+    lost = [method for method in named if method not in plan.methods]
+    if lost:
+        raise ValueError(f"the plan has no method {lost[0][:80]!r}")

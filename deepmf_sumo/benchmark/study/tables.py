@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from deepmf_sumo import files as door
 from deepmf_sumo.benchmark import files
 from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.store import Store
@@ -17,9 +18,12 @@ from deepmf_sumo.benchmark.study.rows import Row, row_of
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
+from deepmf_sumo.texts import cell
 
 Key = tuple[str, str, int | None, float | None]
 """Method, planner, and the budget: simulations, seconds; both None where it is the method's own."""
+
+_LARGEST: Final = 2**28
 
 MAIN: Final = "table.csv"
 DIFFERENCES: Final = "differences.csv"
@@ -47,11 +51,14 @@ def write(folder: Path) -> None:
 
 def results_of(folder: Path) -> list[Result]:
     """All results that ``runs.csv`` lists, in its order. Raises UsageError where there are none."""
+    file = folder / "runs.csv"
     try:
-        with (folder / "runs.csv").open(newline="", encoding="utf-8") as file:
-            run_ids = [row["run_id"] for row in csv.DictReader(file)]
+        rows = csv.DictReader(io.StringIO(door.text(file, _LARGEST), newline=""))
+        run_ids = [row["run_id"] for row in rows]
     except OSError as error:
-        raise UsageError(f"{error.filename} cannot be read: {error.strerror}.") from None
+        raise UsageError(f"{file} cannot be read: {door.reason(error)}.") from None
+    except (ValueError, KeyError, csv.Error) as error:
+        raise UsageError(f"{file} is damaged ({error}); write it anew with --resume.") from None
     return [Store(folder).read_run(run_id) for run_id in run_ids]
 
 
@@ -180,4 +187,4 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
 def _text(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))

@@ -37,8 +37,10 @@ def weights(name: str) -> Finding:
     good, text = probe(
         "import sys; from deepmf_sumo.errors import DeepmfError\n"
         "from deepmf_sumo.predictors import weights\n"
-        f"try: print(weights.load({name!r}).folder)\n"
-        "except DeepmfError as error: sys.exit(' '.join(str(error).split()))"
+        f"try: folder = weights.load({name!r}).folder; lacking = weights.unchecked(folder)\n"
+        "except DeepmfError as error: sys.exit(' '.join(str(error).split()))\n"
+        "print(folder, *([f'({len(lacking)} cards without a digest of their tensors)']"
+        " if lacking else []))"
     )
     there = {file.parent.name for home in _homes() for file in home.glob("*/opponent.json")}
     also = f"; also there: {', '.join(sorted(there - {name}))}" if there - {name} else ""

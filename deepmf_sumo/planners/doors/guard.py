@@ -1,7 +1,9 @@
 """The planner under test, behind a guard: what goes wrong in it is said to be its own error."""
 
 import math
+import mmap
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
@@ -22,6 +24,16 @@ _USED: Final = {
 """Numbers of a command, by its kind."""
 
 
+_inside: Final = mmap.mmap(-1, 1)
+"""Whether a planner's code is running, in this process or in a copy of it, which shares this."""
+
+
+def at_work() -> bool:
+    """Whether a copy of this process that has died did so in a planner's code; forgets it."""
+    found, _inside[0] = bool(_inside[0]), 0
+    return found
+
+
 class Guard:
     """A planner whose commands can be carried out, or a PlannerError.
 
@@ -35,18 +47,18 @@ class Guard:
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
         """Start of an episode."""
-        with _blamed():
+        with blamed():
             self._planner.reset(case, rng)
 
     @property
     def model(self) -> VehicleModel | None:
         """Parameters of the AV's IDM in SUMO."""
-        with _blamed():
+        with blamed():
             return self._planner.model
 
     def act(self, view: View) -> Command:
         """The command for a step. Raises PlannerError."""
-        with _blamed():
+        with blamed():
             command = self._planner.act(view)
         check(command, view, may_jump=self._may_jump)
         return command
@@ -54,7 +66,7 @@ class Guard:
     def close(self) -> None:
         """End of the episode, however it ended."""
         if isinstance(self._planner, ClosingPlanner):
-            with _blamed():
+            with blamed():
                 self._planner.close()
 
 
@@ -90,16 +102,25 @@ def _check_way(command: Command, view: View, at: str) -> None:
 
 
 @contextmanager
-def _blamed() -> Iterator[None]:
+def blamed() -> Iterator[None]:
     """Whatever a planner raises, ``sys.exit`` included, is an error of the planner."""
     process = os.getpid()
+    before, _inside[0] = _inside[0], 1
     try:
         yield
-    except (DeepmfError, KeyboardInterrupt):
+    except DeepmfError:
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and not _unheard(signal.SIGINT):
+            raise
         reason = f"{type(error).__name__}: {error} (see log.txt)"
         raise PlannerError(reason) from error
     finally:
         if os.getpid() != process:  # it forked, and this is the copy: there is one simulation
             os._exit(0)
+        _inside[0] = before
+
+
+def _unheard(number: signal.Signals) -> bool:
+    """Whether nobody outside can have sent a signal, as in workers, which hear no Ctrl-C."""
+    return signal.getsignal(number) is signal.SIG_IGN

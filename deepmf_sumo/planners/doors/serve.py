@@ -25,6 +25,9 @@ from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.planners.doors import hearing
 from deepmf_sumo.planners.doors.messages import Reset, ViewMessage
 
+_LARGEST: Final = 2**28
+"""Bytes of a question: the map of a city is some 10 MB."""
+
 _EPISODES: Final = 64
 """A server forgets the oldest episodes beyond so many: nobody says that one has ended."""
 
@@ -83,12 +86,22 @@ def on_port(answerer: Answerer, port: int) -> ThreadingHTTPServer:
 
         def do_POST(self) -> None:
             """A question."""
-            body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            length = self.headers.get("Content-Length", "0")
+            known = length.isascii() and length.isdecimal() and len(length) < 20
+            body = self.rfile.read(int(length)) if known and int(length) <= _LARGEST else None
             try:
+                if body is None:
+                    self.close_connection = True  # what follows is not read
+                    raise PlannerError(
+                        f"Content-Length is {length!r:.80}; it must be a number of bytes, at most"
+                        f" {_LARGEST}."
+                    )
                 status, answer = 200, answerer.answer(body)
             except DeepmfError as error:
-                status, answer = 400, str(error).encode()
+                status, answer = 400, str(error).encode(errors="replace")
             self.send_response(status)
+            if self.close_connection:
+                self.send_header("Connection", "close")
             self.send_header("Content-Type", "application/json")
             self.send_header("Content-Length", str(len(answer)))
             self.end_headers()

@@ -22,8 +22,7 @@ _PR_SET_CHILD_SUBREAPER = 36
 
 def main(pipe: int, command: list[str]) -> int:
     """Exit code of the program; 127 where it cannot be started."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    adopt()
     try:
         program = subprocess.Popen(
             command,
@@ -41,12 +40,18 @@ def main(pipe: int, command: list[str]) -> int:
     return code if code >= 0 else 128 - code
 
 
+def adopt() -> None:
+    """Let processes that lose their parent come to this one, if it is among their ancestors."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
 def end_all(group: int) -> None:
-    """Kill the children until there are none: those of a killed child come to us."""
+    """Kill a group and all children until there are none: those of a killed child come to us."""
     while True:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(group, signal.SIGKILL)  # at once: one by one they may fork faster
-        for child in _children():
+        for child in children():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
         try:
@@ -66,7 +71,8 @@ def _die_with_parent() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def _children() -> list[int]:
+def children() -> list[int]:
+    """Processes whose parent this one is."""
     found: list[int] = []
     for thread in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):

@@ -1,15 +1,13 @@
 """A result folder as figures need it: its runs, what each did, and the road that it was on."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from deepmf_sumo import readers
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout
 from deepmf_sumo.errors import ReaderError, UsageError
@@ -18,6 +16,7 @@ from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.report.figures import tracks
 from deepmf_sumo.report.run_table import runs_of
 from deepmf_sumo.report.table import SECTORS
+from deepmf_sumo.spec import document
 
 HIT: Final = "av_opponent"
 KEPT: Final = ("contacts", "ended", "metrics", "opponent", "settings")
@@ -52,7 +51,7 @@ class Run:
     @cached_property
     def result(self) -> dict[str, Any]:
         """What figures need of ``result.json``: the trials of thousands of searches are large."""
-        found = json.loads((self.folder / "result.json").read_text("utf-8"))
+        found = stored.result_of(self.folder / "result.json")
         return {key: found[key] for key in KEPT}
 
     @property
@@ -138,7 +137,9 @@ def source_of(folder: Path) -> dict[str, Any]:
     file = folder / "spec.yaml"
     if not file.is_file():
         return {}
-    source: dict[str, Any] = yaml.safe_load(file.read_text("utf-8"))["source"]
+    source = document.read(file).values.get("source")
+    if not isinstance(source, dict):
+        raise UsageError(f"{file} is damaged: it has no key 'source' with keys; run it anew.")
     return source
 
 
@@ -191,7 +192,7 @@ def run_of(out: Path, row: Mapping[str, str]) -> Run:
     """The run of a row of ``runs.csv``."""
     return Run(
         run_id=row["run_id"],
-        folder=out / "runs" / row["run_id"],
+        folder=stored.run_folder(out, row["run_id"], "runs.csv"),
         method=row.get("method") or row["spec"],
         planner=row.get("planner_label") or f"{row['planner']} {row['perception']}".strip(),
         scene=row["scene"],

@@ -7,17 +7,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.datatypes import DT_S, Contact, Driver, OpponentScores, Plan, Rollout, Tracks
 from deepmf_sumo.geometry import angles
 
 
 def read_rollout(folder: Path, contacts: Sequence[Contact], ended: str) -> Rollout:
     """The rollout of a run; velocities lie along the headings, plans are without reasons."""
-    table = pd.read_csv(folder / "tracks.csv.gz", dtype={"id": str}, keep_default_na=False)
+    with stored.tracks(folder / "tracks.csv.gz") as text:
+        table = pd.read_csv(text, dtype={"id": str}, keep_default_na=False)
     roles = {role: str(rows["id"].iloc[0]) for role, rows in table.groupby("role")}
     ids = tuple(table["id"].unique())
     place = pd.Series(np.arange(len(ids)), index=ids)
     row, step = place[table["id"]].to_numpy(), table["step"].to_numpy()
+    if not (len(step) and step.min() >= 0 and step.max() < stored.MOST_STEPS):
+        raise ValueError(f"a step is not within 0 and {stored.MOST_STEPS}")
     shape = (len(ids), int(step.max()) + 1)
 
     def dense(name: str) -> Any:
@@ -55,7 +59,7 @@ def read_rollout(folder: Path, contacts: Sequence[Contact], ended: str) -> Rollo
 
 def read_scores(folder: Path) -> OpponentScores | None:
     """The scores that the first plan rests on; None where the opponent was given."""
-    with np.load(folder / "plans.npz") as arrays:
+    with stored.arrays(folder / "plans.npz") as arrays:
         if "00/score_ids" not in arrays:
             return None
         return OpponentScores(
@@ -66,7 +70,7 @@ def read_scores(folder: Path) -> OpponentScores | None:
 
 
 def _plans(file: Path) -> tuple[Plan, ...]:
-    with file.open("rb") as stream, np.load(stream) as arrays:  # closed where it is damaged
+    with stored.arrays(file) as arrays:
         return tuple(
             Plan(
                 agent_id=str(arrays[f"{number:02d}/agent_id"]),

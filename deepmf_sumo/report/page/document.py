@@ -6,8 +6,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo.benchmark import files
-from deepmf_sumo.errors import OutputError, WeightsError
+from deepmf_sumo.benchmark import files, stored
+from deepmf_sumo.errors import OutputError, UsageError, WeightsError
 from deepmf_sumo.report.page.places import ELEMENTS
 from deepmf_sumo.report.page.roads import Roads
 from deepmf_sumo.report.page.rows import COLUMNS, SPEED_KINDS
@@ -60,10 +60,9 @@ def _table(out: Path) -> list[dict[str, str]]:
 def _json(file: Path) -> dict[str, Any]:
     """Content of a file that the page can do without."""
     try:
-        found: Any = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError):
+        return stored.mapping(file)
+    except UsageError:
         return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _weights(pages: Iterable[RunPage]) -> list[str]:

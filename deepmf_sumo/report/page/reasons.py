@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.report.page.packing import steady
 
@@ -25,7 +26,7 @@ def reasons(file: Path, origin: Floats) -> list[dict[str, Any]]:
     (fewer where there are many plans); ``of`` says how many there were. Of the reactions all modes
     to the chosen candidate are kept, and the likeliest one to each other.
     """
-    with file.open("rb") as stream, np.load(stream) as arrays:
+    with stored.arrays(file) as arrays:
         plans = int(arrays["plans"])
         most = int(np.clip(MOST_A_RUN // max(plans, 1), FEWEST_A_PLAN, MOST_A_PLAN))
         return [_plan(_of(arrays, number), most, origin) for number in range(plans)]
@@ -33,7 +34,7 @@ def reasons(file: Path, origin: Floats) -> list[dict[str, Any]]:
 
 def _of(arrays: Any, number: int) -> _Arrays:
     head = f"{number:02d}/"
-    return {name.removeprefix(head): arrays[name] for name in arrays.files if name.startswith(head)}
+    return {name.removeprefix(head): arrays[name] for name in arrays if name.startswith(head)}
 
 
 def _plan(arrays: _Arrays, most: int, origin: Floats) -> dict[str, Any]:

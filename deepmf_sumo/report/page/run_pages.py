@@ -1,8 +1,5 @@
 """A run of a result folder -> its row in the table and what is shown when it is opened."""
 
-import json
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.datatypes import Floats, RoadMap
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.figures.results import Run, run_of
 from deepmf_sumo.report.page.packing import packed
 from deepmf_sumo.report.page.places import element
@@ -29,8 +28,6 @@ _FACTS: Final = (
 """Of ``result.json``, as it is."""
 _ENDED: Final = {"too_long": "longest time of a turn", "time": "end of the run"}
 """Of `datatypes.turn` what does not say by itself what it is."""
-_DAMAGE: Final = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error)
-"""What files raise that were cut off, or hold something else."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +56,7 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     if result and table["status"] == "ok":
         try:
             shown, place = _shown(run, roads, result.get("turns") or [])
-        except _DAMAGE as error:
+        except stored.DAMAGE as error:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
     note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
     return RunPage(
@@ -71,13 +68,12 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
 
 
 def _result(folder: Path, status: str) -> tuple[Result | None, str]:
-    try:
-        found: Result = json.loads((folder / "result.json").read_text("utf-8"))
-    except FileNotFoundError:
+    if not (folder / "result.json").exists():
         return None, "" if status == "skipped" else "result.json is missing"
-    except (OSError, ValueError) as error:
-        return None, f"result.json cannot be read: {error}"
-    return found, ""
+    try:
+        return stored.result_of(folder / "result.json"), ""
+    except UsageError as error:
+        return None, f"cannot be shown: {error}".replace(f"{folder}/", "")
 
 
 def _broken(result: Result | None) -> list[str]:

@@ -13,6 +13,7 @@ from deepmf_sumo.benchmark.risk.comparison import Change, Compared
 from deepmf_sumo.benchmark.risk.origins import Origin
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.table import SECTORS
+from deepmf_sumo.texts import cell
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}
@@ -171,7 +172,7 @@ def _csv(table: Sequence[dict[str, Any]]) -> str:
 def _cell(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))
 
 
 def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

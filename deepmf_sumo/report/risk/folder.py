@@ -11,6 +11,7 @@ from deepmf_sumo.benchmark import files, risk
 from deepmf_sumo.benchmark.risk import Network, Row
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.risk import edge_data, page, polygons
+from deepmf_sumo.texts import cell
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
 POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
@@ -78,7 +79,7 @@ def _table(table: Sequence[dict[str, Any]]) -> str:
 def _cell(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))
 
 
 def _config(net: str) -> str:

@@ -1,12 +1,11 @@
 """What the readable tables are made of: the CSV tables of a benchmark's folder."""
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from deepmf_sumo.benchmark.study import Layout, read_layout, tables
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.report.run_table import rows_of
 
 Row = dict[str, str]
 
@@ -34,8 +33,4 @@ def read(out: Path) -> Content:
 def _rows(file: Path, *, needed: bool = True) -> list[Row]:
     if not file.is_file() and not needed:
         return []
-    try:
-        with file.open(newline="", encoding="utf-8") as text:
-            return list(csv.DictReader(text))
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
+    return rows_of(file)

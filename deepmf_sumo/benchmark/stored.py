@@ -1,0 +1,245 @@
+"""What is read of a result folder: bounded, and of the shape that its readers rely on.
+
+A folder may come from elsewhere, or be damaged. What is wrong is one sentence that names the file.
+"""
+
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from deepmf_sumo import files as door
+from deepmf_sumo.benchmark import result
+from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.tasks import is_run_id
+from deepmf_sumo.errors import UsageError
+
+_LARGEST: Final = 2**26
+"""Bytes of a JSON file: thousands of trials of a search are some MB."""
+
+_LARGEST_UNPACKED: Final = 2**28
+"""Bytes of tracks or plans."""
+
+MOST_STEPS: Final = 1_000_000
+"""A day is 864 000."""
+
+DAMAGE: Final = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError,
+    EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, UsageError,
+)  # fmt: skip
+"""What files raise that were cut off, or hold something else."""
+
+_AGAIN: Final = "remove the run's folder and go on with --resume"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+
+
+class _Metric(_Part):
+    value: float | None
+    unit: str = ""
+    reason: str = ""
+
+
+_Pose = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class _Contact(_Part):
+    kind: str
+    step: int = Field(default=0, ge=0)
+    pose_first: _Pose = [0.0] * 3
+    pose_second: _Pose = [0.0] * 3
+    relative_mps: float = 0.0
+    sector: int = Field(default=0, ge=0, le=7)
+    time_s: float = 0.0
+
+
+class _Event(_Part):
+    step: int
+    agent_id: str
+    kind: str
+
+
+class _Turn(_Part):
+    opponent: str
+    begin_s: float
+    end_s: float
+    ended: str
+    outcome: str
+    hit_speed_mps: float | None
+    metrics: dict[str, float | None]
+
+
+class _Samples(_Part):
+    opponent_m: list[Annotated[list[float], Field(min_length=2, max_length=2)]]
+    attack_mps2: list[float]
+    recorded_mps2: list[float]
+
+
+class _Search(_Part):
+    simulations: int
+
+
+class _Budget(_Part):
+    simulations: int | None = None
+    seconds: float | None = None
+
+
+class _Settings(_Part):
+    planner: dict[str, Any]
+    adversary: dict[str, Any]
+
+
+class _Timings(_Part):
+    wall_s: float
+    generation_s: float | None = None
+    cycle_ms_median: float | None = None
+    simulation_s: float | None = None
+
+
+class _Result(_Part):
+    """``result.json``; what has a default is not in those of all versions."""
+
+    run_id: str
+    key: str
+    spec: str
+    scene: str
+    network: str | None = None
+    planner: str
+    perception: str | None = None
+    adversary: str
+    method: str = ""
+    planner_label: str = ""
+    base_method: str = ""
+    part: str = "main"
+    weights: str | None = None
+    seed: int
+    settings: _Settings
+    budget: _Budget = _Budget()
+    status: Literal["ok", "failed", "timeout", "skipped"]
+    error: str
+    expectations_broken: list[str]
+    timings: _Timings
+
+
+class _Finished(_Result):
+    """That of a run that went through."""
+
+    outcome: str
+    ended: str
+    steps: int = Field(ge=0)
+    opponent: str | None
+    opponent_score: float | None = None
+    contacts: list[_Contact]
+    events: list[_Event] = []
+    metrics: dict[str, _Metric]
+    samples: _Samples | None = None
+    rules: list[str] = []
+    repairs: list[str] = []
+    search: _Search
+    turns: list[_Turn] | None = None
+
+
+def result_of(file: Path) -> Result:
+    """A run's ``result.json``. Raises UsageError where it cannot be read, or is not one."""
+    found = mapping(file, again=_AGAIN)
+    shape = _Finished if found.get("status") == "ok" else _Result
+    try:
+        shape.model_validate(found)
+    except ValidationError as error:
+        raise UsageError(
+            f"{file} is no result of this version of deepmf-sumo ({first_wrong(error)}); {_AGAIN}."
+        ) from None
+    if not is_run_id(found["run_id"]):
+        raise _damaged(file, f"run_id: {found['run_id'][:80]!r} is not the id of a run", _AGAIN)
+    wrong = result.not_finite(found)
+    if wrong:
+        raise _damaged(file, f"{wrong} is not a finite number", _AGAIN)
+    return found
+
+
+def run_folder(out: Path, run_id: object, file: str) -> Path:
+    """The folder of a run that ``file`` of a result folder names.
+
+    Raises UsageError for what is not the id of a run: it could be a path to somewhere else.
+    """
+    if not is_run_id(run_id):
+        raise UsageError(
+            f"{out / file} is damaged: {str(run_id)[:80]!r} is not the id of a run (lower-case"
+            " letters, digits and dashes); run it anew."
+        )
+    return out / "runs" / str(run_id)
+
+
+def keys_of(out: Path) -> dict[str, str]:
+    """Run id -> key of all runs of a folder's manifest. Raises UsageError where it is damaged."""
+    file = out / "manifest.json"
+    keys = mapping(file).get("runs")
+    if not isinstance(keys, dict) or not all(isinstance(key, str) for key in keys.values()):
+        raise UsageError(f"{file} is damaged: it names no runs; run it anew.")
+    for run_id in keys:
+        run_folder(out, run_id, file.name)
+    return keys
+
+
+def mapping(file: Path, *, again: str = "run it anew") -> dict[str, Any]:
+    """The JSON object in a file. Raises UsageError where there is none, saying ``again``."""
+    try:
+        found: Any = json.loads(door.content(file, _LARGEST))
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {door.reason(error)}.") from None
+    except ValueError as error:
+        raise _damaged(file, f"{error}"[:200], again) from None
+    except RecursionError:
+        raise _damaged(file, "nested too deeply", again) from None
+    if not isinstance(found, dict):
+        raise _damaged(file, "it holds no names and values", again)
+    return found
+
+
+@contextmanager
+def arrays(file: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """The arrays of a ``.npz``. Raises OSError and what a damaged file raises, see `DAMAGE`."""
+    content = io.BytesIO(door.content(file, _LARGEST))
+    with zipfile.ZipFile(content) as archive:
+        if sum(member.file_size for member in archive.infolist()) > _LARGEST_UNPACKED:
+            raise ValueError(f"{file.name} unpacks to more than {_LARGEST_UNPACKED} bytes")
+    content.seek(0)
+    with np.load(content, allow_pickle=False) as found:
+        yield found
+
+
+@contextmanager
+def tracks(file: Path) -> Iterator[TextIO]:
+    """The text of a ``tracks.csv.gz``. Raises OSError, here or from reading, UnicodeError."""
+    with (
+        door.unpacked(file, _LARGEST_UNPACKED) as stream,
+        io.TextIOWrapper(stream, "utf-8", newline="") as text,
+    ):
+        yield text
+
+
+def first_wrong(error: ValidationError) -> str:
+    """The first key that is wrong, and why."""
+    first = error.errors()[0]
+    key = ".".join(map(str, first["loc"]))
+    return f"{key}: {first['msg'].lower()}"
+
+
+def _damaged(file: Path, why: str, again: str) -> UsageError:
+    return UsageError(f"{file} is damaged ({why}); {again}.")
+
+
+__all__ = [
+    "DAMAGE", "MOST_STEPS", "arrays", "first_wrong", "keys_of", "mapping", "result_of",
+    "run_folder", "tracks",
+]  # fmt: skip
