@@ -70,7 +70,7 @@ def test_what_cannot_be_run_is_refused_in_a_line(name, tmp_path):
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
-        (("--av", "ab-ab.o"), "no such vehicle is on the road from 0 to 200 s; there are ab-ab."),
+        (("--av", "ab-ab.o"), "my.sumocfg; there are ab-ab.0."),
         (("--at", "500"), "there is traffic from 0 to 200 s only"),
     ],
 )

@@ -41,6 +41,7 @@ def test_options_that_are_not_the_users_are_refused(options, reason):
 def test_options_are_laid_over_the_configuration(tmp_path):
     config = build(tmp_path)
     more = tmp_path / "more.add.xml"
+    more.write_text("<additional/>")
     found = read_configuration(config, ("-b", "00:01:00", "-a", str(more), "--scale", "2"))
     assert found.begin_s == 60.0
     assert found.additional == (more,)

@@ -74,8 +74,8 @@ def test_it_ends_with_the_configuration_as_told_or_where_it_gets_too_long(config
     assert (short.until_s, short.complete) == (2.0, False)
 
 
-def test_a_missing_file_is_named_in_sumos_words(config, tmp_path):
-    with pytest.raises(SimulationError, match=r"missing\.rou\.xml' is not accessible"):
+def test_a_missing_file_is_named(config, tmp_path):
+    with pytest.raises(SimulationError, match=r"missing\.rou\.xml', which does not exist"):
         look(config, "-r", str(tmp_path / "missing.rou.xml"), "--begin", "1")
 
 
