@@ -242,18 +242,20 @@ def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> 
     end_with_parent()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with, args=(parent,), name=WATCHER, daemon=True).start()
-    connection.send(("ready", ""))
-    while True:
-        try:
+    with contextlib.suppress(EOFError, ConnectionError):  # until the parent hangs up, or is killed
+        connection.send(("ready", ""))
+        while True:
             (task,) = connection.recv()
-        except EOFError:
-            return
-        try:
-            work(task)
-        except Exception as error:  # noqa: BLE001 - a task's error must not end the worker
-            connection.send(("raised", f"{type(error).__name__}: {error}"))
-        else:
-            connection.send(("done", ""))
+            connection.send(_done(work, task))
+
+
+def _done(work: Callable[[Any], None], task: object) -> tuple[Status, str]:
+    """Do a task; how it ended."""
+    try:
+        work(task)
+    except Exception as error:  # noqa: BLE001 - a task's error must not end the worker
+        return "raised", f"{type(error).__name__}: {error}"
+    return "done", ""
 
 
 def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:

@@ -14,6 +14,8 @@ from deepmf_sumo.report.picture import draw
 ROOT = Path(__file__).resolve().parents[2]
 CUT_IN = ROOT / "scenarios" / "cut_in.yaml"
 
+ENDED = "planner_error: the planner ended its process (SIGSEGV; see log.txt)."
+
 
 def test_same_bytes_whatever_the_number_of_jobs(tiny, tmp_path):
     specs = [
@@ -63,7 +65,7 @@ def test_bad_runs_are_rows_and_cost_nobody_else(tiny, tmp_path, monkeypatch):
     results = batch.run([spec.load(path) for path in paths], options, seen.append)
     found = {one["spec"]: (one["status"], one["error"]) for one in results}
     assert found["fine"] == ("ok", "")
-    assert found["crash"] == ("failed", "the worker died: SIGSEGV")
+    assert found["crash"] == ("failed", ENDED)
     assert found["hang"] == ("timeout", "longer than 8 s")
     bug = "planner_error: ZeroDivisionError: a bug of the planner (see log.txt)"
     assert found["bug"] == ("failed", bug)

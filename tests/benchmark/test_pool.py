@@ -1,3 +1,4 @@
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -88,6 +89,19 @@ def test_children_do_not_outlive_a_worker_that_crashes(tmp_path):
     assert ending.status == "crashed"
     assert "exit code 7" in ending.reason
     assert _gone(int(pid_file.read_text()))
+
+
+def test_a_worker_whose_parent_hangs_up_in_the_middle_of_a_word_ends_quietly():
+    """A connection that is closed with something unread is reset."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    worker = context.Process(target=pool._serve, args=(theirs, do, os.getpid()))
+    worker.start()
+    theirs.close()
+    assert ours.poll(60)
+    ours.close()
+    worker.join(60)
+    assert worker.exitcode == 0
 
 
 def test_a_worker_that_hangs_up_costs_one_task(tmp_path, monkeypatch):
