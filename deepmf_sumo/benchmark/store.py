@@ -179,7 +179,7 @@ def holds_results(out: Path) -> bool:
         return True
     try:
         none_planned = Store(out).planned() == 0
-    except (OSError, ValueError, LookupError, TypeError):
+    except UsageError:
         none_planned = False
     return not none_planned and any((out / name).exists() for name in MADE if name != "runs")
 

@@ -109,7 +109,7 @@ class ShownMotion:
         """What to show for the pose that SUMO has after a step; to be called once a step."""
         ahead = angles.unit(np.array(pose.heading_rad)) * self._length_m
         front = np.array([pose.x_m, pose.y_m]) + ahead / 2
-        lane = str(self._api.vehicle.getLaneID(self._id))
+        lane = self._lane()
         now = _State(lane, front, front - ahead, pose.speed_mps)
         before, self._before = self._before, now
         if before is None or not lane or _edge(lane) != _edge(before.lane):
@@ -121,6 +121,13 @@ class ShownMotion:
             return pose
         self._go_on(lane, pose.speed_mps * DT_S)
         return self._between(before, now, pose)
+
+    def _lane(self) -> str:
+        """Empty off every lane, and where another client has removed the vehicle meanwhile."""
+        try:
+            return str(self._api.vehicle.getLaneID(self._id))
+        except self._api.TraCIException:
+            return ""
 
     def _begin(self, before: _State, now: _State) -> None:
         """Note a change, unless SUMO spreads it itself or has teleported the vehicle."""

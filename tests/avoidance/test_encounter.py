@@ -145,6 +145,7 @@ def test_the_way_over_short_lanes_is_as_long_as_over_long_ones():
             long,
             id=str(number),
             centre_m=np.array([[x, 0.0], [x + 0.4, 0.0]]),
+            z_m=np.zeros(2),
             next=(str(number + 1),),
         )
         for number, x in enumerate(ends)

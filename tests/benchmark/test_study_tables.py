@@ -234,7 +234,7 @@ def test_readable_tables_hold_the_papers_columns_and_say_what_is_missing(folder)
     assert "| fast | 2 / 3 | **67** | 2.00 | 5.00 | 0.50 |" in text
     assert "slow_&_old on lane: of 3 runs 1 failed." in text
     assert "kl [nat]: mean over attacked runs of acceleration_kl: " in text
-    assert "20 bins" in text
+    assert "21 bins" in text
     assert "slow_&_old: looked up: the opponent's un-attacked motion" in text
     assert "fast: looked up" not in text
     assert "Not measured, or defined in no run: " in text

@@ -186,7 +186,8 @@ def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, c
     bad.write_text("version: 1\nmax_colision_rate: 0.1\n")
     good.write_text("version: 1\n")
     old = tmp_path / "old.json"
-    results = {"kind": "deepmf-sumo results", "format_version": 1, "version": "0.0.1", "runs": []}
+    results = {"kind": "deepmf-sumo results", "format_version": 2, "version": "0.0.1"}
+    results |= {"runs": [], "attacks": {}}
     old.write_text(json.dumps(results))
     for wrong, told in {
         ("--thresholds", bad): "Did you mean 'max_collision_rate'?",

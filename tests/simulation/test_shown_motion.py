@@ -24,6 +24,7 @@ class Road:
 
     def __init__(self):
         self.lane_id, self.along = "ab_0", 0.0
+        self.TraCIException = RuntimeError
         self.vehicle = SimpleNamespace(
             getLaneID=lambda _: self.lane_id, getLanePosition=lambda _: self.along
         )
