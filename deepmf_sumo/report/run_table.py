@@ -9,7 +9,11 @@ from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.texts import of_cell
 
-_NEEDED: Final = ("run_id", "status", "spec", "scene", "planner")
+_NEEDED: Final = (
+    "run_id", "status", "spec", "scene", "planner", "perception", "adversary", "version", "seed",
+    "outcome", "opponent", "contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median",
+)  # fmt: skip
+"""Columns that readers ask for; those of all versions."""
 _LARGEST: Final = 2**28
 _ANEW: Final = "write it anew with --resume"
 
@@ -26,7 +30,7 @@ def runs_of(folder: Path) -> list[dict[str, str]]:
         rest = "finish it with --resume" if begun else "give the --out of an earlier command"
         raise UsageError(f"{folder} is no complete result folder: it has no runs.csv; {rest}.")
     rows = rows_of(file)
-    lost = sorted(set(_NEEDED) - set(rows[0] if rows else _NEEDED))
+    lost = [name for name in _NEEDED if rows and name not in rows[0]]
     if lost:
         raise UsageError(f"{file} has no column '{lost[0]}': it is not of deepmf-sumo.")
     return rows

@@ -1,5 +1,6 @@
 """Result folders that are damaged, or made to reach outside themselves."""
 
+import csv
 import json
 
 import gate_doubles
@@ -8,6 +9,7 @@ import pytest
 import deepmf_sumo
 from deepmf_sumo.benchmark import shards, stored
 from deepmf_sumo.benchmark.gate import rows
+from deepmf_sumo.benchmark.result import COLUMNS
 from deepmf_sumo.benchmark.tasks import is_run_id, run_id_of
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.comparison import compare
@@ -51,10 +53,11 @@ def test_every_reader_refuses_ids_that_are_no_names_of_runs(tmp_path, run_id):
         rows.read(out)
     with pytest.raises(UsageError, match="is not the id of a run"):
         stored.run_folder(out, run_id, "runs.csv")
-    (out / "runs.csv").write_text(
-        "run_id,status,spec,scene,planner,adversary,perception,version,seed,outcome\n"
-        f'"{run_id}",ok,s,a,idm,deepmf,,,0,none\n'
-    )
+    row = dict.fromkeys(COLUMNS, "") | {"run_id": run_id, "status": "ok", "seed": "0"}
+    with (out / "runs.csv").open("w", newline="") as file:
+        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerow(row)
     with pytest.raises(UsageError, match="is not the id of a run"):
         compare([out])
     with pytest.raises(UsageError, match="is not the id of a run"):

@@ -5,9 +5,10 @@ import pytest
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report import comparison, figures, page, run_table
 
-WHOLE = """run_id,spec,scene,planner,status,outcome,error
-a,s,one,idm,ok,none,
-b,s,two,idm,failed,,"no, it
+WHOLE = """run_id,spec,scene,planner,adversary,perception,version,seed,opponent,contact_time_s,\
+contact_speed_mps,generation_s,cycle_ms_median,status,outcome,error
+a,s,one,idm,rule,,,0,,,,,,ok,none,
+b,s,two,idm,rule,,,0,,,,,,failed,,"no, it
 did not"
 """
 
@@ -46,6 +47,9 @@ def test_so_it_is_by_table_too(tmp_path):
 def test_columns_of_something_else_and_rows_of_another_length(tmp_path):
     with pytest.raises(UsageError, match="no column 'planner': it is not of deepmf-sumo"):
         run_table.runs_of(written(tmp_path, "run_id,spec,scene,status\na,b,c,d\n"))
+    without = WHOLE.replace("contact_time_s", "contact_time")
+    with pytest.raises(UsageError, match="no column 'contact_time_s'"):
+        run_table.runs_of(written(tmp_path, without))
     with pytest.raises(UsageError, match="row 2 has other columns"):
         run_table.runs_of(written(tmp_path, WHOLE.replace("b,s,two", "b,two")))
 

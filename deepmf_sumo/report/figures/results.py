@@ -189,7 +189,13 @@ def read(out: Path) -> Results:
 
 
 def run_of(out: Path, row: Mapping[str, str]) -> Run:
-    """The run of a row of ``runs.csv``."""
+    """The run of a row of ``runs.csv``. Raises UsageError where that is damaged."""
+    seed = row["seed"]
+    if not (seed.isascii() and seed.isdecimal() and len(seed) < 20):
+        raise UsageError(
+            f"{out / 'runs.csv'} is damaged: the seed of {row['run_id']} is {seed!r:.80}; write it"
+            " anew with --resume."
+        )
     return Run(
         run_id=row["run_id"],
         folder=stored.run_folder(out, row["run_id"], "runs.csv"),
@@ -198,6 +204,6 @@ def run_of(out: Path, row: Mapping[str, str]) -> Run:
         scene=row["scene"],
         adversary=row["adversary"],
         version=row["version"],
-        seed=int(row["seed"]),
+        seed=int(seed),
         outcome=row["outcome"],
     )

@@ -8,7 +8,6 @@ import os
 import random
 import subprocess
 import sys
-import zlib
 from pathlib import Path
 
 from deepmf_sumo import spec
@@ -22,6 +21,7 @@ from tests.fuzz import mutators, runner
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 import tiny_network
 
+_THRESHOLDS = Path(__file__).resolve().parents[3] / "docs" / "ci" / "thresholds.yaml"
 _COMMANDS = ("table", "report", "merge", "risk", "check", "compare")
 
 
@@ -36,10 +36,13 @@ def _make(folder: Path) -> Path:
     batch.run([spec.load(path) for path in specs], batch.Options(out=out, jobs=1, junit=True))
     whole = batch.Options(out=out, jobs=1, resume=True, shard=Shard(number=1, of=1))
     batch.run([spec.load(path) for path in specs], whole)
+    (folder / "command").write_text("report")
     return out
 
 
 def _change(rng: random.Random, folder: Path) -> None:
+    """Some files of it; which command is to read it is said beside it."""
+    (folder.parent / "command").write_text(rng.choice(_COMMANDS))
     for _ in range(rng.randint(1, 2)):
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         by_ending = sorted({path.suffix for path in files})
@@ -92,6 +95,7 @@ def _cells(rng: random.Random, path: Path) -> str:
 
 def _use(folder: Path, out: Path) -> None:
     """As a resumed sweep reads it, and as one of the commands does: some write into it."""
+    command = (folder.parent / "command").read_text()
     subprocess.run(["cp", "-a", folder, out / "results"], check=True)
     folder = out / "results"
     store = Store(folder)
@@ -99,22 +103,15 @@ def _use(folder: Path, out: Path) -> None:
     for path in sorted((folder / "runs").glob("*")):
         with contextlib.suppress(DeepmfError):
             store.read_run(path.name)
-    name = _COMMANDS[_number(folder) % len(_COMMANDS)]
     arguments: dict[str, tuple[object, ...]] = {
         "table": ("table", folder),
         "report": ("report", folder),
         "merge": ("merge", out / "merged", folder),
         "risk": ("risk", folder, "--out", out / "risk"),
-        "check": ("check", folder),
+        "check": ("check", folder, "--thresholds", _THRESHOLDS),
         "compare": ("compare", folder, folder),
     }
-    runner.command(*arguments[name])
-
-
-def _number(folder: Path) -> int:
-    """The same for the same change, and spread over the commands."""
-    sizes = [path.lstat().st_size for path in sorted(folder.rglob("*"))]
-    return zlib.crc32(repr(sizes).encode())
+    runner.command(*arguments[command])
 
 
 KINDS = (runner.Kind("results", _make, _change, _use),)
