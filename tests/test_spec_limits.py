@@ -19,7 +19,7 @@ SLOW = {
     "long text": ("name: " + "x" * 900_000, "more than 10000 characters"),
 }
 WRONG = {
-    'planner: !!int ""': "'' is not of the type 'int'",
+    'planner: !!int ""': "'' is not a plain decimal number",
     "planner: !!float _": "'_' is not of the type 'float'",
     "planner: !!bool x": "'x' is not of the type 'bool'",
     "planner: !!timestamp x": "'x' is not of the type 'timestamp'",

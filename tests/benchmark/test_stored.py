@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark.gate import rows
 from deepmf_sumo.benchmark.result import COLUMNS
 from deepmf_sumo.benchmark.tasks import is_run_id, run_id_of
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report.comparison import compare
+from deepmf_sumo.report.comparison import groups
 from deepmf_sumo.report.page import document
 
 OUTSIDE = ["../../../EVIL/x", "/tmp/x", "..", ".", "", "a/b", "a\\b", "A", "a\n", "ä", "x" * 201]
@@ -59,7 +59,7 @@ def test_every_reader_refuses_ids_that_are_no_names_of_runs(tmp_path, run_id):
         table.writeheader()
         table.writerow(row)
     with pytest.raises(UsageError, match="is not the id of a run"):
-        compare([out])
+        groups([out])
     with pytest.raises(UsageError, match="is not the id of a run"):
         document.write(out)
 

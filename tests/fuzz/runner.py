@@ -6,7 +6,7 @@ is right (DeepmfError, or the exit code and the sentence of a command); these ar
 - traceback: another exception, or one that the command line calls unexpected;
 - killed: the process was ended by a signal, e.g. a segmentation fault;
 - hang: more than `CPU_S` of CPU time, with that of its child processes;
-- memory: more than `MEMORY_MB` at once in one process;
+- memory: more than `MEMORY_MB` at once in one process, beside what it begins with;
 - outside: a file was written elsewhere than in the folder for results.
 """
 
@@ -126,8 +126,10 @@ def _outcome(kind: Kind, number: int, given: Path, place: Path, world: Path) -> 
     out.mkdir()
     (place / "home").mkdir()
     before = _files(world)
+    begun, begins = os.pipe()
     pid = os.fork()
     if pid == 0:
+        os.write(begins, str(_resident_mb()).encode())
         _child(kind, given, out, place, log)
     watch = threading.Timer(WALL_S, os.killpg, (pid, signal.SIGKILL))
     watch.start()
@@ -135,11 +137,20 @@ def _outcome(kind: Kind, number: int, given: Path, place: Path, world: Path) -> 
     watch.cancel()
     said = log.read_text("utf-8", errors="replace") if log.exists() else ""
     strange = [path for path in _files(world) ^ before if not path.is_relative_to(out)]
-    cpu_s, peak_mb = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    # a copy begins with what this process holds, which is a lot in a run of all tests
+    begun_mb = float(os.read(begun, 100))
+    os.close(begun)
+    os.close(begins)
+    cpu_s, peak_mb = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024 - begun_mb
     result = _result(os.waitstatus_to_exitcode(status), said, cpu_s, peak_mb)
     if result in GOOD and strange:
         result, said = "outside", " ".join(map(str, strange))
     return Outcome(kind.name, number, result, cpu_s, peak_mb, said)
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
 
 
 def _result(code: int, said: str, cpu_s: float, peak_mb: float) -> str:
