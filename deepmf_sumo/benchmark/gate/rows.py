@@ -109,7 +109,7 @@ def _of_folder(out: Path) -> Results:
 def _row_of(store: Store, run_id: str, key: str) -> Row | None:
     """None for a run that is in no table (made for figures, or with another budget)."""
     file = store.runs / run_id / "result.json"
-    found = store.read_run(run_id) if file.is_file() else None
+    found = stored.result_of(file) if file.is_file() else None
     try:
         if found is None or found["key"] != key:  # of an earlier batch, not yet made anew
             spec, scene, seed = run_id.rsplit("--", 2)
