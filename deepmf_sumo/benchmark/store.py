@@ -72,7 +72,8 @@ class Store:
 
     def read_run(self, run_id: str) -> Result:
         """The result of a run that is there. Raises UsageError where it cannot be read."""
-        return stored.result_of(stored.run_folder(self.out, run_id, "runs.csv") / "result.json")
+        file = stored.run_folder(self.out, run_id, "runs.csv") / "result.json"
+        return stored.result_of(file, whole=True)
 
     def inputs(self) -> dict[str, str]:
         """Digests of the files that the batch of the manifest read, by path; none before one."""

@@ -7,7 +7,7 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TextIO
@@ -139,9 +139,9 @@ class _Finished(_Result):
     steps: int = Field(ge=0)
     opponent: str | None
     opponent_score: float | None = None
-    contacts: list[_Contact]
+    contacts: Sequence[_Contact]
     events: list[_Event] = []
-    metrics: dict[str, _Metric]
+    metrics: Mapping[str, _Metric]
     samples: _Samples | None = None
     rules: list[str] = []
     repairs: list[str] = []
@@ -149,10 +149,42 @@ class _Finished(_Result):
     turns: list[_Turn] | None = None
 
 
-def result_of(file: Path) -> Result:
-    """A run's ``result.json``. Raises UsageError where it cannot be read, or is not one."""
+class _WholeMetric(_Metric):
+    unit: str
+    better: str
+
+
+class _WholeContact(_Contact):
+    step: int = Field(ge=0)
+    relative_mps: float
+    sector: int = Field(ge=0, le=7)
+    time_s: float
+
+
+class _WholeTimings(_Timings):
+    generation_s: float
+    cycle_ms_median: float | None
+    simulation_s: float | None
+
+
+class _Whole(_Finished):
+    """As this version writes it: what the tables of a batch are made of."""
+
+    budget: _Budget
+    opponent_score: float | None
+    contacts: Sequence[_WholeContact]
+    metrics: Mapping[str, _WholeMetric]
+    timings: _WholeTimings
+
+
+def result_of(file: Path, *, whole: bool = False) -> Result:
+    """A run's ``result.json``, ``whole`` as this version writes it.
+
+    Raises UsageError where it cannot be read, or is not one.
+    """
     found = mapping(file, again=_AGAIN)
-    shape = _Finished if found.get("status") == "ok" else _Result
+    went: type[_Result] = _Whole if whole else _Finished
+    shape = went if found.get("status") == "ok" else _Result
     try:
         shape.model_validate(found)
     except ValidationError as error:

@@ -41,7 +41,7 @@ def _row(result: dict[str, Any]) -> tuple[str, ...]:
     broken = "".join(f"; EXPECTATION BROKEN: {one}" for one in result["expectations_broken"])
     return (
         run_id,
-        OUTCOMES[outcome] + broken,
+        OUTCOMES.get(outcome, outcome) + broken,
         f"{contact['time_s']:.1f} s" if contact else "-",
         f"{contact['relative_mps']:.1f} m/s" if contact else "-",
         opponent if score is None else f"{opponent} ({score:.2f})",

@@ -1,5 +1,6 @@
 """Result folders that are damaged, or made to reach outside themselves."""
 
+import copy
 import csv
 import json
 
@@ -17,10 +18,19 @@ from deepmf_sumo.report.page import document
 
 OUTSIDE = ["../../../EVIL/x", "/tmp/x", "..", ".", "", "a/b", "a\\b", "A", "a\n", "ä", "x" * 201]
 
+WHOLE = {
+    "opponent_score": None,
+    "budget": {"simulations": None, "seconds": None},
+    "metrics": {"min_gap": {"value": 2.0, "unit": "m", "better": "lower"}},
+    "timings": {
+        "wall_s": 1.5, "generation_s": 0.5, "cycle_ms_median": None, "simulation_s": 0.5,
+    },
+}  # fmt: skip
+
 
 def shard(folder, run_id="made-up--a--0"):
     """A part with one run, whose shard.json names it ``run_id``."""
-    one = gate_doubles.result()
+    one = gate_doubles.result() | WHOLE
     gate_doubles.write_folder(folder, [one])
     runs = [[run_id, one["key"]]]
     note = {"version": deepmf_sumo.__version__, "runs": runs}
@@ -130,3 +140,20 @@ def test_a_device_in_place_of_a_result(tmp_path):
     (tmp_path / "result.json").symlink_to("/dev/zero")
     with pytest.raises(UsageError, match="it is a device, not a regular file"):
         stored.result_of(tmp_path / "result.json")
+
+
+@pytest.mark.parametrize("key", ["opponent_score", "budget", "timings"])
+def test_what_merge_puts_into_tables_must_be_whole(tmp_path, key):
+    """Gates and comparisons need less, and read what earlier versions wrote."""
+    found = gate_doubles.result() | copy.deepcopy(WHOLE)
+    file = tmp_path / "result.json"
+    file.write_text(json.dumps(found))
+    stored.result_of(file, whole=True)
+    if key == "timings":
+        del found["timings"]["generation_s"]
+    else:
+        del found[key]
+    file.write_text(json.dumps(found))
+    stored.result_of(file)
+    with pytest.raises(UsageError, match=rf"no result of this version.* \({key}.*required"):
+        stored.result_of(file, whole=True)

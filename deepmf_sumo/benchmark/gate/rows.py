@@ -120,7 +120,7 @@ def _row_of(store: Store, run_id: str, key: str, attacks: dict[str, dict[str, An
     Its attack is added to ``attacks``.
     """
     file = store.runs / run_id / "result.json"
-    found = store.read_run(run_id) if file.is_file() else None
+    found = stored.result_of(file) if file.is_file() else None
     try:
         if found is None or found["key"] != key:  # of an earlier batch, not yet made anew
             spec, scene, seed = run_id.rsplit("--", 2)

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo import files as door
-from deepmf_sumo.benchmark import files
+from deepmf_sumo.benchmark import files, stored
 from deepmf_sumo.benchmark.result import Result, attacked
-from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.benchmark.study import layout, paired
 from deepmf_sumo.benchmark.study.columns import accident, hit, sector
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
@@ -59,7 +58,8 @@ def results_of(folder: Path) -> list[Result]:
         raise UsageError(f"{file} cannot be read: {door.reason(error)}.") from None
     except (ValueError, KeyError, csv.Error) as error:
         raise UsageError(f"{file} is damaged ({error}); write it anew with --resume.") from None
-    return [Store(folder).read_run(run_id) for run_id in run_ids]
+    folders = (stored.run_folder(folder, run_id, file.name) for run_id in run_ids)
+    return [stored.result_of(one / "result.json") for one in folders]
 
 
 def main_rows(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
