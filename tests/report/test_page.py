@@ -513,3 +513,12 @@ def shown(address, *more):
         [BROWSER, *options, address], capture_output=True, text=True, check=True, timeout=60
     )
     return re.sub(r"<script.*?</script>", "", done.stdout, flags=re.DOTALL)
+
+
+def test_a_metric_without_a_unit_is_shown(folder):
+    folder.add("s1", metrics={"min_gap": 1.0})
+    file = next((folder.out / "runs").glob("*/result.json"))
+    values = json.loads(file.read_text())
+    del values["metrics"]["min_gap"]["unit"]
+    file.write_text(json.dumps(values))
+    assert Parsed(page.write(folder.out)).details(0)["metrics"]["min_gap"][:2] == [1.0, ""]

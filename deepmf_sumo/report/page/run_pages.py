@@ -111,7 +111,7 @@ def _facts(folder: Path, result: Result | None) -> dict[str, Any]:
     return {
         **{name: found[name] for name in _FACTS if name in found},
         "metrics": {
-            name: [value["value"], value["unit"], value.get("reason", "")]
+            name: [value["value"], value.get("unit", ""), value.get("reason", "")]
             for name, value in metrics.items()
         },
         "events": [
