@@ -62,7 +62,7 @@ def test_what_came_before_is_kept_and_the_rest_is_one_error(work, reason):
 
 
 def test_reading_without_end_is_ended(monkeypatch):
-    # Here alone the limit is short: the work of the other tests may take that long on a slow machine.
+    # The limit is short here alone: other tests' work may take that long on a slow machine.
     monkeypatch.setattr(bounded, "CPU_S", 0.3)
     found = bounded.each(forever)
     assert next(found) == 1
