@@ -28,6 +28,9 @@ test-slow: $(READY)  ## the tests that take minutes, those on a Ray cluster of t
 	$(PY) -m pip install --quiet -c constraints.txt -e ".[cluster]"
 	$(PY) -m pytest -q -m slow
 
+golden: $(READY)  ## small runs of everything, compared byte for byte with a version before (BASE=HEAD~1)
+	$(PY) -m tests.golden --base $(or $(BASE),HEAD~1)
+
 COUNT ?= 2000
 fuzz: $(READY)  ## inputs changed at random (KIND= of one kind, COUNT= of each, SEED=): none may do harm
 	$(PY) -m tests.fuzz --count $(COUNT) --seed $(or $(SEED),1) $(KIND)
@@ -154,4 +157,4 @@ docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results
+.PHONY: help setup run test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results

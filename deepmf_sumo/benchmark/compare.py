@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark.study.rows import TIMINGS as TABLE_TIMINGS
 IGNORED: Final = {"log.txt", "report.html", "table.md", "table.tex"}
 """Files that tell of the machine; the readable tables are those of the CSV files, with times."""
 
-_TIMED: Final = {*TIMINGS, *TABLE_TIMINGS}
+_TIMED: Final = {*TIMINGS, *TABLE_TIMINGS, "cycle_ms"}
 
 
 def same(folder_a: Path, folder_b: Path) -> bool:
@@ -41,6 +41,9 @@ def _content(path: Path) -> Any:
     if path.suffix == ".json":
         values = json.loads(path.read_text("utf-8"))
         return {key: value for key, value in values.items() if key not in {"timings", "machine"}}
+    if path.suffix == ".jsonl":
+        lines = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+        return [{key: value for key, value in line.items() if key != "plan_ms"} for line in lines]
     if path.suffix == ".csv":
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
