@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from deepmf_sumo.simulation.av import read_pose
-from deepmf_sumo.simulation.lane_change import ShownMotion
+from deepmf_sumo.simulation.av import ShownMotion, read_pose
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, running
 
 AT_ONCE = ("--lanechange.duration", "0", "--lateral-resolution", "0")

@@ -8,17 +8,17 @@ import pytest
 from predictor_doubles import straight_tracks
 from rollout_doubles import case_of, rollout_of, straight
 
-from deepmf_sumo.adversaries.aiming import motions
-from deepmf_sumo.adversaries.search.scouting import Motion
+from deepmf_sumo.adversaries import _open_loop as open_loop
+from deepmf_sumo.adversaries._episodes import Motion
 from deepmf_sumo.avoidance.ahead import way_ahead
 from deepmf_sumo.avoidance.lanes import keeps_lane
 from deepmf_sumo.datatypes import DT_S, Lane, RoadMap, View
+from deepmf_sumo.deepmf.lane_assignment import lanes_at
 from deepmf_sumo.geometry import road as roads
 from deepmf_sumo.network import matching
-from deepmf_sumo.policies.factorization.lawful.road_ahead import lanes_at
-from deepmf_sumo.predictors.lane_routes import lane_routes, on_lanes, passes_over
-from deepmf_sumo.predictors.opponent_features import _pairs, surroundings
-from deepmf_sumo.predictors.road_index import road_index
+from deepmf_sumo.predictors.lanes import road_index
+from deepmf_sumo.predictors.opponent import _pairs, surroundings
+from deepmf_sumo.predictors.routes import lane_routes, on_lanes, passes_over
 
 DECKS = {"below": 0.0, "above": 8.0}
 
@@ -146,7 +146,7 @@ def test_gaps_of_made_attacks():
     def least(road, heights):
         view = view_of(road, heights)
         scouted = SimpleNamespace(view=view, opponent_id="b")
-        return motions.gaps(scouted, av, over, np.full((1, 80), np.pi / 2)).min()
+        return open_loop.gaps(scouted, av, over, np.full((1, 80), np.pi / 2)).min()
 
     assert least(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0)) == 0.0
     assert least(crossing(), (0.0, 8.0)) == pytest.approx(5.5)

@@ -28,19 +28,17 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.aiming import motions
-from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
-from deepmf_sumo.adversaries.aiming.settings import AimedSettings
+from deepmf_sumo.adversaries import _open_loop as open_loop
+from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, Scouted
+from deepmf_sumo.adversaries._open_loop import Aimed, AimedSettings, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
-from deepmf_sumo.adversaries.search.opponents import OpponentChoice
-from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
-from deepmf_sumo.policies.factorization.collision import footprint
-from deepmf_sumo.policies.factorization.tracking import Start, track
+from deepmf_sumo.deepmf.candidates import footprint
+from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.predictors.base import MOST_MODES
 
 if TYPE_CHECKING:
-    from deepmf_sumo.adversaries.gradients.art_descent import Bounds, Descent
+    from deepmf_sumo.adversaries._art_gradients import Bounds, Descent
 
 FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent, where it begins"
 
@@ -86,12 +84,12 @@ class ART:
         chosen = self._settings
         # What brings torch along is imported and loaded here, before the time counts.
         if chosen.form == "history":
-            from deepmf_sumo.adversaries.gradients import art_history  # noqa: F401
-            from deepmf_sumo.predictors import shared
+            from deepmf_sumo.adversaries import _art_gradients as art_gradients
+            from deepmf_sumo.predictors.weights import cached_predictors
 
-            shared.predictors(self._weights)
+            cached_predictors(self._weights)
         else:
-            from deepmf_sumo.adversaries.gradients import art_future  # noqa: F401
+            from deepmf_sumo.adversaries import _art_gradients as art_gradients  # noqa: F401
         choose = self._opponent.of(case)
         if budget.seconds is None:
             most = budget.simulations or 1 + chosen.rounds
@@ -108,21 +106,21 @@ class ART:
         self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
     ) -> tuple[Floats, "Descent"]:
         """(R, K, 2) the opponent's reference, made drivable and bent into the AV's way."""
-        from deepmf_sumo.adversaries.gradients import art_future
+        from deepmf_sumo.adversaries import _art_gradients as art_gradients
 
         view, chosen = scouted.view, self._settings
         start = Start.of(view, scouted.opponent_id)
-        reference = motions.continued(scouted.reference, start)
+        reference = open_loop.continued(scouted.reference, start)
         calm = track(reference[None], start, chosen.limits.rows(1)).position_m[0]
-        target = art_future.Target(
-            position_m=motions.continued(av, Start.of(view, view.av_id)),
+        target = art_gradients.Target(
+            position_m=open_loop.continued(av, Start.of(view, view.av_id)),
             heading_rad=av.heading_rad,
             there=av.valid,
             av_size_m=footprint(view, view.av_id),
             own_size_m=footprint(view, scouted.opponent_id),
         )
         bounds = self._bounds(chosen.reach_m)
-        found = art_future.bend(
+        found = art_gradients.bend(
             calm, start, target, bounds, chosen.restarts, chosen.iterations, deadline, rng
         )
         return calm + found.offset_m, found
@@ -131,16 +129,16 @@ class ART:
         self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
     ) -> tuple[Floats, "Descent"]:
         """(R, 80, 2) the likeliest futures of the opponent under perturbed histories."""
-        from deepmf_sumo.adversaries.gradients import art_history
-        from deepmf_sumo.predictors import shared
+        from deepmf_sumo.adversaries import _art_gradients as art_gradients
+        from deepmf_sumo.predictors.weights import cached_predictors
 
         view, chosen, agent_id = scouted.view, self._settings, scouted.opponent_id
-        marginal = shared.predictors(self._weights).marginal
-        found = art_history.perturb(
+        marginal = cached_predictors(self._weights).marginal
+        found = art_gradients.perturb(
             view,
             agent_id,
             marginal.net,
-            motions.continued(av, Start.of(view, view.av_id)),
+            open_loop.continued(av, Start.of(view, view.av_id)),
             av.valid,
             self._bounds(chosen.history_reach_m),
             chosen.restarts,
@@ -148,7 +146,7 @@ class ART:
             deadline,
             rng,
         )
-        past = art_history.Past(view, agent_id, marginal.net)
+        past = art_gradients.Past(view, agent_id, marginal.net)
         forecasts = [
             marginal.predict(past.view(offset), [agent_id], chosen.modes)[0]
             for offset in found.offset_m
@@ -156,7 +154,7 @@ class ART:
         return np.stack([forecast.futures.position_m[0] for forecast in forecasts]), found
 
     def _bounds(self, reach_m: float) -> "Bounds":
-        from deepmf_sumo.adversaries.gradients.art_descent import Bounds
+        from deepmf_sumo.adversaries._art_gradients import Bounds
 
         chosen = self._settings
         return Bounds(
@@ -171,11 +169,11 @@ class ART:
         view = scouted.view
         start = Start.of(view, scouted.opponent_id)
         tracked = track(reference_m, start, self._settings.limits.rows(len(reference_m)))
-        gap = motions.gaps(scouted, av, tracked.position_m, tracked.heading_rad).min(axis=1)
+        gap = open_loop.gaps(scouted, av, tracked.position_m, tracked.heading_rad).min(axis=1)
         moved = np.hypot(found.offset_m[..., 0], found.offset_m[..., 1]).mean(axis=1)
         row = int(np.lexsort((moved, gap))[0])
         return Aimed(
-            plan=motions.plan_of(view, scouted.opponent_id, tracked, row),
+            plan=open_loop.plan_of(view, scouted.opponent_id, tracked, row),
             parameters={
                 "restart": float(row),
                 "iterations": float(found.iterations),

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.search.search import TRIALS_FORESIGHT, Search, SearchSettings
+from deepmf_sumo.adversaries._search import TRIALS_FORESIGHT, Search, SearchSettings
 from deepmf_sumo.datatypes import Floats, Ints
 
 FORESIGHT = TRIALS_FORESIGHT

@@ -2,7 +2,7 @@
 
 Source: AdvSim (Wang et al., CVPR 2021), as DeepMF's paper compares with it. Adapted: no code of
 AdvSim is public; the parameters are changes of acceleration and curvature at knots in time, the
-cost is `search.cost`, every candidate is scored by a simulation in which the AV reacts.
+cost is `adversaries._search`, every candidate is scored by a simulation in which the AV reacts.
 
 Budget: 4 simulations, the scouting one included, which is the ratio to BBO and BGA of the times
 that the paper gives; none of it is for learning, so more of them only draw more.
@@ -11,7 +11,7 @@ that the paper gives; none of it is for learning, so more of them only draw more
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.search.search import TRIALS_FORESIGHT, Search, SearchSettings
+from deepmf_sumo.adversaries._search import TRIALS_FORESIGHT, Search, SearchSettings
 from deepmf_sumo.datatypes import Floats
 
 FORESIGHT = TRIALS_FORESIGHT

@@ -21,20 +21,22 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.aiming import answers
-from deepmf_sumo.adversaries.aiming.answers import Answers, Scored
-from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
-from deepmf_sumo.adversaries.aiming.settings import AimedSettings
+from deepmf_sumo.adversaries import _open_loop as open_loop
+from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, Scouted
+from deepmf_sumo.adversaries._open_loop import (
+    Aimed,
+    AimedSettings,
+    Answers,
+    Scored,
+    attack_in_rounds,
+)
 from deepmf_sumo.adversaries.base import Simulate
-from deepmf_sumo.adversaries.search.opponents import OpponentChoice
-from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Budget, Case, Plan, PlanReason, View
-from deepmf_sumo.policies.factorization import candidates
-from deepmf_sumo.policies.factorization.candidates import Candidates, References
-from deepmf_sumo.policies.factorization.collision import footprint
-from deepmf_sumo.policies.factorization.goals import goal_paths
-from deepmf_sumo.policies.factorization.proposals import DensePredictor
-from deepmf_sumo.policies.factorization.tracking import Start, track
+from deepmf_sumo.deepmf import candidates as candidates_module
+from deepmf_sumo.deepmf.candidates import Candidates, References, footprint
+from deepmf_sumo.deepmf.generation import DensePredictor
+from deepmf_sumo.deepmf.reference_paths import goal_paths
+from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.predictors.base import MOST_MODES
 
 FORESIGHT = "the AV's un-attacked motion"
@@ -72,9 +74,9 @@ class CAT:
         """The attack; trials are the rounds."""
         if self._marginal is None:
             # Brings torch along, which checking a spec's settings must not.
-            from deepmf_sumo.predictors import shared
+            from deepmf_sumo.predictors.weights import cached_predictors
 
-            self._marginal = shared.predictors(self._weights).marginal
+            self._marginal = cached_predictors(self._weights).marginal
         marginal = self._marginal
 
         def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
@@ -90,8 +92,8 @@ class CAT:
         own = self._candidates(view, scouted.opponent_id, last, marginal)
         weight = own.forecast.probability
         if self._settings.tail_after is not None:
-            weight = answers.flattened(weight, self._settings.tail_after)
-        scored = answers.score(weight, own.forecast.futures, last, view)
+            weight = open_loop.flattened(weight, self._settings.tail_after)
+        scored = open_loop.score(weight, own.forecast.futures, last, view)
         parameters = {
             "candidate": float(scored.chosen),
             "probability": float(own.forecast.probability[scored.chosen]),
@@ -122,8 +124,8 @@ class CAT:
             parts.append(References.of("goal", paths.reference_m, paths.limits))
         references = References.joined(parts)
         tracked = track(references.position_m, start, references.limits)
-        probability = candidates.weights(modes, tracked.position_m[count:], marginal, view)
-        return candidates.ranked(references, tracked, probability, modes)
+        probability = candidates_module.weights(modes, tracked.position_m[count:], marginal, view)
+        return candidates_module.ranked(references, tracked, probability, modes)
 
 
 def _plan(view: View, own: Candidates, last: Answers, scored: Scored) -> Plan:

@@ -4,9 +4,9 @@ import numpy as np
 
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case
-from deepmf_sumo.policies import deepmf
+from deepmf_sumo.deepmf import policy as policy_module
 
-Settings = deepmf.Settings
+Settings = policy_module.Settings
 
 
 class DeepMF:
@@ -15,7 +15,7 @@ class DeepMF:
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
         self._weights = weights
-        self._predictors: deepmf.Predictors | None = None
+        self._predictors: policy_module.Predictors | None = None
 
     def attack(
         self,
@@ -27,10 +27,12 @@ class DeepMF:
         """The episode; ``generation_s`` is what the policy did, without loading the predictors."""
         if self._predictors is None:
             # Brings torch along, which checking a spec's settings must not.
-            from deepmf_sumo.predictors import shared
+            from deepmf_sumo.predictors.weights import cached_predictors
 
-            self._predictors = shared.predictors(self._weights)
-        policy = deepmf.build(self._settings, self._predictors, case.partner_id, case.av_driver)
+            self._predictors = cached_predictors(self._weights)
+        policy = policy_module.build(
+            self._settings, self._predictors, case.partner_id, case.av_driver
+        )
         rollout = simulate(policy)
         return Attack(rollout=rollout, simulations=1, generation_s=policy.seconds)
 

@@ -15,14 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.aiming import bezier, motions
-from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
-from deepmf_sumo.adversaries.aiming.settings import AimedSettings
+from deepmf_sumo.adversaries import _open_loop as open_loop
+from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, Scouted
+from deepmf_sumo.adversaries._open_loop import Aimed, AimedSettings, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
-from deepmf_sumo.adversaries.search.opponents import OpponentChoice
-from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import DT_S, Attack, Budget, Case, Floats, Ints
-from deepmf_sumo.policies.factorization.tracking import Start, track
+from deepmf_sumo.deepmf.tracking import Start, track
 
 FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent"
 
@@ -61,19 +59,19 @@ class RuleBased:
         view, av = scouted.view, answers[-1]
         start = Start.of(view, scouted.opponent_id)
         meetings = self._meetings(len(av.valid))
-        own_m = motions.continued(scouted.reference, start)
-        av_m = motions.continued(av, Start.of(view, view.av_id))
+        own_m = open_loop.continued(scouted.reference, start)
+        av_m = open_loop.continued(av, Start.of(view, view.av_id))
         curves = np.stack(
-            [bezier.curve_into(start.position_m, own_m, av_m, int(steps)) for steps in meetings]
+            [open_loop.curve_into(start.position_m, own_m, av_m, int(steps)) for steps in meetings]
         )
         if not self._settings.within_limits:
-            heading = np.stack([motions.headings(curve, start) for curve in curves])
-            row = _best(motions.gaps(scouted, av, curves, heading))
-            plan = motions.plan_along(view, scouted.opponent_id, curves[row])
+            heading = np.stack([open_loop.headings(curve, start) for curve in curves])
+            row = _best(open_loop.gaps(scouted, av, curves, heading))
+            plan = open_loop.plan_along(view, scouted.opponent_id, curves[row])
         else:
             tracked = track(curves, start, self._settings.limits.rows(len(curves)))
-            row = _best(motions.gaps(scouted, av, tracked.position_m, tracked.heading_rad))
-            plan = motions.plan_of(view, scouted.opponent_id, tracked, row)
+            row = _best(open_loop.gaps(scouted, av, tracked.position_m, tracked.heading_rad))
+            plan = open_loop.plan_of(view, scouted.opponent_id, tracked, row)
         return Aimed(plan=plan, parameters={"meeting_s": float(meetings[row] * DT_S)})
 
     def _meetings(self, steps: int) -> Ints:

@@ -26,15 +26,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries.aiming.rounds import Aimed, attack_in_rounds
+from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, OpponentSettings, Scouted
+from deepmf_sumo.adversaries._open_loop import Aimed, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
-from deepmf_sumo.adversaries.search.opponents import OpponentChoice, OpponentSettings
-from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
 from deepmf_sumo.datatypes import AgentId, Attack, Budget, Case, Trial, View
 
 if TYPE_CHECKING:
-    from deepmf_sumo.adversaries.gradients.strive_scene import Situation
-    from deepmf_sumo.adversaries.gradients.strive_stages import Search
+    from deepmf_sumo.adversaries._strive import Search, Situation
     from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 
 ANY = "any"
@@ -88,20 +86,20 @@ class STRIVE:
 
     def check(self) -> None:
         """Raises WeightsError where the set of weights has no motion prior."""
-        from deepmf_sumo.predictors import shared  # brings torch along
+        from deepmf_sumo.predictors.weights import cached_motion_prior  # brings torch along
 
-        shared.motion_prior(self._weights)
+        cached_motion_prior(self._weights)
 
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
         """The attack; trials are the rounds. Raises WeightsError where the set has no prior."""
         # Brings torch along, which checking a spec's settings must not; loading is not searching.
-        from deepmf_sumo.adversaries.gradients import strive_stages  # noqa: F401
-        from deepmf_sumo.predictors import shared
+        from deepmf_sumo.adversaries import _strive as strive  # noqa: F401
+        from deepmf_sumo.predictors.weights import cached_motion_prior
 
         chosen = self._settings
-        net = shared.motion_prior(self._weights)
+        net = cached_motion_prior(self._weights)
         choose = anybody if self._opponent is None else self._opponent.of(case)
         limit = chosen.limited(budget)
         stages = _Stages(chosen, net, case, limit)
@@ -151,7 +149,7 @@ class _Stages:
 
     def solution(self, attack: Attack) -> list[Trial]:
         """The third stage against the best attack, whose objective it has; none out of time."""
-        from deepmf_sumo.adversaries.gradients.strive_stages import Costs
+        from deepmf_sumo.adversaries._strive import Costs
 
         assert self._search is not None
         assert self._situation is not None
@@ -174,17 +172,15 @@ class _Stages:
         return [Trial(parameters={"solvable": float(saved)}, objective=best)]
 
     def _begin(self, scouted: Scouted) -> None:
-        from deepmf_sumo.adversaries.gradients import strive_scene, strive_stages
+        from deepmf_sumo.adversaries import _strive as strive
 
         chosen, view = self._settings, scouted.view
         attackers = [scouted.opponent_id]
-        self._situation = strive_scene.situation_of(scouted, self._net, attackers)
+        self._situation = strive.situation_of(scouted, self._net, attackers)
         if chosen.opponent == ANY:
             attackers = [name for name in self._situation.ids if _attacks(view, name)]
-        weights = strive_stages.Costs(chosen.others, chosen.road, chosen.prior, chosen.init)
-        self._search = strive_stages.Search(
-            self._net, self._situation, attackers, weights, self._deadline
-        )
+        weights = strive.Costs(chosen.others, chosen.road, chosen.prior, chosen.init)
+        self._search = strive.Search(self._net, self._situation, attackers, weights, self._deadline)
         self._matched_m = self._search.match(chosen.match_iterations)
 
 

@@ -25,7 +25,8 @@ from deepmf_sumo.benchmark.logs import logged
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import Case, VehicleModel
 from deepmf_sumo.errors import DeepmfError, PlannerError
-from deepmf_sumo.planners.doors import guard, warden
+from deepmf_sumo.planners import checked
+from deepmf_sumo.planners.remote import reaper
 from deepmf_sumo.spec import FromNetwork
 
 _DONE: Final = b"done"
@@ -122,7 +123,7 @@ def _copied(work: Callable[[], None]) -> None:
             os.close(ours)
             _work(work, theirs, here)
         _, status = os.waitpid(pid, 0)
-        warden.end_all(pid)
+        reaper.end_all(pid)
     gc.unfreeze()
     os.close(theirs)
     os.set_blocking(ours, False)  # whatever it started may have the pipe open still
@@ -131,7 +132,7 @@ def _copied(work: Callable[[], None]) -> None:
     except BlockingIOError:
         said = b""
     os.close(ours)
-    blamed = guard.at_work()
+    blamed = checked.at_work()
     if not said and blamed:
         raise PlannerError(f"the planner ended its process ({_ending(status)}; see log.txt).")
     if not said:
@@ -143,7 +144,7 @@ def _copied(work: Callable[[], None]) -> None:
 @contextlib.contextmanager
 def _leaving_none() -> Iterator[None]:
     """While a copy works: whoever ends this process ends the copy, and all that it has begun."""
-    warden.adopt()
+    reaper.adopt()
     before = signal.signal(signal.SIGTERM, _leave)
     pool.end_with_parent(signal.SIGTERM)
     try:
@@ -154,8 +155,8 @@ def _leaving_none() -> Iterator[None]:
 
 
 def _leave(number: int, frame: object) -> NoReturn:  # noqa: ARG001 - as `signal` wants it
-    for child in warden.children():
-        warden.end_all(child)
+    for child in reaper.children():
+        reaper.end_all(child)
     os._exit(1)
 
 

@@ -24,7 +24,7 @@ from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.benchmark.observation import Array, Observer
 from deepmf_sumo.datatypes import Attack, Case, Command, Floats, Rollout, View
 from deepmf_sumo.errors import PluginError, UsageError
-from deepmf_sumo.planners.doors.turns import Ended, Turns
+from deepmf_sumo.planners.remote.serve import Ended, Turns
 from deepmf_sumo.spec import Spec
 
 try:

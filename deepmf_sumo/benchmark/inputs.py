@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 from deepmf_sumo import files
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import UsageError, WeightsError
-from deepmf_sumo.simulation import command_line
+from deepmf_sumo.simulation import sumo_config
 from deepmf_sumo.spec import FromNetwork, Spec
 
 _READ_BYTES: Final = 2**28
@@ -159,7 +159,7 @@ def _beside(sumo_options: Sequence[str]) -> Iterator[Path]:
     None where they are wrong, which the run says.
     """
     with suppress(UsageError):
-        for name, value in command_line.parse(sumo_options).items():
+        for name, value in sumo_config.parse(sumo_options).items():
             yield from _read_by(name, value, Path.cwd())
 
 

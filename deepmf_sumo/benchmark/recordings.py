@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark import files, pool
 from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.network import generated
 from deepmf_sumo.readers import npz
-from deepmf_sumo.simulation.recording import Recording, record
+from deepmf_sumo.recording.record import Recording, record
 
 MANIFEST: Final = ".record.json"
 """Hidden from those who look for scenes."""

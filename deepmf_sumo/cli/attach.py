@@ -80,8 +80,8 @@ def command(
     from deepmf_sumo.benchmark import live
     from deepmf_sumo.cli.screen.live import show, tell
     from deepmf_sumo.cli.screen.stopping import leaving
-    from deepmf_sumo.simulation.live.connection import Port
-    from deepmf_sumo.simulation.live.lockstep import Stay
+    from deepmf_sumo.live.connection import Port
+    from deepmf_sumo.live.session import Stay
 
     wish = live.Wish(
         av=av, triggers=triggers, duration_s=duration, pause_s=pause, sets=sets, net=net

@@ -137,8 +137,8 @@ def _asked(
 ) -> _Asked:
     """Raises SimulationError or UsageError for what is known to be wrong without a simulation."""
     from deepmf_sumo.benchmark import moments
-    from deepmf_sumo.simulation.configuration import read_configuration
-    from deepmf_sumo.simulation.scouting import Scouting
+    from deepmf_sumo.simulation.sumo_config import read_configuration
+    from deepmf_sumo.simulation.traffic_survey import Scouting
 
     configuration = read_configuration(config, sumo_options)
     keys = _keys(lambda: configuration.seed, **common)

@@ -23,9 +23,9 @@ def command(out: Path | None, planner: bool) -> None:
 
     from deepmf_sumo import spec
     from deepmf_sumo.errors import OutputError
-    from deepmf_sumo.planners.doors import messages
+    from deepmf_sumo.planners.remote import protocol
 
-    schema = messages.schema() if planner else spec.schema()
+    schema = protocol.schema() if planner else spec.schema()
     text = json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
     if out is None:
         click.echo(text, nl=False)

@@ -2,8 +2,8 @@
 
 Other thresholds in the package mean something else: what a network was trained with
 (`predictors`), one component of a motion (`avoidance.approach`), a rolling stop at a sign
-(`lawful.lines`), the slip angle between heading and motion (`feasible`, `tracking`), and the
-definitions of published metrics (`wrong_way_share`).
+(`deepmf.traffic_rules`), the slip angle between heading and motion (`feasible`, `tracking`), and
+the definitions of published metrics (`wrong_way_share`).
 """
 
 from typing import Final

@@ -1,4 +1,6 @@
-"""Scene -> SUMO network.
+"""Conversion of a recorded scene into a SUMO network: built, checked against the scene, cached.
+
+Scene -> SUMO network.
 
 ::
 
@@ -6,25 +8,86 @@
           --plain, netconvert--> net --shapes--> the scene's shapes put back --quality--> errors
 """
 
+import hashlib
 import shutil
 import tempfile
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import shapely
 
-from deepmf_sumo.datatypes import ConversionReport, Floats, Scene, SumoNet
+import deepmf_sumo
+from deepmf_sumo.datatypes import ConversionReport, Floats, LanePiece, RoadMap, Scene, SumoNet
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.network import drawing, mapping, plain, programs, quality
-from deepmf_sumo.network.assembly import Assembly
-from deepmf_sumo.network.blueprint import Blueprint, NodePlan
-from deepmf_sumo.network.ghost import ghost_edge, leaves_lanes
-from deepmf_sumo.network.graph import LaneGraph, lane_graph
+from deepmf_sumo.network import mapping, plain_net, sumo_tools
+from deepmf_sumo.network.build import Assembly, control, ghost_edge, leaves_lanes
+from deepmf_sumo.network.lane_graph import LaneGraph, lane_graph
 from deepmf_sumo.network.layout import layout
+from deepmf_sumo.network.plain_net import Blueprint, NodePlan
 from deepmf_sumo.network.shapes import NetShapes, Placement, place
-from deepmf_sumo.network.traffic_control import control
+
+SPACING_M: Final = 0.5
+
+
+def distances(
+    road: RoadMap,
+    pieces: Mapping[str, tuple[LanePiece, ...]],
+    lane_of: Mapping[str, tuple[str, ...]],
+    shapes: Mapping[str, Floats],
+) -> Floats:
+    """Distances both ways, in one array.
+
+    Every recorded point of a lane to the nearest of that lane's pieces, and points of the SUMO
+    lanes, 0.5 m apart, to the nearest of the scene's lanes that they are made of. Lanes that only
+    SUMO has (extensions, the ghost edge) are not counted.
+
+    Args:
+        road: the scene's, as recorded.
+        pieces: scene lane -> its SUMO lanes.
+        lane_of: SUMO lane -> its scene lanes.
+        shapes: (P, 2) of each SUMO lane, as written.
+    """
+    recorded = {key: lane.centre_m for key, lane in road.lanes.items()}
+    to_sumo = [
+        (recorded[key], [shapes[piece.sumo_lane] for piece in parts])
+        for key, parts in pieces.items()
+        if parts
+    ]
+    to_scene = [
+        (_dense(shapes[key]), [recorded[lane_id] for lane_id in lane_ids])
+        for key, lane_ids in lane_of.items()
+        if lane_ids
+    ]
+    return _to_lines(to_sumo + to_scene)
+
+
+def _dense(points_m: Floats) -> Floats:
+    points: Floats = shapely.get_coordinates(
+        shapely.segmentize(shapely.linestrings(points_m), SPACING_M)
+    )
+    return points
+
+
+def _to_lines(tasks: list[tuple[Floats, list[Floats]]]) -> Floats:
+    """Distance of each point of each task to the nearest of the task's polylines."""
+    if not tasks:
+        return np.zeros(0)
+    targets = np.array([_geometry(lines) for _, lines in tasks])
+    shapely.prepare(targets)
+    points = shapely.points(np.concatenate([points for points, _ in tasks]))
+    owner = np.repeat(np.arange(len(tasks)), [len(points) for points, _ in tasks])
+    distance: Floats = shapely.distance(targets[owner], points)
+    return distance
+
+
+def _geometry(lines: list[Floats]) -> shapely.Geometry:
+    parts = [shapely.LineString(line if len(line) > 1 else line[[0, 0]]) for line in lines]
+    return parts[0] if len(parts) == 1 else shapely.GeometryCollection(parts)
+
 
 _OPTIONS: Final = (
     "--offset.disable-normalization",
@@ -86,9 +149,9 @@ def _check_replaceable(folder: Path) -> None:
 def _build(scene: Scene, folder: Path) -> SumoNet:
     graph = lane_graph(scene.road)
     blueprint, lost_signals = _blueprint(scene, graph)
-    nodes, edges, links = plain.write(blueprint, folder)
+    nodes, edges, links = plain_net.write(blueprint, folder)
     file = folder / mapping.NET_FILE
-    programs.run(
+    sumo_tools.run(
         "netconvert",
         "-n",
         str(nodes),
@@ -106,7 +169,7 @@ def _build(scene: Scene, folder: Path) -> SumoNet:
     pieces = {key: tuple(row) for key, row in placed.pieces.items()}
     net = SumoNet(
         file=file,
-        additional=drawing.write_additional(scene.road, folder),
+        additional=mapping.write_additional(scene.road, folder),
         pieces=pieces,
         lane_of=placed.lane_of,
         signals=placed.signals,
@@ -115,11 +178,11 @@ def _build(scene: Scene, folder: Path) -> SumoNet:
             scene,
             graph,
             placed,
-            quality.distances(scene.road, pieces, placed.lane_of, shapes.shapes()),
+            distances(scene.road, pieces, placed.lane_of, shapes.shapes()),
             lost_signals,
         ),
     )
-    drawing.write_config(folder)
+    mapping.write_config(folder)
     mapping.write(net, folder)
     return net
 
@@ -184,3 +247,74 @@ def _report(
         ),
         lost_signals=lost_signals,
     )
+
+
+def cached(scene: Scene, cache: Path) -> SumoNet:
+    """The scene's net from the cache, built there if need be.
+
+    The key is a hash of what the net is made of (road, signalled lanes, the AV's path) and of the
+    versions that make it. Several processes may ask for the same net at the same time.
+
+    Raises ConversionError as `convert` does.
+    """
+    folder = cache / key(scene)
+    try:
+        return mapping.read(folder)
+    except ConversionError:
+        pass
+    cache.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".building-", dir=cache) as beside:
+        built = Path(beside) / folder.name
+        convert(scene, built)
+        _move(built, folder)
+    return mapping.read(folder)
+
+
+def _move(built: Path, folder: Path) -> None:
+    """Put a net in its place, unless another process was first; a broken one is replaced."""
+    try:
+        built.replace(folder)
+    except OSError:
+        try:
+            mapping.read(folder)
+        except ConversionError:
+            shutil.rmtree(folder, ignore_errors=True)
+            built.replace(folder)
+
+
+def key(scene: Scene) -> str:
+    """Hex digest of what the net of a scene depends on."""
+    digest = hashlib.sha256()
+    for part in _parts(scene):
+        digest.update(part)
+        digest.update(b"\0")
+    return digest.hexdigest()[:32]
+
+
+def _parts(scene: Scene) -> Iterator[bytes]:
+    yield f"{deepmf_sumo.__version__} {sumo_tools.version()} {mapping.FORMAT}".encode()
+    for lane in scene.road.lanes.values():
+        facts = (
+            lane.id,
+            lane.kind,
+            lane.interpolating,
+            lane.width_m,
+            lane.speed_limit_mps,
+            lane.next,
+            lane.previous,
+            [neighbour.lane_id for neighbour in (*lane.right, *lane.left)],
+        )
+        yield repr(facts).encode()
+        yield lane.centre_m.tobytes()
+        yield lane.z_m.tobytes()
+    for shape in scene.road.polygons:
+        yield f"{shape.kind} {shape.id}".encode()
+        yield shape.points_m.tobytes()
+    for sign in scene.road.stop_signs:
+        yield f"{sign.lane_ids} {sign.position_m.tolist()}".encode()
+    yield repr(sorted(scene.signals.lane_ids)).encode()
+    row = scene.tracks.row(scene.av_id)
+    yield str(scene.now).encode()
+    for array in (scene.tracks.position_m, scene.tracks.heading_rad, scene.tracks.valid):
+        yield np.ascontiguousarray(array[row]).tobytes()
+    yield np.ascontiguousarray(scene.tracks.velocity_mps[row]).tobytes()

@@ -1,12 +1,16 @@
-"""The side file of a converted net: which SUMO lane is which part of which of the scene's lanes."""
+"""Which lane of the recording became which lane of the network; stored beside the network."""
 
 import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
+from xml.sax.saxutils import quoteattr
 
-from deepmf_sumo.datatypes import ConversionReport, LanePiece, SignalLink, SumoNet
+import numpy as np
+
+from deepmf_sumo.datatypes import ConversionReport, LanePiece, RoadMap, SignalLink, SumoNet
 from deepmf_sumo.errors import ConversionError
+from deepmf_sumo.network.plain_net import coordinates
 
 NET_FILE: Final = "net.net.xml"
 ADDITIONAL_FILE: Final = "additional.xml"
@@ -80,3 +84,43 @@ def _report(values: dict[str, Any]) -> ConversionReport:
         for key, value in values.items()
     }
     return ConversionReport(**rows)
+
+
+CONFIG_FILE: Final = "scene.sumocfg"
+_COLORS: Final = {
+    "crosswalk": "220,220,220",
+    "speed_bump": "230,190,60",
+    "driveway": "120,120,110",
+}
+
+
+def write_additional(road: RoadMap, folder: Path) -> Path:
+    """Polygons of the road, on a layer above the lanes."""
+    lines = [
+        f"    <poly id={quoteattr(shape.kind + '_' + shape.id)} type={quoteattr(shape.kind)} "
+        f'color="{_COLORS[shape.kind]}" fill="1" layer="{1 if shape.kind != "driveway" else -2}" '
+        f'shape="{coordinates(np.vstack([shape.points_m, shape.points_m[:1]]))}"/>'
+        for shape in road.polygons
+        if len(shape.points_m) > 2
+    ]
+    body = "\n".join(lines)
+    file = folder / ADDITIONAL_FILE
+    file.write_text(
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<additional>\n{body}\n</additional>\n',
+        encoding="utf-8",
+    )
+    return file
+
+
+def write_config(folder: Path) -> Path:
+    """A configuration that opens the net in SUMO or sumo-gui."""
+    file = folder / CONFIG_FILE
+    file.write_text(
+        '<?xml version="1.0" encoding="UTF-8"?>\n<configuration>\n    <input>\n'
+        f'        <net-file value="{NET_FILE}"/>\n'
+        f'        <additional-files value="{ADDITIONAL_FILE}"/>\n    </input>\n'
+        '    <time>\n        <begin value="0"/>\n        <step-length value="0.1"/>\n    </time>\n'
+        "</configuration>\n",
+        encoding="utf-8",
+    )
+    return file

@@ -15,12 +15,11 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Floats, LanePiece, SignalLink
 from deepmf_sumo.geometry import polylines
-from deepmf_sumo.network import cutting
-from deepmf_sumo.network.assembly import JOINT_M
-from deepmf_sumo.network.blueprint import Blueprint, LaneRef, LinkPlan
-from deepmf_sumo.network.graph import LaneGraph
-from deepmf_sumo.network.net_file import points
-from deepmf_sumo.network.plain import coordinates
+from deepmf_sumo.network import lane_graph
+from deepmf_sumo.network.build import JOINT_M
+from deepmf_sumo.network.lane_graph import LaneGraph
+from deepmf_sumo.network.plain_net import Blueprint, LaneRef, LinkPlan, coordinates
+from deepmf_sumo.network.sumo_net import points
 
 _LinkKey = tuple[LaneRef, LaneRef]
 
@@ -159,7 +158,7 @@ def _place_link(
     chain = net.chain(link)
     bounds = net.chain_bounds(chain, float(polylines.arc_lengths(plan.shape_m)[-1]))
     for key, (start, end) in zip(chain, pairwise(bounds), strict=True):
-        net.reshape(key, cutting.part(plan.shape_m, start, end))
+        net.reshape(key, lane_graph.part(plan.shape_m, start, end))
         net.allow_speed(key, plan.speed_mps)
         on_it = []
         for lane_id, first, last in _intervals(graph, plan.path):

@@ -1,6 +1,6 @@
 """A server of the user's on this machine drives the AV: views and commands as JSON over HTTP.
 
-``POST <url>/reset`` and ``POST <url>/act`` with the messages of `doors.messages` as bodies; the
+``POST <url>/reset`` and ``POST <url>/act`` with the messages of `remote.protocol` as bodies; the
 answers are the bodies of responses with status 200. The server is started by the user and may drive
 several episodes at a time: every message names its own. A server that is late or answers what
 cannot be driven fails the run (`PlannerError`).
@@ -13,9 +13,8 @@ import numpy as np
 from pydantic import model_validator
 
 from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
-from deepmf_sumo.planners.doors import answers, asking
-from deepmf_sumo.planners.doors.posting import LOOPBACK, Server
-from deepmf_sumo.planners.doors.settings import DoorSettings
+from deepmf_sumo.planners.remote import http_client, protocol
+from deepmf_sumo.planners.remote.http_client import LOOPBACK, DoorSettings, Server
 
 
 class Settings(DoorSettings):
@@ -61,16 +60,16 @@ class HttpPlanner:
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
         """Tell the server. Its seed is the case's: ``rng`` also serves the adversary."""
-        self._episode = asking.episode_of(case)
-        body = asking.reset_message(case, road=self._settings.road)
+        self._episode = http_client.episode_of(case)
+        body = http_client.reset_message(case, road=self._settings.road)
         answer = self._server.ask("reset", body, self._settings.start_budget_s, "the reset")
-        self._model = answers.read_ready(self._name, answer)
+        self._model = protocol.read_ready(self._name, answer)
 
     def act(self, view: View) -> Command:
         """The server's command. Raises PlannerError."""
-        body = asking.view_message(self._episode, view, self._settings.history_steps)
+        body = http_client.view_message(self._episode, view, self._settings.history_steps)
         answer = self._server.ask("act", body, self._settings.step_budget_s, f"step {view.step}")
-        return answers.read_command(self._name, answer, view.step)
+        return protocol.read_command(self._name, answer, view.step)
 
     def close(self) -> None:
         """Close the connection; the server stays."""

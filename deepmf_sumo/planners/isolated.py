@@ -1,7 +1,7 @@
 """A Python planner in a process of its own, with a time limit for each step.
 
 For planners that may hang or crash, or that hold libraries which must not meet SUMO's in one
-process. It is told what `doors.messages` says and no more: recordings stay with the simulation.
+process. It is told what `remote.protocol` says and no more: recordings stay with the simulation.
 """
 
 import json
@@ -13,8 +13,8 @@ from pydantic import Field, model_validator
 
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PluginError
-from deepmf_sumo.planners.doors.program import ProgramPlanner
-from deepmf_sumo.planners.doors.settings import DoorSettings
+from deepmf_sumo.planners.remote.http_client import DoorSettings
+from deepmf_sumo.planners.remote.process import ProgramPlanner
 
 
 class Settings(DoorSettings):
@@ -40,7 +40,7 @@ class Settings(DoorSettings):
 def build(settings: Settings) -> ProgramPlanner:
     """The planner."""
     command = [
-        *(sys.executable, "-m", "deepmf_sumo.planners.doors.serve", settings.planner),
+        *(sys.executable, "-m", "deepmf_sumo.planners.remote.serve", settings.planner),
         *("--settings", json.dumps(settings.settings)),
         *("--path", os.pathsep.join(sys.path)),
     ]

@@ -1,6 +1,6 @@
 """A program of the user's drives the AV: it reads views and writes commands, a line of JSON each.
 
-The protocol is in `doors.messages`. What the program writes to stderr goes to the run's
+The protocol is in `remote.protocol`. What the program writes to stderr goes to the run's
 ``log.txt``. A program that is late, ends, or answers what cannot be driven fails the run
 (`PlannerError`): nobody drives in its place, so that no result is that of a planner nobody asked
 for.
@@ -13,9 +13,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from deepmf_sumo.planners.doors.process import command_of
-from deepmf_sumo.planners.doors.program import ProgramPlanner
-from deepmf_sumo.planners.doors.settings import DoorSettings
+from deepmf_sumo.planners.remote.http_client import DoorSettings
+from deepmf_sumo.planners.remote.process import ProgramPlanner, command_of
 
 
 class Settings(DoorSettings):

@@ -13,9 +13,9 @@ from pydantic import Field, model_validator
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import AgentId, Floats, Plan, View
+from deepmf_sumo.deepmf.opponent import named
 from deepmf_sumo.errors import PluginError, RunError
 from deepmf_sumo.geometry import angles
-from deepmf_sumo.policies.factorization.opponent import named
 
 _COLUMNS = ("step", "x_m", "y_m", "heading_rad")
 _DAMAGED = (

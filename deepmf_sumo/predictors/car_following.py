@@ -15,7 +15,7 @@ from torch import Tensor
 
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.predictors.anchors import look_up
-from deepmf_sumo.predictors.condition import EVERY, Condition, nearest_nodes
+from deepmf_sumo.predictors.conditioning import EVERY, Condition, nearest_nodes
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
 
 FOLLOWING: Final = 6
@@ -62,7 +62,7 @@ def relations(road: Road, along_m: Tensor, given: Condition) -> Tensor:
     """(B, K, P, R, 6) how goals, (B, P, R, 16) along at 2 Hz, differ from what the follower does.
 
     The goal's lead at 2, 4, 6, 8 s, and how near it is over all times, sharply and widely. Always
-    in full precision, as `condition.relations`.
+    in full precision, as `conditioning.relations`.
     """
     with torch.autocast(along_m.device.type, enabled=False):
         driven = followed(road, given)  # (B, K, P, 16)

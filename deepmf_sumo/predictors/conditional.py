@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
-from deepmf_sumo.predictors import completion, condition, second_opinion
-from deepmf_sumo.predictors.completion import Pose
+from deepmf_sumo.predictors import conditioning, decoding
+from deepmf_sumo.predictors.decoding import Pose
 from deepmf_sumo.predictors.densetnt import DenseTNT, Encoding, Goals
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.marginal import Marginal
@@ -72,8 +72,8 @@ class Conditional:
         drives the agent. Modes are chosen to cover where it may be at 8 s, or at the step
         ``chosen_at`` (0 to 79). Raises KeyError for an agent that is not in view.
         """
-        pose = completion.pose_of(view, agent_id)
-        return completion.forecasts(
+        pose = decoding.pose_of(view, agent_id)
+        return decoding.forecasts(
             self._goals(view, pose, given, planner),
             pose,
             modes,
@@ -93,18 +93,16 @@ class Conditional:
         *,
         planner: bool = False,
     ) -> Floats:
-        """(Q) under the first given future, see `completion.end_density`."""
-        pose = completion.pose_of(view, agent_id)
-        return completion.end_density(
-            self._goals(view, pose, given, planner), pose, ends_m, kernel_m
-        )
+        """(Q) under the first given future, see `decoding.end_density`."""
+        pose = decoding.pose_of(view, agent_id)
+        return decoding.end_density(self._goals(view, pose, given, planner), pose, ends_m, kernel_m)
 
     def _goals(self, view: View, pose: Pose, given: Futures | None, planner: bool) -> Goals:
         future = None
         if given is not None:
-            position, heading = completion.to_pose(pose, given)
+            position, heading = decoding.to_pose(pose, given)
             there = torch.ones(1, position.shape[1])
-            future = condition.encode(position, heading, there, self.net.preset)
+            future = conditioning.encode(position, heading, there, self.net.preset)
         known = self._known(view, pose.agent_id, planner)
         goals = known.alone if future is None else None
         goals = goals or self.net.decode(known.encoding, future)
@@ -115,12 +113,12 @@ class Conditional:
         asked = (agent_id, planner)
         if self._last is None or self._last[0] is not view or self._last[1] != asked:
             arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
-            encoding = self.net.encode(completion.as_batch(arrays))
+            encoding = self.net.encode(decoding.as_batch(arrays))
             known = _Known(encoding)
             if self.marginal is not None and not planner:
                 images = self.marginal.net.preset.raster  # of sizes of its own
                 others = self.marginal.goals(view, agent_id, None if images else arrays)
                 alone = self.net.decode(encoding)
-                known = _Known(encoding, self.share * second_opinion.gain(alone, others), alone)
+                known = _Known(encoding, self.share * decoding.gain(alone, others), alone)
             self._last = (view, asked, known)
         return self._last[2]

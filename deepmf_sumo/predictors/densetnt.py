@@ -10,13 +10,18 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from deepmf_sumo.predictors import anchors, car_following, condition
-from deepmf_sumo.predictors.anchors import BRAKING, KNOT_STEPS, START_SPEEDS_MPS
+from deepmf_sumo.predictors import anchors, car_following, conditioning
+from deepmf_sumo.predictors.anchors import (
+    BRAKING,
+    GOAL,
+    KNOT_STEPS,
+    START_SPEEDS_MPS,
+    goal_features,
+)
 from deepmf_sumo.predictors.car_following import Road
-from deepmf_sumo.predictors.condition import EVERY, Condition
-from deepmf_sumo.predictors.goal_features import GOAL, goal_features
+from deepmf_sumo.predictors.conditioning import EVERY, Condition
+from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
-from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.raster import unpack
 from deepmf_sumo.predictors.vectornet import Attention, SubGraph, VectorNet
 from deepmf_sumo.predictors.vgg import VGG16
@@ -126,11 +131,11 @@ class DenseTNT(nn.Module):
         self.score = nn.Linear(hidden, 1)
         self.complete = nn.Linear(hidden, 2 * len(KNOT_STEPS))
         if conditional:
-            self.given_line = SubGraph(condition.TOKEN, hidden)
+            self.given_line = SubGraph(conditioning.TOKEN, hidden)
             self.target_to_given = Attention(hidden, preset.heads)
             self.film = nn.Linear(hidden, 2 * hidden)
-            self.goal_met_path = nn.Linear(condition.PATH_RELATION, hidden)
-            self.goal_met = nn.Linear(condition.GOAL_RELATION, hidden)
+            self.goal_met_path = nn.Linear(conditioning.PATH_RELATION, hidden)
+            self.goal_met = nn.Linear(conditioning.GOAL_RELATION, hidden)
             if preset.reactive:
                 self.goal_follow = nn.Linear(car_following.FOLLOWING, hidden, bias=False)
         nn.init.zeros_(self.complete.bias)
@@ -170,7 +175,7 @@ class DenseTNT(nn.Module):
         context = self.goal_target(target).unsqueeze(2)  # (B, K, 1, H)
         if self.conditional and given is not None:
             along = scene.along_m[..., EVERY - 1 :: EVERY]
-            met = condition.relations(scene.paths, along, given.position_m)
+            met = conditioning.relations(scene.paths, along, given.position_m)
             gate = given.given[:, :, None, None]
             context = context + (self.goal_met_path(met[0]) + self.goal_met.bias) * gate
             goals = scene.goals.unsqueeze(1) + context.unsqueeze(3)
@@ -285,7 +290,7 @@ class DenseTNT(nn.Module):
         size = len(target)
         position = target.new_zeros(size, 1, 80, 2)
         heading = target.new_zeros(size, 1, 80)
-        return condition.encode(position, heading, target.new_zeros(size, 1), self.preset)
+        return conditioning.encode(position, heading, target.new_zeros(size, 1), self.preset)
 
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:

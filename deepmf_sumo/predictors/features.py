@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from deepmf_sumo.datatypes import HISTORY_STEPS, Bools, Floats, Ints, View
 from deepmf_sumo.geometry import angles, frames
 from deepmf_sumo.predictors import raster
+from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.lanes import RoadIndex, road_index
 from deepmf_sumo.predictors.paths import NODE_SPACING_M, PathSet, path_set, signal_colour
-from deepmf_sumo.predictors.presets import Preset
-from deepmf_sumo.predictors.road_index import RoadIndex, road_index
 
 NEIGHBOURS: Final = 24
 AGENTS: Final = NEIGHBOURS + 1

@@ -1,16 +1,70 @@
-"""phi_M(X): where a vehicle may go, from the scene alone (paper, section IV-C1)."""
+"""The marginal predictor: futures of a vehicle from the past alone, as a mixture of modes.
+
+Networks that were trained alike but for the seed, as one: a mixture in equal parts.
+
+What one of them misses another often has: Lakshminarayanan et al. 2017, "Simple and scalable
+predictive uncertainty estimation using deep ensembles", section 2.4.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import torch
+from torch import Tensor
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
-from deepmf_sumo.predictors import completion, mixture
+from deepmf_sumo.predictors import decoding
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import Features, features
+
+
+def pooled(members: Sequence[Goals]) -> Goals:
+    """All goals of all members as those of one network; those of one member as they are.
+
+    The logits become log probabilities within each member, so that every member has the same mass.
+    Members follow one another along the paths; they need the same number of profiles.
+    """
+    if len(members) == 1:
+        return members[0]
+    return Goals(
+        logits=torch.cat(_of_equal_mass(members), 2),
+        along_m=torch.cat([goals.along_m for goals in members], 1),
+        knots=torch.cat([goals.knots for goals in members], 2),
+        paths=torch.cat([goals.paths for goals in members], 1),
+    )
+
+
+def log_density(
+    nets: Sequence[DenseTNT],
+    members: Sequence[Goals],
+    temperature: float,
+    position_m: Tensor,
+    valid: Tensor,
+) -> Tensor:
+    """(B, K) log density of true positions at the knots, as `DenseTNT.log_density` has them.
+
+    The pooled goals have the temperature, and each member's goals the kernels of that member.
+    """
+    warm = [
+        replace(goals, logits=logits / temperature)
+        for goals, logits in zip(members, _of_equal_mass(members), strict=True)
+    ]
+    mass = torch.stack([goals.logits.flatten(2).logsumexp(-1) for goals in warm])  # (M, B, K)
+    parts = [
+        net.log_density(goals, position_m, valid).flatten(2).logsumexp(-1)
+        for net, goals in zip(nets, warm, strict=True)
+    ]
+    return (torch.stack(parts) + mass.log_softmax(0)).logsumexp(0)
+
+
+def _of_equal_mass(members: Sequence[Goals]) -> list[Tensor]:
+    """Logits of each member, so that all have the same mass; those of one as they are."""
+    if len(members) == 1:
+        return [members[0].logits]
+    return [goals.logits.flatten(2).log_softmax(-1).view_as(goals.logits) for goals in members]
+
 
 _SHORTLIST: Final = 256
 """Goals that may become modes: of one network seldom fewer than all, of two half of the time."""
@@ -65,9 +119,9 @@ class Marginal:
 
         Modes are chosen to cover where it may be at 8 s, or at the step ``chosen_at`` (0 to 79).
         """
-        pose, goals = completion.pose_of(view, agent_id), self._goals(view, agent_id).whole
+        pose, goals = decoding.pose_of(view, agent_id), self._goals(view, agent_id).whole
         return [
-            completion.forecasts(
+            decoding.forecasts(
                 goals,
                 pose,
                 count,
@@ -88,9 +142,9 @@ class Marginal:
 
     @torch.inference_mode()
     def end_density(self, view: View, agent_id: AgentId, ends_m: Floats, kernel_m: float) -> Floats:
-        """(Q) see `completion.end_density`."""
-        pose = completion.pose_of(view, agent_id)
-        return completion.end_density(self._goals(view, agent_id).whole, pose, ends_m, kernel_m)
+        """(Q) see `decoding.end_density`."""
+        pose = decoding.pose_of(view, agent_id)
+        return decoding.end_density(self._goals(view, agent_id).whole, pose, ends_m, kernel_m)
 
     @torch.inference_mode()
     def log_density(self, view: View, agent_id: AgentId, position_m: Floats) -> Floats:
@@ -99,13 +153,13 @@ class Marginal:
         The mixture of all goals at the temperature, with the trained kernels (Laplace, wider the
         later) at 1, 2, 4, 6, 8 s. It is comparable between trajectories of one agent and view.
         """
-        pose = completion.pose_of(view, agent_id)
+        pose = decoding.pose_of(view, agent_id)
         given = Futures(
             agent_id=agent_id, position_m=position_m, heading_rad=position_m[..., 0] * 0.0
         )
-        local = completion.to_pose(pose, given)[0][:, :, list(KNOT_STEPS)]  # (1, K, 5, 2)
+        local = decoding.to_pose(pose, given)[0][:, :, list(KNOT_STEPS)]  # (1, K, 5, 2)
         density: Floats = (
-            mixture.log_density(
+            log_density(
                 self.nets,
                 self._goals(view, agent_id).members,
                 self.temperature,
@@ -125,7 +179,7 @@ class Marginal:
         if agent_id not in known:
             if arrays is None:
                 arrays, _ = features(view, agent_id, self.net.preset)
-            batch = completion.as_batch(arrays)
+            batch = decoding.as_batch(arrays)
             members = [net(batch) for net in self.nets]
-            known[agent_id] = _Known(members, mixture.pooled(members))
+            known[agent_id] = _Known(members, pooled(members))
         return known[agent_id]

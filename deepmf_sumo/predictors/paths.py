@@ -11,8 +11,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, SignalState
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.predictors.lane_walk import first_signal, lane_sequences
-from deepmf_sumo.predictors.road_index import Foot, RoadIndex
+from deepmf_sumo.predictors.lanes import Foot, RoadIndex, first_signal, lane_sequences
 
 LANE_PATHS: Final = 11
 FAN_TURNS_RAD: Final = (0.0, 0.5, -0.5, 1.3, -1.3)

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from deepmf_sumo.datatypes import Bytes, Floats, Ints, SignalState, Tracks, View
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.predictors.config import AGENT_CLASSES, Preset
+from deepmf_sumo.predictors.lanes import RoadIndex
 from deepmf_sumo.predictors.paths import signal_colour
-from deepmf_sumo.predictors.presets import AGENT_CLASSES, Preset
-from deepmf_sumo.predictors.road_index import RoadIndex
 
 _BOX = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 6), np.linspace(-0.5, 0.5, 3)), -1).reshape(
     -1, 2

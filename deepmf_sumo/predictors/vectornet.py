@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.config import Preset
 
 AGENT_VECTOR = 18
 LANE_VECTOR = 16

@@ -10,7 +10,7 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.config import Preset
 
 CONVOLUTIONS: Final = (2, 2, 3, 3, 3)
 """3 x 3 convolutions of the five blocks; 2 x 2 maximum pooling follows each."""

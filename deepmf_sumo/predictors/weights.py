@@ -16,8 +16,10 @@ import hashlib
 import json
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -29,10 +31,10 @@ from torch import Tensor, nn
 from deepmf_sumo import files
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.conditional import Conditional
+from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.opponent import Opponent, OpponentNet
-from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 
 Network = Literal["opponent", "marginal", "conditional", "strive"]
@@ -353,3 +355,57 @@ def _again(folder: Path, stem: str) -> str:
         f"make it with `deepmf-sumo train {network}{members} --data RECORDINGS"
         f" --name {folder.name}`"
     )
+
+
+def cached_predictors(name: str | Path) -> Predictors:
+    """As `weights.load`; read again where a file of its networks has changed since.
+
+    Raises WeightsError where they cannot be used.
+    """
+    folder = find(name).resolve()
+    files = [
+        file  # members of a network have names that begin like its own
+        for network in NETWORKS
+        for suffix in ("safetensors", "json")
+        for file in sorted(folder.glob(f"{network}*.{suffix}"))
+    ]
+    changed = tuple((file.name, file.stat().st_mtime_ns) for file in files)
+    return _loaded(folder, changed)
+
+
+def cached_motion_prior(name: str | Path) -> MotionPrior:
+    """As `weights.motion_prior`; read again where its tensor file has changed since.
+
+    Raises WeightsError where the set has none, or it cannot be used.
+    """
+    folder = find(name).resolve()
+    file = folder / "strive.safetensors"
+    return _cached_motion_prior(folder, file.stat().st_mtime_ns if file.is_file() else 0)
+
+
+@lru_cache(maxsize=2)
+def _cached_motion_prior(folder: Path, changed: int) -> MotionPrior:  # noqa: ARG001 - part of the key
+    return motion_prior(folder)
+
+
+@lru_cache(maxsize=4)
+def _loaded(
+    folder: Path,
+    changed: tuple[tuple[str, int], ...],  # noqa: ARG001 - part of the key
+) -> Predictors:
+    return load(folder)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One thread, and afterwards as many as before.
+
+    The networks are small: on cores that SUMO and others use as well, several threads wait for one
+    another most of the time. The number is the whole process's, which may be a user's script.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from deepmf_sumo.datatypes import AgentId, Case, NetworkSource, TurnRules
 from deepmf_sumo.network.sumo_road import road_once
-from deepmf_sumo.simulation.configuration import read_configuration
+from deepmf_sumo.simulation.sumo_config import read_configuration
 
 
 def network_case(

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.network.net_file import elements
-from deepmf_sumo.simulation.configuration import Configuration
+from deepmf_sumo.network.sumo_net import elements
+from deepmf_sumo.simulation.sumo_config import Configuration
 
 _VEHICLES: Final = {"vehicle", "trip"}
 _TYPES: Final = {"vType", "vTypeDistribution"}

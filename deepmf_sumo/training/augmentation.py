@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from deepmf_sumo.predictors import raster
-from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.config import Preset
 
 MIRRORED: Final = 0.3
 AGENT_DROPPED: Final = 0.1

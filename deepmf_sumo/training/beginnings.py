@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training.cache import Progress
 

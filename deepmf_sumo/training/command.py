@@ -9,7 +9,7 @@ import torch
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import preset_named
+from deepmf_sumo.predictors.config import preset_named
 from deepmf_sumo.predictors.weights import BASELINES, NETWORKS, Network
 from deepmf_sumo.training import beginnings, config, ensembles, run
 from deepmf_sumo.training.cache import Progress

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.predictors import mixture, selection
+from deepmf_sumo.predictors import decoding, marginal
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.training.cache import Cache
@@ -48,12 +48,12 @@ def _figures(
     """(B) each."""
     knots = list(KNOT_STEPS)
     valid = batch["future_valid"][:, None, knots]
-    density = mixture.log_density(nets, members, 1.0, batch["future"][:, None, knots], valid)
+    density = marginal.log_density(nets, members, 1.0, batch["future"][:, None, knots], valid)
     found = {"loss": -density[:, 0]}
-    goals = mixture.pooled(members)
+    goals = marginal.pooled(members)
     weight, ends = goals.logits[:, 0].flatten(1).softmax(-1), goals.ends()[:, 0]
     for modes in _MODES:
-        chosen, _ = selection.select(weight, ends, modes)
+        chosen, _ = decoding.select(weight, ends, modes)
         at = ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2))
         found[f"min_fde_{modes}"] = (at - batch["future"][:, -1:]).norm(dim=-1).amin(1)
     return found

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, ROLLOUT, SIMULATED, AgentId, Scene, View
-from deepmf_sumo.predictors.opponent_features import OTHERS, opponent_features
-from deepmf_sumo.predictors.presets import Preset
+from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.opponent import OTHERS, opponent_features
 from deepmf_sumo.training import labels, windows
 from deepmf_sumo.training.cache import Arrays
 

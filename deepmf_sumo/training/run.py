@@ -16,9 +16,9 @@ from torch import nn
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import OutputError, RunError, WeightsError
 from deepmf_sumo.predictors import features, weights
+from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.opponent import OpponentNet
-from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training import (

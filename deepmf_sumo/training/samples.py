@@ -9,8 +9,8 @@ import numpy as np
 
 from deepmf_sumo.datatypes import FUTURE_STEPS, ROLLOUT, SIMULATED, Scene, View
 from deepmf_sumo.geometry import angles
+from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.features import features
-from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.training import profiles, windows
 from deepmf_sumo.training.cache import Arrays
 

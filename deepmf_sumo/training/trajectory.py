@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.predictors import anchors, condition, mixture, selection
-from deepmf_sumo.predictors.condition import Condition
+from deepmf_sumo.predictors import anchors, conditioning, decoding, marginal
+from deepmf_sumo.predictors.conditioning import Condition
+from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT
-from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.training import augmentation, losses, profiles
 from deepmf_sumo.training.cache import Cache
 from deepmf_sumo.training.loop import Loss, tensors
@@ -65,7 +65,7 @@ def partner_condition(
     if generator is not None:
         keep = torch.rand(len(given), generator=generator) < _GIVEN
         given = given * keep.to(given.device)
-    return condition.encode(position[:, None], heading[:, None], given[:, None], preset)
+    return conditioning.encode(position[:, None], heading[:, None], given[:, None], preset)
 
 
 def _given(net: DenseTNT, batch: dict[str, Tensor]) -> Condition | None:
@@ -90,13 +90,13 @@ def fit_temperature(
     nll = np.zeros(len(_TEMPERATURES))
     for begin in range(0, len(rows), 64):
         batch = tensors(cache.batch(rows[begin : begin + 64]))
-        goals = mixture.pooled([net(batch, _given(net, batch)) for net in nets])
+        goals = marginal.pooled([net(batch, _given(net, batch)) for net in nets])
         logits = goals.logits[:, 0].flatten(1)
         ends = goals.ends()[:, 0]
-        chosen, _ = selection.select(logits.softmax(-1), ends, modes)
+        chosen, _ = decoding.select(logits.softmax(-1), ends, modes)
         at = ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2))
         nearest = (at - batch["future"][:, -1:]).norm(dim=-1).argmin(1, keepdim=True)
         for row, temperature in enumerate(_TEMPERATURES):
-            mass = selection.mass((logits / temperature).softmax(-1), ends, at)
+            mass = decoding.mass((logits / temperature).softmax(-1), ends, at)
             nll[row] -= float(mass.gather(1, nearest).clamp_min(1e-4).log().sum())
     return float(_TEMPERATURES[nll.argmin()])

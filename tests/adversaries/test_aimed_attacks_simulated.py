@@ -13,7 +13,7 @@ from simulated_worlds import case_of as recorded_case_of
 from deepmf_sumo import network, plugins, readers
 from deepmf_sumo.datatypes import Budget, Case, Driver
 from deepmf_sumo.planners import idm, replay
-from deepmf_sumo.predictors import shared
+from deepmf_sumo.predictors import weights
 from deepmf_sumo.simulation import network_case
 from deepmf_sumo.simulation import simulate as simulate_case
 
@@ -22,7 +22,7 @@ NAMES = ("rule", "cat", "art")
 
 @pytest.fixture(autouse=True)
 def doubles(monkeypatch):
-    monkeypatch.setattr(shared, "predictors", lambda name: Doubles())
+    monkeypatch.setattr(weights, "cached_predictors", lambda name: Doubles())
 
 
 def attack(name, case, planner, values=None):

@@ -7,10 +7,10 @@ from predictor_doubles import Doubles
 from rollout_doubles import case_of
 
 from deepmf_sumo import plugins
-from deepmf_sumo.adversaries.aiming.answers import Answers, flattened, score
-from deepmf_sumo.adversaries.search.scouting import Motion
+from deepmf_sumo.adversaries._episodes import Motion
+from deepmf_sumo.adversaries._open_loop import Answers, flattened, score
 from deepmf_sumo.datatypes import Budget, Futures
-from deepmf_sumo.predictors import shared
+from deepmf_sumo.predictors import weights
 
 STEPS = np.arange(1, 81)
 VIEW = World().view
@@ -19,7 +19,7 @@ VIEW = World().view
 @pytest.fixture
 def doubles(monkeypatch):
     made = Doubles()
-    monkeypatch.setattr(shared, "predictors", lambda name: made)
+    monkeypatch.setattr(weights, "cached_predictors", lambda name: made)
     return made
 
 

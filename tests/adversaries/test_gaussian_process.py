@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.adversaries.search.gaussian_process import GaussianProcess, fitted_scales
+from deepmf_sumo.adversaries.bbo import GaussianProcess, fitted_scales
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-1, 1, (25, 3))

@@ -5,7 +5,7 @@ from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Budget
-from deepmf_sumo.predictors import shared
+from deepmf_sumo.predictors import weights
 
 VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
 PATHS = {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)}
@@ -43,7 +43,7 @@ def loads(monkeypatch):
         names.append(name)
         return Doubles()
 
-    monkeypatch.setattr(shared, "predictors", load)
+    monkeypatch.setattr(weights, "cached_predictors", load)
     return names
 
 

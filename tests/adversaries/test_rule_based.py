@@ -9,11 +9,11 @@ from predictor_doubles import Doubles
 from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.adversaries.aiming.bezier import curve_into
-from deepmf_sumo.adversaries.search.cost import nearest_m
+from deepmf_sumo.adversaries._open_loop import curve_into
+from deepmf_sumo.adversaries._search import nearest_m
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.predictors import shared
+from deepmf_sumo.predictors import weights
 
 
 def attack(world, values=None, budget=None):
@@ -123,7 +123,7 @@ def test_a_gap_is_that_after_the_attack_began():
 
 
 def test_nobody_to_attack(monkeypatch):
-    monkeypatch.setattr(shared, "predictors", lambda name: Doubles())
+    monkeypatch.setattr(weights, "cached_predictors", lambda name: Doubles())
     world = World(others=False)
     found = attack(world, {"opponent": "argmax"})
     assert found.rollout.opponent_id is None

@@ -11,8 +11,8 @@ from predictor_doubles import view_of
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
+from deepmf_sumo.adversaries import _episodes as episodes
 from deepmf_sumo.adversaries import bbo, bga, brs
-from deepmf_sumo.adversaries.search import optuna_process, spending
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners import idm
@@ -108,7 +108,7 @@ def test_the_time_holds_every_episode_that_something_depends_on(
 ):
     world = World()
     clock = SimpleNamespace(perf_counter=lambda: world.episodes)
-    monkeypatch.setattr(spending, "time", clock)
+    monkeypatch.setattr(episodes, "time", clock)
     found, _ = attack(name, budget=Budget(simulations=simulations), world=world)
     # The only attack of two simulations is what it is, however it ends.
     assert found.generation_s == counted
@@ -117,7 +117,7 @@ def test_the_time_holds_every_episode_that_something_depends_on(
 @pytest.mark.parametrize("name", METHODS)
 def test_a_search_says_whether_seconds_ended_it(name, monkeypatch):
     world = World()
-    monkeypatch.setattr(spending, "time", SimpleNamespace(perf_counter=lambda: world.episodes))
+    monkeypatch.setattr(episodes, "time", SimpleNamespace(perf_counter=lambda: world.episodes))
     found, _ = attack(name, budget=Budget(simulations=4, seconds=3.0), world=world)
     assert (found.out_of_time, found.simulations) == (True, 3)
     found, _ = attack(name, budget=Budget(simulations=4, seconds=100.0))
@@ -149,9 +149,9 @@ def test_a_contact_ends_the_search_only_if_asked(name):
 def test_nobody_to_attack(name, monkeypatch):
     from predictor_doubles import Doubles
 
-    from deepmf_sumo.predictors import shared
+    from deepmf_sumo.predictors import weights
 
-    monkeypatch.setattr(shared, "predictors", lambda name: Doubles())
+    monkeypatch.setattr(weights, "cached_predictors", lambda name: Doubles())
     world = World(view_of({"av": (0, 0, 0, 10.0)}))
     found, _ = attack(name, {"opponent": "argmax"}, world=world)
     assert found.rollout.opponent_id is None
@@ -192,7 +192,7 @@ class TestOptimisers:
 
     def test_optuna_does_it_too(self):
         rng = np.random.default_rng(0)
-        assert self.minimum(optuna_process.OptunaSearch(6, 2, rng), 12) < 0.02
+        assert self.minimum(bbo.OptunaSearch(6, 2, rng), 12) < 0.02
 
     def test_bayesian_search_learns_more_of_a_trial_than_the_others(self):
         rng = np.random.default_rng(0)

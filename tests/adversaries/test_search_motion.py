@@ -7,11 +7,9 @@ from hypothesis import strategies as st
 from predictor_doubles import straight_road, view_of
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
-from deepmf_sumo.adversaries.search.bicycle import Bicycle
-from deepmf_sumo.adversaries.search.cost import Weights, cost_of
-from deepmf_sumo.adversaries.search.knots import Knots
-from deepmf_sumo.adversaries.search.scouting import Motion, Scouted
-from deepmf_sumo.adversaries.search.search import SearchSettings
+from deepmf_sumo.adversaries._controls import Bicycle, Knots
+from deepmf_sumo.adversaries._episodes import Motion, Scouted
+from deepmf_sumo.adversaries._search import SearchSettings, Weights, cost_of
 from deepmf_sumo.geometry import angles
 from deepmf_sumo.metrics import feasible
 

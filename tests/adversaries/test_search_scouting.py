@@ -8,12 +8,11 @@ from rollout_doubles import case_of, rollout_of, straight
 from simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
 from simulated_worlds import case_of as recorded_case_of
 
-from deepmf_sumo.adversaries.search.opponents import OpponentChoice
-from deepmf_sumo.adversaries.search.scouting import scout
+from deepmf_sumo.adversaries._episodes import OpponentChoice, scout
 from deepmf_sumo.datatypes import FUTURE_STEPS
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.planners import idm, replay
-from deepmf_sumo.predictors import shared
+from deepmf_sumo.predictors import weights
 from deepmf_sumo.simulation import network_case
 from deepmf_sumo.simulation import simulate as simulate_case
 
@@ -97,7 +96,7 @@ class TestChoice:
             names.append(name)
             return Doubles()
 
-        monkeypatch.setattr(shared, "predictors", load)
+        monkeypatch.setattr(weights, "cached_predictors", load)
         return names
 
     def test_scores_come_from_the_weights_which_are_loaded_once(self, loads):

@@ -9,17 +9,15 @@ import torch
 from predictor_doubles import Doubles
 from simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
-from deepmf_sumo.adversaries import strive
-from deepmf_sumo.adversaries.gradients import strive_stages
-from deepmf_sumo.adversaries.gradients.strive_scene import Path, situation_of
-from deepmf_sumo.adversaries.gradients.strive_stages import Costs, Search
-from deepmf_sumo.adversaries.search import spending
-from deepmf_sumo.adversaries.search.scouting import scout
+from deepmf_sumo.adversaries import _episodes as episodes
+from deepmf_sumo.adversaries import _strive, strive
+from deepmf_sumo.adversaries._episodes import scout
+from deepmf_sumo.adversaries._strive import Costs, Path, Search, situation_of
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.planners import replay
-from deepmf_sumo.predictors import shared
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors import weights as weights_module
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.simulation import simulate as simulate_case
 
@@ -64,8 +62,8 @@ def scouted(case):
 
 @pytest.fixture(autouse=True)
 def _no_weights(monkeypatch, net):
-    monkeypatch.setattr(shared, "motion_prior", lambda name: net)
-    monkeypatch.setattr(shared, "predictors", lambda name: Doubles())
+    monkeypatch.setattr(weights_module, "cached_motion_prior", lambda name: net)
+    monkeypatch.setattr(weights_module, "cached_predictors", lambda name: Doubles())
 
 
 def search_of(net, scouted, seconds=60.0):
@@ -168,7 +166,7 @@ def test_the_adversary_spends_what_it_may_and_says_so(case):
 def test_seconds_end_it_only_where_they_are_set_and_then_it_says_so(case, monkeypatch, seconds):
     clock = itertools.count(0.0, 86400.0)
     slow = SimpleNamespace(perf_counter=lambda: next(clock))
-    for module in (strive, strive_stages, spending):
+    for module in (strive, _strive, episodes):
         monkeypatch.setattr(module, "time", slow)
     settings = strive.Settings(opponent="b", match_iterations=2, iterations=4, rounds=2,
                                solution_iterations=1, seconds=seconds)  # fmt: skip

@@ -5,7 +5,7 @@ import yaml
 
 from deepmf_sumo.benchmark import ablation
 from deepmf_sumo.errors import SpecError
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 
 PLAN = """version: 1
 data: [train]

@@ -18,7 +18,7 @@ PLANNERS = """
 import os, signal, sys, time
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Command
-from deepmf_sumo.planners.doors import guard
+from deepmf_sumo.planners.remote import guard
 
 class Odd(BaseException): pass
 

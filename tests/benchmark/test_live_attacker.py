@@ -14,8 +14,8 @@ import deepmf_sumo
 from deepmf_sumo.benchmark import episode, gate, risk
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.errors import OutputError, SpecError, UsageError
+from deepmf_sumo.live.connection import shared
 from deepmf_sumo.report import comparison
-from deepmf_sumo.simulation.live.connection import shared
 
 libsumo = pytest.importorskip("libsumo")
 traci = pytest.importorskip("traci")

@@ -10,7 +10,7 @@ import pytest
 from deepmf_sumo.benchmark.moments import Moment, Wish, again, plan
 from deepmf_sumo.benchmark.moments.choice import choose
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.simulation.scouting import Body, Sightings
+from deepmf_sumo.simulation.traffic_survey import Body, Sightings
 
 SUMO_CONFIG = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.sumocfg"
 EDGES = ("in", "left", "right", "out")

@@ -10,8 +10,8 @@ from deepmf_sumo.benchmark.moments import Wish, find
 from deepmf_sumo.benchmark.moments.choice import choose
 from deepmf_sumo.benchmark.moments.encounters import NEAR_S, _apart, encounters
 from deepmf_sumo.benchmark.moments.passages import Passages, passages
-from deepmf_sumo.network.net_file import read_net
-from deepmf_sumo.simulation.scouting import Body, Scouting, Sightings
+from deepmf_sumo.network.sumo_net import read_net
+from deepmf_sumo.simulation.traffic_survey import Body, Scouting, Sightings
 
 EDGES = ("west", "east", "far", "south", "north")
 OVER, UP = (0, 1, 2), (3, 4)

@@ -6,12 +6,12 @@ from rollout_doubles import rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.benchmark import artifacts
-from deepmf_sumo.policies import deepmf
+from deepmf_sumo.deepmf.policy import build
 
 
 def saved(tmp_path, **values):
     settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
-    policy = deepmf.build(settings, Doubles())
+    policy = build(settings, Doubles())
     view = view_of({"av": (0, 0, 0, 10.0), "b": (12, 0, 0, 2.0)})
     policy.reset(view, np.random.default_rng(0))
     plan = policy.plan(view)

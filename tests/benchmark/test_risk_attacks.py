@@ -5,7 +5,7 @@ from risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
 
 from deepmf_sumo.benchmark import risk
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import sumo_tools
 
 ENDED = {"ended": "longest", "outcome": "none", "hit_speed_mps": None}
 
@@ -99,7 +99,7 @@ def test_it_is_known_where_the_opponent_was(tmp_path):
 def without_lanes_inside(tmp_path_factory):
     """The junction as a network that has no lanes in it."""
     net = tmp_path_factory.mktemp("net") / "bare.net.xml"
-    programs.run("netconvert", "-s", str(NET), "--no-internal-links", "-o", str(net))
+    sumo_tools.run("netconvert", "-s", str(NET), "--no-internal-links", "-o", str(net))
     return net
 
 

@@ -14,7 +14,7 @@ from live_policies import Keep
 
 from deepmf_sumo.benchmark.live import assembly, attaching
 from deepmf_sumo.cli import main
-from deepmf_sumo.simulation.live.connection import Port, connect
+from deepmf_sumo.live.connection import Port, connect
 
 CLIENT = """
 import sys, time, traci

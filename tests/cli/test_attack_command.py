@@ -13,7 +13,7 @@ from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.simulation import demand
-from deepmf_sumo.simulation.configuration import read_configuration
+from deepmf_sumo.simulation.sumo_config import read_configuration
 
 
 def attack(tiny, out, *more):

@@ -9,8 +9,8 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Driver, Plan
+from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.metrics.episode import accelerations, motion, parts, paths
-from deepmf_sumo.policies import deepmf
 
 AV = straight(0, 0, 10)
 
@@ -162,7 +162,7 @@ def test_hausdorff_against_scipy_on_dense_points():
 
 def test_metrics_of_plans():
     view = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
-    policy = deepmf.build(deepmf.Settings(), Doubles())
+    policy = build(Settings(), Doubles())
     policy.reset(view, np.random.default_rng(0))
     plans = [
         policy.plan(view),

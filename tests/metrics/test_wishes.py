@@ -9,14 +9,14 @@ from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Contact
-from deepmf_sumo.policies import deepmf
+from deepmf_sumo.deepmf import policy
 
 AGENTS = {"av": (0, 0, 0, 10.0), "b": (-18, 0, 0, 12.0)}
 
 
 def plan(**values):
     settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
-    made = deepmf.build(settings, Doubles())
+    made = policy.build(settings, Doubles())
     view = view_of(AGENTS)
     made.reset(view, np.random.default_rng(0))
     return made.plan(view)

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepmf_sumo import network
-from deepmf_sumo.network.cache import key
+from deepmf_sumo.network.conversion import key
 
 
 def test_a_net_is_built_once(crossing, tmp_path):

@@ -12,8 +12,8 @@ import pytest
 from deepmf_sumo import network
 from deepmf_sumo.datatypes import RoadMap, Scene
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.network import plain, programs
-from deepmf_sumo.network.net_file import points, read_net
+from deepmf_sumo.network import plain_net, sumo_tools
+from deepmf_sumo.network.sumo_net import points, read_net
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def shape(net, lane_id):
 
 
 def load_in_sumo(net):
-    return programs.run(
+    return sumo_tools.run(
         "sumo", "-n", str(net.file), "-a", str(net.additional), "--no-step-log", "-e", "1"
     )
 
@@ -58,7 +58,7 @@ def test_nothing_is_lost_and_lanes_are_where_they_were(net, crossing):
 
 def test_sumo_loads_the_net_without_a_word_and_the_configuration_opens(net):
     assert load_in_sumo(net) == ""
-    programs.run("sumo", "-c", str(net.file.parent / "scene.sumocfg"), "--no-step-log", "-e", "1")
+    sumo_tools.run("sumo", "-c", str(net.file.parent / "scene.sumocfg"), "--no-step-log", "-e", "1")
 
 
 def test_pieces_cover_each_lane_in_driving_order(net, crossing):
@@ -246,10 +246,10 @@ def test_a_join_that_netconvert_leaves_out_is_lost_with_a_reason(
     road_of, scene_of, tmp_path, monkeypatch
 ):
     road = road_of([("a", [(0, 0), (50, 0)], {}), ("b", [(50, 0), (90, 0)], {})], [("a", "b")])
-    write_link = plain._link
+    write_link = plain_net._link
     nothing = '<connection from="ea"/>'
     monkeypatch.setattr(
-        plain, "_link", lambda link: nothing if link.target[0] == "eb" else write_link(link)
+        plain_net, "_link", lambda link: nothing if link.target[0] == "eb" else write_link(link)
     )
     report = network.convert(scene_of(road, path=[(0, 0), (40, 0)]), tmp_path / "net").report
     assert report.lost_connections == (("a", "b", "netconvert left it out"),)

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepmf_sumo.network import cutting
-from deepmf_sumo.network.crossings import crossings
+from deepmf_sumo.network import lane_graph
+from deepmf_sumo.network.lane_graph import crossings
 
 
 def line(*points):
@@ -41,14 +41,14 @@ def test_single_points_and_nothing():
 def test_a_part_is_as_long_as_asked_and_on_the_line(one, two):
     points = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     start, end = sorted((one, two))
-    part = cutting.part(points, start, end)
+    part = lane_graph.part(points, start, end)
     length = np.hypot(*np.diff(part, axis=0).T).sum()
     assert length == pytest.approx(end - start, abs=1e-5)
 
 
 def test_a_bridge_leaves_and_arrives_straight():
     before, after = np.array([[0.0, 0.0], [10.0, 0.0]]), np.array([[20.0, 10.0], [20.0, 20.0]])
-    bridge = cutting.bridge(before, after)
+    bridge = lane_graph.bridge(before, after)
     assert bridge[0] == pytest.approx([10.0, 0.0])
     assert bridge[-1] == pytest.approx([20.0, 10.0])
     steps = np.diff(bridge, axis=0)
@@ -59,5 +59,5 @@ def test_a_bridge_leaves_and_arrives_straight():
 def test_the_speed_in_a_bend_is_that_of_its_radius():
     angle = np.linspace(0.0, np.pi / 2, 50)
     arc = 20.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    assert cutting.bend_speed_mps(arc) == pytest.approx(np.sqrt(5.5 * 20.0), rel=0.05)
-    assert cutting.bend_speed_mps(np.array([[0.0, 0.0], [50.0, 0.0]])) > 100.0
+    assert lane_graph.bend_speed_mps(arc) == pytest.approx(np.sqrt(5.5 * 20.0), rel=0.05)
+    assert lane_graph.bend_speed_mps(np.array([[0.0, 0.0], [50.0, 0.0]])) > 100.0

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.network import generated, programs
+from deepmf_sumo.network import generated, sumo_tools
 from deepmf_sumo.network.generated import dressing, motorway, roundabouts, skeleton
 from deepmf_sumo.network.generated.layout import Edge, Layout, Node, build
-from deepmf_sumo.network.net_file import read_net
+from deepmf_sumo.network.sumo_net import read_net
 from deepmf_sumo.network.sumo_road import road_of_net
 
 PLAIN = [kind for kind in generated.KINDS if kind != generated.MIX]
@@ -39,7 +39,7 @@ def test_each_kind_has_lanes_that_lead_on(networks, kind):
 def test_sumo_drives_every_trip_without_an_objection(networks, kind):
     config = networks[kind]
     more = ("--step-length", "1", "--end", "60", "--no-step-log", "--duration-log.disable")
-    complaints = programs.run("sumo", "-c", str(config), *more)
+    complaints = sumo_tools.run("sumo", "-c", str(config), *more)
     assert "rror" not in complaints
     trips = ET.parse(config.with_suffix(".rou.xml")).getroot().findall("trip")
     assert len(trips) > 50
@@ -124,6 +124,6 @@ def test_what_netgenerate_refuses_is_an_error(tmp_path, monkeypatch):
     def refuse(name, *arguments, timeout_s=120.0):
         raise ConversionError(f"{name} failed: Error: no")
 
-    monkeypatch.setattr(programs, "run", refuse)
+    monkeypatch.setattr(sumo_tools, "run", refuse)
     with pytest.raises(ConversionError, match="netgenerate failed"):
         generated.generate("grid", 0, 0, tmp_path)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.network.sumo_road import road_of_net
 
 
@@ -11,7 +11,7 @@ from deepmf_sumo.network.sumo_road import road_of_net
 def road(request, tmp_path_factory):
     file = tmp_path_factory.mktemp("grid") / "grid.net.xml"
     side = ["--lefthand"] if request.param else []
-    programs.run("netgenerate", "--grid", "--grid.number", "2", "-L", "2", *side, "-o", str(file))
+    sumo_tools.run("netgenerate", "--grid", "--grid.number", "2", "-L", "2", *side, "-o", str(file))
     return road_of_net(file)
 
 

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import network
-from deepmf_sumo.network.matching import lane_sequence, match
-from deepmf_sumo.network.net_file import read_net
-from deepmf_sumo.network.routes import checked_route, edge_of, edge_route, start_lane
+from deepmf_sumo.network.matching import (
+    checked_route,
+    edge_of,
+    edge_route,
+    lane_sequence,
+    match,
+    start_lane,
+)
+from deepmf_sumo.network.sumo_net import read_net
 
 
 def track(scene_of, road, path):

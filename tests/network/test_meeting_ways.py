@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 from crossing_network import build
 
-from deepmf_sumo.network.meeting_ways import junctions, meeting_ways
-from deepmf_sumo.network.net_file import read_net
+from deepmf_sumo.network.sumo_net import junctions, meeting_ways, read_net
 
 OVER, UP, LEFT, RIGHT = (
     ("west", "east"), ("south", "north"), ("west", "north"), ("south", "east"),

@@ -1,7 +1,6 @@
 """Who gives way to whom, from the requests of junctions."""
 
-from deepmf_sumo.network.net_file import read_net
-from deepmf_sumo.network.right_of_way import going_first
+from deepmf_sumo.network.sumo_net import going_first, read_net
 
 LANE = '<lane id="{0}_0" index="0" speed="10" length="9" shape="0,0 9,0"/>'
 INNER = {":j_0": "a", ":j_1": "b", ":j_2": "c", ":j_3": ""}

@@ -6,7 +6,7 @@ import pytest
 
 from deepmf_sumo import network
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.network.sumo_road import road_of_net, road_once, signal_links
 
 
@@ -14,7 +14,7 @@ from deepmf_sumo.network.sumo_road import road_of_net, road_once, signal_links
 def grid(tmp_path_factory):
     """Four signalled junctions, two lanes each way, with sidewalks and crossings."""
     file = tmp_path_factory.mktemp("grid") / "grid.net.xml"
-    programs.run(
+    sumo_tools.run(
         *("netgenerate", "--grid", "--grid.number", "2", "--grid.length", "100"),
         *("--grid.attach-length", "80", "-L", "2", "--default.speed", "13.0"),
         *("--sidewalks.guess", "--crossings.guess"),

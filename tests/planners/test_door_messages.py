@@ -10,8 +10,8 @@ import simulated_worlds as worlds
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Case, Command, SignalState, SumoNet, VehicleModel, View
 from deepmf_sumo.errors import PlannerError
-from deepmf_sumo.planners.doors import answers, asking, hearing
-from deepmf_sumo.planners.doors.messages import PROTOCOL, Reset, ViewMessage, schema
+from deepmf_sumo.planners.remote import http_client, protocol
+from deepmf_sumo.planners.remote.protocol import PROTOCOL, Reset, ViewMessage, schema
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +47,9 @@ def view(scene):
 
 
 def test_a_view_arrives_bit_for_bit(view):
-    told = hearing.read(asking.view_message("e", view, 11))
+    told = protocol.read(http_client.view_message("e", view, 11))
     assert isinstance(told, ViewMessage)
-    heard = hearing.view_of(told, view.road)
+    heard = protocol.view_of(told, view.road)
     for name in ("position_m", "z_m", "heading_rad", "velocity_mps", "size_m", "valid"):
         sent, came = getattr(view.history, name), getattr(heard.history, name)
         assert sent.tobytes() == came.tobytes(), name
@@ -60,17 +60,17 @@ def test_a_view_arrives_bit_for_bit(view):
 
 
 def test_a_shorter_history_ends_with_now(view):
-    heard = hearing.view_of(hearing.read(asking.view_message("e", view, 2)), view.road)
+    heard = protocol.view_of(protocol.read(http_client.view_message("e", view, 2)), view.road)
     assert heard.history.steps == 2
     assert (heard.history.position_m == view.history.position_m[:, -2:]).all()
 
 
 def test_the_road_arrives_and_the_recording_does_not(case):
-    line = asking.reset_message(case, road=True)
-    told = hearing.read(line)
+    line = http_client.reset_message(case, road=True)
+    told = protocol.read(line)
     assert isinstance(told, Reset)
     assert (told.case, told.seed, told.steps, told.own_lane) == ("a case", 7, 80, False)
-    heard = hearing.case_of(told)
+    heard = protocol.case_of(told)
     assert list(heard.road.lanes) == list(case.road.lanes)
     for name, lane in case.road.lanes.items():
         there = heard.road.lanes[name]
@@ -80,7 +80,7 @@ def test_the_road_arrives_and_the_recording_does_not(case):
     assert heard.road.stop_signs[0].lane_ids == ("south",)
     assert heard.scene is None
     assert b"walker" not in line
-    assert hearing.read(asking.reset_message(case, road=False)).road is None
+    assert protocol.read(http_client.reset_message(case, road=False)).road is None
 
 
 def test_a_lane_of_its_own_is_told(case):
@@ -88,7 +88,7 @@ def test_a_lane_of_its_own_is_told(case):
 
     assert case.net is not None
     alone = replace(case, net=replace(case.net, ghost_edge="ghost"))
-    heard = hearing.case_of(hearing.read(asking.reset_message(alone, road=False)))
+    heard = protocol.case_of(protocol.read(http_client.reset_message(alone, road=False)))
     assert heard.net.ghost_edge is not None
     assert heard.scene.tracks.ids == ("av",)
 
@@ -103,8 +103,8 @@ def test_a_lane_of_its_own_is_told(case):
     ],
 )
 def test_a_command_comes_back_as_it_was(command):
-    text = json.dumps(hearing.command_answer(command, 12)).encode()
-    assert answers.read_command("it", text, 12) == command
+    text = json.dumps(protocol.command_answer(command, 12)).encode()
+    assert protocol.read_command("it", text, 12) == command
 
 
 def test_a_vehicle_model_comes_back_as_it_was():
@@ -112,20 +112,20 @@ def test_a_vehicle_model_comes_back_as_it_was():
         accel_mps2=1.5, decel_mps2=2, emergency_mps2=8, headway_s=1.5, gap_m=2, exponent=4
     )
     for told in (model, None):
-        text = json.dumps(hearing.ready_answer(told)).encode()
-        assert answers.read_ready("it", text) == told
+        text = json.dumps(protocol.ready_answer(told)).encode()
+        assert protocol.read_ready("it", text) == told
 
 
 def test_a_model_that_sumo_would_refuse_is_refused():
     model = dict.fromkeys(VehicleModel.__dataclass_fields__, 1.0) | {"accel_mps2": -1.0}
     text = json.dumps({"type": "ready", "protocol": 1, "model": model}).encode()
     with pytest.raises(PlannerError, match=r"'model.accel_mps2' is -1.0"):
-        answers.read_ready("it", text)
+        protocol.read_ready("it", text)
 
 
 def test_a_question_of_another_kind_is_refused():
     with pytest.raises(PlannerError, match=f"not a question of protocol {PROTOCOL}"):
-        hearing.read(b'{"type": "dance"}')
+        protocol.read(b'{"type": "dance"}')
 
 
 def test_the_schema_is_printed_and_names_every_message(capsys):

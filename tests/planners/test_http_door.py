@@ -13,7 +13,7 @@ from tiny_network import build
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PlannerError, PluginError
 from deepmf_sumo.planners import http, idm
-from deepmf_sumo.planners.doors import serve
+from deepmf_sumo.planners.remote import serve
 from deepmf_sumo.simulation import network_case, simulate
 
 READY = b'{"type": "ready", "protocol": 1}'

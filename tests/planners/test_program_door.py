@@ -13,7 +13,7 @@ from tiny_network import build
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PlannerError, PluginError, SimulationError
 from deepmf_sumo.planners import idm, isolated, program
-from deepmf_sumo.planners.doors.process import Process
+from deepmf_sumo.planners.remote.process import Process
 from deepmf_sumo.simulation import network_case, simulate
 
 HOSTILE = Path(__file__).with_name("hostile_planner.py")
@@ -164,7 +164,7 @@ def test_all_ends_when_the_simulation_is_killed(tmp_path):
     copy.write_text(HOSTILE.read_text())
     hold = (
         "import sys, time\n"
-        "from deepmf_sumo.planners.doors.process import Process\n"
+        "from deepmf_sumo.planners.remote.process import Process\n"
         "one = Process('orphan', sys.argv[1:])\n"
         'one.ask(b\'{"type": "reset"}\\n\', 30, "the reset")\n'
         "print('ready', flush=True)\ntime.sleep(600)\n"

@@ -7,7 +7,7 @@ import pytest
 
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.planners.doors.turns import Ended, Turns
+from deepmf_sumo.planners.remote.serve import Ended, Turns
 
 GO = Command(kind="sumo")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.predictors import car_following, condition
+from deepmf_sumo.predictors import car_following, conditioning
 from deepmf_sumo.predictors.car_following import Road
-from deepmf_sumo.predictors.presets import VECTOR
+from deepmf_sumo.predictors.config import VECTOR
 
 STRAIGHT = torch.stack([torch.arange(121) * 2.0, torch.zeros(121)], -1)
 
@@ -30,7 +30,7 @@ def given(x, y, heading=0.0):
     position[..., 0] = torch.as_tensor(x, dtype=torch.float32)
     position[..., 1] = torch.as_tensor(y, dtype=torch.float32)
     turned = torch.full((1, 1, 80), heading)
-    return condition.encode(position, turned, torch.ones(1, 1), VECTOR)
+    return conditioning.encode(position, turned, torch.ones(1, 1), VECTOR)
 
 
 FAR = given(0.0, 500.0)
@@ -91,7 +91,7 @@ def test_goals_are_compared_with_it_at_all_times():
 
 
 def test_each_future_has_a_follower_of_its_own():
-    both = condition.encode(
+    both = conditioning.encode(
         torch.cat([given(60.0, 0.0).position_m, FAR.position_m], 1),
         torch.zeros(1, 2, 80),
         torch.ones(1, 2),

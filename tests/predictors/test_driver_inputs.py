@@ -9,8 +9,8 @@ from synthetic import view
 
 from deepmf_sumo.datatypes import Futures
 from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.features import features
-from deepmf_sumo.predictors.presets import LIGHT
 
 SMALL = replace(LIGHT, name="small", hidden=16, raster=False, profiles=7)
 MODES = 16

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.predictors import anchors, condition, selection
-from deepmf_sumo.predictors.presets import LIGHT, PAPER
+from deepmf_sumo.predictors import anchors, conditioning, decoding
+from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.predictors.raster import draw_future
 
 
@@ -59,13 +59,13 @@ def test_residuals_pass_their_knots_and_start_flat():
 def test_medoids_cover_and_masses_sum_to_one():
     ends = torch.tensor([[[0.0, 0], [1, 0], [50, 0], [51, 0], [100, 0]]])
     weight = torch.tensor([[0.3, 0.25, 0.2, 0.15, 0.1]])
-    chosen, mass = selection.select(weight, ends, 3)
+    chosen, mass = decoding.select(weight, ends, 3)
     assert chosen.tolist() == [[0, 2, 4]]
     assert mass.flatten().tolist() == pytest.approx([0.55, 0.35, 0.1])
 
 
 def expected(weight, ends, chosen):
-    apart = torch.cdist(ends, ends).clamp_max(selection.CAP_M)
+    apart = torch.cdist(ends, ends).clamp_max(decoding.CAP_M)
     return float((weight * apart[chosen].min(0).values).sum())
 
 
@@ -74,7 +74,7 @@ def test_medoids_are_nearly_the_best_of_all_choices(seed):
     generator = torch.Generator().manual_seed(seed)
     ends = torch.rand(14, 2, generator=generator) * 60
     weight = torch.rand(14, generator=generator).softmax(0)
-    chosen, _ = selection.select(weight[None], ends[None], 3)
+    chosen, _ = decoding.select(weight[None], ends[None], 3)
     found = expected(weight, ends, chosen[0])
     every = [list(rows) for rows in itertools.combinations(range(14), 3)]
     assert found < 1.05 * min(expected(weight, ends, rows) for rows in every)
@@ -82,14 +82,14 @@ def test_medoids_are_nearly_the_best_of_all_choices(seed):
 
 def test_a_first_medoid_between_two_groups_moves_into_one():
     ends = torch.tensor([[[0.0, 0], [10, 0], [20, 0]]])
-    chosen, mass = selection.select(torch.tensor([[0.35, 0.3, 0.35]]), ends, 2)
+    chosen, mass = decoding.select(torch.tensor([[0.35, 0.3, 0.35]]), ends, 2)
     assert sorted(chosen[0].tolist()) == [0, 2]
     assert mass.sum() == pytest.approx(1.0)
 
 
 def test_too_many_modes_are_refused():
     with pytest.raises(RunError, match="9 modes"):
-        selection.select(torch.ones(1, 4) / 4, torch.zeros(1, 4, 2), 9)
+        decoding.select(torch.ones(1, 4) / 4, torch.zeros(1, 4, 2), 9)
 
 
 @pytest.mark.parametrize("preset", [LIGHT, PAPER])
@@ -113,7 +113,7 @@ def test_relations_know_who_comes_first():
     other = torch.zeros(1, 1, 80, 2)
     other[..., 0] = 40.0
     other[..., 1] = torch.linspace(-29.0, 50.0, 80)  # crosses at 3 s
-    path, goal = condition.relations(straight_path(), along, other)
+    path, goal = conditioning.relations(straight_path(), along, other)
     assert path[0, 0, 0, 1] == 1.0  # they meet
     assert path[0, 0, 0, 4] == pytest.approx(40 / 50, abs=0.05)
     assert abs(float(path[0, 0, 0, 5])) < 0.01  # at a right angle
@@ -129,14 +129,14 @@ def test_a_leader_is_ahead_and_who_is_beside_the_path_is_not_on_it():
     other = torch.zeros(1, 2, 80, 2)
     other[0, 0, :, 0] = 30.0 + torch.arange(1, 81)  # the same speed, 30 m ahead
     other[0, 1] = other[0, 0] + torch.tensor([0.0, 8.0])
-    _, goal = condition.relations(straight_path(), along, other)
+    _, goal = conditioning.relations(straight_path(), along, other)
     assert goal[0, 0, 0, 0, 11:].tolist() == pytest.approx([1.5] * 4, abs=0.06)
     assert goal[0, 1, 0, 0, 11:].tolist() == [0.0] * 4
 
 
 def test_numbers_are_finite_for_a_standing_other():
     along = torch.ones(1, 1, 2, 16)
-    path, goal = condition.relations(straight_path(), along, torch.zeros(1, 3, 80, 2))
+    path, goal = conditioning.relations(straight_path(), along, torch.zeros(1, 3, 80, 2))
     assert bool(torch.isfinite(path).all())
     assert bool(torch.isfinite(goal).all())
     assert np.prod(goal.shape) == 3 * 2 * 15

@@ -8,8 +8,8 @@ import torch
 from synthetic import view
 
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import shared, weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
@@ -99,10 +99,10 @@ def test_a_list_of_members_that_is_none(folder, listed):
 
 
 def test_a_set_is_read_again_when_its_members_change(folder):
-    first = shared.predictors(folder)
-    assert shared.predictors(folder) is first
+    first = weights.cached_predictors(folder)
+    assert weights.cached_predictors(folder) is first
     change(folder, "marginal", temperature=1.25)
-    second = shared.predictors(folder)
+    second = weights.cached_predictors(folder)
     assert second.marginal.temperature == 1.25
     (folder / "marginal-2.safetensors").touch()
-    assert shared.predictors(folder) is not second
+    assert weights.cached_predictors(folder) is not second

@@ -7,10 +7,10 @@ import pytest
 import torch
 from synthetic import view
 
-from deepmf_sumo.predictors import completion, marginal, mixture, weights
+from deepmf_sumo.predictors import decoding, marginal, weights
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.marginal import Marginal
-from deepmf_sumo.predictors.presets import LIGHT
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 
@@ -26,15 +26,15 @@ def nets():
 
 
 def goals_of(nets):
-    batch = completion.as_batch(features(view(), "av", SMALL)[0])
+    batch = decoding.as_batch(features(view(), "av", SMALL)[0])
     with torch.inference_mode():
         return [net(batch) for net in nets]
 
 
 def test_members_have_equal_mass_and_one_is_as_it_is(nets):
     members = goals_of(nets)
-    assert mixture.pooled(members[:1]) is members[0]
-    whole = mixture.pooled(members)
+    assert marginal.pooled(members[:1]) is members[0]
+    whole = marginal.pooled(members)
     paths = members[0].logits.shape[2]
     share = whole.logits.flatten(2).softmax(-1).view_as(whole.logits)
     assert share[:, :, :paths].sum().item() == pytest.approx(0.5, abs=1e-5)
@@ -44,10 +44,10 @@ def test_members_have_equal_mass_and_one_is_as_it_is(nets):
 
 
 def test_modes_are_goals_of_either_member(nets):
-    pose, members = completion.pose_of(view(), "av"), goals_of(nets)
+    pose, members = decoding.pose_of(view(), "av"), goals_of(nets)
     everything = [
-        completion.to_scene(
-            pose, *completion.complete(goals, torch.arange(goals.logits.numel())[None])
+        decoding.to_scene(
+            pose, *decoding.complete(goals, torch.arange(goals.logits.numel())[None])
         )[0][0]
         for goals in members
     ]

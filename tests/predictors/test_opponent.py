@@ -6,18 +6,11 @@ import torch
 from synthetic import crossing, scene, view
 
 from deepmf_sumo.datatypes import SignalState
-from deepmf_sumo.predictors import motion_relations, weights
-from deepmf_sumo.predictors.completion import as_batch
-from deepmf_sumo.predictors.lane_relations import MEETING, lane_columns
-from deepmf_sumo.predictors.lane_routes import SPACING_M, lane_routes, on_lanes
-from deepmf_sumo.predictors.opponent import Opponent
-from deepmf_sumo.predictors.opponent_features import (
-    OTHERS,
-    PAIR,
-    opponent_features,
-    surroundings,
-)
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors import kinematics, weights
+from deepmf_sumo.predictors.config import LIGHT
+from deepmf_sumo.predictors.decoding import as_batch
+from deepmf_sumo.predictors.opponent import OTHERS, PAIR, Opponent, opponent_features, surroundings
+from deepmf_sumo.predictors.routes import MEETING, SPACING_M, lane_columns, lane_routes, on_lanes
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +74,7 @@ def test_who_stands_across_a_lane_is_not_on_it():
 def test_ways_at_constant_velocity_meet_where_they_do():
     seen = view(scene(shift=0.0))
     rows = np.array([seen.history.row(each) for each in ("av", "south")])
-    columns = motion_relations.constant_columns(motion_relations.motion_of(seen, rows))
+    columns = kinematics.constant_columns(kinematics.motion_of(seen, rows))
     same, when, least, own_time, ego_time, _ = columns[0, :6]
     assert same == pytest.approx(0.0, abs=1e-6)  # both are at the crossing after 5 s
     assert when == own_time == ego_time == pytest.approx(10 / 16)
@@ -93,7 +86,7 @@ def test_ways_at_constant_velocity_meet_where_they_do():
 def test_routes_that_cross_meet_at_the_crossing():
     seen = view()
     rows = np.array([seen.history.row(each) for each in ("av", "south", "parked")])
-    columns = lane_columns(seen, rows, motion_relations.motion_of(seen, rows))[:, MEETING]
+    columns = lane_columns(seen, rows, kinematics.motion_of(seen, rows))[:, MEETING]
     apart, own, ego, *_, sin, met, own_there, ego_there = columns[0]
     assert apart * 10 < 2.5
     assert own * 50 == pytest.approx(45, abs=SPACING_M)

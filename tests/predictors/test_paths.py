@@ -3,8 +3,8 @@ import pytest
 from synthetic import crossing, lane, straight
 
 from deepmf_sumo.datatypes import RoadMap, SignalState
+from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.paths import NODE_SPACING_M, path_set
-from deepmf_sumo.predictors.road_index import road_index
 
 
 def paths_at(position, heading, speed, signals=None, road=None):

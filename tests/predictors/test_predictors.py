@@ -6,11 +6,11 @@ import torch
 from synthetic import scene, view
 
 from deepmf_sumo.datatypes import Futures
-from deepmf_sumo.predictors import completion, condition, raster, weights
+from deepmf_sumo.predictors import conditioning, decoding, raster, weights
+from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.lanes import ROAD_CHANNELS, road_index
 from deepmf_sumo.predictors.marginal import Marginal
-from deepmf_sumo.predictors.presets import LIGHT, PAPER
-from deepmf_sumo.predictors.road_index import ROAD_CHANNELS, road_index
 
 
 @pytest.fixture(scope="module")
@@ -78,11 +78,11 @@ def test_modes_spread_wider_where_the_temperature_says_that_tails_are_likelier(o
 
 def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated):
     marginal = Marginal([opinionated], 1.0)
-    goals = opinionated(completion.as_batch(features(view(), "av", LIGHT)[0]))
+    goals = opinionated(decoding.as_batch(features(view(), "av", LIGHT)[0]))
     probability = goals.logits[0, 0].flatten().softmax(0)
-    every = completion.complete(goals, torch.arange(len(probability))[None])
-    pose = completion.pose_of(view(), "av")
-    all_m = completion.to_scene(pose, *(each.detach() for each in every))[0][0, :, 29]
+    every = decoding.complete(goals, torch.arange(len(probability))[None])
+    pose = decoding.pose_of(view(), "av")
+    all_m = decoding.to_scene(pose, *(each.detach() for each in every))[0][0, :, 29]
 
     def expected_error(chosen_at):
         [found] = marginal.predict_each(view(), "av", (6,), chosen_at=chosen_at)
@@ -123,31 +123,31 @@ def test_one_forecast_per_given_future(predictors):
 def test_the_given_future_acts_through_each_path_alone(predictors, path):
     net = predictors.conditional.net
     arrays, _ = features(view(), "av", LIGHT)
-    pose = completion.pose_of(view(), "av")
+    pose = decoding.pose_of(view(), "av")
 
     def encoded(futures):
-        position, heading = completion.to_pose(pose, futures)
-        return condition.encode(position, heading, torch.ones(1, 1), LIGHT)
+        position, heading = decoding.to_pose(pose, futures)
+        return conditioning.encode(position, heading, torch.ones(1, 1), LIGHT)
 
     with torch.inference_mode():
         base = encoded(southern())
         other = encoded(southern(-25.0))
         mixed = replace(base, **{path: getattr(other, path)})
-        plain = net(completion.as_batch(arrays), base).logits
-        changed = net(completion.as_batch(arrays), mixed).logits
+        plain = net(decoding.as_batch(arrays), base).logits
+        changed = net(decoding.as_batch(arrays), mixed).logits
     there = torch.isfinite(plain)
     assert (plain[there] - changed[there]).abs().max() > 1e-5
 
 
 def test_without_a_condition_the_conditional_is_marginal(predictors):
     arrays, _ = features(view(), "av", LIGHT)
-    pose = completion.pose_of(view(), "av")
+    pose = decoding.pose_of(view(), "av")
     net = predictors.conditional.net
     with torch.inference_mode():
-        position, heading = completion.to_pose(pose, southern())
-        off = condition.encode(position, heading, torch.zeros(1, 1), LIGHT)
-        dropped = net(completion.as_batch(arrays), off).logits
-        none = net(completion.as_batch(arrays)).logits
+        position, heading = decoding.to_pose(pose, southern())
+        off = conditioning.encode(position, heading, torch.zeros(1, 1), LIGHT)
+        dropped = net(decoding.as_batch(arrays), off).logits
+        none = net(decoding.as_batch(arrays)).logits
     assert torch.equal(dropped, none)
 
 
@@ -158,9 +158,9 @@ def test_relations_are_those_of_full_precision_where_the_rest_is_computed_in_bf1
     profiles = torch.linspace(0.0, 100.0, 16).expand(1, 4, 6, 16)
     position = torch.stack([torch.linspace(5.0, 105.0, 80), torch.ones(80)], -1)
     arguments = line[None], profiles, position[None, None]
-    path, goal = condition.relations(*arguments)
+    path, goal = conditioning.relations(*arguments)
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        half_path, half_goal = condition.relations(*arguments)
+        half_path, half_goal = conditioning.relations(*arguments)
     assert torch.equal(path, half_path)
     assert torch.equal(goal, half_goal)
     assert path[0, 0, :, 1].tolist() == [1.0, 1.0, 0.0, 0.0]  # within 3.5 m of the first two

@@ -8,11 +8,11 @@ from synthetic import view
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.anchors import BRAKING
-from deepmf_sumo.predictors.completion import as_batch
-from deepmf_sumo.predictors.condition import encode
+from deepmf_sumo.predictors.conditioning import encode
+from deepmf_sumo.predictors.config import LIGHT, PAPER, VECTOR, Preset, changed
+from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.features import features
-from deepmf_sumo.predictors.presets import LIGHT, PAPER, VECTOR, Preset, changed
 
 
 @pytest.mark.parametrize("preset", [LIGHT, PAPER, VECTOR])

@@ -8,11 +8,12 @@ import torch
 from synthetic import view
 
 from deepmf_sumo.datatypes import Futures
-from deepmf_sumo.predictors import marginal, second_opinion, weights
+from deepmf_sumo.predictors import decoding, weights
+from deepmf_sumo.predictors import marginal as marginal_module
 from deepmf_sumo.predictors.conditional import Conditional
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.densetnt import Goals
 from deepmf_sumo.predictors.marginal import Marginal
-from deepmf_sumo.predictors.presets import LIGHT
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 
@@ -44,14 +45,14 @@ def shares(found):
 
 def test_who_agrees_adds_nothing():
     own = goals([[10.0, 30.0], [5.0, 80.0]], [[0.3, 1.0], [-2.0, 0.0]])
-    assert second_opinion.gain(own, [own]).abs().max() < 1e-6
-    assert second_opinion.gain(own, [own, own]).abs().max() < 1e-6
+    assert decoding.gain(own, [own]).abs().max() < 1e-6
+    assert decoding.gain(own, [own, own]).abs().max() < 1e-6
 
 
 def test_a_goal_gains_what_others_hold_of_it_more():
     own = goals([[0.0, 500.0], [0.0, 500.0]], [[0.0, 0.0], [0.0, 0.0]])
     other = goals([[500.0, 0.0], [0.0, 500.0]], [[0.0, 2.0], [1.0, 0.0]])  # in another order
-    found = second_opinion.gain(own, [other])[0, 0]
+    found = decoding.gain(own, [other])[0, 0]
     expected = torch.tensor([[2.0, 0.0], [1.0, 0.0]])
     assert torch.allclose(found - found[0, 1], expected, atol=1e-4)
 
@@ -59,14 +60,14 @@ def test_a_goal_gains_what_others_hold_of_it_more():
 def test_goals_that_end_near_by_are_much_alike():
     own = goals([[20.0, 60.0]], [[0.0, 0.0]])
     other = goals([[24.0, 100.0]], [[0.0, 0.0]])
-    near, far = second_opinion.gain(own, [other])[0, 0, 0]
+    near, far = decoding.gain(own, [other])[0, 0, 0]
     assert near == pytest.approx(-4.0 / 3.0, abs=0.01)
     assert far < near - 5.0
 
 
 def test_a_path_that_does_not_exist_stays_out():
     own = goals([[10.0], [20.0]], [[0.0], [float("-inf")]])
-    found = second_opinion.gain(own, [own])[0, 0]
+    found = decoding.gain(own, [own])[0, 0]
     assert torch.isfinite(found).all()
     assert (own.logits + found)[0, 0, 1].isneginf()
 
@@ -114,6 +115,6 @@ def test_the_opinion_is_one_for_all_given_futures(nets):
 def test_features_are_made_once_where_the_marginal_network_sees_no_image(nets, monkeypatch):
     blind = weights.random(replace(SMALL, raster=False), 0).marginal
     expected = Conditional(nets[1], 1.0, marginal=blind).react(view(), "av", None, 6)[0]
-    monkeypatch.setattr(marginal, "features", None)  # nobody calls it
+    monkeypatch.setattr(marginal_module, "features", None)  # nobody calls it
     found = Conditional(nets[1], 1.0, marginal=Marginal(blind.nets, 1.0))
     assert np.array_equal(found.react(view(), "av", None, 6)[0].probability, expected.probability)

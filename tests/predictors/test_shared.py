@@ -5,7 +5,7 @@ import os
 import pytest
 
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import shared, weights
+from deepmf_sumo.predictors import weights
 
 
 def test_one_copy_until_a_file_changes(tmp_path, monkeypatch):
@@ -13,13 +13,13 @@ def test_one_copy_until_a_file_changes(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "load", lambda folder: loaded.append(folder) or object())
     file = tmp_path / "marginal.safetensors"
     file.write_bytes(b"")
-    first = shared.predictors(tmp_path)
-    assert shared.predictors(str(tmp_path)) is first
+    first = weights.cached_predictors(tmp_path)
+    assert weights.cached_predictors(str(tmp_path)) is first
     os.utime(file, ns=(1, 1))
-    assert shared.predictors(tmp_path) is not first
+    assert weights.cached_predictors(tmp_path) is not first
     assert loaded == [tmp_path.resolve()] * 2
 
 
 def test_missing_weights_are_named():
     with pytest.raises(WeightsError, match="no weights 'nowhere'"):
-        shared.predictors("nowhere")
+        weights.cached_predictors("nowhere")

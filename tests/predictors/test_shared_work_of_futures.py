@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from deepmf_sumo.predictors import anchors, condition
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors import anchors, conditioning
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.vectornet import Attention
 from deepmf_sumo.predictors.vgg import VGG16
 
@@ -87,7 +87,7 @@ def test_relations_at_equal_times_are_those_of_plain_distances():
     paths[0, 0, :, 0] = paths[0, 1, :, 1] = torch.arange(121.0) * 2
     along = torch.rand(1, 2, 3, 16).cumsum(-1) * 6
     other = torch.randn(1, 4, 80, 2).cumsum(2) + 20
-    _, goal = condition.relations(paths, along, other)
+    _, goal = conditioning.relations(paths, along, other)
     place = torch.zeros(1, 2, 3, 16, 2)
     place[:, 0, ..., 0], place[:, 1, ..., 1] = along[:, 0], along[:, 1]
     apart = (place[:, None] - other[:, :, None, None, 4::5]).norm(dim=-1)

@@ -13,7 +13,7 @@ from synthetic import scene, view
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive import bicycle, costs
 from deepmf_sumo.predictors.strive.graph import MEMBERS, NODES, SPACING_M, graph_of, members
 from deepmf_sumo.predictors.strive.motion_prior import LATENT, Gaussian, MotionPrior

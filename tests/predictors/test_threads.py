@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepmf_sumo.predictors.threads import one_thread
+from deepmf_sumo.predictors.weights import one_thread
 
 
 def test_one_thread_within_and_as_many_as_before_after():

@@ -6,7 +6,7 @@ from synthetic import view
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards
 
 

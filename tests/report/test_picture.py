@@ -7,7 +7,7 @@ from predictor_doubles import Doubles, view_of
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo.datatypes import Contact
-from deepmf_sumo.policies import deepmf
+from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.report.picture import draw
 
 PATHS = {
@@ -21,7 +21,7 @@ PATHS = {
 @pytest.fixture(scope="module")
 def plan():
     view = view_of({name: (*path[10], 10.0) for name, path in PATHS.items()})
-    policy = deepmf.build(deepmf.Settings(candidates=8, reactions=3), Doubles())
+    policy = build(Settings(candidates=8, reactions=3), Doubles())
     policy.reset(view, np.random.default_rng(0))
     return policy.plan(view)
 

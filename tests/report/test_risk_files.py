@@ -10,7 +10,7 @@ from risk_doubles import LEFT_IN, Attacks, eastward, straight
 
 from deepmf_sumo.benchmark import risk
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.report import risk as files
 from deepmf_sumo.report.risk.polygons import CLASSES, colour
 
@@ -85,8 +85,8 @@ def test_movements_are_edge_relations(made):
 def test_sumo_reads_network_and_polygons_without_a_word(made):
     """Ids with blanks, for instance, it drops with a warning."""
     done = subprocess.run(
-        [programs.program("sumo"), "-c", made.folder / "risk.sumocfg", "--no-step-log"],
-        env=programs.environment(), capture_output=True, text=True, check=True,
+        [sumo_tools.program("sumo"), "-c", made.folder / "risk.sumocfg", "--no-step-log"],
+        env=sumo_tools.environment(), capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert "Warning" not in done.stderr
     shapes = [one.get("id") for one in ET.parse(made.folder / "polygons.add.xml").iter("poly")]

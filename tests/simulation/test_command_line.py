@@ -6,8 +6,7 @@ import pytest
 from tiny_network import build
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.simulation.command_line import parse
-from deepmf_sumo.simulation.configuration import SUMO_SEED, read_configuration
+from deepmf_sumo.simulation.sumo_config import SUMO_SEED, parse, read_configuration
 
 
 def test_all_spellings_of_sumo_are_understood(monkeypatch, tmp_path):

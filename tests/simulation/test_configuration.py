@@ -4,7 +4,7 @@ import pytest
 from tiny_network import build
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation.configuration import SUMO_SEED, read_configuration
+from deepmf_sumo.simulation.sumo_config import SUMO_SEED, read_configuration
 
 
 def test_the_mesoscopic_model_is_refused_and_can_be_switched_off(tmp_path):

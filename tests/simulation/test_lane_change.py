@@ -12,7 +12,7 @@ import libsumo
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.datatypes import Command
-from deepmf_sumo.simulation.takeover import Takeover
+from deepmf_sumo.simulation.vehicle_control import Takeover
 
 config, who, steps_before = sys.argv[1], sys.argv[2], int(sys.argv[3])
 libsumo.start(["sumo", "-c", config, "--step-length", "0.1", "--lanechange.duration", "3",

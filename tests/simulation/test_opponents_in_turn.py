@@ -13,8 +13,8 @@ from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.simulation.attack_schedule import Turns
 from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.turns import Turns
 
 NOW = HISTORY_STEPS - 1
 RULES = TurnRules(longest_s=5.0, reach_m=40.0, harmless_s=2.0, again_after_s=20.0, clear_s=1.0)
@@ -310,7 +310,7 @@ def test_who_is_handed_back_amid_others_or_beside_the_road_is_put_on_a_free_plac
 
 
 def test_without_a_free_place_a_vehicle_is_taken_out_and_it_is_said(busy, monkeypatch):
-    from deepmf_sumo.simulation.places import Places
+    from deepmf_sumo.simulation.vehicle_control import Places
 
     monkeypatch.setattr(Places, "nearest", lambda *_: None)
     found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0), steps=50)

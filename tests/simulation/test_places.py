@@ -8,7 +8,7 @@ from predictor_doubles import straight_road
 
 from deepmf_sumo.datatypes import Driver
 from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.places import Places, overlapped
+from deepmf_sumo.simulation.vehicle_control import Places, overlapped
 
 ROAD = straight_road()  # lanes "0" at y = 0 and "1" at y = 3.5, eastwards from x = -100 to 300
 

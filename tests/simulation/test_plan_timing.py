@@ -6,8 +6,8 @@ from predictor_doubles import Doubles, FanPredictor
 from simulated_worlds import LANE_M, NOW, case_of, scene_of, straight_motion, straight_road
 
 from deepmf_sumo.datatypes import FUTURE_STEPS, Forecast, Futures, Plan
+from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.planners import replay
-from deepmf_sumo.policies import deepmf
 from deepmf_sumo.simulation import simulate
 
 
@@ -97,8 +97,8 @@ def test_with_the_avs_future_known_the_contact_comes_at_the_step_that_the_plan_s
     beside, version, rule
 ):
     predictors = Doubles(conditional=KnowsTheLog(beside.scene.tracks))
-    settings = deepmf.Settings(version=version, rule=rule, reactions=1)
-    policy = Watched(deepmf.build(settings, predictors))
+    settings = Settings(version=version, rule=rule, reactions=1)
+    policy = Watched(build(settings, predictors))
     planner = replay.build(replay.Settings())
     rollout = simulate(beside, planner, policy, rng=np.random.default_rng(0))
     contact = rollout.first("av_opponent")

@@ -19,7 +19,7 @@ from simulated_worlds import (
 from deepmf_sumo.datatypes import Command, Driver, Plan
 from deepmf_sumo.errors import PlannerError, SimulationError
 from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
-from deepmf_sumo.simulation import simulate, stage
+from deepmf_sumo.simulation import simulate, world
 
 EAST, NORTH = 0.0, np.pi / 2
 
@@ -84,7 +84,7 @@ def following(tmp_path_factory):
 def test_av_stands_exactly_at_its_recorded_pose_and_speed(tmp_path, y):
     scene = scene_of(straight_road(), {"av": straight_motion(60.0, y, EAST, 12.0)})
     case = case_of(scene, tmp_path)
-    with stage.opened(case, idm.TREIBER, "libsumo") as opened:
+    with world.opened(case, idm.TREIBER, "libsumo") as opened:
         pose = opened._av.sumo_pose()
         assert np.hypot(pose.x_m - 60.0, pose.y_m - y) < 1e-3
         assert abs(pose.heading_rad) < 1e-6
@@ -116,7 +116,7 @@ def test_replay_is_the_log_for_everybody(following):
 
 
 def test_sumo_has_replayed_vehicles_where_and_as_fast_as_the_log(following):
-    with stage.opened(following, idm.TREIBER, "libsumo") as opened:
+    with world.opened(following, idm.TREIBER, "libsumo") as opened:
         for _ in range(5):
             opened.advance(Command(kind="sumo"), None, None)
         vehicle, log = opened._api.vehicle, following.scene.tracks

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from deepmf_sumo.cli.record import command
 from deepmf_sumo.geometry import angles
 from deepmf_sumo.readers import npz
-from deepmf_sumo.simulation.recording import Recording, record
+from deepmf_sumo.recording.record import Recording, record
 
 PROGRAMS = Path(sumo.SUMO_HOME) / "bin"
 FLOWS = """<routes><vType id="car" carFollowModel="Krauss"/>

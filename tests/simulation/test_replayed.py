@@ -21,7 +21,7 @@ from deepmf_sumo import network, readers
 from deepmf_sumo.datatypes import Case, Plan
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.planners import constant_velocity, replay
-from deepmf_sumo.simulation import replayed, simulate
+from deepmf_sumo.simulation import log_only, simulate
 
 OF_THE_STAGE = {"aligned", "moved_onto_route", "off_network", "ghost_edge", "red_passed"}
 """Events that tell where SUMO has the AV."""
@@ -173,7 +173,7 @@ def test_planners_that_react_and_sumo_traffic_need_sumo(case, monkeypatch):
     def never(*given):
         raise AssertionError
 
-    monkeypatch.setattr(replayed, "episode", never)
+    monkeypatch.setattr(log_only, "episode", never)
     planner = constant_velocity.build(constant_velocity.Settings())
     simulate(case, planner, None, rng=np.random.default_rng(0))
     with pytest.raises(AssertionError):

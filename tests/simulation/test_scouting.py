@@ -5,10 +5,10 @@ import pytest
 from tiny_network import build
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.planners import idm
-from deepmf_sumo.simulation import network_case, scouting, simulate
-from deepmf_sumo.simulation.scouting import Scouting, scout
+from deepmf_sumo.simulation import network_case, simulate, traffic_survey
+from deepmf_sumo.simulation.traffic_survey import Scouting, scout
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_it_ends_with_the_configuration_as_told_or_where_it_gets_too_long(config
     assert (ended.until_s, ended.complete) == (4.0, True)
     told = look(config, until_s=3.0)
     assert (told.until_s, told.complete) == (3.0, False)
-    monkeypatch.setattr(scouting, "MOST_VEHICLE_STEPS", 400)
+    monkeypatch.setattr(traffic_survey, "MOST_VEHICLE_STEPS", 400)
     short = look(config)
     assert (short.until_s, short.complete) == (2.0, False)
 
@@ -90,7 +90,7 @@ def test_who_is_sent_elsewhere_again_and_again_is_followed(tmp_path):
         f'<edges><edge id="ab" from="a" to="b" {ring}/><edge id="bc" from="b" to="c" {ring}/>'
         f'<edge id="ca" from="c" to="a" {ring}/></edges>'
     )
-    programs.run(
+    sumo_tools.run(
         *("netconvert", "-n", str(tmp_path / "n.nod.xml"), "-e", str(tmp_path / "e.edg.xml")),
         *("-o", str(tmp_path / "r.net.xml")),
     )

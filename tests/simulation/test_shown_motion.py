@@ -8,8 +8,8 @@ import pytest
 import sumo
 from shown_motion import AT_ONCE, compare
 
+from deepmf_sumo.simulation.av import ShownMotion
 from deepmf_sumo.simulation.frame import Pose
-from deepmf_sumo.simulation.lane_change import ShownMotion
 
 ROOT = Path(__file__).parents[2]
 NETWORKS = ROOT.parent / "shared" / "networks"

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 from deepmf_sumo.simulation.frame import Pose
-from deepmf_sumo.simulation.takeover import Takeover
+from deepmf_sumo.simulation.vehicle_control import Takeover
 
 
 def simulation(there):

@@ -8,9 +8,9 @@ from predictor_doubles import Doubles
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Plan
+from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.planners import constant_velocity, idm, sumo
-from deepmf_sumo.policies import deepmf
 from deepmf_sumo.simulation import network_case, simulate
 
 BRIDGE_S, RAMP_S = 4.0, 30.0
@@ -113,8 +113,8 @@ WISHES = {
 
 @pytest.mark.parametrize("wish", WISHES)
 def test_an_attack_finds_no_hit_through_the_bridge(config, wish):
-    settings = deepmf.Settings(opponent="over", period_s=1.0, **WISHES[wish])
-    _, rollout = run(config, BRIDGE_S, 80, deepmf.build(settings, Doubles()))
+    settings = Settings(opponent="over", period_s=1.0, **WISHES[wish])
+    _, rollout = run(config, BRIDGE_S, 80, build(settings, Doubles()))
     assert len(rollout.plans) == 8
     assert not any(plan.reason.collides.any() for plan in rollout.plans)
     assert not rollout.contacts
@@ -122,8 +122,8 @@ def test_an_attack_finds_no_hit_through_the_bridge(config, wish):
 
 def test_who_passes_over_the_way_of_the_av_is_not_chosen(config):
     """It is the nearest: what scores it best knows no heights."""
-    settings = deepmf.Settings(tried_opponents=1)
-    _, rollout = run(config, BRIDGE_S, 5, deepmf.build(settings, Doubles()))
+    settings = Settings(tried_opponents=1)
+    _, rollout = run(config, BRIDGE_S, 5, build(settings, Doubles()))
     assert rollout.opponent_id == "leads"
     assert "over" in rollout.tracks.ids
     assert rollout.plans[0].reason.scores.ids == ("leads",)

@@ -10,8 +10,7 @@ import yaml
 from deepmf_sumo import plugins
 from deepmf_sumo.benchmark.risk import Attacked, Network
 from deepmf_sumo.benchmark.risk.places import Spot, read
-from deepmf_sumo.network.meeting_ways import waiting_ways
-from deepmf_sumo.network.net_file import read_net
+from deepmf_sumo.network.sumo_net import read_net, waiting_ways
 from deepmf_sumo.network.sumo_road import road_of_net
 
 FOLDER = Path(__file__).resolve().parents[2] / "sumo_nets" / "hazards"

@@ -12,7 +12,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
 from synthetic import rotated, scene
 
 from deepmf_sumo.predictors import raster
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import augmentation
 from deepmf_sumo.training.samples import trajectory_samples
 

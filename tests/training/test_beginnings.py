@@ -6,7 +6,7 @@ import torch
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import beginnings, cards
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4))

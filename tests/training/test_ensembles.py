@@ -15,7 +15,7 @@ from synthetic import scene, view
 from deepmf_sumo import readers
 from deepmf_sumo.errors import OutputError, RunError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import beginnings, cards, ensembles, loop, run, samples
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.making import Data

@@ -17,7 +17,7 @@ from deepmf_sumo.cli.evaluate import command
 from deepmf_sumo.datatypes import Forecast, Futures, OpponentScores, Source
 from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import cards, clusters, evaluation, windows
 from deepmf_sumo.training.evaluation.calibration import error_if_right

@@ -17,7 +17,7 @@ from deepmf_sumo import readers
 from deepmf_sumo.cli.train import command
 from deepmf_sumo.datatypes import ROLLOUT, SIMULATED
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.training.motion_prior import evaluation, loss, samples
 

@@ -11,7 +11,7 @@ from synthetic import scene
 
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT
+from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import labels, opponent, opponent_samples
 
 

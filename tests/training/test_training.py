@@ -16,7 +16,7 @@ from deepmf_sumo.cli.train import command
 from deepmf_sumo.datatypes import ROLLOUT
 from deepmf_sumo.errors import OutputError, RunError, UsageError, WeightsError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.presets import LIGHT, PAPER
+from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import (
     clusters,

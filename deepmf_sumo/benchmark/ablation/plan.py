@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 from deepmf_sumo import spec
 from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.errors import SpecError, WeightsError
-from deepmf_sumo.predictors.presets import Preset, changed, preset_named
+from deepmf_sumo.predictors.config import Preset, changed, preset_named
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked

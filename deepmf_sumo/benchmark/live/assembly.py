@@ -13,15 +13,14 @@ import numpy as np
 from deepmf_sumo.benchmark.live.one_thread import OneThread
 from deepmf_sumo.benchmark.live.results import Stage
 from deepmf_sumo.datatypes import AgentId, TurnRules
+from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.policies import deepmf
+from deepmf_sumo.live.connection import LiveApi, road_files
+from deepmf_sumo.live.engagement import Scenery, Surroundings
+from deepmf_sumo.live.observer import Observer
+from deepmf_sumo.live.session import Fought, Session
+from deepmf_sumo.live.triggers import Always, AtEdge, Trigger, parse
 from deepmf_sumo.policies.base import Policy
-from deepmf_sumo.simulation.live.connection import LiveApi, road_files
-from deepmf_sumo.simulation.live.engagement import Scenery
-from deepmf_sumo.simulation.live.observer import Observer
-from deepmf_sumo.simulation.live.session import Fought, Session
-from deepmf_sumo.simulation.live.surroundings import Surroundings
-from deepmf_sumo.simulation.live.triggers import Always, AtEdge, Trigger, parse
 from deepmf_sumo.spec import Spec, of_document
 from deepmf_sumo.spec.document import Document
 
@@ -95,13 +94,13 @@ def spec_of(wish: Wish) -> Spec:
 
 def policy_of(spec: Spec) -> Policy:
     """What drives the opponents. Raises WeightsError."""
-    settings = deepmf.Settings.model_validate(spec.adversary.settings)
+    settings = Settings.model_validate(spec.adversary.settings)
     if settings.opponent == "labelled":
         raise UsageError("adversary.opponent 'labelled': only recordings label an opponent.")
-    from deepmf_sumo.predictors import shared as networks  # brings torch along
-    from deepmf_sumo.predictors.threads import one_thread
+    from deepmf_sumo.predictors import weights  # brings torch along
+    from deepmf_sumo.predictors.weights import one_thread
 
-    return OneThread(deepmf.build(settings, networks.predictors(spec.weights)), one_thread)
+    return OneThread(build(settings, weights.cached_predictors(spec.weights)), one_thread)
 
 
 def session(

@@ -9,9 +9,8 @@ from typing import Any
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation.live.connection import LiveApi, Port, connect, lost, of_sumo, others
-from deepmf_sumo.simulation.live.lockstep import End, Lockstep, Stay
-from deepmf_sumo.simulation.live.session import Fought
+from deepmf_sumo.live.connection import LiveApi, Port, connect, lost, of_sumo, others
+from deepmf_sumo.live.session import End, Fought, Lockstep, Stay
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

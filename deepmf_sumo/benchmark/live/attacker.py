@@ -8,7 +8,7 @@ from typing import Any, Final, Self
 from deepmf_sumo.benchmark.live import assembly
 from deepmf_sumo.benchmark.live.record import Record
 from deepmf_sumo.datatypes import AgentId
-from deepmf_sumo.simulation.live.connection import shared
+from deepmf_sumo.live.connection import shared
 
 _WAYS: Final = "overwrite=True deletes them, another folder for out keeps them"
 

@@ -10,7 +10,7 @@ import deepmf_sumo
 from deepmf_sumo.benchmark import files, store
 from deepmf_sumo.benchmark.live.results import Results, Stage
 from deepmf_sumo.datatypes import AgentId, Contact, Event
-from deepmf_sumo.simulation.live.session import Fought
+from deepmf_sumo.live.session import Fought
 from deepmf_sumo.spec import Spec
 
 FORMAT_VERSION: Final = 1

@@ -19,7 +19,7 @@ from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import DT_S, Attack, Case, NetworkSource, RoadMap
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.simulation.live.session import Fought
+from deepmf_sumo.live.session import Fought
 from deepmf_sumo.spec import Spec
 
 

@@ -10,7 +10,7 @@ from deepmf_sumo.benchmark.moments.suitable import check_times
 from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.simulation import demand
-from deepmf_sumo.simulation.configuration import Configuration
+from deepmf_sumo.simulation.sumo_config import Configuration
 
 
 def names_of(configs: Sequence[Path]) -> list[str]:

@@ -11,8 +11,8 @@ from deepmf_sumo.benchmark.moments.encounters import FROM_M, NONE, Encounters, n
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
 from deepmf_sumo.benchmark.moments.suitable import REACH_M, around, opponents, suitable
 from deepmf_sumo.datatypes import Bools, Floats
-from deepmf_sumo.network.net_file import NetFile
-from deepmf_sumo.simulation.scouting import Ints, Sightings
+from deepmf_sumo.network.sumo_net import NetFile
+from deepmf_sumo.simulation.traffic_survey import Ints, Sightings
 
 ALONG: Final = "along"
 _TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"} | {

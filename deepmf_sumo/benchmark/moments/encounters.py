@@ -9,9 +9,8 @@ import numpy as np
 from deepmf_sumo.benchmark.moments.passages import Passages, passages
 from deepmf_sumo.benchmark.moments.suitable import SEEN_S, opponents
 from deepmf_sumo.datatypes import Bools, Floats, Ints
-from deepmf_sumo.network.meeting_ways import Way, junctions, meeting_ways, waiting_ways
-from deepmf_sumo.network.net_file import NetFile
-from deepmf_sumo.simulation.scouting import Sightings
+from deepmf_sumo.network.sumo_net import NetFile, Way, junctions, meeting_ways, waiting_ways
+from deepmf_sumo.simulation.traffic_survey import Sightings
 
 NEAR_S: Final = 5.0
 """Between one vehicle's leaving the junction and another's entering it; more is no encounter."""
@@ -36,7 +35,7 @@ class Encounters:
             where there is none.
         other: (K) index of the vehicle that is met; -1 where there is none, or it is not there yet
             or farther away than `FROM_M`.
-        junctions: by edge, as of `network.meeting_ways`.
+        junctions: by edge, as of `network.sumo_net`.
     """
 
     rank: Ints

@@ -12,9 +12,9 @@ from deepmf_sumo.benchmark.moments.choice import choose, turns_of
 from deepmf_sumo.benchmark.moments.encounters import encounters
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
-from deepmf_sumo.network.net_file import NetFile, read_once
-from deepmf_sumo.simulation.configuration import read_configuration
-from deepmf_sumo.simulation.scouting import EVERY_S, Scouting, scout
+from deepmf_sumo.network.sumo_net import NetFile, read_once
+from deepmf_sumo.simulation.sumo_config import read_configuration
+from deepmf_sumo.simulation.traffic_survey import EVERY_S, Scouting, scout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

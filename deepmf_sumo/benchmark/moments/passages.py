@@ -8,8 +8,8 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints
 from deepmf_sumo.geometry.slow import WAITING_MPS
-from deepmf_sumo.network.meeting_ways import Way
-from deepmf_sumo.simulation.scouting import EVERY_S, Sightings
+from deepmf_sumo.network.sumo_net import Way
+from deepmf_sumo.simulation.traffic_survey import EVERY_S, Sightings
 
 _ROUNDING_S: Final = 0.05
 _FASTER_MPS: Final = 10.0

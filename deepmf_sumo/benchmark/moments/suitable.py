@@ -8,7 +8,7 @@ import numpy as np
 from deepmf_sumo.benchmark.moments.moment import Wish
 from deepmf_sumo.datatypes import DT_S, Bools
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.simulation.scouting import EVERY_S, Body, Ints, Sightings
+from deepmf_sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
 
 REACH_M: Final = 50.0
 """Between box centres; who is farther away seldom gets there in the time of an attack."""

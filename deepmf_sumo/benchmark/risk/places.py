@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.network.net_file import (
+from deepmf_sumo.network.sumo_net import (
     NetEdge,
     NetFile,
     NetJunction,

@@ -13,8 +13,8 @@ from deepmf_sumo.adversaries.base import Checkable
 from deepmf_sumo.benchmark import tasks
 from deepmf_sumo.benchmark.study.plan import Loaded, Plan, Subset
 from deepmf_sumo.benchmark.tasks import Label, Task
+from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.errors import PluginError, SpecError, WeightsError
-from deepmf_sumo.policies.factorization.opponent import SCORED
 from deepmf_sumo.spec import First, FromNetwork, SearchBudget, Spec
 from deepmf_sumo.spec.document import Document
 

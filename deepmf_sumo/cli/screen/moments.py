@@ -5,7 +5,7 @@ import click
 from deepmf_sumo.benchmark.moments import Found, Wish
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.report.table import counted
-from deepmf_sumo.simulation.configuration import Configuration
+from deepmf_sumo.simulation.sumo_config import Configuration
 from deepmf_sumo.texts import shown
 
 

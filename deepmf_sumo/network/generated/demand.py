@@ -7,7 +7,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints
 from deepmf_sumo.network.generated.layout import Layout
-from deepmf_sumo.network.net_file import read_once
+from deepmf_sumo.network.sumo_net import read_once
 
 _LONGEST_S: Final = 900.0
 """Trips depart until then."""

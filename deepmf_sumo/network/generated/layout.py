@@ -9,7 +9,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.geometry import polylines
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import sumo_tools
 
 NET_FILE: Final = "net.net.xml"
 _OPTIONS: Final = (
@@ -99,7 +99,7 @@ def build(layout: Layout, folder: Path) -> Path:
     links.write_text(_connections(layout), "utf-8")
     file = folder / NET_FILE
     sources = ("-n", str(nodes), "-e", str(edges), "-x", str(links))
-    programs.run("netconvert", *sources, "-o", str(file), *_OPTIONS, *layout.options)
+    sumo_tools.run("netconvert", *sources, "-o", str(file), *_OPTIONS, *layout.options)
     return file
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.network import programs
+from deepmf_sumo.network import sumo_tools
 
 Point = tuple[float, float]
 
@@ -106,7 +106,9 @@ def _netgenerate(rng: np.random.Generator, *options: str) -> Skeleton:
     seed = str(rng.integers(1, 2**31 - 1))
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         prefix = Path(folder) / "plain"
-        programs.run("netgenerate", *options, "--seed", seed, "--plain-output-prefix", str(prefix))
+        sumo_tools.run(
+            "netgenerate", *options, "--seed", seed, "--plain-output-prefix", str(prefix)
+        )
         nodes = ET.parse(f"{prefix}.nod.xml").getroot()  # noqa: S314 (ours, of a moment ago)
         edges = ET.parse(f"{prefix}.edg.xml").getroot()  # noqa: S314
     places = {

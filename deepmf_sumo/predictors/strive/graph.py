@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, AgentId, Floats, Ints, Tracks, View
 from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.paths import INFO, NODE_SPACING_M, path_set
-from deepmf_sumo.predictors.road_index import road_index
 
 MEMBERS: Final = 16
 """Vehicles of a graph: the AV first."""

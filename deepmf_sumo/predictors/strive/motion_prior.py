@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from deepmf_sumo.datatypes import HISTORY_STEPS
+from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.paths import INFO
-from deepmf_sumo.predictors.presets import Preset
 from deepmf_sumo.predictors.strive import bicycle
 from deepmf_sumo.predictors.strive.bicycle import CONTROLS, SUBSTEPS
 from deepmf_sumo.predictors.strive.graph import NODES, SPACING_M

@@ -13,7 +13,7 @@ import shapely
 from deepmf_sumo.benchmark.risk import Network, Row
 from deepmf_sumo.benchmark.risk.places import Kind
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.network.net_file import NetLane
+from deepmf_sumo.network.sumo_net import NetLane
 from deepmf_sumo.report.risk.edge_data import numbers
 
 Colour = tuple[int, int, int]

@@ -6,8 +6,8 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Floats
 from deepmf_sumo.geometry import angles, frames, polylines
+from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.paths import path_set
-from deepmf_sumo.predictors.road_index import road_index
 from deepmf_sumo.training import clusters
 from deepmf_sumo.training.clusters import Clusters
 from deepmf_sumo.training.evaluation.targets import Target

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, Scene, View
-from deepmf_sumo.predictors.opponent import Opponent
-from deepmf_sumo.predictors.opponent_features import RANGE_M
+from deepmf_sumo.predictors.opponent import RANGE_M, Opponent
 from deepmf_sumo.training import labels
 from deepmf_sumo.training.evaluation.calibration import error_if_right, expected_error
 from deepmf_sumo.training.evaluation.estimates import mean

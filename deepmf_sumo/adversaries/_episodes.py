@@ -1,0 +1,237 @@
+"""Episodes of a search: the unattacked one, their budget, fixed plans, choice of the opponent."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo import plugins
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.datatypes import AgentId, Bools, Budget, Case, Floats, Plan, Rollout, View, frozen
+from deepmf_sumo.deepmf import opponent as opponent_module
+from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.predictors.base import OpponentPredictor
+
+Choose = Callable[[View, np.random.Generator], AgentId | None]
+"""The vehicle to attack, from the View at the current step; None if there is none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """What one agent does in the K steps after now.
+
+    Attributes:
+        position_m: (K, 2) box centre. heading_rad, speed_mps: (K).
+        valid: (K) False where the agent is not there (or the episode has ended).
+    """
+
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+    valid: Bools
+
+    def __post_init__(self) -> None:
+        for name in ("position_m", "heading_rad", "speed_mps"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "valid", frozen(self.valid, bool))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scouted:
+    """What happens if nobody attacks.
+
+    Attributes:
+        view: at the current step, as policies get it.
+        rollout: of the whole episode; its ``opponent_id`` is None.
+        opponent_id: the vehicle to attack.
+        reference: what the opponent does after now, K = the case's duration: the log's motion, or
+            that of SUMO's traffic.
+        av: what the AV does after now.
+    """
+
+    view: View
+    rollout: Rollout
+    opponent_id: AgentId
+    reference: Motion
+    av: Motion
+
+
+class Scout:
+    """The policy of the scouting episode: looks around, chooses, and attacks nobody.
+
+    The chosen one is not reported as the opponent, for the episode would end at its first contact
+    with the AV.
+    """
+
+    period_steps: int | None = None
+
+    def __init__(self, choose: Choose) -> None:
+        self._choose = choose
+        self.view: View | None = None
+        self.chosen: AgentId | None = None
+
+    def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
+        """Keep the view and choose."""
+        self.view, self.chosen = view, self._choose(view, rng)
+        return None
+
+    def plan(self, view: View) -> None:
+        """Nobody is driven."""
+
+
+def scout(case: Case, simulate: Simulate, choose: Choose) -> Scouted | None:
+    """Simulate once without an attack; None if there is nobody to attack.
+
+    Counts as one simulation. ``choose`` gets the random numbers that policies get, so that an
+    opponent that is drawn is the one that DeepMF draws.
+    """
+    policy = Scout(choose)
+    rollout = simulate(policy)
+    if policy.view is None or policy.chosen is None:
+        return None
+    return Scouted(
+        view=policy.view,
+        rollout=rollout,
+        opponent_id=policy.chosen,
+        reference=motion_of(rollout, policy.chosen, case.duration_steps),
+        av=motion_of(rollout, rollout.av_id, case.duration_steps),
+    )
+
+
+def motion_of(rollout: Rollout, agent_id: AgentId, steps: int) -> Motion:
+    """What an agent did in the ``steps`` after now; not valid after the end of the rollout."""
+    tracks = rollout.tracks
+    row, first = tracks.row(agent_id), rollout.now + 1
+    after = slice(first, first + steps)
+    missing = steps - tracks.valid[row, after].size
+    return Motion(
+        position_m=np.pad(tracks.position_m[row, after], [(0, missing), (0, 0)]),
+        heading_rad=np.pad(tracks.heading_rad[row, after], (0, missing)),
+        speed_mps=np.pad(tracks.speed_mps[row, after], (0, missing)),
+        valid=np.pad(tracks.valid[row, after], (0, missing)),
+    )
+
+
+_ONE_ATTACK = 2  # simulations: scouting, and the attack
+
+
+class Spending:
+    """Counts simulations and wall time from its making on.
+
+    Attributes:
+        simulations: begun so far. out_of_time: the budget's seconds ended something.
+
+    Args:
+        simulate: one episode.
+        budget: what may be spent.
+        simulations: what may be spent where the budget says nothing at all.
+    """
+
+    def __init__(self, simulate: Simulate, budget: Budget, simulations: int) -> None:
+        self._simulate = simulate
+        unlimited = budget.simulations is None and budget.seconds is None
+        self._most = simulations if unlimited else budget.simulations
+        self._most_s = budget.seconds
+        self._begin = time.perf_counter()
+        self._decided_s: float | None = None
+        self.simulations = 0
+        self.out_of_time = False
+
+    def simulate(self, policy: Policy | None) -> Rollout:
+        """One episode, counted."""
+        if self.simulations == 1 and self._most is not None and self._most <= _ONE_ATTACK:
+            self._decided_s = self.seconds
+        self.simulations += 1
+        return self._simulate(policy)
+
+    def unattacked(self) -> Rollout:
+        """The episode of a case with nobody to attack, counted: nothing depends on it."""
+        self._decided_s = self.seconds
+        self.simulations += 1
+        return self._simulate(None)
+
+    @property
+    def over(self) -> bool:
+        """Whether no simulation may be begun any more."""
+        if self._most is not None and self.simulations >= self._most:
+            return True
+        self.look_at_the_clock()
+        return self.out_of_time
+
+    def look_at_the_clock(self) -> None:
+        """Note in ``out_of_time`` whether the seconds are spent."""
+        if self._most_s is not None and self.seconds >= self._most_s:
+            self.out_of_time = True
+
+    @property
+    def generation_s(self) -> float:
+        """Wall time until the attack was known.
+
+        Every episode that something depends on is part of it: what is aimed at, scored, compared,
+        or looked at for whether to go on. Nothing depends on `unattacked`, nor on the only attack
+        that a budget of two simulations allows.
+        """
+        return self.seconds if self._decided_s is None else self._decided_s
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the beginning."""
+        return time.perf_counter() - self._begin
+
+
+class Planned:
+    """The opponent of the plan drives the plan, whatever the AV does."""
+
+    period_steps: int | None = None
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+
+    def reset(self, view: View, rng: np.random.Generator) -> AgentId:
+        """The plan's agent."""
+        return self._plan.agent_id
+
+    def plan(self, view: View) -> Plan:
+        """The plan."""
+        return self._plan
+
+
+class OpponentSettings(plugins.Settings):
+    """Settings of all adversaries that choose a vehicle.
+
+    Attributes:
+        opponent: ``argmax`` or ``sample`` (softmax) of the scores of the weights' opponent network;
+            ``partner``: argmax of the head trained on labelled partners; ``labelled``: the partner
+            that the recording names; else the id of a vehicle.
+    """
+
+    opponent: str = Field(default="argmax", min_length=1)
+
+
+class OpponentChoice:
+    """Chooses opponents; the network is loaded when it is first needed, and kept.
+
+    Args:
+        how: the setting ``opponent``.
+        weights: name or folder, as `predictors.weights.load` takes it.
+    """
+
+    def __init__(self, how: str, weights: str) -> None:
+        self._how = how
+        self._weights = weights
+        self._predictor: OpponentPredictor | None = None
+
+    def of(self, case: Case) -> Choose:
+        """What chooses in a case. Loads the network where it is needed, which takes a while."""
+        if self._predictor is None and self._how in opponent_module.SCORED:
+            # Brings torch along, which checking a spec's settings must not.
+            from deepmf_sumo.predictors.weights import cached_predictors
+
+            self._predictor = cached_predictors(self._weights).opponent
+
+        def choose(view: View, rng: np.random.Generator) -> AgentId | None:
+            return opponent_module.choose(view, self._how, self._predictor, case.partner_id, rng)[0]
+
+        return choose

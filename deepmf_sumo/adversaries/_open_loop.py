@@ -1,0 +1,352 @@
+"""Attacks aimed at the AV's last rollout, round by round: `cat`, `rule`, `art`.
+
+The AV's rollouts as what it may do: the candidates of an opponent are scored against them.
+
+With P_j the weight of candidate j, P_k that of rollout k, and decay the 0.99 a half second of CAT:
+
+    value_j = P_j * sum_k P_k * 0.99^(1 + first contact of j and k in half seconds)
+
+Where no candidate touches a rollout, the one whose centre comes nearest to the AV's.
+
+Rounds of aiming and driving: scout, aim at the AV's rollouts, drive, look, aim again.
+
+The first round aims at the AV's un-attacked rollout, each further one also knows how the AV
+answered the attacks before. A round costs one simulation, scouting another.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo.adversaries._episodes import (
+    Choose,
+    Motion,
+    OpponentSettings,
+    Planned,
+    Scouted,
+    Spending,
+    motion_of,
+    scout,
+)
+from deepmf_sumo.adversaries._search import nearest_m
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.datatypes import (
+    DT_S,
+    FUTURE_STEPS,
+    AgentId,
+    Attack,
+    Bools,
+    Budget,
+    Case,
+    Floats,
+    Forecast,
+    Futures,
+    Plan,
+    Rollout,
+    Trial,
+    View,
+)
+from deepmf_sumo.deepmf.candidates import Levels, collisions, footprint
+from deepmf_sumo.deepmf.settings import LIMITS
+from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked
+from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry.ground import distance_m
+from deepmf_sumo.geometry.slow import DIRECTION_MPS
+
+
+def curve_into(start_m: Floats, own_m: Floats, av_m: Floats, meeting_steps: int) -> Floats:
+    """(K, 2) a curve that is where the AV is at the meeting step, and stays with the AV then.
+
+    Control points are the opponent's position now and after a third of the time, the AV's after
+    two thirds and at the meeting. ``start_m`` (2) is now; ``own_m`` and ``av_m`` (K, 2) are what
+    both do un-attacked from the next step on; ``meeting_steps`` lies in 1..K. The parameter runs
+    with time.
+    """
+    third = max(meeting_steps // 3, 1)
+    control = np.stack(
+        [start_m, own_m[third - 1], av_m[meeting_steps - third - 1], av_m[meeting_steps - 1]]
+    )
+    share = np.arange(1, meeting_steps + 1)[:, None] / meeting_steps
+    rest = 1 - share
+    weight = np.concatenate([rest**3, 3 * rest**2 * share, 3 * rest * share**2, share**3], axis=1)
+    return np.concatenate([weight @ control, av_m[meeting_steps:]])
+
+
+_SPAN = 2  # steps on each side of a difference
+
+
+def continued(motion: Motion, start: Start) -> Floats:
+    """(K, 2) positions of a motion; straight on at the last speed where it is not valid.
+
+    Gaps in between are filled linearly. ``start`` is the state before the first step.
+    """
+    steps = len(motion.valid)
+    there = np.flatnonzero(motion.valid)
+    known = np.concatenate([[-1], there])
+    points = np.concatenate([start.position_m[None], motion.position_m[there]])
+    every = np.arange(steps)
+    filled = np.stack([np.interp(every, known, points[:, axis]) for axis in (0, 1)], -1)
+    last = known[-1]
+    heading = motion.heading_rad[last] if len(there) else start.course_rad
+    speed = motion.speed_mps[last] if len(there) else start.speed_mps
+    beyond = np.maximum(every - last, 0)[:, None] * DT_S * speed
+    path: Floats = filled + beyond * angles.unit(heading)
+    return path
+
+
+def headings(position_m: Floats, start: Start) -> Floats:
+    """(K) directions of motion of positions (K, 2); where it stands, the heading before."""
+    points = np.concatenate([start.position_m[None], position_m])
+    last = len(points) - 1
+    steps = np.arange(1, last + 1)
+    low, high = np.maximum(steps - _SPAN, 0), np.minimum(steps + _SPAN, last)
+    moved = points[high] - points[low]
+    moving = np.hypot(*moved.T) > DIRECTION_MPS * DT_S * (high - low)
+    course = np.concatenate([[start.heading_rad], np.arctan2(moved[:, 1], moved[:, 0])])
+    valid = np.maximum.accumulate(np.where(moving, steps, 0))
+    heading: Floats = course[valid]
+    return heading
+
+
+def plan_along(view: View, agent_id: AgentId, position_m: Floats) -> Plan:
+    """A plan through positions (K, 2), one a step; the box points where it moves to."""
+    start = Start.of(view, agent_id)
+    moved = np.diff(np.concatenate([start.position_m[None], position_m]), axis=0)
+    return Plan(
+        agent_id=agent_id,
+        first_step=view.step + 1,
+        position_m=position_m,
+        heading_rad=headings(position_m, start),
+        speed_mps=np.hypot(*moved.T) / DT_S,
+    )
+
+
+def plan_of(view: View, agent_id: AgentId, tracked: Tracked, row: int) -> Plan:
+    """One of M drivable futures as a plan."""
+    return Plan(
+        agent_id=agent_id,
+        first_step=view.step + 1,
+        position_m=tracked.position_m[row],
+        heading_rad=tracked.heading_rad[row],
+        speed_mps=tracked.speed_mps[row],
+    )
+
+
+def gaps(scouted: Scouted, av: Motion, position_m: Floats, heading_rad: Floats) -> Floats:
+    """(M, K) gaps of the boxes between the AV and M trajectories (M, F, 2); inf without the AV.
+
+    K steps are those that both have.
+    """
+    view = scouted.view
+    steps = min(position_m.shape[1], len(av.valid))
+    gap = boxes.gap(
+        position_m[:, :steps],
+        heading_rad[:, :steps],
+        footprint(view, scouted.opponent_id),
+        av.position_m[:steps],
+        av.heading_rad[:steps],
+        footprint(view, view.av_id),
+    )
+    levels = Levels.of(view, scouted.opponent_id)
+    if levels is not None:
+        own_z, av_z = levels.opponent_z_m(position_m), levels.av_z_m(av.position_m[None])
+        gap = distance_m(gap, own_z[:, :steps], av_z[:, :steps])
+    apart: Floats = np.where(av.valid[:steps], gap, np.inf)
+    return apart
+
+
+_DECAY = 0.99
+_DECAY_STEPS = 5  # CAT looks at every fifth step
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answers:
+    """N2 rollouts of the AV, equally likely.
+
+    Attributes:
+        forecast: (N2, 80) poses; continued straight where the AV is gone.
+        there: (N2, 80) where it is not gone.
+    """
+
+    forecast: Forecast
+    there: Bools
+
+    def lasts(self, row: int) -> int:
+        """Steps until the AV is gone for good in a rollout."""
+        there = np.flatnonzero(self.there[row])
+        return int(there[-1]) + 1 if len(there) else 0
+
+    @classmethod
+    def of(cls, view: View, rollouts: Sequence[Motion]) -> "Answers":
+        """The AV's rollouts from the view on."""
+        start = Start.of(view, view.av_id)
+        paths = [_lengthened(continued(rollout, start)) for rollout in rollouts]
+        there = np.zeros((len(rollouts), FUTURE_STEPS), dtype=bool)
+        heading = np.stack([headings(path, start) for path in paths])
+        for row, rollout in enumerate(rollouts):
+            steps = min(len(rollout.valid), FUTURE_STEPS)
+            there[row, :steps] = rollout.valid[:steps]
+            known = there[row, :steps]
+            heading[row, :steps][known] = rollout.heading_rad[:steps][known]
+        futures = Futures(agent_id=view.av_id, position_m=np.stack(paths), heading_rad=heading)
+        share = np.full(len(rollouts), 1.0 / len(rollouts))
+        return cls(forecast=Forecast(futures=futures, probability=share), there=there)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scored:
+    """Candidates against rollouts.
+
+    Attributes:
+        collides, collision_step: (N1, N2) as from `candidates.collisions`.
+        value: (N1) see above. chosen: the best. fallback: no candidate touches a rollout.
+    """
+
+    collides: Bools
+    collision_step: Floats
+    value: Floats
+    chosen: int
+    fallback: bool
+
+
+def flattened(probability: Floats, kept: int) -> Floats:
+    """(N1) weights, likeliest first, whose entries after the ``kept`` first weigh as the next.
+
+    CAT's: unlikely candidates differ no more, so that one of them is chosen where it alone hits.
+    """
+    weight = np.array(probability)
+    if kept < len(weight):
+        weight[kept:] = weight[kept]
+    share: Floats = weight / weight.sum()
+    return share
+
+
+def score(weight: Floats, candidates: Futures, answers: Answers, view: View) -> Scored:
+    """Score candidates (N1) with weights (N1) against the rollouts, within the time left."""
+    horizon, levels = min(FUTURE_STEPS, view.steps_left), Levels.of(view, candidates.agent_id)
+    share = answers.forecast.probability
+    # Rollouts end at different times: each is judged by itself, up to its own end.
+    rows = [
+        collisions(
+            candidates,
+            [_one(answers.forecast, row)] * len(weight),
+            footprint(view, candidates.agent_id),
+            footprint(view, view.av_id),
+            min(horizon, answers.lasts(row)),
+            levels,
+        )
+        for row in range(len(share))
+    ]
+    collides = np.concatenate([hit for hit, _ in rows], axis=1)
+    first = np.concatenate([step for _, step in rows], axis=1)
+    early = np.where(collides, _DECAY ** (1 + first // _DECAY_STEPS), 0.0)
+    value = weight * (early @ share)
+    if collides.any():
+        return Scored(
+            collides=collides, collision_step=first, value=value,
+            chosen=int(value.argmax()), fallback=False,
+        )  # fmt: skip
+    distance = _nearest_m(candidates, answers, horizon)
+    return Scored(
+        collides=collides, collision_step=first, value=-distance,
+        chosen=int(distance.argmin()), fallback=True,
+    )  # fmt: skip
+
+
+def _nearest_m(candidates: Futures, answers: Answers, horizon: int) -> Floats:
+    """(N1) least distance of the centres over all rollouts."""
+    other = answers.forecast.futures.position_m
+    offset = candidates.position_m[:, None, :horizon] - other[None, :, :horizon]
+    apart = np.where(answers.there[:, :horizon], np.hypot(offset[..., 0], offset[..., 1]), np.inf)
+    nearest: Floats = apart.min(axis=(1, 2))
+    return nearest
+
+
+def _one(forecast: Forecast, row: int) -> Forecast:
+    futures = forecast.futures
+    return Forecast(
+        futures=Futures(
+            agent_id=futures.agent_id,
+            position_m=futures.position_m[row : row + 1],
+            heading_rad=futures.heading_rad[row : row + 1],
+        ),
+        probability=np.ones(1),
+    )
+
+
+def _lengthened(path_m: Floats) -> Floats:
+    """(80, 2) a path (K, 2), cut or held at its end."""
+    cut = path_m[:FUTURE_STEPS]
+    return np.concatenate([cut, np.repeat(cut[-1:], FUTURE_STEPS - len(cut), axis=0)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Aimed:
+    """A trajectory, and the numbers that describe how it was found."""
+
+    plan: Plan
+    parameters: dict[str, float]
+
+
+Aim = Callable[[Scouted, Sequence[Motion]], Aimed]
+"""Aims at the AV's rollouts so far, the un-attacked one first."""
+
+
+def attack_in_rounds(
+    case: Case, simulate: Simulate, choose: Choose, aim: Aim, rounds: int, budget: Budget
+) -> Attack:
+    """Aim and drive until the AV is hit or the budget is spent; the best attack is kept.
+
+    The best is the one that hits, else the one that comes nearest. ``rounds`` count where the
+    budget says nothing; at least one attack is driven, so that two simulations are the least. An
+    objective is minus the least gap in metres. ``generation_s`` is `Spending.generation_s`.
+    """
+    spending = Spending(simulate, budget, 1 + rounds)
+    scouted = scout(case, spending.simulate, choose)
+    if scouted is None:
+        return Attack(
+            rollout=spending.unattacked(),
+            simulations=spending.simulations,
+            generation_s=spending.generation_s,
+        )
+    answers = [scouted.av]
+    attacks: list[Rollout] = []
+    trials: list[Trial] = []
+    while True:
+        aimed = aim(scouted, answers)
+        spending.look_at_the_clock()  # aiming stops at the same time
+        rollout = spending.simulate(Planned(aimed.plan))
+        attacks.append(rollout)
+        trials.append(Trial(parameters=aimed.parameters, objective=0.0 - nearest_m(rollout)))
+        if rollout.first("av_opponent") or spending.over:
+            break
+        answers.append(motion_of(rollout, case.av_id, case.duration_steps))
+    best = max(range(len(attacks)), key=lambda number: trials[number].objective)
+    return Attack(
+        rollout=attacks[best],
+        trials=tuple(trials),
+        simulations=spending.simulations,
+        generation_s=spending.generation_s,
+        out_of_time=spending.out_of_time,
+    )
+
+
+class AimedSettings(OpponentSettings):
+    """Whom to attack, how hard to drive, how often.
+
+    Attributes:
+        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives, DeepMF's.
+        rounds: attacks that are driven, until one hits, where the budget says nothing.
+    """
+
+    accel_mps2: float = Field(default=LIMITS.accel, gt=0.0)
+    brake_mps2: float = Field(default=LIMITS.brake, gt=0.0)
+    lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
+    rounds: int = Field(default=1, ge=1)
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of what the opponent drives."""
+        return Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)

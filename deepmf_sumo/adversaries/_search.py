@@ -1,0 +1,266 @@
+"""Search over an opponent's controls by simulation, and its cost.
+
+A black-box search for an attack: propose controls, simulate, judge, again.
+
+What the three searches share; they differ in the `Optimiser` alone.
+
+What a search minimises: an attack that misses, that no driver would drive, or that jerks.
+
+After AdvSim (Wang et al., CVPR 2021), whose cost of the planner is here the distance to the AV.
+Limits of speed, acceleration and curvature need no term: the bicycle keeps them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo import plugins
+from deepmf_sumo.adversaries._controls import Bicycle, Bounds, Knots
+from deepmf_sumo.adversaries._episodes import (
+    OpponentChoice,
+    OpponentSettings,
+    Planned,
+    Scouted,
+    Spending,
+    scout,
+)
+from deepmf_sumo.adversaries.base import Simulate
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Attack, Budget, Case, Floats, Rollout, Trial
+from deepmf_sumo.deepmf.tracking import Limits
+from deepmf_sumo.geometry import boxes, road
+from deepmf_sumo.geometry.ground import distance_m
+
+_FAR_M = 100.0
+"""Distance to an AV or an opponent that was gone before the first step."""
+
+
+class Weights(plugins.Settings):
+    """Weights of the terms, added in metres of distance to the AV.
+
+    Attributes:
+        late: of a contact after 8 s, in proportion before.
+        off_road: of an opponent that is off the road all the time, in proportion to the share.
+        third_party: of a contact of the opponent with somebody else.
+        jerk: of a mean square of 1 (m/s3)^2.
+    """
+
+    late: float = 0.1
+    off_road: float = 1.0
+    third_party: float = 1.0
+    jerk: float = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """Terms of one rollout, weighted; ``distance`` is 0 at a contact."""
+
+    distance: float
+    late: float
+    off_road: float
+    third_party: float
+    jerk: float
+
+    @property
+    def total(self) -> float:
+        """What is minimised."""
+        return self.distance + self.late + self.off_road + self.third_party + self.jerk
+
+
+def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
+    """The cost of an attack that was simulated.
+
+    It is judged up to the end of the episode, which is the contact where there is one.
+    """
+    tracks, first = rollout.tracks, rollout.now + 1
+    opponent = tracks.row(str(rollout.opponent_id))
+    there = tracks.valid[opponent, first:]
+    path = tracks.position_m[opponent, first:][there]
+    hit = rollout.first("av_opponent")
+    late = 1.0 if hit is None else (hit.step - rollout.now) / FUTURE_STEPS
+    heights = tracks.z_m[opponent, first:][there]
+    off_road = 1 - road.on_road(case.road, path, heights).mean() if len(path) else 0.0
+    return Cost(
+        distance=nearest_m(rollout),
+        late=weights.late * late,
+        off_road=weights.off_road * float(off_road),
+        third_party=weights.third_party * (rollout.first("opponent_other") is not None),
+        jerk=weights.jerk * _mean_square_jerk(path),
+    )
+
+
+def nearest_m(rollout: Rollout) -> float:
+    """Smallest distance between the boxes of AV and opponent after now, metres; 0 at a contact.
+
+    100 m where one of them was gone before the first step.
+    """
+    if rollout.first("av_opponent") is not None:
+        return 0.0
+    tracks, after = rollout.tracks, slice(rollout.now + 1, None)
+    av, opponent = tracks.row(rollout.av_id), tracks.row(str(rollout.opponent_id))
+    both = tracks.valid[av, after] & tracks.valid[opponent, after]
+    if not both.any():
+        return _FAR_M
+    (centre_a, heading_a), (centre_b, heading_b) = (
+        (tracks.position_m[row, after][both], tracks.heading_rad[row, after][both])
+        for row in (av, opponent)
+    )
+    sizes = tracks.size_m[:, :2]
+    gap = boxes.gap(centre_a, heading_a, sizes[av], centre_b, heading_b, sizes[opponent])
+    heights = (tracks.z_m[row, after][both] for row in (av, opponent))
+    return float(distance_m(gap, *heights).min())
+
+
+def _mean_square_jerk(path_m: Floats) -> float:
+    """Mean square of the third difference of a path (T, 2), (m/s3)^2; 0 for fewer than four."""
+    if len(path_m) < 4:
+        return 0.0
+    jerk = np.diff(path_m, n=3, axis=0) / DT_S**3
+    return float((jerk**2).sum(-1).mean())
+
+
+TRIALS_FORESIGHT = (
+    "the opponent's un-attacked motion, where the search begins, and the AV's answer to every trial"
+)
+"""What the searches learn of a scene before their attack, for those who compare methods."""
+
+
+class Optimiser(Protocol):
+    """Minimises an unknown function of points in [-1, 1]^D."""
+
+    def ask(self) -> Floats:
+        """(B, D) points to try next, B >= 1."""
+        ...
+
+    def tell(self, costs: Floats) -> None:
+        """The costs (B) of the points that were asked for last."""
+        ...
+
+
+class SearchSettings(OpponentSettings):
+    """Settings of the searches over a bicycle's controls.
+
+    Attributes:
+        simulations: budget where none is given, the scouting episode included.
+        knots: of acceleration and of curvature, from now to the end of the case.
+        accel_change_mps2: largest change of the acceleration that the opponent has un-attacked.
+        curvature_change_per_m: largest change of the curvature,
+        lateral_change_mps2: and of the lateral acceleration.
+        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
+        cost: weights of the cost's terms.
+        stop_at_contact: end the search with the first contact. By default it goes on for a better
+            one (on the road, smoother, earlier) while the budget lasts: the times in the paper are
+            in proportion to whole budgets, and attacks become more natural.
+    """
+
+    simulations: int = Field(default=100, ge=2)
+    knots: int = Field(default=5, ge=2, le=41)
+    accel_change_mps2: float = Field(default=4.0, gt=0.0)
+    curvature_change_per_m: float = Field(default=0.1, gt=0.0)
+    lateral_change_mps2: float = Field(default=2.0, gt=0.0)
+    accel_mps2: float = Field(default=5.0, gt=0.0)
+    brake_mps2: float = Field(default=7.0, gt=0.0)
+    lateral_mps2: float = Field(default=4.0, gt=0.0)
+    cost: Weights = Weights()
+    stop_at_contact: bool = False
+
+    @property
+    def bounds(self) -> Bounds:
+        """Of the bicycle's controls."""
+        return Bounds(
+            total=Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2),
+            accel_mps2=self.accel_change_mps2,
+            curvature_per_m=self.curvature_change_per_m,
+            lateral_mps2=self.lateral_change_mps2,
+        )
+
+
+MakeOptimiser = Callable[[int, np.random.Generator], Optimiser]
+"""An optimiser of so many dimensions."""
+
+
+class Search:
+    """An adversary that searches with an optimiser."""
+
+    def __init__(self, settings: SearchSettings, weights: str, make: MakeOptimiser) -> None:
+        self._settings = settings
+        self._choice = OpponentChoice(settings.opponent, weights)
+        self._make = make
+
+    def attack(
+        self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
+    ) -> Attack:
+        """The attack of least cost that the budget finds, among those that hit if any does.
+
+        ``generation_s`` is everything but loading weights: candidates, rollouts, the optimiser; see
+        `Spending.generation_s`. At least one attack is tried, whatever the budget; with nobody to
+        attack none is.
+        """
+        choose = self._choice.of(case)
+        spending = Spending(simulate, budget, self._settings.simulations)
+        scouted = scout(case, spending.simulate, choose)
+        if scouted is None:
+            rollout, trials = spending.unattacked(), []
+        else:
+            best = self._search(case, scouted, spending, rng)
+            assert best.rollout is not None
+            rollout, trials = best.rollout, best.trials
+        return Attack(
+            rollout=rollout,
+            trials=tuple(trials),
+            simulations=spending.simulations,
+            generation_s=spending.generation_s,
+            out_of_time=spending.out_of_time,
+        )
+
+    def _search(
+        self, case: Case, scouted: Scouted, spending: Spending, rng: np.random.Generator
+    ) -> "_Best":
+        settings = self._settings
+        bicycle = Bicycle(scouted, settings.bounds)
+        knots = Knots(settings.knots, bicycle.steps)
+        optimiser = self._make(knots.dimensions, rng)
+        best = _Best(case, settings.cost, knots.names)
+        while True:
+            points = optimiser.ask()
+            driven = bicycle.drive(*knots.controls(points))
+            costs = []
+            for row, point in enumerate(points):
+                costs.append(best.judge(spending.simulate(Planned(driven.plan(row))), point))
+                if spending.over or (settings.stop_at_contact and best.hits):
+                    return best
+            optimiser.tell(np.array(costs))
+
+
+class _Best:
+    """Judges rollouts and keeps the best one.
+
+    One that hits is better than any that does not, whatever it costs: a cost that a near miss on
+    the road can beat would count hits that were found as none.
+    """
+
+    def __init__(self, case: Case, weights: Weights, names: tuple[str, ...]) -> None:
+        self._case = case
+        self._weights = weights
+        self._names = names
+        self._rank = (True, np.inf)
+        self.trials: list[Trial] = []
+        self.rollout: Rollout | None = None
+
+    @property
+    def hits(self) -> bool:
+        """Whether the best one hits the AV."""
+        misses, _ = self._rank
+        return not misses
+
+    def judge(self, rollout: Rollout, point: Floats) -> float:
+        """The cost of a rollout under a point."""
+        cost = cost_of(rollout, self._case, self._weights).total
+        rank = (rollout.first("av_opponent") is None, cost)
+        if rank < self._rank:
+            self._rank, self.rollout = rank, rollout
+        parameters = dict(zip(self._names, point.tolist(), strict=True))
+        self.trials.append(Trial(parameters=parameters, objective=-cost))
+        return cost

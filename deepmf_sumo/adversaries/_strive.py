@@ -1,0 +1,460 @@
+"""The stages of `strive`: latents of a scene, matched, attacked and solved.
+
+STRIVE's three stages: latents by Adam that match what happens, attack the AV, and save it.
+
+Costs are in metres: a weight says how much nearer to the AV its term is worth.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from deepmf_sumo.adversaries._episodes import Motion, Scouted, motion_of
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, AgentId, Floats, Plan, View
+from deepmf_sumo.geometry import angles, boxes, frames
+from deepmf_sumo.predictors.lanes import road_index
+from deepmf_sumo.predictors.strive import costs
+from deepmf_sumo.predictors.strive.graph import graph_of, members
+from deepmf_sumo.predictors.strive.motion_prior import Context, Gaussian, MotionPrior, Motions
+
+_DISCS = 5
+_ROAD_M = 250.0
+"""Lanes farther from the AV than this are out of everybody's reach."""
+_LANE_M = 1.6
+"""From a lane's centre line: farther away a vehicle begins to leave it."""
+
+
+class Path(NamedTuple):
+    """What one agent does in the next 8 s: (80, 2), (80), and (80) whether it is there."""
+
+    position: Tensor
+    heading: Tensor
+    there: Tensor
+
+
+class Obstacles(NamedTuple):
+    """Discs of other agents: centres (O, 80, 5, 2), radii (O), there (O, 80)."""
+
+    discs: Tensor
+    radius: Tensor
+    there: Tensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """The graph, what the network says of it, and what everybody does un-attacked.
+
+    Attributes:
+        ids: (N) vehicles of the graph, the AV first.
+        graph, context: of the network, B = 1.
+        paths: (N) what they do un-attacked.
+        others: what everybody around does, by id, those beside the graph included.
+        sizes: (2) length and width of everybody, by id.
+        road: (Q, 2) points on lanes, every metre.
+        allowed: (N, 1) metres from the centre line that each may be: more than a lane's half where
+            it begins farther away.
+    """
+
+    view: View
+    ids: tuple[AgentId, ...]
+    graph: dict[str, Tensor]
+    context: Context
+    paths: tuple[Path, ...]
+    others: dict[AgentId, Path]
+    sizes: dict[AgentId, Tensor]
+    road: Tensor
+    allowed: Tensor
+
+    def row(self, agent_id: AgentId) -> int:
+        """Of a vehicle in the graph."""
+        return self.ids.index(agent_id)
+
+    def to_path(self, motion: Motion) -> Path:
+        """A motion of the scene's frame as the tensors of its first 8 s."""
+        return _path(self.view, motion)
+
+    def discs(self, agent_id: AgentId, path: Path) -> Tensor:
+        """(80, 5, 2) of an agent on a path."""
+        return costs.disc_centres(path.position, path.heading, self.sizes[agent_id], _DISCS)
+
+    def radius(self, agent_id: AgentId) -> Tensor:
+        """() of an agent's discs."""
+        return costs.disc_radius(self.sizes[agent_id])
+
+    def obstacles(self, but: Sequence[AgentId], also: dict[AgentId, Path]) -> Obstacles | None:
+        """Everybody but some, on their own paths or those given; None if there is nobody."""
+        paths = {name: path for name, path in (self.others | also).items() if name not in but}
+        if not paths:
+            return None
+        return Obstacles(
+            torch.stack([self.discs(name, path) for name, path in paths.items()]),
+            torch.stack([self.radius(name) for name in paths]),
+            torch.stack([path.there for path in paths.values()]),
+        )
+
+    def plan(self, motions: Motions, agent_id: AgentId, steps: int) -> Plan:
+        """A decoded motion as a plan of the scene's frame; constant motion beyond its 8 s."""
+        row, view = self.row(agent_id), self.view
+        origin, turn = _frame(view)
+        local = motions.position[0, row].double().numpy()
+        heading = motions.heading[0, row].double().numpy()
+        speed = motions.speed[0, row].double().numpy()
+        beyond = np.arange(1, max(steps - FUTURE_STEPS, 0) + 1)[:, None] * DT_S * speed[-1]
+        local = np.concatenate([local, local[-1] + beyond * angles.unit(heading[-1])])[:steps]
+        last = (0, len(local) - min(steps, FUTURE_STEPS))
+        return Plan(
+            agent_id=agent_id,
+            first_step=view.step + 1,
+            position_m=frames.to_scene(local, origin, turn),
+            heading_rad=angles.wrap(np.pad(heading[:steps], last, mode="edge") + turn),
+            speed_mps=np.pad(speed[:steps], last, mode="edge"),
+        )
+
+
+def situation_of(scouted: Scouted, net: MotionPrior, wanted: Sequence[AgentId]) -> Situation:
+    """The situation around the AV, with the wanted vehicles in the graph."""
+    view, tracks = scouted.view, scouted.view.history
+    ids = members(view, wanted)
+    graph = {
+        name: torch.from_numpy(values[None, : len(ids)])
+        for name, values in graph_of(view, ids).items()
+    }
+    with torch.no_grad():
+        context = net.encode(graph)
+    others = {
+        name: _path(view, motion_of(scouted.rollout, name, FUTURE_STEPS))
+        for name in tracks.ids
+        if name in scouted.rollout.tracks.ids
+    }
+    road = _road(view)
+    away = costs.off_road(graph["pose"][0, :, None, :2], road, 0.0) if len(road) else None
+    allowed = torch.zeros(len(ids), 1) if away is None else away.clamp_min(_LANE_M)
+    return Situation(
+        view=view,
+        ids=ids,
+        graph=graph,
+        context=context,
+        paths=tuple(others[name] for name in ids),
+        others=others,
+        sizes={
+            name: torch.from_numpy(np.array(tracks.size_m[row, :2])).float()
+            for row, name in enumerate(tracks.ids)
+        },
+        road=road,
+        allowed=allowed,
+    )
+
+
+def _frame(view: View) -> tuple[Floats, float]:
+    """Where the AV is now: the frame of the graph."""
+    av = view.history.row(view.av_id)
+    return view.history.position_m[av, -1], float(view.history.heading_rad[av, -1])
+
+
+def _path(view: View, motion: Motion) -> Path:
+    origin, turn = _frame(view)
+    there = np.asarray(motion.valid[:FUTURE_STEPS])
+    missing = FUTURE_STEPS - len(there)
+    local = frames.to_local(motion.position_m[:FUTURE_STEPS], origin, turn)
+    return Path(
+        _tensor(np.pad(local, [(0, missing), (0, 0)])),
+        _tensor(np.pad(motion.heading_rad[:FUTURE_STEPS] - turn, (0, missing))),
+        torch.from_numpy(np.pad(there, (0, missing))),
+    )
+
+
+def _road(view: View) -> Tensor:
+    """(Q, 2) points on lanes for cars around the AV."""
+    index = road_index(view.road)
+    origin, turn = _frame(view)
+    lanes = [
+        line for line, drivable in zip(index.points_m, index.drivable, strict=True) if drivable
+    ]
+    points = np.concatenate(lanes) if lanes else np.zeros((0, 2))
+    near = np.hypot(*(points - origin).T) < _ROAD_M
+    return _tensor(frames.to_local(points[near], origin, turn))
+
+
+def _tensor(values: Floats) -> Tensor:
+    return torch.from_numpy(np.asarray(values, np.float32))
+
+
+_EVERY: Final = 5
+"""Costs but for the distance to the AV look at every fifth step."""
+_AV: Final = 0
+"""Row of the AV in a graph."""
+_RATE: Final = {"match": 0.1, "adversarial": 0.1, "solution": 0.1}
+_FREE_STEP: Final = 20
+"""Nearer to now, nobody can do much about a gap: where cars part, the least one is that of now."""
+_HEADING_M: Final = 2.0
+_TOUCH_M: Final = -0.3
+"""Discs overlap by so much where boxes touch: they stick out at the sides."""
+
+
+class Costs(NamedTuple):
+    """Weights of the terms.
+
+    Attributes:
+        others: of the overlap with others, 0 to 1 deep.
+        road: of a metre off the road.
+        prior: of half a square of standard deviations of the prior, summed over a latent.
+        init: of the square by which a latent has changed.
+    """
+
+    others: float
+    road: float
+    prior: float
+    init: float
+
+
+class Attacked(NamedTuple):
+    """A state of the adversarial stage.
+
+    Attributes:
+        motions: of all vehicles, in the graph's frame.
+        closest: who comes closest to the AV's last rollout. gap_m: how close, below 0 in contact.
+        iterations: made in all so far.
+    """
+
+    motions: Motions
+    closest: AgentId
+    gap_m: float
+    iterations: int
+
+
+class Search:
+    """Latents of one situation (1, N, 16), kept from stage to stage.
+
+    Args:
+        net: the motion prior; its weights get no gradients.
+        situation: what is attacked.
+        attackers: vehicles of the graph that may attack; the others keep their matched latents.
+        weights: of the adversarial stage.
+        deadline: of `time.perf_counter`; no iteration is begun after it.
+    """
+
+    def __init__(
+        self,
+        net: MotionPrior,
+        situation: Situation,
+        attackers: Sequence[AgentId],
+        weights: Costs,
+        deadline: float,
+    ) -> None:
+        self._net, self._situation, self._weights = net, situation, weights
+        self._deadline = deadline
+        self._rows = [situation.row(agent_id) for agent_id in attackers]
+        self._latent = _posterior(net, situation)
+        self._init = self._latent
+        self._moments: torch.optim.Adam | None = None
+        self._attack = torch.empty(0)
+        self.iterations = 0
+
+    def match(self, iterations: int) -> float:
+        """First stage: all vehicles do what they do un-attacked. The mean error left, metres."""
+        error = self._fit(range(len(self._situation.ids)), self._situation.paths, iterations)
+        self._init = self._latent
+        return error
+
+    def match_av(self, rollout: Path, iterations: int) -> float:
+        """The AV does what it did in a rollout: the others keep theirs."""
+        return self._fit([_AV], [rollout], iterations)
+
+    def attack(self, rollout: Path, iterations: int) -> Attacked:
+        """Second stage: until an attacker meets the AV's rollout, or for so many iterations."""
+        if self._moments is None:
+            self._attack = self._latent[:, self._rows].clone().requires_grad_()
+            self._moments = torch.optim.Adam([self._attack], lr=_RATE["adversarial"])
+        obstacles = self._situation.obstacles(
+            [self._situation.ids[row] for row in (_AV, *self._rows)], {}
+        )
+        for turn in range(iterations + 1):
+            motions = self._decode(self._with(self._rows, self._attack))
+            gaps = self._gaps(motions, rollout)
+            best = int(gaps.detach().amin(-1).argmin())
+            gap = gaps[best].min().item()
+            late = time.perf_counter() > self._deadline
+            if gap < _TOUCH_M or late or turn == iterations:
+                break
+            loss = self._adversarial(gaps) + self._plausible(
+                motions, self._rows, obstacles, self._attack, self._weights
+            )
+            self._step(self._moments, loss, self._attack)
+        self._latent = self._with(self._rows, self._attack.detach())
+        return Attacked(
+            _detached(motions), self._situation.ids[self._rows[best]], gap, self.iterations
+        )
+
+    def save(self, attacks: dict[AgentId, Path], iterations: int, weights: Costs) -> bool | None:
+        """Third stage: whether a motion of the AV is found that touches nobody.
+
+        None where time ran out before one was found.
+        """
+        situation = self._situation
+        obstacles = situation.obstacles([situation.ids[_AV]], attacks)
+        if obstacles is None:
+            return True
+        own = self._init[:, [_AV]].clone().requires_grad_()
+        moments = torch.optim.Adam([own], lr=_RATE["solution"])
+        for turn in range(iterations + 1):
+            motions = self._decode(self._with([_AV], own))
+            if not self._touches(motions, attacks):
+                return True
+            if turn == iterations:
+                return False
+            if time.perf_counter() > self._deadline:
+                return None
+            loss = self._plausible(motions, [_AV], obstacles, own, weights)
+            self._step(moments, loss, own)
+        return False
+
+    def _fit(self, rows: Sequence[int], paths: Sequence[Path], iterations: int) -> float:
+        """Move latents until the vehicles follow the paths; the mean error left, metres."""
+        rows = list(rows)
+        latent = self._latent[:, rows].clone().requires_grad_()
+        moments = torch.optim.Adam([latent], lr=_RATE["match"])
+        position = torch.stack([path.position for path in paths])
+        heading = torch.stack([path.heading for path in paths])
+        there = torch.stack([path.there for path in paths]).float()
+        least, best = float("inf"), latent.detach().clone()
+        for turn in range(iterations + 1):
+            motions = self._decode(self._with(rows, latent))
+            away = _distance(motions.position[0, rows], position)
+            turned = 1 - (motions.heading[0, rows] - heading).cos()
+            error = (away * there).sum() / there.sum().clamp_min(1.0)
+            if error.item() < least:
+                least, best = error.item(), latent.detach().clone()
+            if turn == iterations or time.perf_counter() > self._deadline:
+                break
+            far = functional.smooth_l1_loss(away, torch.zeros_like(away), reduction="none")
+            fit = ((far + _HEADING_M * turned) * there).sum() / there.sum().clamp_min(1.0)
+            prior = self._surprise(rows, latent).mean()
+            self._step(moments, fit + 0.01 * prior, latent)
+        self._latent = self._with(rows, best)
+        return least
+
+    def _step(self, moments: torch.optim.Adam, loss: Tensor, latent: Tensor) -> None:
+        (latent.grad,) = torch.autograd.grad(loss, [latent])
+        moments.step()
+        self.iterations += 1
+
+    def _with(self, rows: Sequence[int], latent: Tensor) -> Tensor:
+        """All latents, those of some vehicles replaced."""
+        return self._latent.index_copy(1, torch.tensor(list(rows)), latent)
+
+    def _decode(self, latent: Tensor) -> Motions:
+        graph = self._situation.graph
+        return self._net.decode(graph, self._situation.context, latent).placed(graph)
+
+    def _gaps(self, motions: Motions, rollout: Path) -> Tensor:
+        """(attackers, 80) between discs of the AV and of each attacker; huge without the AV.
+
+        The AV is where its last rollout had it, and yields from there as the prior has it yield.
+        """
+        situation, av = self._situation, self._situation.ids[_AV]
+        yields = motions.position[0, _AV] - motions.position[0, _AV].detach()
+        moved = Path(rollout.position + yields, rollout.heading, rollout.there)
+        target, radius = situation.discs(av, moved), situation.radius(av)
+        gaps = []
+        for row in self._rows:
+            own = Path(motions.position[0, row], motions.heading[0, row], rollout.there)
+            name = situation.ids[row]
+            apart = costs.apart(situation.discs(name, own), target)
+            gaps.append(apart - radius - situation.radius(name))
+        return torch.stack(gaps).masked_fill(~rollout.there, 1e4)
+
+    @staticmethod
+    def _adversarial(gaps: Tensor) -> Tensor:
+        """The least gap over attackers and time from 2 s on, softly."""
+        near = gaps[:, _FREE_STEP:].flatten()
+        loss: Tensor = ((-near.detach()).softmax(-1) * near).sum()
+        return loss
+
+    def _plausible(
+        self,
+        motions: Motions,
+        rows: Sequence[int],
+        obstacles: Obstacles | None,
+        latent: Tensor,
+        weights: Costs,
+    ) -> Tensor:
+        """What the motions of some vehicles cost besides."""
+        situation, every = self._situation, slice(_EVERY - 1, None, _EVERY)
+        total = weights.prior * self._surprise(rows, latent).sum()
+        total = total + weights.init * (latent - self._init[:, rows]).square().sum()
+        for row in rows:
+            name = situation.ids[row]
+            position = motions.position[0, row, every]
+            if len(situation.road):
+                away = costs.off_road(position, situation.road, situation.allowed[row])
+                total = total + weights.road * away.mean()
+            if obstacles is not None:
+                path = Path(position, motions.heading[0, row, every], torch.ones(1))
+                own, radius = situation.discs(name, path), situation.radius(name)
+                depth = costs.overlap(
+                    own, obstacles.discs[:, every], radius, obstacles.radius[:, None]
+                )
+                total = total + weights.others * (depth * obstacles.there[:, every]).sum(0).mean()
+        return total
+
+    def _surprise(self, rows: Sequence[int], latent: Tensor) -> Tensor:
+        """(1, rows) half squares of standard deviations from the prior's mean."""
+        prior: Gaussian = self._situation.context.prior
+        scale = (-prior.log_sigma[:, list(rows)]).exp()
+        return 0.5 * ((latent - prior.mean[:, list(rows)]) * scale).square().sum(-1)
+
+    def _touches(self, motions: Motions, attacks: dict[AgentId, Path]) -> bool:
+        """Whether the AV's box meets anybody's, who did not touch it already."""
+        situation, av = self._situation, self._situation.ids[_AV]
+        place = motions.position[0, _AV].detach().double().numpy()
+        heading = motions.heading[0, _AV].detach().double().numpy()
+        size = situation.sizes[av].double().numpy()
+        for name, path in (situation.others | attacks).items():
+            if name == av:
+                continue
+            hit = boxes.overlap(
+                place,
+                heading,
+                size,
+                path.position.double().numpy(),
+                path.heading.double().numpy(),
+                situation.sizes[name].double().numpy(),
+            )
+            hit &= path.there.numpy()
+            if hit.any() and not hit[0]:
+                return True
+        return False
+
+
+def _distance(first: Tensor, second: Tensor) -> Tensor:
+    """(...) distances of points (..., 2), differentiable everywhere."""
+    return ((first - second).square().sum(-1) + 1e-6).sqrt()
+
+
+def _posterior(net: MotionPrior, situation: Situation) -> Tensor:
+    """(1, N, 16) where the first stage begins: the posterior's means."""
+    pose = situation.graph["pose"][0]
+    rows = []
+    for path, (x, y, turn) in zip(situation.paths, pose, strict=True):
+        offset = path.position - torch.stack([x, y])
+        cos, sin = turn.cos(), turn.sin()
+        local = [
+            offset[:, 0] * cos + offset[:, 1] * sin,
+            offset[:, 1] * cos - offset[:, 0] * sin,
+            torch.remainder(path.heading - turn + torch.pi, 2 * torch.pi) - torch.pi,
+            torch.ones_like(path.heading),
+        ]
+        rows.append(torch.stack(local, -1) * path.there.float().unsqueeze(-1))
+    future = torch.stack(rows)[None, :, _EVERY - 1 :: _EVERY]
+    with torch.no_grad():
+        return net.posterior(situation.graph, situation.context, future).mean
+
+
+def _detached(motions: Motions) -> Motions:
+    return Motions(*(part.detach() for part in motions))

@@ -1,1 +1,0 @@
-"""What searches for attacks share: scouting, the opponent, motion, cost, budget."""

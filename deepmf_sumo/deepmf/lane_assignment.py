@@ -1,0 +1,289 @@
+"""Which lanes the candidates are on, step by step, and where they may go from there."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints, Lane, RoadMap, View
+from deepmf_sumo.deepmf.candidates import Levels, footprint
+from deepmf_sumo.deepmf.tracking import Start
+from deepmf_sumo.geometry import boxes, polylines
+from deepmf_sumo.geometry.ground import clear, ground_of, on_nearest_level
+from deepmf_sumo.geometry.road import MARGIN_M, WIDTH_M
+
+EVERY_STEPS: Final = 2
+"""Futures are looked at every 0.2 s."""
+OFF: Final = -1
+"""On none of the lanes."""
+_SPACING_M = 4.0
+_BEYOND_M = 300.0  # what lies beyond the map is taken as more of the road
+_SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ways:
+    """Futures (N) at S times on L lanes.
+
+    Attributes:
+        lanes: (L) that can be reached. begins: (L) the vehicle is on it now.
+        straight: (L) it follows those without a change of lanes.
+        on: (N, S, L) the centre of the box is on the lane, in its direction.
+        left_m: (N, S, L) offset from the lane's centre.
+        nearest: (N, S) row of the lane that is meant, or `OFF`.
+        driven: (N, L) the future drives there; of lanes that part from one only one.
+    """
+
+    lanes: tuple[Lane, ...]
+    begins: Bools
+    straight: Bools
+    on: Bools
+    left_m: Floats
+    nearest: Ints
+    driven: Bools
+
+    @classmethod
+    def of(
+        cls,
+        road: RoadMap,
+        now: tuple[Floats, float],
+        futures: tuple[Floats, Floats],
+        reach_m: float,
+        z_m: float = 0.0,
+    ) -> "Ways":
+        """Of a pose now, (2) and heading, and futures: positions (N, S, 2), headings (N, S).
+
+        Where roads cross the lanes now are those of the level nearest to the height ``z_m``.
+        """
+        first = lanes_at(road, *now, z_m)
+        straight = _within(road, first, reach_m, beside=False)
+        lanes = tuple(road.lanes[name] for name in _within(road, first, reach_m, beside=True))
+        shape = (*futures[1].shape, len(lanes))
+        on, left_m = np.zeros(shape, bool), np.full(shape, np.inf)
+        for row, lane in enumerate(lanes):
+            endless = _leaves(road, lane)
+            near = np.ones(futures[1].shape, bool) if endless else _around(lane, futures[0])
+            poses = futures[0][near], futures[1][near]
+            on[near, row], left_m[near, row] = on_lane(lane, *poses, endless=endless)
+        off = np.where(on, np.abs(left_m), np.inf)
+        nearest = (
+            np.where(on.any(axis=-1), off.argmin(axis=-1), OFF) if lanes else _none(futures[1])
+        )
+        return cls(
+            lanes=lanes,
+            begins=np.array([lane.id in first for lane in lanes], bool),
+            straight=np.array([lane.id in straight for lane in lanes], bool),
+            on=on,
+            left_m=left_m,
+            nearest=nearest,
+            driven=_driven(lanes, nearest),
+        )
+
+
+def lanes_at(
+    road: RoadMap, position_m: Floats, heading_rad: float, z_m: float = 0.0
+) -> tuple[str, ...]:
+    """Ids of the lanes for cars under a pose, (2) and heading, that run in its direction.
+
+    Where roads cross only those of the level nearest to the height ``z_m``.
+    """
+    point, heading = np.asarray(position_m, float)[None], np.array([heading_rad])
+    found = [
+        lane
+        for lane in road.lanes.values()
+        if lane.kind != "bike" and _around(lane, point)[0] and on_lane(lane, point, heading)[0][0]
+    ]
+    if len(found) > 1 and ground_of(road).has_levels:
+        heights = np.array([_height_m(lane, point) for lane in found])
+        level = on_nearest_level(np.zeros(len(found), np.int64), heights, np.array(z_m))
+        found = [lane for lane, same in zip(found, level, strict=True) if same]
+    return tuple(lane.id for lane in found)
+
+
+def _height_m(lane: Lane, point_m: Floats) -> float:
+    """Of a lane below a point (1, 2)."""
+    along = polylines.project(lane.centre_m, point_m).along_m[0]
+    return float(np.interp(along, polylines.arc_lengths(lane.centre_m), lane.z_m))
+
+
+def on_lane(
+    lane: Lane, position_m: Floats, heading_rad: Floats, *, endless: bool = False
+) -> tuple[Bools, Floats]:
+    """(...) whether poses are on a lane and in its direction, and their offsets to its left.
+
+    An ``endless`` lane goes on straight beyond its last point.
+    """
+    line = _endless(lane) if endless else _line(lane)
+    if len(line) < 2:
+        return np.zeros(np.shape(heading_rad), bool), np.full(np.shape(heading_rad), np.inf)
+    foot = polylines.project(line, position_m)
+    near = foot.distance_m <= width_m(lane) / 2 + MARGIN_M
+    on: Bools = near & (np.cos(heading_rad - foot.heading_rad) > _SAME_WAY)
+    return on, foot.left_m
+
+
+def width_m(lane: Lane) -> float:
+    """Of a lane; 3.7 m where nobody says."""
+    return lane.width_m or WIDTH_M
+
+
+@lru_cache(maxsize=8192)
+def _line(lane: Lane) -> Floats:
+    """Its centre line with few points: recorded ones have one every half metre."""
+    if len(lane.centre_m) < 2:
+        return lane.centre_m
+    coarse = polylines.resample(lane.centre_m, _SPACING_M)
+    return coarse if len(coarse) < len(lane.centre_m) else lane.centre_m
+
+
+@lru_cache(maxsize=1024)
+def _endless(lane: Lane) -> Floats:
+    line = _line(lane)
+    if len(line) < 2:
+        return line
+    last = line[-1] - line[-2]
+    return np.concatenate([line, [line[-1] + _BEYOND_M * last / max(np.hypot(*last), 1e-9)]])
+
+
+def _leaves(road: RoadMap, lane: Lane) -> bool:
+    """Whether a lane leads out of the map: it ends, and so do those beside it."""
+    beside = [one.lane_id for one in (*lane.left, *lane.right)]
+    return not lane.next and not any(road.lanes[one].next for one in beside if one in road.lanes)
+
+
+@lru_cache(maxsize=8192)
+def _bounds(lane: Lane) -> tuple[Floats, Floats]:
+    reach = width_m(lane) / 2 + MARGIN_M
+    return lane.centre_m.min(axis=0) - reach, lane.centre_m.max(axis=0) + reach
+
+
+def _around(lane: Lane, point_m: Floats) -> Bools:
+    """(...) whether points (..., 2) can be on a lane, by the rectangle around it."""
+    low, high = _bounds(lane)
+    around: Bools = np.asarray(((point_m >= low) & (point_m <= high)).all(axis=-1))
+    return around
+
+
+def _within(road: RoadMap, first: Iterable[str], reach_m: float, *, beside: bool) -> list[str]:
+    """Lanes ahead within a distance from the beginning of the first ones; also those beside."""
+    left_m = {name: reach_m + _length_m(road.lanes[name]) for name in first}
+    queue = list(left_m)
+    while queue:
+        lane = road.lanes[queue.pop(0)]
+        rest = left_m[lane.id] - _length_m(lane)
+        after = [(name, rest) for name in lane.next]
+        if beside:
+            after += [(one.lane_id, left_m[lane.id]) for one in (*lane.left, *lane.right)]
+        for name, more in after:
+            if name in road.lanes and more > left_m.get(name, 0.0):
+                left_m[name] = more
+                queue.append(name)
+    return [name for name in left_m if road.lanes[name].kind != "bike"]
+
+
+def _length_m(lane: Lane) -> float:
+    line = _line(lane)
+    return float(np.hypot(*np.diff(line, axis=0).T).sum()) if len(line) > 1 else 0.0
+
+
+def _none(like: Floats) -> Ints:
+    return np.full(like.shape, OFF)
+
+
+def _driven(lanes: tuple[Lane, ...], nearest: Ints) -> Bools:
+    """(N, L): where lanes part the one that most poses are nearest to."""
+    count = (nearest[..., None] == np.arange(len(lanes))).sum(axis=1)
+    row = {lane.id: index for index, lane in enumerate(lanes)}
+    driven: Bools = count > 0
+    for lane in lanes:
+        parting = [row[name] for name in lane.next if name in row]
+        if len(parting) > 1:
+            driven[:, parting] &= count[:, parting] == count[:, parting].max(axis=1, keepdims=True)
+    return driven
+
+
+PACE_S = DT_S * EVERY_STEPS
+_REACH_M = 20.0  # lanes are looked for so far beyond what is driven
+_LIKELY = 0.1  # the AV's futures that are at least so likely have to be left alone
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Driven:
+    """N futures of an opponent at S times, every 0.2 s, up to the end of the case.
+
+    Attributes:
+        position_m: (N, S, 2). heading_rad, speed_mps: (N, S). size_m: (2) length, width.
+        start: its pose now. ways: the lanes that it drives on.
+        av_position_m: (K, R, 2), av_heading_rad: (K, R), R >= S: what the AV does if nobody
+            attacks. av_size_m: (2).
+        z_m, av_z_m: (N, S), (K, R) heights; z_now_m: the opponent's now. Zeros on one level.
+    """
+
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+    size_m: Floats
+    start: Start
+    ways: Ways
+    av_position_m: Floats
+    av_heading_rad: Floats
+    av_size_m: Floats
+    z_m: Floats
+    av_z_m: Floats
+    z_now_m: float
+
+    @classmethod
+    def of(cls, view: View, futures: Futures, speed_mps: Floats, alone: Forecast) -> "Driven":
+        """Of futures with their speeds (N, F), and the AV's futures if nobody attacks."""
+        start = Start.of(view, futures.agent_id)
+        left = max(view.steps_left, EVERY_STEPS)  # in the last step of a case one time is looked at
+        steps = slice(EVERY_STEPS - 1, min(left, speed_mps.shape[1]), EVERY_STEPS)
+        position, heading = futures.position_m[:, steps], futures.heading_rad[:, steps]
+        along = np.hypot(*np.moveaxis(position - start.position_m, -1, 0))
+        reach_m = float(along.max(initial=0.0)) + _REACH_M
+        now = start.position_m, start.heading_rad
+        likely = alone.probability >= min(_LIKELY, float(alone.probability.max()))
+        every = slice(EVERY_STEPS - 1, None, EVERY_STEPS)
+        av_m, levels = alone.futures.position_m[likely], Levels.of(view, futures.agent_id)
+        z_m, av_z_m, z_now_m = np.zeros(heading.shape), np.zeros(av_m[:, every].shape[:2]), 0.0
+        if levels is not None:
+            z_m = levels.opponent_z_m(futures.position_m)[:, steps]
+            av_z_m, z_now_m = levels.av_z_m(av_m)[:, every], float(levels.opponent[2])
+        return cls(
+            position_m=position,
+            heading_rad=heading,
+            speed_mps=speed_mps[:, steps],
+            size_m=footprint(view, futures.agent_id),
+            start=start,
+            ways=Ways.of(view.road, now, (position, heading), reach_m, z_now_m),
+            av_position_m=av_m[:, every],
+            av_heading_rad=alone.futures.heading_rad[likely, every],
+            av_size_m=footprint(view, view.av_id),
+            z_m=z_m,
+            av_z_m=av_z_m,
+            z_now_m=z_now_m,
+        )
+
+    def meets(self, later_s: float) -> Bools:
+        """(N, S, K) the AV is ``later_s`` later where the opponent is; negative: was before."""
+        times = np.arange(self.position_m.shape[1]) + round(later_s / PACE_S)
+        row = np.clip(times, 0, self.av_position_m.shape[1] - 1)
+        hit = boxes.overlap(
+            self.position_m[:, :, None],
+            self.heading_rad[:, :, None],
+            self.size_m,
+            np.swapaxes(self.av_position_m[:, row], 0, 1)[None],
+            self.av_heading_rad[:, row].T[None],
+            self.av_size_m,
+        )
+        hit &= ~clear(self.z_m[:, :, None], self.av_z_m[:, row].T[None])
+        meeting: Bools = hit & (times == row)[None, :, None]
+        return meeting
+
+    def av_comes(self, within_s: float) -> Bools:
+        """(N, S, K) the AV is there at the same time, or at most ``within_s`` later."""
+        later = np.append(np.arange(0.0, within_s, 2 * PACE_S), within_s)
+        comes: Bools = np.any([self.meets(float(one)) for one in later], axis=0)
+        return comes

@@ -1,0 +1,110 @@
+"""Which vehicle attacks: chosen once, before the first plan (Algorithm 1)."""
+
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import AgentId, Floats, OpponentScores, View
+from deepmf_sumo.errors import RunError
+from deepmf_sumo.predictors.base import OpponentPredictor
+from deepmf_sumo.predictors.routes import passes_over
+
+SCORED: Final = frozenset({"argmax", "sample", "partner"})
+"""Choices that need the opponent network."""
+
+
+def choose(
+    view: View,
+    how: str,
+    predictor: OpponentPredictor | None,
+    partner_id: AgentId | None,
+    rng: np.random.Generator,
+) -> tuple[AgentId | None, OpponentScores | None]:
+    """The opponent, None if there is nobody; and the scores that it was chosen by, if it was.
+
+    Args:
+        view: at the current step.
+        how: one of `SCORED`, ``labelled`` or the id of a vehicle.
+        predictor: the opponent network; needed by `SCORED` alone.
+        partner_id: whom the recording names as the AV's partner.
+        rng: for ``sample``.
+
+    Raises RunError where the vehicle that is asked for is not there, or nobody is labelled.
+    """
+    if how in SCORED:
+        assert predictor is not None
+        scores = _on_level(view, predictor.score(view))
+        return from_scores(scores, how, rng), scores
+    if how != "labelled":
+        return named(view, how), None
+    if partner_id is None:
+        raise RunError(
+            "opponent is 'labelled', but the recording names no partner of the AV; use "
+            "argmax, sample or partner."
+        )
+    return named(view, partner_id), None
+
+
+def _on_level(view: View, scores: OpponentScores) -> OpponentScores:
+    """The scores without vehicles that pass over or under the AV's way; all if no other is there.
+
+    The opponent network does not know heights.
+    """
+    tracks = view.history
+    rows = [tracks.row(one) for one in (view.av_id, *scores.ids)]
+    level = ~passes_over(
+        view.road,
+        tracks.position_m[rows, -1],
+        tracks.heading_rad[rows, -1],
+        tracks.speed_mps[rows, -1],
+        tracks.z_m[rows, -1],
+    )
+    if level.all() or not level.any():
+        return scores
+    return OpponentScores(
+        ids=tuple(scores.ids[row] for row in np.flatnonzero(level)),
+        logits=scores.logits[level],
+        partner_logits=scores.partner_logits[level],
+    )
+
+
+def from_scores(scores: OpponentScores, how: str, rng: np.random.Generator) -> AgentId | None:
+    """The opponent by ``argmax``, ``sample`` (softmax of the logits) or ``partner``.
+
+    ``partner`` takes the head that was trained on labelled interacting partners. None where there
+    is no candidate.
+    """
+    if not scores.ids:
+        return None
+    if how == "sample":
+        return scores.ids[int(rng.choice(len(scores.ids), p=softmax(scores.logits)))]
+    return highest(scores, how, 1)[0]
+
+
+def highest(scores: OpponentScores, how: str, count: int) -> list[AgentId]:
+    """At most ``count`` vehicles by ``argmax`` or ``partner``, the best first."""
+    logits = scores.partner_logits if how == "partner" else scores.logits
+    return [scores.ids[row] for row in np.argsort(-logits, kind="stable")[:count]]
+
+
+def named(view: View, agent_id: AgentId) -> AgentId:
+    """The opponent that the settings name. Raises RunError if it is not there, or is the AV."""
+    others = [
+        other
+        for other, kind in zip(view.history.ids, view.history.kinds, strict=True)
+        if kind == "vehicle" and other != view.av_id
+    ]
+    if agent_id not in others:
+        known = ", ".join(others[:10]) + (" ..." if len(others) > 10 else "")
+        raise RunError(
+            f"opponent '{agent_id}' is no vehicle beside the AV at step {view.step}; "
+            f"name one of: {known or 'none is there'}, or use argmax."
+        )
+    return agent_id
+
+
+def softmax(logits: Floats) -> Floats:
+    """(N) probabilities of logits (N)."""
+    power = np.exp(logits - np.max(logits))
+    share: Floats = power / power.sum()
+    return share

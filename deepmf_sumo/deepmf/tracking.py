@@ -1,0 +1,312 @@
+"""Reference paths driven by a bicycle model within the limits of motion.
+
+Makes predicted positions drivable: a bicycle follows each of them from the current state.
+
+A predictor knows no limits, and its first sample need not join the current state. Every candidate
+is therefore followed by a single-track model *before* it is judged, so that what is checked is what
+is executed. The course (direction of motion of the box centre) turns at most as fast as the lateral
+limit and the steering angle allow; the rear axle follows like a trailer, which gives the heading.
+
+The controller looks ahead along the path (pure pursuit: Coulter, CMU-RI-TR-92-01, 1992), keeps time
+by a critically damped law with feed-forward, and slows down ahead of curves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Ints, View
+from deepmf_sumo.geometry import angles
+
+Complexes = NDArray[np.complex128]
+
+_SPACING_M = 0.5
+_BEYOND_M = 40.0  # every path goes on straight: nothing looks farther ahead than this
+_DIRECTED_M = 0.3  # a shorter last metre gives no direction
+_STANDING_M = 0.005  # shorter steps are noise of a standing vehicle
+_SMOOTHING_STEPS = 2  # speeds of a reference are differences over 0.4 s
+_BEND_POINTS = 4  # curvature is the turn over 4 m
+_SHARE = 0.9  # of the limits, kept for curves, so that tracking errors can be corrected
+_SLOWEST_MPS = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Courses:
+    """M paths (M, G) sampled every 0.5 m, and where each reference is on its path (M, F + 1).
+
+    Points are complex numbers, x + iy, and what is asked for at each step is prepared: the tracking
+    loop runs 80 times, and this is a third of its cost.
+
+    Attributes:
+        path_m: (M, G) points. ahead_m: (M, G) from each point to the next, 0 at the end.
+        fastest_mps: (M, G) from which the curves ahead can still be driven.
+        due_m, speed_mps, accel_mps2: (M, F + 1) of the references. row: (M) flat index of points 0.
+    """
+
+    path_m: Complexes
+    ahead_m: Complexes
+    fastest_mps: Floats
+    due_m: Floats
+    speed_mps: Floats
+    accel_mps2: Floats
+    row: Ints
+
+    @classmethod
+    def along(
+        cls, reference_m: Floats, start_m: Floats, course_rad: float, limits: Floats
+    ) -> "Courses":
+        """Courses of references (M, F, 2) from a start (2); limits (M, 3) bound speed in curves."""
+        points = np.empty((len(reference_m), reference_m.shape[1] + 1), dtype=np.complex128)
+        points[:, 0] = complex(*start_m)
+        points[:, 1:] = reference_m[..., 0] + 1j * reference_m[..., 1]
+        step = np.abs(np.diff(points, axis=1))
+        step[step < _STANDING_M] = 0.0
+        length = np.concatenate([np.zeros((len(step), 1)), np.cumsum(step, axis=1)], axis=1)
+        path = _resampled(points, length, course_rad)
+        ahead = np.diff(path, axis=1, append=path[:, -1:])
+        speed = _smooth_speed(length)
+        return cls(
+            path_m=path,
+            ahead_m=ahead,
+            fastest_mps=np.sqrt(_curve_limit(path, limits)),
+            due_m=length,
+            speed_mps=speed,
+            accel_mps2=np.gradient(speed, DT_S, axis=1),
+            row=np.arange(len(path)) * path.shape[1],
+        )
+
+    def timing(self, step: int) -> tuple[Floats, Floats, Floats]:
+        """Arc length, speed, acceleration of the references ``step`` steps from now, (M) each."""
+        return self.due_m[:, step], self.speed_mps[:, step], self.accel_mps2[:, step]
+
+    def point(self, along_m: Floats) -> Complexes:
+        """Points at arc lengths (M), one a path."""
+        cell, share = self._cell(along_m)
+        where: Complexes = self.path_m.take(cell) + share * self.ahead_m.take(cell)
+        return where
+
+    def progress(self, guess_m: Floats, least_m: Floats, position_m: Complexes) -> Floats:
+        """Arc lengths (M) of the feet of points near ``guess_m``; never behind ``least_m``."""
+        cell, share = self._cell(guess_m)
+        off, ahead = position_m - self.path_m.take(cell), self.ahead_m.take(cell)
+        product = off * ahead.conj()
+        foot = product.real / np.maximum(square(ahead), 1e-9)
+        correction = np.minimum(np.maximum((foot - share) * _SPACING_M, -0.5), 0.5)
+        place: Floats = np.maximum(guess_m + correction, least_m)
+        return place
+
+    def speed_limit(self, along_m: Floats) -> Floats:
+        """Highest speed (M) from which the curves ahead can still be driven."""
+        limit: Floats = self.fastest_mps.take(self._cell(along_m)[0])
+        return limit
+
+    def _cell(self, along_m: Floats) -> tuple[Ints, Floats]:
+        """Places (M) in the flat arrays, and shares of the way to the next point."""
+        place = np.minimum(along_m / _SPACING_M, self.path_m.shape[1] - 1.001)
+        cell = place.astype(np.int64)
+        return self.row + cell, place - cell
+
+
+def square(number: Complexes) -> Floats:
+    """Squares of the lengths of complex numbers."""
+    squares: Floats = number.real**2 + number.imag**2
+    return squares
+
+
+def _resampled(points: Complexes, length: Floats, course_rad: float) -> Complexes:
+    """(M, G) points every 0.5 m, continued straight in the direction of the last metre."""
+    total = length[:, -1]
+    grid = np.arange(0.0, total.max() + _BEYOND_M, _SPACING_M)
+    path = np.empty((len(points), len(grid)), dtype=np.complex128)
+    for row, (mode, along) in enumerate(zip(points, length, strict=True)):
+        end = mode[-1] - np.interp(max(total[row] - 1.0, 0.0), along, mode)
+        # A standing vehicle goes on the way that it points.
+        ahead = end / np.abs(end) if np.abs(end) > _DIRECTED_M else np.exp(1j * course_rad)
+        path[row] = np.interp(grid, along, mode) + np.maximum(grid - total[row], 0.0) * ahead
+    return path
+
+
+def _smooth_speed(length: Floats) -> Floats:
+    """(M, F + 1) speeds as differences of arc length over 0.4 s, shorter at both ends."""
+    last = length.shape[1] - 1
+    steps = np.arange(last + 1)
+    low = np.maximum(steps - _SMOOTHING_STEPS, 0)
+    high = np.minimum(steps + _SMOOTHING_STEPS, last)
+    speed: Floats = (length[:, high] - length[:, low]) / ((high - low) * DT_S)
+    return speed
+
+
+def _curve_limit(path: Complexes, limits: Floats) -> Floats:
+    """(M, G) squares of the highest speeds: v^2 <= lateral / curvature, and braking in time."""
+    ahead = np.diff(path, axis=1)
+    turn = np.zeros(path.shape)
+    bend = np.abs(np.angle(ahead[:, 2 * _BEND_POINTS :] * ahead[:, : -2 * _BEND_POINTS].conj()))
+    turn[:, _BEND_POINTS + 1 : _BEND_POINTS + 1 + bend.shape[1]] = bend
+    curvature = turn / (2 * _BEND_POINTS * _SPACING_M)
+    square = _SHARE * limits[:, 2:3] / np.maximum(curvature, 1e-6)
+    square = np.maximum(square, _SLOWEST_MPS**2)
+    # v(s)^2 <= v(s')^2 + 2 b (s' - s) for every s' ahead: a running minimum from the far end.
+    slope = 2 * _SHARE * limits[:, 1:2] * _SPACING_M * np.arange(path.shape[1])
+    fastest: Floats = np.minimum.accumulate((square + slope)[:, ::-1], axis=1)[:, ::-1] - slope
+    return fastest
+
+
+_JOIN_STEPS = 15  # an initial mismatch of the prediction fades out over 1.5 s
+_LOOKAHEAD_S, _LOOKAHEAD_M = 0.6, 2.0
+_DAMPING_PER_S = 2.0  # both poles of the timing law
+_REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
+_STEERING_SLIP = 0.33  # course against heading at full lock, radians
+_COURSE_MPS = 1.0  # slower, a measured velocity does not show the slip angle: 0.1 m/s are 6 degrees
+_COURSE_SLIP = 0.2  # a measured course is believed up to this far from the heading, radians
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Largest accelerations in m/s2: speeding up, braking, across the direction of motion."""
+
+    accel: float
+    brake: float
+    lateral: float
+
+    def rows(self, count: int) -> Floats:
+        """(count, 3) the same limits for each candidate."""
+        return np.tile([self.accel, self.brake, self.lateral], (count, 1)).astype(float)
+
+    def mild(self) -> "Limits":
+        """What a calm driver uses: at most (3, 4, 2.5) and 70 % of these limits."""
+        return Limits(
+            accel=min(3.0, 0.7 * self.accel),
+            brake=min(4.0, 0.7 * self.brake),
+            lateral=min(2.5, 0.7 * self.lateral),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """The vehicle's state now: box centre (2), heading, course and speed, length."""
+
+    position_m: Floats
+    heading_rad: float
+    course_rad: float
+    speed_mps: float
+    length_m: float
+
+    @classmethod
+    def of(cls, view: View, agent_id: AgentId) -> "Start":
+        """Current state of an agent. A vehicle that rolls backwards starts at rest."""
+        tracks = view.history
+        row = tracks.row(agent_id)
+        heading = float(tracks.heading_rad[row, -1])
+        velocity = tracks.velocity_mps[row, -1]
+        speed = max(0.0, float(velocity @ angles.unit(heading)))
+        course = heading
+        if speed > _COURSE_MPS:
+            slip = float(angles.difference(np.arctan2(velocity[1], velocity[0]), heading))
+            course += float(np.clip(slip, -_COURSE_SLIP, _COURSE_SLIP))
+        return cls(
+            position_m=tracks.position_m[row, -1],
+            heading_rad=heading,
+            course_rad=course,
+            speed_mps=speed,
+            length_m=float(tracks.size_m[row, 0]),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracked:
+    """M drivable futures: (M, F, 2), (M, F), (M, F), and (M) farthest move off the reference."""
+
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+    bent_m: Floats
+
+
+def joined(reference_m: Floats, start: Start) -> Floats:
+    """(M, F, 2) references moved so that they begin where the vehicle will be in one step.
+
+    The move fades out over 1.5 s.
+    """
+    reference = np.asarray(reference_m, float)
+    expected = start.position_m + start.speed_mps * DT_S * angles.unit(start.course_rad)
+    share = np.clip(np.arange(reference.shape[1]) / _JOIN_STEPS, 0.0, 1.0)
+    fade = 1.0 - share * share * (3.0 - 2.0 * share)
+    moved: Floats = reference + (expected - reference[:, :1]) * fade[:, None]
+    return moved
+
+
+def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
+    """Follow M references (M, F, 2) from the current state, each within its limits (M, 3).
+
+    Guarantees for the box centre: the first pose is one step's drive away from the start; speed
+    changes by at most accel*dt and brake*dt a step and is never negative; speed times turn rate of
+    the course stays within the lateral limit.
+    """
+    reference = np.asarray(reference_m, float)
+    candidates, steps = reference.shape[:2]
+    courses = Courses.along(joined(reference, start), start.position_m, start.course_rad, limits)
+    state = _State(candidates, start, limits)
+    place = np.empty((candidates, steps), dtype=np.complex128)
+    heading, speed = np.empty((candidates, steps)), np.empty((candidates, steps))
+    for step in range(steps):
+        state.advance(courses, step)
+        place[:, step], heading[:, step], speed[:, step] = state.pose()
+    position = np.stack([place.real, place.imag], -1)
+    bent = np.hypot(*np.moveaxis(position - reference, -1, 0)).max(axis=1)
+    return Tracked(
+        position_m=position, heading_rad=angles.wrap(heading), speed_mps=speed, bent_m=bent
+    )
+
+
+class _State:
+    """States of M single-track vehicles that follow M courses; all arrays (M)."""
+
+    def __init__(self, candidates: int, start: Start, limits: Floats) -> None:
+        self._place = np.full(candidates, complex(*start.position_m))
+        self._course = np.full(candidates, start.course_rad)
+        self._slip = self._course - start.heading_rad
+        self._speed = np.full(candidates, start.speed_mps)
+        self._along = np.zeros(candidates)
+        self._rear_m = _REAR_AXLE * start.length_m
+        self._curvature = np.sin(_STEERING_SLIP) / self._rear_m
+        self._accel, self._brake, self._lateral = np.asarray(limits, float).T
+
+    def pose(self) -> tuple[Complexes, Floats, Floats]:
+        """Position x + iy, heading, speed, (M) each."""
+        return self._place, self._course - self._slip, self._speed
+
+    def advance(self, courses: Courses, step: int) -> None:
+        """One step of DT_S towards where the references are at ``step`` (0: one step from now)."""
+        before, after = self._speed, self._next_speed(courses, step)
+        curvature = self._steer(courses, np.maximum(before, after))
+        mean = (before + after) / 2
+        turn = curvature * mean * DT_S
+        self._place = self._place + mean * DT_S * np.exp(1j * (self._course + turn / 2))
+        self._course = self._course + turn
+        # The slip of a trailed rear axle, solved exactly for a constant curvature and small slip.
+        steady = np.arcsin(curvature * self._rear_m)
+        fade = np.exp(-mean * DT_S / self._rear_m)
+        self._slip = steady + (self._slip - steady) * fade
+        self._speed = after
+        self._along = courses.progress(self._along + mean * DT_S, self._along, self._place)
+
+    def _next_speed(self, courses: Courses, step: int) -> Floats:
+        """Speed after the step: keep to the reference's timing, slow down for curves."""
+        due, speed, accel = courses.timing(step)
+        wanted = accel + 2 * _DAMPING_PER_S * (speed - self._speed)
+        wanted = wanted + _DAMPING_PER_S**2 * (due - self._along)
+        allowed = (courses.speed_limit(self._along) - self._speed) / DT_S
+        chosen = np.maximum(np.minimum(np.minimum(wanted, allowed), self._accel), -self._brake)
+        after: Floats = np.maximum(self._speed + chosen * DT_S, 0.0)
+        return after
+
+    def _steer(self, courses: Courses, fastest: Floats) -> Floats:
+        """Curvature of the arc to the point ahead on the course, within the limits."""
+        ahead = np.maximum(_LOOKAHEAD_M, _LOOKAHEAD_S * self._speed)
+        target = courses.point(self._along + ahead) - self._place
+        left = (target * np.exp(-1j * self._course)).imag
+        wanted = 2 * left / np.maximum(square(target), 1e-6)
+        bound = np.minimum(self._curvature, self._lateral / np.maximum(fastest**2, 1e-6))
+        curvature: Floats = np.minimum(np.maximum(wanted, -bound), bound)
+        return curvature

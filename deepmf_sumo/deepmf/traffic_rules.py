@@ -1,0 +1,357 @@
+"""Which futures of an opponent break no rule of the road, as far as the road map tells the rules.
+
+A future is lawful if
+
+- it stays on lanes that can be reached from the lane where it begins, in their direction;
+- it drives no faster than 110 % of their limit, or than it does now;
+- it crosses no stop line (by more than 2 m) at red, or of a stop sign without standing before it,
+  where 5 m/s2 of braking were enough to stop in time, and none at yellow where 3 m/s2 were;
+- it comes into the AV's way only with 1.5 s to spare before the AV, if the AV goes on as if nobody
+  attacked: on a link over a junction that gives way to the AV's, or when it leaves its lane; out
+  of its lane it touches the AV in none of its reactions;
+- behind the AV it neither touches it nor speeds up within 1 s of it; before it, where no line makes
+  it stop and no turn slow down, it brakes by no more than 2 m/s2, and keeps half of its speed.
+
+Where the AV comes into the opponent's way none of this holds: that is what a lawful attack is.
+Lights are taken to stay as they are until the next plan. What the map does not tell restricts
+nothing: recordings know no right of way at junctions, and who begins off the lanes may drive
+anywhere. Others than the AV are not looked at.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepmf_sumo.datatypes import (
+    DT_S,
+    AgentId,
+    Bools,
+    Floats,
+    Forecast,
+    Futures,
+    Lane,
+    SignalState,
+    View,
+)
+from deepmf_sumo.deepmf.candidates import References
+from deepmf_sumo.deepmf.lane_assignment import (
+    EVERY_STEPS,
+    OFF,
+    PACE_S,
+    Driven,
+    Ways,
+    lanes_at,
+    on_lane,
+    width_m,
+)
+from deepmf_sumo.deepmf.reference_paths import own_paths
+from deepmf_sumo.deepmf.tracking import Limits, Start
+from deepmf_sumo.geometry import angles, boxes, frames, polylines
+from deepmf_sumo.geometry.ground import clear
+
+RED: Final = frozenset({SignalState.STOP, SignalState.ARROW_STOP})
+HALT: Final = RED | {SignalState.CAUTION, SignalState.ARROW_CAUTION}
+OVER_M: Final = 2.0
+"""A front that is so far beyond a line has crossed it, and did not just stop late."""
+YELLOW_MPS2: Final = 3.0
+RED_MPS2: Final = 5.0
+"""Somewhat more than SUMO's drivers brake with for a light that has long been red."""
+_STOP_ZONE_M = 6.0
+_STOP_MPS = 0.7
+"""Slower before a stop sign counts as a stop: drivers roll."""
+_STOPS_MPS2 = (1.0, 2.0, 3.0)
+
+
+class Line(NamedTuple):
+    """Where a lane's traffic stops.
+
+    Attributes:
+        lane: that it bounds. point_m: (2) on the lane. heading_rad: of the lane there.
+        sign: of a stop sign, else of a light.
+        brake_mps2: who can stop with so little braking has to.
+    """
+
+    lane: Lane
+    point_m: Floats
+    heading_rad: float
+    sign: bool
+    brake_mps2: float
+
+    def crossed(self, driven: Driven) -> Bools:
+        """(N) futures whose front comes over it; those that stand before a sign may."""
+        front = driven.position_m + angles.unit(driven.heading_rad) * driven.size_m[0] / 2
+        local = frames.to_local(front, self.point_m, self.heading_rad)
+        ahead, left = local[..., 0], local[..., 1]
+        over = (ahead > OVER_M) & (np.abs(left) <= width_m(self.lane))
+        crossed: Bools = np.asarray(over.any(axis=1))
+        if not self.sign:
+            lanes = [lane.id for lane in driven.ways.lanes]
+            return crossed & driven.ways.driven[:, lanes.index(self.lane.id)]
+        waiting = (ahead <= OVER_M) & (ahead > -_STOP_ZONE_M)
+        stands = np.asarray((waiting & (driven.speed_mps < _STOP_MPS)).any(axis=1))
+        return crossed & ~stands
+
+    def stood(self, driven: Driven, slowest_mps: float) -> bool:
+        """Whether who was so slow just now stood before the sign; at lights that does not count."""
+        return self.sign and self.before_m(driven) < _STOP_ZONE_M and slowest_mps < _STOP_MPS
+
+    def before_m(self, driven: Driven) -> float:
+        """How far the front is before the line now; negative beyond it."""
+        start = driven.start
+        front = start.position_m + angles.unit(start.heading_rad) * driven.size_m[0] / 2
+        ahead, left = frames.to_local(front, self.point_m, self.heading_rad)
+        return -float(ahead) if ahead > 0 else float(np.hypot(ahead, left))
+
+
+def stop_lines(view: View, ways: Ways) -> list[Line]:
+    """Lines where one has to stop now on the lanes ahead: at lights, and of stop signs.
+
+    A light's line is where the lane behind it begins.
+    """
+    lines = []
+    known = {lane.id: lane for lane in ways.lanes if len(lane.centre_m) > 1}
+    for lane in known.values():
+        if view.signals.get(lane.id) in HALT:
+            dx, dy = lane.centre_m[1] - lane.centre_m[0]
+            brake = RED_MPS2 if view.signals[lane.id] in RED else YELLOW_MPS2
+            lines.append(Line(lane, lane.centre_m[0], float(np.arctan2(dy, dx)), False, brake))
+    for sign in view.road.stop_signs:
+        for lane in (known[name] for name in sign.lane_ids if name in known):
+            foot = polylines.project(lane.centre_m, sign.position_m)
+            point, _ = polylines.points_at(lane.centre_m, foot.along_m)
+            lines.append(Line(lane, point, float(foot.heading_rad), True, RED_MPS2))
+    return lines
+
+
+def stops(modes: Forecast, start: Start, limits: Limits) -> References:
+    """Ways to stop along each of the opponent's own paths, gently to firmly."""
+    steps = modes.futures.position_m.shape[1]
+    seconds = (np.arange(steps) + 1) * DT_S
+    brakes = [one for one in _STOPS_MPS2 if one < limits.brake] + [limits.brake]
+    found = []
+    for path in own_paths(modes, start):
+        for brake in brakes:
+            busy = np.minimum(seconds, start.speed_mps / brake)
+            driven = start.speed_mps * busy - brake * busy**2 / 2
+            found.append(polylines.points_at(path.points_m, driven)[0])
+    return References.of("stop", np.stack(found), limits.rows(len(found)))
+
+
+GIVE_WAY_S: Final = 1.5
+FOLLOW_S: Final = 1.0
+CAUSELESS_MPS2: Final = 2.0
+_FASTER = 1.1  # times the speed limit
+_OUTSIDE_M = 0.3  # a box that reaches so far out of its lane leaves it
+_CUT_IN_S = 2.0  # so long after it left its lane it has to leave the AV room
+_SAME_WAY = 0.7  # cosine: within 45 degrees
+_SLOWING_S = 0.4
+
+
+def off_lanes(driven: Driven) -> Bools:
+    """Somewhere on none of the lanes that lead on from its own."""
+    off: Bools = np.asarray((driven.ways.nearest == OFF).any(axis=1))
+    return off
+
+
+def speeds(driven: Driven) -> Bools:
+    """Faster than the lane allows, and than now."""
+    limits = np.array([lane.speed_limit_mps or np.inf for lane in driven.ways.lanes])
+    allowed = np.maximum(_FASTER * limits[driven.ways.nearest], driven.start.speed_mps)
+    too_fast: Bools = np.asarray((driven.speed_mps > allowed + 0.1).any(axis=1))
+    return too_fast
+
+
+def takes_way(view: View, driven: Driven) -> Bools:
+    """On a link that gives way to the AV's, in front of the AV; not where the AV's light is red."""
+    takes = np.zeros(len(driven.position_m), bool)
+    for row, lane in enumerate(driven.ways.lanes):
+        first = [view.road.lanes[name] for name in lane.gives_way_to if name in view.road.lanes]
+        first = [one for one in first if view.signals.get(one.id) not in RED]
+        if not first or driven.ways.begins[row]:
+            continue
+        used = [on_lane(one, driven.av_position_m, driven.av_heading_rad)[0] for one in first]
+        goes_first = np.any(used, axis=(0, 2))  # (K)
+        if goes_first.any():
+            there = driven.ways.on[:, :, row, None] & driven.av_comes(GIVE_WAY_S)
+            takes |= driven.ways.driven[:, row] & (there & goes_first).any(axis=(1, 2))
+    return takes
+
+
+def through(view: View, driven: Driven) -> Bools:
+    """(L) lanes inside a junction at whose end nobody has to be waited for.
+
+    None where the map tells no right of way: there anybody may have to be waited for.
+    """
+    lanes = view.road.lanes
+    known = any(one.gives_way_to for one in lanes.values())
+    free: list[bool] = []
+    for lane in driven.ways.lanes:
+        after = [lanes[name] for name in lane.next if name in lanes]
+        waits = any(one.interpolating and one.gives_way_to for one in after)
+        free.append(known and lane.interpolating and not waits)
+    return np.array(free, bool)
+
+
+def blocks(driven: Driven, free: Bools, so_far_mps: float) -> Bools:
+    """Slows down to less than half inside a junction that it could be through.
+
+    ``free``: as of `through`; ``so_far_mps``: its highest speed there until now.
+    """
+    inside = np.append(free, False)[driven.ways.nearest]  # `OFF` is the last
+    fastest = np.maximum.accumulate(np.where(inside, driven.speed_mps, 0.0), axis=1)
+    slowest = np.maximum(fastest, so_far_mps) / 2 - 0.1
+    broken: Bools = np.asarray((inside & (driven.speed_mps < slowest)).any(axis=1))
+    return broken
+
+
+def cuts_in(driven: Driven, collision_step: Floats) -> Bools:
+    """Leaves its lane right before the AV, or is out of it where it touches the AV."""
+    ways = driven.ways
+    rows = np.flatnonzero(ways.straight)
+    slack = [(width_m(ways.lanes[row]) - driven.size_m[1]) / 2 + _OUTSIDE_M for row in rows]
+    inside = ways.on[..., rows] & (np.abs(ways.left_m[..., rows]) <= np.maximum(slack, 0.5))
+    outside = ~np.asarray(inside.any(axis=-1))
+    leaving = outside & (np.cumsum(outside, axis=1) * PACE_S <= _CUT_IN_S)
+    cuts = leaving[..., None] & driven.av_comes(GIVE_WAY_S)
+    time = collision_step.astype(int) // EVERY_STEPS  # (N, M), beyond the last where there is none
+    there = np.minimum(time, outside.shape[1] - 1)
+    touches = np.take_along_axis(outside, there, axis=1) & (time <= there)
+    broken: Bools = np.asarray(cuts.any(axis=(1, 2)) | touches.any(axis=1))
+    return broken
+
+
+def hinders(view: View, driven: Driven, collides: Bools, halts: bool) -> Bools:
+    """Comes too near to the AV ahead in its lane, or brakes before the AV without a cause.
+
+    ``collides`` (N): the future touches the AV in one of its reactions; ``halts``: a line makes the
+    opponent stop.
+    """
+    if _follows(view, driven):
+        near = np.any([driven.meets(-back) for back in (PACE_S, FOLLOW_S / 2, FOLLOW_S)], axis=0)
+        faster = (driven.speed_mps > driven.start.speed_mps + 0.1).any(axis=1)
+        pushes: Bools = collides | (near.any(axis=(1, 2)) & faster)
+        return pushes
+    if halts or not _leads(driven):
+        return np.zeros(len(collides), bool)
+    now = np.full((len(collides), 1), driven.start.speed_mps)
+    speed = np.concatenate([now, driven.speed_mps], axis=1)
+    span = round(_SLOWING_S / PACE_S)
+    slowing = (speed[:, :-span] - speed[:, span:]).max(axis=1, initial=0.0) / _SLOWING_S
+    turns = np.cos(driven.heading_rad - driven.start.heading_rad).min(axis=1) < _SAME_WAY
+    crawls = driven.speed_mps.min(axis=1) < driven.start.speed_mps / 2
+    broken: Bools = (slowing > CAUSELESS_MPS2 + 0.2) | (crawls & ~turns)
+    return broken
+
+
+def _follows(view: View, driven: Driven) -> bool:
+    """Whether the AV is ahead in the opponent's lane, or one that it leads to."""
+    row = view.history.row(view.av_id)
+    position = view.history.position_m[row, -1]
+    heading, z_m = view.history.heading_rad[row, -1], view.history.z_m[row, -1]
+    under = lanes_at(view.road, position, float(heading), float(z_m))
+    ahead = zip(driven.ways.lanes, driven.ways.straight, strict=True)
+    shared = {lane.id for lane, straight in ahead if straight} & {*under}
+    start = driven.start
+    return bool(shared) and frames.to_local(position, start.position_m, start.heading_rad)[0] > 0
+
+
+def _leads(driven: Driven) -> bool:
+    """Whether the AV goes, behind, where the opponent is now."""
+    start = driven.start
+    hit = boxes.overlap(
+        driven.av_position_m,
+        driven.av_heading_rad,
+        driven.av_size_m,
+        start.position_m,
+        np.array(start.heading_rad),
+        driven.size_m,
+    )
+    same = np.cos(driven.av_heading_rad - start.heading_rad) > _SAME_WAY
+    return bool((hit & same & ~clear(driven.av_z_m, np.array(driven.z_now_m))).any())
+
+
+@dataclass(slots=True)
+class Law:
+    """Remembers who could have stopped at a line: until its light lets go, that is owed.
+
+    Without that memory an opponent could approach a red light until it is too late to stop. And who
+    stood before a sign: it may drive on, also where a plan is made before it is over the line. And
+    how fast an opponent came into a junction: else it could halve its speed with each plan.
+    """
+
+    _owed: set[tuple[AgentId, str]] = field(default_factory=set)
+    _stood: set[tuple[AgentId, str]] = field(default_factory=set)
+    _inside_mps: dict[AgentId, float] = field(default_factory=dict)
+
+    def lawful(
+        self,
+        view: View,
+        futures: Futures,
+        speed_mps: Floats,
+        alone: Forecast,
+        collision_step: Floats,
+    ) -> Bools:
+        """(N) futures that break no rule.
+
+        Args:
+            view: the present.
+            futures: N of the opponent, as it would drive them.
+            speed_mps: (N, F) of them.
+            alone: the AV's futures if nobody attacks.
+            collision_step: (N, M) at which each first touches the AV in each of its M reactions; F
+                where it does not.
+        """
+        driven = Driven.of(view, futures, speed_mps, alone)
+        if not driven.ways.begins.any():
+            return np.ones(len(futures.position_m), bool)
+        self._forget(view)
+        touches = np.asarray((collision_step < speed_mps.shape[1]).any(axis=1))
+        halts, over_line = self._lines(view, futures.agent_id, driven)
+        return ~(
+            over_line
+            | off_lanes(driven)
+            | speeds(driven)
+            | takes_way(view, driven)
+            | cuts_in(driven, collision_step)
+            | self._blocks(view, futures.agent_id, driven)
+            | hinders(view, driven, touches, halts)
+        )
+
+    def _lines(self, view: View, agent_id: AgentId, driven: Driven) -> tuple[bool, Bools]:
+        """Whether a line makes the opponent stop, and (N) futures that drive over one."""
+        over, halts = np.zeros(len(driven.position_m), bool), False
+        row = view.history.row(agent_id)
+        slowest_mps = float(view.history.speed_mps[row, view.history.valid[row]].min())
+        lines = [line for line in stop_lines(view, driven.ways) if line.before_m(driven) >= -OVER_M]
+        self._stood &= {(agent_id, line.lane.id) for line in lines}
+        for line in lines:
+            key, before_m = (agent_id, line.lane.id), line.before_m(driven)
+            if line.stood(driven, slowest_mps):
+                self._stood.add(key)
+            if max(before_m, 0.0) >= driven.start.speed_mps**2 / (2 * line.brake_mps2):
+                self._owed.add(key)
+            if key in self._owed:
+                halts = True
+                if key not in self._stood:
+                    over |= line.crossed(driven)
+        return halts, over
+
+    def _blocks(self, view: View, agent_id: AgentId, driven: Driven) -> Bools:
+        """(N) futures that slow down inside a junction without a cause."""
+        free = through(view, driven)
+        fastest = 0.0
+        if (free & driven.ways.begins).any():
+            row = view.history.row(agent_id)
+            now = float(view.history.speed_mps[row, view.history.valid[row]].max())
+            fastest = max(self._inside_mps.get(agent_id, 0.0), now)
+        self._inside_mps[agent_id] = fastest
+        return blocks(driven, free, fastest)
+
+    def _forget(self, view: View) -> None:
+        """Of lights that let go; signs stay."""
+        self._owed = {
+            (who, lane)
+            for who, lane in self._owed
+            if lane not in view.signals or view.signals[lane] in HALT
+        }

@@ -1,0 +1,84 @@
+"""Runs a program and leaves nothing of it behind: ``python reaper.py FD COMMAND...``.
+
+Ends the program and all that it started as soon as the program ends, or the other end of the pipe
+FD is closed: also when whoever held it was killed. On Linux processes that left the program's group
+and lost their parent come to the reaper (as the "child subreaper"), so that none is missed.
+
+Started as a file, without the package and its imports: it is up in 20 ms.
+"""
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+_PR_SET_PDEATHSIG = 1
+_PR_SET_CHILD_SUBREAPER = 36
+
+
+def main(pipe: int, command: list[str]) -> int:
+    """Exit code of the program; 127 where it cannot be started."""
+    adopt()
+    try:
+        program = subprocess.Popen(
+            command,
+            preexec_fn=_die_with_parent,  # noqa: PLW1509 - there are no threads yet
+            process_group=0,
+        )
+    except OSError as error:
+        sys.stderr.write(f"{error}\n")
+        return 127
+    os.close(0)  # the program alone holds these: their end is its end
+    os.close(1)
+    threading.Thread(target=_watch, args=(pipe, program.pid), daemon=True).start()
+    code = program.wait()
+    end_all(program.pid)
+    return code if code >= 0 else 128 - code
+
+
+def adopt() -> None:
+    """Let processes that lose their parent come to this one, if it is among their ancestors."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def end_all(group: int) -> None:
+    """Kill a group and all children until there are none: those of a killed child come to us."""
+    while True:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(group, signal.SIGKILL)  # at once: one by one they may fork faster
+        for child in children():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+        try:
+            os.waitpid(-1, 0)
+        except ChildProcessError:
+            return
+
+
+def _watch(pipe: int, group: int) -> None:
+    os.read(pipe, 1)  # returns when the other end is closed
+    end_all(group)
+    os._exit(0)
+
+
+def _die_with_parent() -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def children() -> list[int]:
+    """Processes whose parent this one is."""
+    found: list[int] = []
+    for thread in Path("/proc/self/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            found += map(int, thread.read_text("ascii").split())
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]), sys.argv[2:]))

@@ -1,1 +1,0 @@
-"""The parts of one DeepMF plan: limits and tracking, goals, candidates, collision, selection."""

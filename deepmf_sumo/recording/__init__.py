@@ -1,0 +1,1 @@
+"""Recording of SUMO traffic as scenes to train on."""

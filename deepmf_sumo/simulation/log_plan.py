@@ -1,0 +1,152 @@
+"""A recording made ready for SUMO: who is a vehicle, on which route, and where at each step."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Case, Floats, Scene, Tracks
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.geometry import polylines, sumo_frame
+from deepmf_sumo.network.matching import edge_route, lane_sequence, match
+
+_STANDS_M = 1.0
+"""A vehicle that never gets farther from its first position than this stands."""
+_MATCH_MOVING_M = 5.0
+_EXTEND_M = 300.0
+"""How far routes go on beyond the recording, so that nobody arrives and vanishes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Log:
+    """What replaying needs of a recording, computed once per case.
+
+    Attributes:
+        rows: agents that are vehicles in SUMO, sorted by id. All others are boxes outside it.
+        stands: (A) never moves.
+        routes: row -> edges; rows without a route are never asked to drive.
+        match_m: (A) `matchThreshold`. Narrow for who stands: it decides whether a parked car blocks
+            the lane. Wide for who moves: with a narrow one SUMO takes the nearest lane, whatever
+            its direction and the vehicle's route.
+        front_m: (A, T, 2) and angle_deg: (A, T) as SUMO has them.
+        passed: signalled lane -> step at which the AV comes onto it.
+    """
+
+    rows: tuple[int, ...]
+    stands: Bools
+    routes: dict[int, tuple[str, ...]]
+    match_m: Floats
+    front_m: Floats
+    angle_deg: Floats
+    passed: dict[str, int]
+
+
+@lru_cache(maxsize=2)
+def log_of(case: Case) -> Log:
+    """The log of a case with a recording. Searches ask for the same case many times."""
+    assert case.scene is not None
+    assert case.net is not None
+    tracks = case.scene.tracks
+    av = tracks.row(case.av_id)
+    stands = _stands(tracks)
+    side = np.maximum((tracks.size_m[av, 1] + tracks.size_m[:, 1]) / 2 + 0.1, 1.9)
+    blocking = _blocking(case, tracks, stands, side)
+    vehicles = [
+        row
+        for row in sorted(range(tracks.agents), key=lambda row: tracks.ids[row])
+        if tracks.kinds[row] == "vehicle"
+        and row != av
+        and tracks.valid[row, case.scene.now :].any()
+    ]
+    rows = tuple(row for row in vehicles if not stands[row] or blocking[row])
+    routes = {row: _route(case, row) for row in (av, *rows) if row == av or not stands[row]}
+    front, angle = sumo_frame.to_sumo(
+        tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0]
+    )
+    return Log(
+        rows=rows,
+        stands=stands,
+        routes={row: route for row, route in routes.items() if route},
+        match_m=np.where(stands, side, _MATCH_MOVING_M),
+        front_m=front,
+        angle_deg=angle,
+        passed=_passed_lights(case.scene),
+    )
+
+
+def check_route(case: Case) -> None:
+    """Raise SimulationError where the AV drives on no lane, so that SUMO could not drive it.
+
+    Also asked where SUMO is not needed: all planners shall have the same scenes.
+    """
+    assert case.scene is not None
+    if not _av_route(case):
+        raise SimulationError(
+            f"The AV '{case.av_id}' of scene '{case.scene.name}' drives on no lane of the network, "
+            "so that SUMO cannot drive it; use another scene."
+        )
+
+
+@lru_cache(maxsize=4)
+def _av_route(case: Case) -> tuple[str, ...]:
+    assert case.scene is not None
+    return _route(case, case.scene.tracks.row(case.av_id))
+
+
+def _passed_lights(scene: Scene) -> dict[str, int]:
+    """When the AV comes onto each signalled lane, at whose first point a light stands."""
+    tracks, row = scene.tracks, scene.tracks.row(scene.av_id)
+    if not scene.signals.lane_ids:
+        return {}
+    lanes = match(
+        scene.road, tracks.position_m[row], tracks.heading_rad[row], tracks.valid[row]
+    ).lane_ids
+    passed: dict[str, int] = {}
+    for step, (before, lane) in enumerate(pairwise(lanes), start=1):
+        if lane != before and lane in scene.signals.lane_ids and step > scene.now:
+            passed.setdefault(lane, step)
+    return passed
+
+
+def _stands(tracks: Tracks) -> Bools:
+    first = tracks.valid.argmax(axis=1)
+    origin = tracks.position_m[np.arange(tracks.agents), first]
+    away = np.hypot(*np.moveaxis(tracks.position_m - origin[:, None], -1, 0))
+    stands: Bools = np.where(tracks.valid, away, 0.0).max(axis=1) < _STANDS_M
+    return stands
+
+
+def _blocking(case: Case, tracks: Tracks, stands: Bools, match_m: Floats) -> Bools:
+    """Standing agents near enough to a lane's centre to block a car there."""
+    assert case.net is not None
+    blocking = np.zeros(tracks.agents, bool)
+    rows = np.flatnonzero(stands & tracks.valid.any(axis=1))
+    first = tracks.valid[rows].argmax(axis=1)
+    points = tracks.position_m[rows, first]
+    for lane_id in sorted(case.net.pieces):
+        centre = case.road.lanes[lane_id].centre_m
+        if len(centre) < 2 or not len(rows):
+            continue
+        low, high = centre.min(0) - match_m.max(), centre.max(0) + match_m.max()
+        near = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+        if len(near):
+            foot = polylines.project(centre, points[near])
+            blocking[rows[near]] |= foot.distance_m < match_m[rows[near]]
+    return blocking
+
+
+def _route(case: Case, row: int) -> tuple[str, ...]:
+    """Edges that an agent drives through in the recording and on beyond it; () off every lane."""
+    assert case.scene is not None
+    assert case.net is not None
+    tracks = case.scene.tracks
+    if tracks.ids[row] == case.av_id and case.net.ghost_edge is not None:
+        return (case.net.ghost_edge,)
+    # from where the vehicle is inserted on: SUMO looks for it at the beginning of its route
+    valid = tracks.valid[row].copy()
+    valid[: case.scene.now] = False
+    lanes = lane_sequence(
+        case.road, tracks.position_m[row], tracks.heading_rad[row], valid, tracks.z_m[row]
+    )
+    return edge_route(case.net, lanes, _EXTEND_M)

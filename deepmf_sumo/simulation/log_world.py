@@ -1,0 +1,489 @@
+"""The world of a recorded scene: SUMO, its AV, vehicles that follow the log or SUMO."""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deepmf_sumo.datatypes import (
+    DT_S,
+    AgentId,
+    Bools,
+    Case,
+    Command,
+    Driver,
+    Event,
+    Floats,
+    SignalState,
+    Tracks,
+    VehicleModel,
+)
+from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry.ground import ground_of
+from deepmf_sumo.simulation.av import Av, ShownMotion, move, read_pose
+from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.simulation.ignored_vehicles import Bystanders
+from deepmf_sumo.simulation.log_plan import Log, check_route, log_of
+from deepmf_sumo.simulation.observation import ReplayedSignals
+from deepmf_sumo.simulation.sumo_api import (
+    ANY_ROUTE,
+    AV_TYPE,
+    PLACED_TYPE,
+    STEP_OPTIONS,
+    TRAFFIC_TYPE,
+    Backend,
+    SumoApi,
+    running,
+    write_types,
+)
+from deepmf_sumo.simulation.vehicle_control import Takeover
+from deepmf_sumo.simulation.world import Stage
+
+_EXACT = 2  # keepRoute: exactly there, on or off the lanes
+_ON_ROUTE = 1  # keepRoute: the nearest point of its route
+
+
+class PlacedVehicles:
+    """Agents of a recording in SUMO, by row. An agent that is not put in a step is removed."""
+
+    def __init__(self, api: SumoApi, log: Log, tracks: Tracks) -> None:
+        self._api = api
+        self._log = log
+        self._tracks = tracks
+        # plain numbers: these are read for every vehicle at every step
+        self._x = log.front_m[..., 0].tolist()
+        self._y = log.front_m[..., 1].tolist()
+        self._angle = log.angle_deg.tolist()
+        self._speed = tracks.speed_mps.tolist()
+        self._match = log.match_m.tolist()
+        self._inside: set[int] = set()
+        self._put: dict[int, float] = {}
+
+    def put_logged(self, row: int, step: int) -> None:
+        """Put an agent where the log has it at a step (for the end of the coming step)."""
+        name = self._enter(row)
+        x, y, angle = self._x[row][step], self._y[row][step], self._angle[row][step]
+        self._api.vehicle.moveToXY(name, "", -1, x, y, angle, _EXACT, self._match[row])
+        self._put[row] = self._speed[row][step]
+
+    def put(self, row: int, pose: Pose) -> None:
+        """Put an agent at a pose."""
+        name = self._enter(row)
+        move(self._api, name, pose, float(self._tracks.size_m[row, 0]), self._match[row])
+        self._put[row] = pose.speed_mps
+
+    def before_step(self) -> None:
+        """Remove whoever was not put."""
+        for row in sorted(self._inside - self._put.keys()):
+            self._api.vehicle.remove(self._tracks.ids[row])
+        self._inside = set(self._put)
+
+    def after_step(self) -> None:
+        """Tell SUMO the speeds, which followers go by: else they are those of the jumps."""
+        ids, tell = self._tracks.ids, self._api.vehicle.setPreviousSpeed
+        for row, speed in self._put.items():
+            tell(ids[row], speed)
+        self._put.clear()
+
+    def _enter(self, row: int) -> str:
+        name = self._tracks.ids[row]
+        if row not in self._inside:
+            add_vehicle(self._api, self._log, self._tracks, row, PLACED_TYPE)
+            self._inside.add(row)
+        return name
+
+
+def add_vehicle(api: SumoApi, log: Log, tracks: Tracks, row: int, type_id: str) -> None:
+    """Add an agent to SUMO with its size and route; where it is inserted is said by a move."""
+    name, vehicle = tracks.ids[row], api.vehicle
+    route = ANY_ROUTE
+    if row in log.routes:
+        route = f"route_{name}"
+        if route not in api.route.getIDList():
+            api.route.add(route, list(log.routes[row]))
+    vehicle.add(name, route, typeID=type_id, departSpeed="0")
+    length, width, height = (float(value) for value in tracks.size_m[row])
+    vehicle.setLength(name, length)
+    vehicle.setWidth(name, width)
+    vehicle.setHeight(name, max(height, 0.1))
+
+
+def move_logged(
+    api: SumoApi, log: Log, name: AgentId, row: int, step: int, *, on_route: bool = False
+) -> None:
+    """Put a vehicle where the log has it at a step; ``on_route`` onto the lane of its route there.
+
+    Otherwise SUMO takes it as one of the nearest lane, whichever that is.
+    """
+    x, y = log.front_m[row, step]
+    angle, match = float(log.angle_deg[row, step]), float(log.match_m[row])
+    keep = _ON_ROUTE if on_route else _EXACT
+    api.vehicle.moveToXY(name, "", -1, float(x), float(y), angle, keep, match)
+
+
+def speed_factor(api: SumoApi, route: tuple[str, ...], fastest_mps: float) -> float:
+    """With which a vehicle goes as fast as it did, where it did so above the route's limits."""
+    limit = max(float(api.lane.getMaxSpeed(f"{edge}_0")) for edge in route)
+    return max(1.0, fastest_mps / max(limit, 1.0))
+
+
+def logged_pose(tracks: Tracks, row: int, step: int) -> Pose:
+    """Pose of an agent in the log."""
+    x, y = tracks.position_m[row, step]
+    return Pose(
+        x_m=float(x),
+        y_m=float(y),
+        heading_rad=float(tracks.heading_rad[row, step]),
+        speed_mps=float(tracks.speed_mps[row, step]),
+    )
+
+
+class FreeTraffic:
+    """Rows of the recording that SUMO drives.
+
+    ``entered`` were SUMO's once; ``lost`` are those that the log has to drive.
+    """
+
+    def __init__(self, api: SumoApi, log: Log, tracks: Tracks, events: list[Event]) -> None:
+        self._api = api
+        self._log = log
+        self._tracks = tracks
+        self._events = events
+        self._inside: set[int] = set()
+        self._motions: dict[int, ShownMotion] = {}
+        self._fresh: list[tuple[int, int]] = []
+        self.lost: set[int] = {row for row in log.rows if row not in log.routes}
+        self.entered: set[int] = set()
+
+    def drives(self, row: int) -> bool:
+        """Whether SUMO drives the agent now."""
+        return row in self._inside
+
+    def may_enter(self, row: int) -> bool:
+        """Whether the agent was never SUMO's and can be; who has left does not come back."""
+        return row not in self.lost and row not in self.entered
+
+    def enter(self, row: int, step: int) -> None:
+        """Insert the agent with its recorded state at a step."""
+        name, vehicle = self._tracks.ids[row], self._api.vehicle
+        try:
+            add_vehicle(self._api, self._log, self._tracks, row, TRAFFIC_TYPE)
+        except self._api.TraCIException as error:
+            self.lost.add(row)
+            detail = f"{str(error).strip()} Replayed from the log."
+            self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+            return
+        fastest = float(self._tracks.speed_mps[row][self._tracks.valid[row]].max())
+        vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], fastest))
+        move_logged(self._api, self._log, name, row, step)
+        self._inside.add(row)
+        self.entered.add(row)
+        self._motions[row] = ShownMotion(self._api, name, float(self._tracks.size_m[row, 0]))
+        self._fresh.append((row, step))
+
+    def after_step(self, step: int) -> None:
+        """Give the new ones their speed; those that started off every lane are lost."""
+        vehicle = self._api.vehicle
+        there = set(vehicle.getIDList())
+        for row, at in self._fresh:
+            name = self._tracks.ids[row]
+            if name in there and vehicle.getLaneID(name):
+                vehicle.setPreviousSpeed(name, float(self._tracks.speed_mps[row, at]))
+                continue
+            self.lost.add(row)
+            self._inside.discard(row)
+            if name in there:
+                vehicle.remove(name)
+            detail = "starts on no lane; replayed from the log"
+            self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+        self._fresh.clear()
+        self._inside = {row for row in self._inside if self._tracks.ids[row] in there}
+
+    def read(self) -> dict[AgentId, tuple[Pose, Driver]]:
+        """Where they are. To be asked once a step."""
+        poses = {}
+        for row in sorted(self._inside):
+            name = self._tracks.ids[row]
+            pose = read_pose(self._api, name, float(self._tracks.size_m[row, 0]))
+            poses[name] = (self._motions[row].advance(pose), Driver.SUMO)
+        return poses
+
+
+_OPTIONS = (
+    *("--step-method.ballistic", "true"),  # positions move at the mean speed of a step
+    *("--time-to-teleport", "-1"),
+    *("--default.speeddev", "0"),
+)
+_ALIGNED_M, _ALIGNED_RAD = 0.2, 0.1
+"""A recorded AV that SUMO moves or turns by more in its first step is noted."""
+_FOLLOW_ROUTE = 513
+"""laneChangeMode: change lanes where the route needs it and others leave room, else never."""
+
+
+@contextmanager
+def opening(
+    case: Case, model: VehicleModel | None, backend: Backend
+) -> Iterator[tuple[SumoApi, Stage]]:
+    """SUMO, and the stage of it."""
+    assert case.net is not None
+    with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
+        types = write_types(Path(folder) / "types.add.xml", model)
+        arguments = [
+            *("-n", str(case.net.file)),
+            *("--additional-files", str(types)),
+            *("--seed", str(case.seed)),
+            *STEP_OPTIONS,
+            *_OPTIONS,
+        ]
+        with running(arguments, backend) as api:
+            yield api, RecordedStage(api, case, model)
+
+
+class RecordedStage:
+    """The AV is the planner's, the opponent the policy's where it plans, the rest as the case says.
+
+    Pedestrians, cyclists, and vehicles that stand beside the lanes are boxes outside SUMO: SUMO's
+    own perception does not see them, views do.
+    """
+
+    def __init__(self, api: SumoApi, case: Case, model: VehicleModel | None) -> None:
+        assert case.scene is not None
+        assert case.net is not None
+        self.events: list[Event] = []
+        self._api = api
+        self._case = case
+        self._tracks = case.scene.tracks
+        self._log = log_of(case)
+        self._ground = ground_of(case.road)
+        self._now = self._step = case.scene.now
+        self._row = {agent: row for row, agent in enumerate(self._tracks.ids)}
+        self._av_row = self._row[case.av_id]
+        self._placed = PlacedVehicles(api, self._log, self._tracks)
+        self._free = FreeTraffic(api, self._log, self._tracks, self.events)
+        self._takeover = Takeover(api, self.events)
+        self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals, self._log.passed)
+        start = logged_pose(self._tracks, self._av_row, self._now)
+        length = float(self._tracks.size_m[self._av_row, 0])
+        self._av = Av(api, case.av_id, length, start)
+        width = float(self._tracks.size_m[self._av_row, 1])
+        self._bystanders = Bystanders(api, case.av_id, width)
+        self._log_drives = False
+        self._start(model)
+        self._frame = self.history()[-1]
+
+    def history(self) -> list[Frame]:
+        """The recorded steps up to the current one."""
+        everybody = np.ones(self._tracks.agents, bool)
+        return [self._logged(step, everybody) for step in range(self._now + 1)]
+
+    def body(self, agent: AgentId) -> Body:
+        """Kind and size as recorded."""
+        row = self._row[agent]
+        length, width, height = (float(value) for value in self._tracks.size_m[row])
+        return Body(kind=self._tracks.kinds[row], size_m=(length, width, height))
+
+    def signals(self) -> dict[str, SignalState]:
+        """The recorded lights at this step."""
+        return self._signals.states(self._step)
+
+    def av_path(self) -> Floats | None:
+        """Centre line ahead of the AV."""
+        return self._av.path()
+
+    def av_present(self) -> bool:
+        """Whether SUMO still simulates the AV."""
+        return self._av.present
+
+    def av_leaders(self) -> tuple[AgentId, ...] | None:
+        """Whom the planner named or SUMO's model followed in the last step."""
+        return self._av.leaders
+
+    def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
+        """One step; an opponent without a pose is driven like all others."""
+        self._step += 1
+        step = self._step
+        if command.kind != "pose":
+            rows = [self._row[agent] for agent in self._frame.ids]
+            size = self._tracks.size_m[rows, :2]
+            self._bystanders.update(self._frame, size, self._av.path())
+        av_driver = self._drive_av(command)
+        taken = self._drive_opponent(opponent, pose)
+        self._place_others(step, taken)
+        self._signals.show(step)
+        self._placed.before_step()
+        self._api.simulationStep()
+        self._placed.after_step()
+        self._free.after_step(step)
+        self._takeover.after_step(step)
+        extra: dict[AgentId, tuple[Pose, Driver]] = {}
+        if self._av.present:
+            self._av.after_step()
+            extra[self._av.id] = (self._av.pose, av_driver)
+            if step == self._now + 1 and av_driver is Driver.PLANNER and command.kind != "pose":
+                self._note_alignment()
+        extra |= self._free.read()
+        if opponent is not None and pose is not None:
+            extra[opponent] = (pose, Driver.POLICY)
+        logged = np.ones(self._tracks.agents, bool)
+        logged[[self._row[agent] for agent in extra] + [self._av_row]] = False
+        logged[list(self._free.entered - self._free.lost)] = False
+        self._frame = self._logged(step, logged).with_poses(self._raised(extra))
+        return self._frame
+
+    def _raised(
+        self, poses: dict[AgentId, tuple[Pose, Driver]]
+    ) -> dict[AgentId, tuple[Pose, Driver]]:
+        """Poses with heights: from those of the step before on as the road climbs.
+
+        Who was not there before has that of the recording.
+        """
+        before, tracks = self._frame, self._tracks
+        last = min(self._step, tracks.steps - 1)
+        heights = {agent: tracks.z_m[self._row[agent], last] for agent in poses}
+        known = [row for row, agent in enumerate(before.ids) if agent in poses]
+        shown = [poses[before.ids[row]][0] for row in known]
+        ends = np.array([(pose.x_m, pose.y_m) for pose in shown]).reshape(-1, 2)
+        ways = np.stack([before.position_m[known], ends], axis=1)
+        climbed = self._ground.follow(ways, before.z_m[known])[:, 1]
+        heights.update(zip([before.ids[row] for row in known], climbed, strict=True))
+        return {
+            agent: (replace(pose, z_m=float(heights[agent])), driver)
+            for agent, (pose, driver) in poses.items()
+        }
+
+    def _start(self, model: VehicleModel | None) -> None:
+        """Insert everybody where the recording has them now; the first step leaves them there."""
+        assert self._case.net is not None
+        tracks, row, name = self._tracks, self._av_row, self._case.av_id
+        check_route(self._case)
+        route = self._log.routes[row]
+        self._api.route.add(ANY_ROUTE, [route[0]])
+        self._insert_av(model, on_route=False)
+        if not self._av.on_lane:
+            self._log_drives = True
+            self._note("off_network", "the log drives the AV until it reaches a lane")
+        elif tuple(self._api.vehicle.getRoute(name)) != route:
+            # SUMO took it as one of a lane off its route, and dropped the route for it
+            self._api.vehicle.remove(name)
+            self._settle()
+            self._insert_av(model, on_route=True)
+            pose = self._av.sumo_pose()
+            x, y = tracks.position_m[row, self._now]
+            moved = float(np.hypot(pose.x_m - x, pose.y_m - y))
+            self._note("moved_onto_route", f"by {moved:.2f} m: it starts between lanes")
+        if self._case.net.ghost_edge is not None:
+            detail = "the AV drives on a lane of its own, from which SUMO sees no other vehicle"
+            self._note("ghost_edge", detail)
+        for lane, phase in self._signals.passed_red.items():
+            steps = f"steps {phase.start} to {phase.stop - 1}"
+            self._note("red_passed", f"lane {lane} is red in {steps}, the recorded AV drives on")
+
+    def _insert_av(self, model: VehicleModel | None, *, on_route: bool) -> None:
+        tracks, row, name = self._tracks, self._av_row, self._case.av_id
+        vehicle = self._api.vehicle
+        add_vehicle(self._api, self._log, tracks, row, AV_TYPE if model else TRAFFIC_TYPE)
+        desired = float(tracks.speed_mps[row][tracks.valid[row]].max())
+        if model is not None and model.desired_mps is not None:
+            desired = model.desired_mps
+        vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], desired))
+        vehicle.setLaneChangeMode(name, _FOLLOW_ROUTE)
+        move_logged(self._api, self._log, name, row, self._now, on_route=on_route)
+        self._settle()
+        vehicle.setPreviousSpeed(name, float(tracks.speed_mps[row, self._now]))
+
+    def _settle(self) -> None:
+        """A step of SUMO that leaves the recording where it is now."""
+        self._place_others(self._now, None)
+        self._signals.show(self._now)
+        self._placed.before_step()
+        self._api.simulationStep()
+        self._placed.after_step()
+        self._free.after_step(self._now)
+
+    def _note_alignment(self) -> None:
+        """Say where SUMO, which drives along lanes, has moved or turned the AV for its start."""
+        start, pose = logged_pose(self._tracks, self._av_row, self._now), self._av.pose
+        ahead_m = (start.speed_mps + pose.speed_mps) / 2 * DT_S
+        expected = np.array([start.x_m, start.y_m])
+        expected = expected + ahead_m * angles.unit(np.array(start.heading_rad))
+        left, forward = np.sin(pose.heading_rad), np.cos(pose.heading_rad)
+        aside = abs(float((pose.y_m - expected[1]) * forward - (pose.x_m - expected[0]) * left))
+        turn = abs(float(angles.difference(pose.heading_rad, start.heading_rad)))
+        if aside > _ALIGNED_M or turn > _ALIGNED_RAD:
+            detail = (
+                f"onto its lane by SUMO: {aside:.2f} m sideways, {np.degrees(turn):.0f} degrees"
+            )
+            self._note("aligned", detail)
+
+    def _note(self, kind: str, detail: str) -> None:
+        self.events.append(Event(step=self._step, agent_id=self._av.id, kind=kind, detail=detail))
+
+    def _drive_av(self, command: Command) -> Driver:
+        """Off every lane SUMO drops whoever is not placed: there the log drives the AV."""
+        if command.kind == "pose" or self._av.on_lane:
+            self._log_drives = False
+            self._av.drive(command)
+            return Driver.PLANNER
+        if not self._log_drives:
+            self._log_drives = True
+            self._note("lane_lost", "the log drives the AV until it reaches a lane")
+        tracks, row = self._tracks, self._av_row
+        there = tracks.valid[row, : self._step + 1]
+        pose = logged_pose(tracks, row, int(np.flatnonzero(there)[-1]))
+        moves = self._step < tracks.steps and bool(tracks.valid[row, self._step])
+        self._av.drive(
+            Command(
+                kind="pose",
+                x_m=pose.x_m,
+                y_m=pose.y_m,
+                heading_rad=pose.heading_rad,
+                speed_mps=pose.speed_mps if moves else 0.0,
+            )
+        )
+        return Driver.LOG
+
+    def _drive_opponent(self, opponent: AgentId | None, pose: Pose | None) -> int | None:
+        """Put the opponent at its pose, or let it go; its row while a policy drives it."""
+        if opponent is None:
+            return None
+        row = self._row[opponent]
+        if self._free.drives(row):
+            if pose is None:
+                self._takeover.hand_back(self._step, opponent)
+            else:
+                length = float(self._tracks.size_m[row, 0])
+                self._takeover.place(self._step, opponent, pose, length)
+        elif pose is not None and self._tracks.kinds[row] == "vehicle":
+            self._placed.put(row, pose)
+        return None if pose is None else row
+
+    def _place_others(self, step: int, taken: int | None) -> None:
+        if step >= self._tracks.steps:
+            return
+        valid = self._tracks.valid[:, step]
+        free = self._case.traffic == "sumo"
+        for row in self._log.rows:
+            if row == taken or self._free.drives(row) or not valid[row]:
+                continue
+            if free and self._free.may_enter(row):
+                self._free.enter(row, step)
+            elif not free or row in self._free.lost:
+                self._placed.put_logged(row, step)
+
+    def _logged(self, step: int, wanted: Bools) -> Frame:
+        """The agents wanted that the log has at a step."""
+        tracks = self._tracks
+        if step >= tracks.steps:
+            return Frame.of_poses({})
+        rows = np.flatnonzero(tracks.valid[:, step] & wanted)
+        return Frame(
+            ids=[tracks.ids[row] for row in rows],
+            position_m=tracks.position_m[rows, step],
+            z_m=tracks.z_m[rows, step],
+            heading_rad=tracks.heading_rad[rows, step],
+            velocity_mps=tracks.velocity_mps[rows, step],
+            driver=np.full(len(rows), int(Driver.LOG), np.uint8),
+        )

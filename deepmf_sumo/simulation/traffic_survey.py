@@ -1,0 +1,224 @@
+"""Who is where when in a user's SUMO scenario, while nobody attacks."""
+
+import heapq
+import itertools
+import math
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepmf_sumo.datatypes import DT_S, Bools, Floats
+from deepmf_sumo.geometry import sumo_frame
+from deepmf_sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
+
+Ints = NDArray[np.int64]
+
+EVERY_S: Final = 1.0
+MOST_VEHICLE_STEPS: Final = 1_000_000
+"""Ten seconds of SUMO on a slow core; counted, so that it ends at the same moment everywhere."""
+_EMPTY_STEP: Final = 20
+"""What a step without vehicles costs, in vehicles."""
+_MADE_ON_THE_WAY: Final = "!"
+"""What names of routes begin with that SUMO computed itself."""
+_BEFORE_LINE_M: Final = 1e-3
+_PARKED: Final = 2
+"""Bit of SUMO's stop states."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scouting:
+    """What to look at.
+
+    Attributes:
+        sumo_options: beside the configuration, as on SUMO's command line.
+        at_s: moments that must be among those looked at.
+        until_s: how far, at most to the configuration's end; None goes there, or as far as
+            `MOST_VEHICLE_STEPS` go.
+    """
+
+    config: Path
+    sumo_options: tuple[str, ...]
+    seed: int
+    at_s: tuple[float, ...] = ()
+    until_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Body:
+    """A vehicle of the demand. ``departed_s``: when SUMO inserted it."""
+
+    id: str
+    type: str
+    permission: str
+    departed_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sightings:
+    """Vehicles at moments a second apart, K sightings of V vehicles.
+
+    Attributes:
+        begin_s, until_s: what was looked at. complete: nothing comes after it.
+        persons: whether there were any. waiting: vehicles that were due, and found no room.
+        bodies: (V). edges: names.
+        time_s: (K) not decreasing. vehicle, edge: (K) index. following: (K) index of the next edge
+            on the route, -1 at its end.
+        position_m: (K, 2) box centres. speed_mps: (K).
+        to_end_m: (K) left of the edge; 0 inside the junction at its end, and there alone.
+        parked: (K).
+    """
+
+    begin_s: float
+    until_s: float
+    complete: bool
+    persons: bool
+    waiting: int
+    bodies: tuple[Body, ...]
+    edges: tuple[str, ...]
+    time_s: Floats
+    vehicle: Ints
+    edge: Ints
+    following: Ints
+    position_m: Floats
+    to_end_m: Floats
+    speed_mps: Floats
+    parked: Bools
+
+
+def scout(scouting: Scouting) -> Sightings:
+    """Run the configuration once and note everybody.
+
+    Raises SimulationError, with SUMO's own words, where it cannot be run.
+    """
+    configuration = read_configuration(scouting.config, scouting.sumo_options)
+    with begun(Traffic(configuration=configuration, seed=scouting.seed)) as api:
+        return _scout(api, scouting, configuration)
+
+
+def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:
+    notes = _Notes(api)
+    begin = now = float(api.simulation.getTime())
+    ends = configuration.end_s if configuration.end_s is not None else math.inf
+    until = min(ends, scouting.until_s if scouting.until_s is not None else math.inf)
+    spent, complete, persons = 0, False, False
+    for moment in _moments(begin, scouting.at_s):
+        if moment > until + DT_S / 2:
+            complete = until == ends
+            break
+        api.simulationStep(moment)
+        spent += round((moment - now) / DT_S) * (_EMPTY_STEP + notes.look(moment))
+        now = moment
+        persons = persons or bool(api.person.getIDCount())
+        complete = api.simulation.getMinExpectedNumber() == 0
+        if complete or (scouting.until_s is None and spent > MOST_VEHICLE_STEPS):
+            break
+    waiting = len(api.simulation.getPendingVehicles())
+    return notes.sightings(begin, now, complete=complete, persons=persons, waiting=waiting)
+
+
+def _moments(begin_s: float, at_s: tuple[float, ...]) -> Iterator[float]:
+    """Every second, and the moments asked for; endless."""
+    last = begin_s
+    seconds = (begin_s + number * EVERY_S for number in itertools.count(1))
+    for moment in heapq.merge(seconds, sorted(round(one, 1) for one in at_s)):
+        if moment > last + DT_S / 2:
+            yield moment
+            last = moment
+
+
+@dataclass
+class _Notes:
+    """Columns that grow; what does not change is asked once."""
+
+    api: SumoApi
+    bodies: dict[str, tuple[int, float]] = field(default_factory=dict)  # row, length
+    known: list[Body] = field(default_factory=list)
+    edges: dict[str, int] = field(default_factory=dict)
+    routes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    lengths: dict[str, float] = field(default_factory=dict)
+    numbers: "array[float]" = field(default_factory=lambda: array("d"))
+    rows: "array[int]" = field(default_factory=lambda: array("q"))
+
+    def look(self, now: float) -> int:
+        """Note everybody who is on the road; returns how many vehicles there are."""
+        vehicle = self.api.vehicle
+        names = sorted(vehicle.getIDList())
+        for name in names:
+            lane = vehicle.getLaneID(name)
+            at = vehicle.getRouteIndex(name)
+            if not lane or at < 0:  # teleported, just now
+                continue
+            row, length = self._body(name)
+            route = self._route(name)
+            edge = self._edge(route[at])
+            following = self._edge(route[at + 1]) if at + 1 < len(route) else -1
+            parked = bool(vehicle.getStopState(name) & _PARKED)
+            self.rows.extend((row, edge, following, parked))
+            left = 0.0 if lane[0] == ":" else self._left_m(lane, vehicle.getLanePosition(name))
+            x, y = vehicle.getPosition(name)
+            speed = max(0.0, vehicle.getSpeed(name))
+            self.numbers.extend((now, x, y, vehicle.getAngle(name), length, left, speed))
+        return len(names)
+
+    def _left_m(self, lane: str, at_m: float) -> float:
+        """Who stopped dead, which SUMO allows at a light without yellow, stands on the line."""
+        return max(self._length(lane) - at_m, _BEFORE_LINE_M)
+
+    def sightings(
+        self, begin: float, until: float, *, complete: bool, persons: bool, waiting: int
+    ) -> Sightings:
+        numbers = np.array(self.numbers).reshape(-1, 7)
+        rows = np.array(self.rows).reshape(-1, 4)
+        centre, _ = sumo_frame.from_sumo(numbers[:, 1:3], numbers[:, 3], numbers[:, 4])
+        return Sightings(
+            begin_s=begin,
+            until_s=until,
+            complete=complete,
+            persons=persons,
+            waiting=waiting,
+            bodies=tuple(self.known),
+            edges=tuple(self.edges),
+            time_s=numbers[:, 0],
+            vehicle=rows[:, 0],
+            edge=rows[:, 1],
+            following=rows[:, 2],
+            position_m=centre,
+            to_end_m=numbers[:, 5],
+            speed_mps=numbers[:, 6],
+            parked=rows[:, 3].astype(bool),
+        )
+
+    def _body(self, name: str) -> tuple[int, float]:
+        if name not in self.bodies:
+            vehicle = self.api.vehicle
+            self.bodies[name] = (len(self.known), float(vehicle.getLength(name)))
+            self.known.append(
+                Body(
+                    id=name,
+                    type=vehicle.getTypeID(name).partition("@")[0],
+                    permission=vehicle.getVehicleClass(name),
+                    departed_s=float(vehicle.getDeparture(name)),
+                )
+            )
+        return self.bodies[name]
+
+    def _route(self, name: str) -> tuple[str, ...]:
+        key = self.api.vehicle.getRouteID(name)
+        # rerouters give the name of a route that is no longer driven to the next one
+        if key not in self.routes or key.startswith(_MADE_ON_THE_WAY):
+            self.routes[key] = tuple(self.api.vehicle.getRoute(name))
+        return self.routes[key]
+
+    def _edge(self, name: str) -> int:
+        return self.edges.setdefault(name, len(self.edges))
+
+    def _length(self, lane: str) -> float:
+        if lane not in self.lengths:
+            self.lengths[lane] = float(self.api.lane.getLength(lane))
+        return self.lengths[lane]

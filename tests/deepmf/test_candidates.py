@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from predictor_doubles import FanPredictor, view_of
+
+from deepmf_sumo.datatypes import Forecast, Futures, Plan
+from deepmf_sumo.deepmf import candidates
+from deepmf_sumo.deepmf.reference_paths import goal_paths
+from deepmf_sumo.deepmf.tracking import Limits, Start, track
+
+LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
+SIZE = np.array([4.8, 2.0])
+
+
+class Listed:
+    """Log-densities as listed."""
+
+    def __init__(self, values):
+        self.values = np.array(values)
+
+    def log_density(self, view, agent_id, position_m):
+        assert len(position_m) == len(self.values)
+        return self.values
+
+
+def two_modes(probability):
+    futures = Futures(agent_id="b", position_m=np.zeros((2, 80, 2)), heading_rad=np.zeros((2, 80)))
+    return Forecast(futures=futures, probability=np.array(probability))
+
+
+def test_made_candidates_share_the_probability_by_density():
+    view = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)})
+    modes = two_modes([0.75, 0.25])
+    # Modes with P = 3 f: a cell of volume 3; the made ones have densities f = .05 and 10.
+    density = Listed(np.log([0.25, 0.25 / 3, 0.05, 10.0]))
+    shares = candidates.weights(modes, np.zeros((2, 80, 2)), density, view)
+    weight = np.array([0.75, 0.25, 0.15, 0.75])  # the last one no likelier than the likeliest mode
+    np.testing.assert_allclose(shares, weight / weight.sum())
+
+
+def test_without_made_candidates_the_prediction_is_kept():
+    view = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)})
+    shares = candidates.weights(two_modes([0.6, 0.4]), np.zeros((0, 80, 2)), Listed([]), view)
+    np.testing.assert_array_equal(shares, [0.6, 0.4])
+
+
+def test_comfort_weighs_the_mean_square_acceleration_of_the_next_three_seconds():
+    steady = np.full(80, 10.0)
+    speeding = 10.0 + 0.2 * np.minimum(np.arange(1, 81), 30)  # 2 m/s2 for 3 s
+    later = np.where(np.arange(80) < 30, 10.0, 20.0)  # after what counts
+    speed = np.stack([steady, speeding, later])
+    shares = candidates.comfortable(np.full(3, 1 / 3), speed, 10.0, 0.1, 0.5)
+    weight = np.array([1.0, np.exp(-0.5 * 4.0), 1.0])
+    np.testing.assert_allclose(shares, weight / weight.sum())
+    kept = candidates.comfortable(np.array([0.5, 0.3, 0.2]), speed, 10.0, 0.1, 0.0)
+    np.testing.assert_allclose(kept, [0.5, 0.3, 0.2])
+
+
+def test_tail_is_the_rest_of_the_plan_and_its_straight_continuation():
+    view = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)}, step=20)
+    along = np.arange(80.0)
+    plan = Plan(
+        agent_id="b",
+        first_step=11,
+        position_m=np.stack([along, 0 * along], -1),
+        heading_rad=np.zeros(80),
+        speed_mps=np.full(80, 10.0),
+    )
+    rest = candidates.tail(plan, view, LIMITS, 80)
+    assert rest.origin == ("tail",)
+    np.testing.assert_allclose(rest.position_m[0, :, 0], np.arange(10.0, 90.0))
+    late = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)}, step=95)
+    assert candidates.tail(plan, late, LIMITS, 80) is None
+
+
+@pytest.mark.parametrize(
+    "other",
+    [(-8, 3.5, 0, 12.0), (60, -40, np.pi / 2, 9.0), (30, 3.5, 0, 0.0), (70, 3.0, np.pi, 11.0)],
+)
+def test_goals_lead_to_the_predicted_av(other):
+    view = view_of({"av": (0, 0, 0, 10.0), "b": other})
+    predictor = FanPredictor()
+    own, av = predictor.predict(view, ["b", "av"], 32)
+    begin = Start.of(view, "b")
+    paths = goal_paths(own, av, begin, SIZE, LIMITS, 80, 32)
+    assert 8 <= len(paths.limits) <= 32
+    assert (paths.limits <= LIMITS.rows(1)).all()
+    tracked = track(paths.reference_m, begin, paths.limits)
+    away = np.linalg.norm(tracked.position_m[:, None] - av.futures.position_m[None], axis=-1)
+    # Most drivable ways pass within half a metre of where the AV is predicted at the same time.
+    assert np.mean(away.min(axis=(1, 2)) < 0.5) > 0.8
+    assert away.min(axis=(1, 2)).max() < 4.0
+
+
+def test_goals_stay_within_horizon_and_count():
+    view = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
+    own, av = FanPredictor().predict(view, ["b", "av"], 32)
+    begin = Start.of(view, "b")
+    assert len(goal_paths(own, av, begin, SIZE, LIMITS, 80, 5).limits) == 5
+    assert len(goal_paths(own, av, begin, SIZE, LIMITS, 80, 0).limits) == 0
+    assert len(goal_paths(own, av, begin, SIZE, LIMITS, 3, 32).limits) == 0
+    assert goal_paths(own, av, begin, SIZE, LIMITS, 3, 32).reference_m.shape == (0, 80, 2)
+
+
+def test_an_av_out_of_reach_gives_no_goals():
+    view = view_of({"av": (0, 0, 0, 10.0), "b": (600, 300, 0, 12.0)})
+    own, av = FanPredictor().predict(view, ["b", "av"], 32)
+    assert len(goal_paths(own, av, Start.of(view, "b"), SIZE, LIMITS, 80, 32).limits) == 0
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.3, 0.5, 1.0, 3.0])
+def test_modes_that_hardly_move_are_paths_too(moved):
+    view = view_of({"av": (0, 0, 0, 10.0), "b": (30, 3.5, 0, 0.0)})
+    share = np.minimum(np.arange(1, 81) / 20, 1.0)
+    position = np.array([30, 3.5]) + moved * share[:, None] * np.array([[1.0, 0.0]])
+    own = Forecast(
+        futures=Futures(
+            agent_id="b", position_m=np.stack([position, position]), heading_rad=np.zeros((2, 80))
+        ),
+        probability=np.array([0.5, 0.5]),
+    )
+    (av,) = FanPredictor().predict(view, ["av"], 6)
+    paths = goal_paths(own, av, Start.of(view, "b"), SIZE, LIMITS, 80, 32)
+    assert np.isfinite(paths.reference_m).all()

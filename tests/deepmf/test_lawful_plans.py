@@ -1,0 +1,117 @@
+"""Plans with the wish that the opponent breaks no rule of the road."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from predictor_doubles import Doubles, view_of
+
+from deepmf_sumo import plugins
+from deepmf_sumo.deepmf import constraints, policy
+from deepmf_sumo.deepmf.constraints import Pairs
+
+BESIDE = {"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}
+BEHIND = {"av": (0, 0, 0, 10.0), "b": (-12, 0, 0, 12.0)}
+
+
+def plan_of(agents, **values):
+    settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
+    made = policy.build(settings, Doubles())
+    view = view_of(agents)
+    made.reset(view, np.random.default_rng(0))
+    return made.plan(view)
+
+
+def pairs(lawful, collides=(True, True, False), fair=None):
+    hits = np.array(collides)[:, None]
+    return Pairs(
+        probability=np.array([0.5, 0.3, 0.2]),
+        reaction_probability=np.ones((3, 1)),
+        collides=hits,
+        collision_step=np.where(hits, 20.0, 80.0),
+        lawful=np.array(lawful),
+        fair=None if fair is None else np.array(fair),
+    )
+
+
+def choice(found, rule="expected"):
+    return constraints.choose(found, rule, 1.0, None)
+
+
+@pytest.mark.parametrize("rule", ["expected", "pair", "likeliest"])
+def test_the_best_of_the_lawful_is_chosen(rule):
+    chosen, unmet = choice(pairs([False, True, True]), rule)
+    assert (chosen.index, chosen.rule, unmet) == (1, rule, ())
+    assert len(chosen.value) == len(chosen.product) == 3
+    assert chosen.value[0] == 0.0
+
+
+def test_where_only_breaking_a_rule_meets_the_av_nobody_is_attacked():
+    chosen, unmet = choice(pairs([False, False, True]))
+    assert (chosen.index, chosen.rule, unmet) == (2, "nothing lawful", ("lawful",))
+
+
+def test_where_nobody_can_be_met_the_likeliest_lawful_one_is_driven():
+    chosen, unmet = choice(pairs([False, True, True], collides=(False, False, False)))
+    assert (chosen.index, chosen.rule, unmet) == (1, "fallback", ())
+
+
+def test_where_nothing_is_lawful_what_does_least_is_driven():
+    chosen, unmet = choice(pairs([False, False, False]))
+    assert (chosen.index, unmet) == (2, ("lawful",))
+    chosen, unmet = choice(pairs([False] * 3, collides=(False, False, False)))
+    assert (chosen.index, unmet) == (0, ())
+
+
+def test_a_lawful_attack_can_be_asked_to_be_fair_too():
+    chosen, unmet = choice(pairs([True, True, True], fair=[False, True, True]))
+    assert (chosen.index, unmet) == (1, ())
+    chosen, unmet = choice(pairs([True, False, True], fair=[False, True, True]))
+    assert (chosen.index, unmet) == (2, ("fair",))
+
+
+def test_no_plan_rams_the_av_from_behind():
+    wild = plan_of(BEHIND)
+    assert wild.reason.collides[wild.reason.chosen].any()
+    assert wild.reason.lawful is None
+    tame = plan_of(BEHIND, lawful=True)
+    assert not tame.reason.collides[tame.reason.chosen].any()
+    assert tame.reason.unmet == ("lawful",)
+    assert "stop" in tame.reason.origin
+
+
+def test_the_driven_candidate_is_lawful_and_the_plan_says_which_are():
+    plan = plan_of(BESIDE, lawful=True)
+    reason = plan.reason
+    assert reason.lawful.shape == reason.candidates.probability.shape
+    assert reason.lawful[reason.chosen]
+    assert not reason.lawful.all()
+    assert (reason.wished_mass <= reason.collision_mass).all()
+    assert (reason.wished_mass[~reason.lawful] == 0.0).all()
+    assert "lawful" in reason.milliseconds
+
+
+def test_an_opponent_without_lawful_ways_to_the_av_is_not_chosen():
+    agents = {"av": (0, 0, 0, 10.0), "behind": (-12, 0, 0, 12.0), "beside": (30, 3.5, 0, 6.0)}
+    settings = plugins.settings("policies", "deepmf", {"tried_opponents": 4, "lawful": True})
+    made = policy.build(settings, Doubles())
+    view = view_of(agents)
+    opponent = made.reset(view, np.random.default_rng(0))
+    plan = made.plan(view)
+    assert plan.agent_id == opponent
+    every = {}
+    for name in ("behind", "beside"):
+        alone = policy.build(replace_opponent(settings, name), Doubles())
+        alone.reset(view, np.random.default_rng(0))
+        every[name] = alone.plan(view).reason.wished_mass.max()
+    assert every[opponent] == max(every.values())
+
+
+def replace_opponent(settings, name):
+    return settings.model_copy(update={"opponent": name, "tried_opponents": 1})
+
+
+def test_lawful_is_yes_or_no():
+    with pytest.raises(Exception, match="lawful"):
+        plugins.settings("policies", "deepmf", {"lawful": "mostly"})
+    assert replace(pairs([True] * 3), lawful=None).lawful is None

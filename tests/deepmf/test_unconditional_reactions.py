@@ -1,0 +1,43 @@
+"""DeepMF whose AV is predicted without the opponent's future."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from predictor_doubles import Doubles, FanPredictor, view_of
+
+from deepmf_sumo import plugins
+from deepmf_sumo.deepmf.policy import build
+
+AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0)}
+
+
+@dataclass
+class Heard(FanPredictor):
+    given: list = field(default_factory=list)
+
+    def react(self, view, agent_id, given, modes, **asked):
+        self.given.append(given)
+        return super().react(view, agent_id, given, modes, **asked)
+
+
+def plan_and_conditions(**values):
+    predictors = Doubles(conditional=Heard())
+    policy = build(plugins.settings("policies", "deepmf", values), predictors)
+    view = view_of(AGENTS)
+    policy.reset(view, np.random.default_rng(0))
+    return policy.plan(view), predictors.conditional.given
+
+
+def test_the_network_is_asked_without_condition_and_all_candidates_meet_the_same_av():
+    plan, given = plan_and_conditions(conditional=False, reactions=4)
+    assert all(each is None for each in given)
+    candidates = len(plan.reason.candidates.probability)
+    assert len(plan.reason.reactions) == candidates
+    assert len({id(each) for each in plan.reason.reactions}) == 1
+    assert plan.reason.collides.shape == (candidates, 4)
+
+
+def test_by_default_every_candidate_is_given():
+    plan, given = plan_and_conditions(goal_candidates=0)
+    (candidates,) = given
+    assert np.array_equal(candidates.position_m, plan.reason.candidates.futures.position_m)
