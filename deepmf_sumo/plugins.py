@@ -1,8 +1,9 @@
 """Plug-ins: a file in the folder of its kind, or a class of an installed package.
 
 A plug-in module exposes ``Settings`` (a `plugins.Settings` subclass) and ``build(settings, ...)``.
-The folder's listing is the registry; other packages join through the entry point group
-``deepmf_sumo.<kind>``, or by ``my_package.my_module:MyClass``.
+The folder's listing is the registry; a metric is a function in a module of its folder, see
+`deepmf_sumo.metrics`. Other packages join through the entry point group ``deepmf_sumo.<kind>``, or
+by ``my_package.my_module:MyClass``.
 """
 
 import difflib
@@ -10,7 +11,6 @@ import functools
 import importlib
 import importlib.metadata
 import pkgutil
-from types import ModuleType
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -32,14 +32,16 @@ def names(kind: Kind) -> list[str]:
 
 
 def own(kind: Kind, name: str) -> bool:
-    """Whether a plug-in is this package's own, not somebody else's code."""
+    """Whether a plug-in is a part of this package."""
     return name in _own(kind) and all(point.name != name for point in _entry_points(kind))
 
 
 @functools.cache
 def _own(kind: Kind) -> tuple[str, ...]:
-    """Of this package. Every run asks for each metric by name, and folders are slow to list."""
+    """Names of this package's plug-ins; cached, because folders are slow to list."""
     package = importlib.import_module(f"deepmf_sumo.{kind}")
+    if kind == "metrics":
+        return tuple(package.own())
     return tuple(
         module.name
         for module in pkgutil.iter_modules(package.__path__)
@@ -48,7 +50,7 @@ def _own(kind: Kind) -> tuple[str, ...]:
 
 
 def load(kind: Kind, name: str) -> Any:
-    """The plug-in module (or class, for ``package.module:Class``) of a name.
+    """The plug-in of a name: a module, a `metrics.Metric`, or for ``package.module:Class`` a class.
 
     Raises PluginError, with the nearest name, where there is none.
     """
@@ -62,8 +64,9 @@ def load(kind: Kind, name: str) -> Any:
     for point in _entry_points(kind):
         if point.name == name:
             return point.load()
-    module: ModuleType = importlib.import_module(f"deepmf_sumo.{kind}.{name}")
-    return module
+    if kind == "metrics":
+        return importlib.import_module("deepmf_sumo.metrics").own()[name]
+    return importlib.import_module(f"deepmf_sumo.{kind}.{name}")
 
 
 def settings(kind: Kind, name: str, values: dict[str, Any]) -> Any:

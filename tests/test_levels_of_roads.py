@@ -10,8 +10,7 @@ from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo.adversaries import _open_loop as open_loop
 from deepmf_sumo.adversaries._episodes import Motion
-from deepmf_sumo.avoidance.ahead import way_ahead
-from deepmf_sumo.avoidance.lanes import keeps_lane
+from deepmf_sumo.avoidability.av_path import keeps_lane, route_ahead
 from deepmf_sumo.datatypes import DT_S, Lane, RoadMap, View
 from deepmf_sumo.deepmf.lane_assignment import lanes_at
 from deepmf_sumo.geometry import road as roads
@@ -89,12 +88,12 @@ def test_a_lane_of_another_level_is_no_road():
 
 
 @pytest.mark.parametrize("level", DECKS)
-def test_the_way_ahead(level):
+def test_the_route_ahead(level):
     elsewhere = {"av": straight(0, 50, 10), "b": straight(-8, 3.5, 12)}
     case = replace(case_of(elsewhere), road=stacked())
     rollout = rollout_of({"av": straight(0, 0.3, 10), "b": straight(-8, 3.5, 12)})
     tracks = replace(rollout.tracks, z_m=np.full(rollout.tracks.z_m.shape, DECKS[level]))
-    way = way_ahead(replace(rollout, tracks=tracks), case, 10)
+    way = route_ahead(replace(rollout, tracks=tracks), case, 10)
     assert way[0, 1] == {"below": 0.0, "above": 0.5}[level]
 
 

@@ -25,13 +25,13 @@ from deepmf_sumo.datatypes import (
     Attack,
     Budget,
     Case,
-    MetricValue,
     Rollout,
     Scene,
     SumoNet,
     TurnRules,
 )
 from deepmf_sumo.errors import DeepmfError, PlannerError, ReaderError, RunError, UsageError
+from deepmf_sumo.metrics import measure
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.planners.checked import blamed
 from deepmf_sumo.policies.base import Policy
@@ -240,13 +240,6 @@ def _adversary(name: str, settings: str, weights: str) -> Any:
     """Kept between tasks: loading its weights takes longer than an episode."""
     checked = plugins.settings("adversaries", name, json.loads(settings))
     return plugins.load("adversaries", name).build(checked, weights)
-
-
-def measure(rollout: Rollout, case: Case) -> list[MetricValue]:
-    """All metrics, in the order of their names."""
-    return [
-        plugins.load("metrics", name).measure(rollout, case) for name in plugins.names("metrics")
-    ]
 
 
 def working_folder(runs: Path, task: Task) -> Path:

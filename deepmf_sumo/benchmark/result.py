@@ -15,7 +15,7 @@ from deepmf_sumo.benchmark import turns
 from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, MetricValue, Rollout
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.metrics.episode import accelerations
+from deepmf_sumo.metrics import NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork
 from deepmf_sumo.texts import cell
 
@@ -216,7 +216,8 @@ def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
     """What figures over many runs are made of; None if nobody was driven.
 
     ``opponent_m``: the opponent twice a second, in the frame of the AV's first pose.
-    ``attack_mps2``, ``recorded_mps2``: see `metrics.episode.accelerations.compared`, smooth.
+    ``attack_mps2``, ``recorded_mps2``: see `metrics.naturalness.samples`, smooth; empty
+    where they are not measurable.
     """
     tracks = rollout.tracks
     if rollout.opponent_id is None or rollout.opponent_id not in tracks.ids:
@@ -225,12 +226,14 @@ def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
     there = tracks.valid[row, rollout.now :]
     path = tracks.position_m[row, rollout.now :][there][:: round(0.5 / rollout.dt_s)]
     origin, heading = tracks.position_m[av, rollout.now], tracks.heading_rad[av, rollout.now]
-    changes = accelerations.compared(rollout, case, smooth=True)
-    attack, recorded = ((), ()) if isinstance(changes, str) else changes
+    try:
+        changes = naturalness.samples(rollout, case, smooth=True)
+    except NotMeasurable:
+        changes = naturalness.Samples(np.empty(0), np.empty(0))
     return {
         "opponent_m": np.round(frames.to_local(path, origin, float(heading)), 2).tolist(),
-        "attack_mps2": np.round(attack, 3).tolist(),
-        "recorded_mps2": np.round(recorded, 3).tolist(),
+        "attack_mps2": np.round(changes.attack, 3).tolist(),
+        "recorded_mps2": np.round(changes.recorded, 3).tolist(),
     }
 
 

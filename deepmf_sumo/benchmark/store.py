@@ -21,7 +21,7 @@ from deepmf_sumo.benchmark import files, junit, locks, result, stored, turns
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import OutputError, UsageError
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.statistics import wilson
 
 FORMAT_VERSION: Final = 1
 MADE: Final = (

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.avoidance.fair import avoidable
-from deepmf_sumo.avoidance.path import State
+from deepmf_sumo.avoidability.av_path import State
+from deepmf_sumo.avoidability.grading import avoidable
 from deepmf_sumo.datatypes import (
     FUTURE_STEPS,
     AgentId,

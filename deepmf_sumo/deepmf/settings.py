@@ -66,7 +66,7 @@ class Settings(plugins.Settings):
             `deepmf.scoring.Balance`. 0.5 is the rule ``likeliest``; the limits are
             multiplied by 2^(aggressiveness - 0.5). Null: the rule decides.
         fair: only candidates that a competent driver in the AV's place could avoid
-            (`avoidance.fair`), when they are chosen first; without one nobody is attacked.
+            (`avoidability.grading`), when they are chosen first; without one nobody is attacked.
         lawful: only candidates that break no rule of the road (`deepmf.traffic_rules`); without
             one that meets the AV nobody is attacked.
     """

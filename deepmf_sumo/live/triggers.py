@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Floats
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.metrics.episode.conflict import Moving, time_to_collision
+from deepmf_sumo.metrics.conflict import Moving, time_to_collision
 from deepmf_sumo.simulation.frame import Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
 

@@ -1,5 +1,108 @@
-"""Rollout -> MetricValue. One subject a file, named as the metric.
+"""Metrics of a rollout: one function each, in the module of its subject.
 
-Each module exposes ``UNIT``, ``BETTER`` (for the attacker), ``DEFINITION`` (one sentence, printed
-with results) and ``measure(rollout, case)``.
+A metric takes an `Episode` and returns a number, or raises `NotMeasurable` with the reason::
+
+    @metric("m", better="lower")
+    def min_gap(episode: Episode) -> float:
+        '''Least distance of the boxes of AV and opponent over the simulated steps.'''
+        return series(episode).gap_m.min()
+
+The function's name is that of the metric, the first paragraph of its docstring the definition that
+is printed with results. Metrics of other packages join through the entry point group
+``deepmf_sumo.metrics``; see `plugins`.
 """
+
+import functools
+import importlib
+import pkgutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
+
+from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+
+Better = Literal["lower", "higher", "neither"]
+"""Which values are better for the attacker."""
+Computed = TypeVar("Computed")
+
+
+class NotMeasurable(Exception):  # noqa: N818 - a result, not an error
+    """A metric is not defined for the rollout; the message is the reason in the results."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episode:
+    """A rollout and its case; what several metrics need is computed once, see `once`."""
+
+    rollout: Rollout
+    case: Case
+    computed: dict[Callable[["Episode"], Any], Any] = field(default_factory=dict, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A metric: ``compute`` returns its value, or raises `NotMeasurable`."""
+
+    name: str
+    unit: str
+    better: Better
+    definition: str
+    compute: Callable[[Episode], float]
+
+    def of(self, episode: Episode) -> MetricValue:
+        """The value, or the reason why there is none."""
+        value, reason = None, ""
+        try:
+            value = float(self.compute(episode))
+        except NotMeasurable as error:
+            reason = str(error)
+        return MetricValue(
+            name=self.name, value=value, unit=self.unit, better=self.better, reason=reason
+        )
+
+    def measure(self, rollout: Rollout, case: Case) -> MetricValue:
+        """`of` a rollout, without anything computed for other metrics."""
+        return self.of(Episode(rollout, case))
+
+
+def metric(unit: str, *, better: Better) -> Callable[[Callable[[Episode], float]], Metric]:
+    """Make a function the metric of its name; its docstring's first paragraph is the definition."""
+
+    def of(compute: Callable[[Episode], float]) -> Metric:
+        sentence = " ".join((compute.__doc__ or "").strip().split("\n\n")[0].split())
+        definition = sentence[:1].lower() + sentence[1:].removesuffix(".")
+        return Metric(compute.__name__, unit, better, definition, compute)
+
+    return of
+
+
+def once(compute: Callable[[Episode], Computed]) -> Callable[[Episode], Computed]:
+    """Compute something that several metrics need once per episode."""
+
+    @functools.wraps(compute)
+    def known(episode: Episode) -> Computed:
+        if compute not in episode.computed:
+            episode.computed[compute] = compute(episode)
+        found: Computed = episode.computed[compute]
+        return found
+
+    return known
+
+
+@functools.cache
+def own() -> dict[str, Metric]:
+    """The metrics of this package by name."""
+    names = (module.name for module in pkgutil.iter_modules(__path__))
+    modules = [importlib.import_module(f"{__name__}.{name}") for name in names]
+    every = [one for module in modules for one in vars(module).values() if isinstance(one, Metric)]
+    return {one.name: one for one in every}
+
+
+def measure(rollout: Rollout, case: Case) -> list[MetricValue]:
+    """All metrics, also those of other packages, in the order of their names."""
+    episode = Episode(rollout, case)
+    every = [plugins.load("metrics", name) for name in plugins.names("metrics")]
+    return [
+        one.of(episode) if isinstance(one, Metric) else one.measure(rollout, case) for one in every
+    ]

@@ -9,7 +9,7 @@ from typing import Any, Final
 import pandas as pd
 
 from deepmf_sumo.benchmark import stored
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report.run_table import runs_of
 
 _NUMBERS: Final = ("contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median")

@@ -7,9 +7,9 @@ from math import isnan
 from statistics import fmean
 from typing import Any, Final
 
-from deepmf_sumo.avoidance.grading import GRADES
-from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.avoidability.grading import GRADES
+from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
+from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report.comparison import Group
 
 NONE: Final = "-"

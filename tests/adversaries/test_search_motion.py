@@ -11,7 +11,7 @@ from deepmf_sumo.adversaries._controls import Bicycle, Knots
 from deepmf_sumo.adversaries._episodes import Motion, Scouted
 from deepmf_sumo.adversaries._search import SearchSettings, Weights, cost_of
 from deepmf_sumo.geometry import angles
-from deepmf_sumo.metrics import feasible
+from deepmf_sumo.metrics.driving import feasible
 
 AV = (40.0, 0.0, 0.0, 10.0)
 SETTINGS = SearchSettings()

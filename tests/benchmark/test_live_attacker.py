@@ -11,8 +11,8 @@ import sumo
 from live_policies import Keep
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import episode, gate, risk
-from deepmf_sumo.benchmark.live import assembly
+from deepmf_sumo.benchmark import gate, risk
+from deepmf_sumo.benchmark.live import assembly, results
 from deepmf_sumo.errors import OutputError, SpecError, UsageError
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.report import comparison
@@ -163,7 +163,7 @@ def test_an_attack_that_cannot_be_measured_is_a_row(started, tmp_path, monkeypat
     def broken(rollout, case):
         raise ZeroDivisionError("of a metric")
 
-    monkeypatch.setattr(episode, "measure", broken)
+    monkeypatch.setattr(results, "measure", broken)
     with deepmf_sumo.Attacker(started, av="av", duration_s=3.0, out=tmp_path / "live") as attacker:
         drive(started, attacker, 60)
     with (tmp_path / "live" / "runs.csv").open() as table:

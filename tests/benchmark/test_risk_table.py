@@ -4,7 +4,7 @@ from risk_doubles import NET
 from deepmf_sumo.benchmark import risk
 from deepmf_sumo.benchmark.risk import places
 from deepmf_sumo.benchmark.risk.places import Spot
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.statistics import wilson
 
 LEFT = "centre: w_in -> n_out"
 

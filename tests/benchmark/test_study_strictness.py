@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark import store, study
 from deepmf_sumo.benchmark.study import layout, paired, tables
 from deepmf_sumo.cli.screen import benchmark as screen
 from deepmf_sumo.errors import SpecError, UsageError
-from deepmf_sumo.metrics.statistics import diversity
+from deepmf_sumo.metrics import statistics
 from deepmf_sumo.report import benchmark as report
 
 
@@ -159,7 +159,7 @@ def test_diversity_of_many_runs_takes_no_seconds():
         for number, a in enumerate(few)
         for b in few[number + 1 :]
     ]
-    assert diversity.mean_distance_m(few) == pytest.approx(np.mean(pairs))
+    assert statistics.diversity_m(few) == pytest.approx(np.mean(pairs))
     begin = time.process_time()
-    diversity.mean_distance_m(paths)
+    statistics.diversity_m(paths)
     assert time.process_time() - begin < 1.0, "each row of a table waits for it"

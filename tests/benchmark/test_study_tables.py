@@ -14,7 +14,7 @@ from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.layout import read as read_layout
 from deepmf_sumo.benchmark.study.rows import row_of
 from deepmf_sumo.benchmark.tasks import slug
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import benchmark as report
 from deepmf_sumo.report.tables import latex, rules
 

@@ -8,7 +8,8 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES, accident_type
+from deepmf_sumo.metrics import NotMeasurable
+from deepmf_sumo.metrics.collision import ACCIDENT_TYPES, accident_type_of
 
 
 def collision(av, other):
@@ -61,7 +62,7 @@ SITUATIONS = {
 )
 def test_names(name, paths):
     rollout = collision(*paths)
-    assert accident_type(rollout, case_of()) == name
+    assert accident_type_of(rollout) == name
     value = plugins.load("metrics", "accident_type").measure(rollout, case_of()).value
     assert ACCIDENT_TYPES[int(value)] == name
 
@@ -76,12 +77,13 @@ def test_a_leader_on_a_bend_did_not_cut_in():
         return np.column_stack([place, turned])
 
     rollout = collision(on_circle(0, 10), on_circle(20, 5))
-    assert accident_type(rollout, case_of()) == "rear_end"
+    assert accident_type_of(rollout) == "rear_end"
 
 
 def test_no_collision_has_no_name():
     rollout = rollout_of({"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)})
-    assert accident_type(rollout, case_of()) is None
+    with pytest.raises(NotMeasurable, match="did not collide"):
+        accident_type_of(rollout)
     for name in ("accident_type", "pdof", "collision_speed_difference"):
         assert "did not collide" in plugins.load("metrics", name).measure(rollout, case_of()).reason
 

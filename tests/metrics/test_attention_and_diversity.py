@@ -5,7 +5,7 @@ import pytest
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.metrics.statistics import diversity
+from deepmf_sumo.metrics import statistics
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(20, 0, 4)}
 
@@ -40,18 +40,18 @@ def test_a_planner_that_looks_at_nobody(leaders):
 def test_diversity_of_trajectories():
     line = straight(0, 0, 10)[:, :2]
     beside, shorter = line + np.array([0, 3.0]), line[:20] + np.array([4.0, 0])
-    assert diversity.mean_distance_m([line, beside]) == pytest.approx(3.0)
+    assert statistics.diversity_m([line, beside]) == pytest.approx(3.0)
     # 3, 4 and 5 m
-    assert diversity.mean_distance_m([line, beside, shorter]) == pytest.approx(4.0)
-    assert diversity.mean_distance_m([line]) is None
+    assert statistics.diversity_m([line, beside, shorter]) == pytest.approx(4.0)
+    assert statistics.diversity_m([line]) is None
     scenes = [[line, beside], [line], [line, line]]
-    assert diversity.mean_distance_within_m(scenes) == pytest.approx(1.5)
-    assert diversity.mean_distance_within_m([[line]]) is None
+    assert statistics.diversity_within_m(scenes) == pytest.approx(1.5)
+    assert statistics.diversity_within_m([[line]]) is None
 
 
 def test_diversity_of_kinds():
-    assert diversity.kinds([0, 0, 4, None]) == 2
-    assert diversity.effective_kinds([0, 1, 2, 3, None]) == pytest.approx(4.0)
-    assert diversity.effective_kinds([0] * 99 + [1]) == pytest.approx(1.06, abs=0.01)
-    assert diversity.effective_kinds([None]) == 0.0
-    assert diversity.effective_kinds(np.array([2, 2])) == pytest.approx(1.0)
+    assert statistics.distinct([0, 0, 4, None]) == 2
+    assert statistics.effectively_distinct([0, 1, 2, 3, None]) == pytest.approx(4.0)
+    assert statistics.effectively_distinct([0] * 99 + [1]) == pytest.approx(1.06, abs=0.01)
+    assert statistics.effectively_distinct([None]) == 0.0
+    assert statistics.effectively_distinct(np.array([2, 2])) == pytest.approx(1.0)

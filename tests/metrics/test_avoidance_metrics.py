@@ -64,7 +64,7 @@ def test_without_a_contact_there_is_a_reason(name):
     missed = measured(name, rollout, case)
     assert (missed.value, missed.reason) == (None, "AV and opponent did not collide")
     nobody = measured(name, replace(rollout, opponent_id=None), case)
-    assert (nobody.value, nobody.reason) == (None, "nobody was attacked")
+    assert (nobody.value, nobody.reason) == (None, "no vehicle was attacked")
 
 
 def test_a_miss_is_no_valid_collision_and_nobody_attacked_is_none():

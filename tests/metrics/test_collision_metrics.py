@@ -8,7 +8,7 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.geometry.road import on_road
-from deepmf_sumo.metrics.episode.conflict import Moving, time_to_collision
+from deepmf_sumo.metrics.conflict import Moving, time_to_collision
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)}
 
@@ -20,10 +20,10 @@ def measured(name, rollout, case=None):
 @pytest.mark.parametrize("name", plugins.names("metrics"))
 def test_every_metric(name):
     """The exam: a value or a reason, whatever happened."""
-    module = plugins.load("metrics", name)
-    assert module.BETTER in {"lower", "higher", "neither"}
-    assert module.DEFINITION
-    assert "\n" not in module.DEFINITION
+    metric = plugins.load("metrics", name)
+    assert metric.better in {"lower", "higher", "neither"}
+    assert metric.definition
+    assert "\n" not in metric.definition
     for rollout in (
         rollout_of(PATHS),
         rollout_of(PATHS, opponent_id=None),
@@ -32,8 +32,8 @@ def test_every_metric(name):
         rollout_of({key: path[:11] for key, path in PATHS.items()}),
         rollout_of({"av": straight(0, 0, 0), "b": straight(1, 0.5, 0)}),
     ):
-        value = module.measure(rollout, case_of())
-        assert (value.name, value.unit, value.better) == (name, module.UNIT, module.BETTER)
+        value = metric.measure(rollout, case_of())
+        assert (value.name, value.unit, value.better) == (name, metric.unit, metric.better)
         assert (value.value is None) == bool(value.reason)
         assert value.value is None or math.isfinite(value.value)
 
@@ -52,7 +52,7 @@ def test_collision_metrics():
     other = rollout_of(PATHS, contacts=[contact_of("av_other", 30, "av", "c")])
     assert measured("av_third_party", other).value == 1.0
     nobody = measured("collision", rollout_of(PATHS, opponent_id=None))
-    assert (nobody.value, nobody.reason) == (None, "nobody was attacked")
+    assert (nobody.value, nobody.reason) == (None, "no vehicle was attacked")
 
 
 def test_a_collision_after_another_contact_is_not_clean():

@@ -6,8 +6,8 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.metrics.episode import series
-from deepmf_sumo.metrics.episode.conflict import Moving, braking_to_stay_behind, time_to_collision
+from deepmf_sumo.metrics import conflict
+from deepmf_sumo.metrics.conflict import Moving, braking_to_stay_behind, time_to_collision
 
 SIZE = np.array([4.8, 2.0])
 
@@ -32,7 +32,7 @@ def crossing(offset_s, speed=10.0):
 
 
 def test_series_of_following():
-    found = series.over_time(following(10, 6, 30))
+    found = conflict.over_time(following(10, 6, 30))
     assert found.step.tolist() == list(range(11, 31))
     np.testing.assert_allclose(found.time_s, np.arange(1, 21) * 0.1)
     gap = 30 - 4 * found.time_s
@@ -53,7 +53,7 @@ def test_no_collision_course():
 def test_a_braking_leader_asks_for_more():
     """Both at 10 m/s, the leader brakes at 4 m/s2 and stops: v^2 / 2 (gap + v_l^2 / 2 b)."""
     rollout = following(10, 10, 20, steps=18, accel=-4.0)
-    found = series.over_time(rollout)
+    found = conflict.over_time(rollout)
     speed = rollout.tracks.speed_mps[rollout.tracks.row("b")][found.step[-1]]
     expected = 10**2 / (2 * (found.gap_m[-1] + speed**2 / (2 * 4.0)))
     assert found.braking_mps2[-1] == pytest.approx(expected, rel=0.02)
@@ -76,7 +76,7 @@ def test_a_contact_counts_up_to_a_second_before_it():
     early = rollout_of(
         {"av": straight(0, 0, 5), "b": straight(9, 0, 0)}, contacts=[contact_of(step=15)]
     )
-    assert measured("required_deceleration", early).reason == series.TOO_SOON
+    assert measured("required_deceleration", early).reason == conflict.TOO_SOON
 
 
 def test_no_braking_helps_who_is_run_into():

@@ -10,7 +10,7 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Driver, Plan
 from deepmf_sumo.deepmf.policy import Settings, build
-from deepmf_sumo.metrics.episode import accelerations, motion, parts, paths
+from deepmf_sumo.metrics import _slices, naturalness
 
 AV = straight(0, 0, 10)
 
@@ -28,21 +28,21 @@ def test_accelerations_along_and_across():
     radius, speed = 20.0, 8.0
     angle = speed * seconds / radius
     circle = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
-    along, across = motion.accelerations(circle, angle + np.pi / 2, 0.1)
+    along, across = _slices.accelerations(circle, angle + np.pi / 2, 0.1)
     assert len(along) == 36
     np.testing.assert_allclose(across, speed**2 / radius, rtol=0.01)
     np.testing.assert_allclose(along, 0, atol=1e-6)
     line = straight(0, 0, 5, steps=30, accel=2.0, now=0)
-    along, across = motion.accelerations(line[:, :2], line[:, 2], 0.1)
+    along, across = _slices.accelerations(line[:, :2], line[:, 2], 0.1)
     np.testing.assert_allclose(along, 2.0, atol=1e-9)
     np.testing.assert_allclose(across, 0.0, atol=1e-9)
-    assert len(motion.accelerations(line[:4, :2], line[:4, 2], 0.1).along) == 0
+    assert len(_slices.accelerations(line[:4, :2], line[:4, 2], 0.1).along) == 0
 
 
 def test_runs():
     mask = np.array([1, 0, 1, 1, 0, 0, 1], bool)
-    assert motion.runs(mask) == [slice(0, 1), slice(2, 4), slice(6, 7)]
-    assert motion.runs(np.zeros(3, bool)) == []
+    assert _slices.runs(mask) == [slice(0, 1), slice(2, 4), slice(6, 7)]
+    assert _slices.runs(np.zeros(3, bool)) == []
 
 
 @pytest.mark.parametrize(("accel", "expected"), [(0.0, 1.0), (7.5, 1.0), (8.5, 0.0), (-8.5, 0.0)])
@@ -156,8 +156,8 @@ def test_hausdorff_against_scipy_on_dense_points():
     rng = np.random.default_rng(3)
     a, b = (rng.normal(size=(400, 2)).cumsum(0) * 0.02 for _ in range(2))
     both = [scipy.spatial.distance.directed_hausdorff(*pair)[0] for pair in ((a, b), (b, a))]
-    assert paths.hausdorff(a, b) == pytest.approx(max(both), abs=0.05)
-    assert paths.symmetric_mean(a, b) <= paths.hausdorff(a, b)
+    assert naturalness.hausdorff(a, b) == pytest.approx(max(both), abs=0.05)
+    assert naturalness.symmetric_mean(a, b) <= naturalness.hausdorff(a, b)
 
 
 def test_metrics_of_plans():
@@ -178,7 +178,8 @@ def test_metrics_of_plans():
     expected = np.mean([np.exp(scipy.stats.entropy(share)) for share in shares])
     assert measured("candidate_perplexity", rollout).value == pytest.approx(expected)
     assert (
-        "does not say" in measured("colliding_plans", with_opponent(straight(-8, 3.5, 12))).reason
+        "does not report"
+        in measured("colliding_plans", with_opponent(straight(-8, 3.5, 12))).reason
     )
     assert measured("predicted_contact", with_opponent(straight(-8, 3.5, 12))).value is None
 
@@ -190,19 +191,19 @@ def test_a_gap_in_the_recording_is_no_change_of_speed():
     valid[tracks.row("b"), 40:50] = False
     scene = dataclasses.replace(case.scene, tracks=dataclasses.replace(tracks, valid=valid))
     gappy = dataclasses.replace(case, scene=scene)
-    found = accelerations.compared(with_opponent(steady), gappy)
+    found = naturalness.samples(with_opponent(steady), gappy, smooth=False)
     assert len(found.recorded) == (29 - 2) + (41 - 2)
     np.testing.assert_allclose(found.recorded, 0.0, atol=1e-9)
-    assert len(accelerations.speed_changes(steady[:1, :2], 0.1)) == 0
+    assert len(naturalness.speed_changes(steady[:1, :2], 0.1)) == 0
 
 
 def test_reasons_tell_a_missing_recording_from_one_that_is_too_short():
     paths_to = {"av": AV[:13], "b": straight(-8, 3.5, 12)[:13]}
     soon = rollout_of(paths_to, contacts=[contact_of(step=12)])
-    assert measured("path_sspd_cut", soon).reason == parts.TOO_SHORT
-    assert measured("acceleration_kl", soon).reason == parts.TOO_SHORT  # no plan, two poses
+    assert measured("path_sspd_cut", soon).reason == _slices.TOO_SHORT
+    assert measured("acceleration_kl", soon).reason == _slices.TOO_SHORT  # no plan, two poses
     unknown = case_of({"av": AV, "c": straight(-8, 3.5, 12)})
     waits = dataclasses.replace(soon, driver=np.full(soon.driver.shape, Driver.LOG))
     for name in ("path_sspd", "acceleration_kl"):
-        assert measured(name, soon, unknown).reason == parts.NO_LOG
-        assert measured(name, waits).reason == parts.NEVER_DRIVEN
+        assert measured(name, soon, unknown).reason == _slices.NO_LOG
+        assert measured(name, waits).reason == _slices.NEVER_DRIVEN

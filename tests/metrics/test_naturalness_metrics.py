@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.metrics.episode import accelerations, distributions, parts, paths, savitzky_golay
-from deepmf_sumo.metrics.episode.accelerations import Samples
+from deepmf_sumo.metrics import _slices, naturalness
+from deepmf_sumo.metrics.naturalness import Samples
 from deepmf_sumo.metrics.statistics import pooled
 
 AV = straight(0, 0, 10)
@@ -43,60 +43,60 @@ def two_samples(seed):
 def test_divergences_against_scipy(seed, bins):
     a, b = two_samples(seed)
     p, q = histogram(a, bins), histogram(b, bins)
-    assert distributions.divergence(a, b, bins) == pytest.approx(scipy.stats.entropy(p, q))
-    assert distributions.divergence(b, a, bins) == pytest.approx(scipy.stats.entropy(q, p))
+    assert naturalness.divergence(a, b, bins) == pytest.approx(scipy.stats.entropy(p, q))
+    assert naturalness.divergence(b, a, bins) == pytest.approx(scipy.stats.entropy(q, p))
     expected = scipy.spatial.distance.jensenshannon(p, q) ** 2
-    assert distributions.jensen_shannon(a, b, bins) == pytest.approx(expected)
+    assert naturalness.jensen_shannon(a, b, bins) == pytest.approx(expected)
 
 
 @SEEDS
 def test_wasserstein_against_scipy(seed):
     a, b = two_samples(seed)
     expected = scipy.stats.wasserstein_distance(a, b)
-    assert distributions.wasserstein(a, b) == pytest.approx(expected)
-    assert distributions.wasserstein(a, a[::-1]) == 0.0
+    assert naturalness.wasserstein(a, b) == pytest.approx(expected)
+    assert naturalness.wasserstein(a, a[::-1]) == 0.0
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.1, 2.5])
 def test_a_constant_speed_is_counted_in_one_bin_whichever_way_it_leads(angle):
     path = straight(-800, 3.5, 12, heading=angle)[11:, :2]
-    steady = accelerations.speed_changes(path, 0.1)
+    steady = naturalness.speed_changes(path, 0.1)
     assert np.abs(steady).max() < 1e-6
     gaining = np.full(80, 0.4)  # in the bin from -0.5 to 0.5 as well
-    assert distributions.divergence(steady, gaining) == pytest.approx(0.0, abs=1e-9)
+    assert naturalness.divergence(steady, gaining) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_tenth_of_a_millimetre_does_not_move_the_divergence_of_a_standing_car():
     noise = np.random.default_rng(0).normal(0, 1e-4, (2, 80))
-    attack, recorded = (accelerations.speed_changes(np.c_[one, one], 0.1) for one in noise)
+    attack, recorded = (naturalness.speed_changes(np.c_[one, one], 0.1) for one in noise)
     assert 0.005 < np.abs(attack).max() < 0.5
-    assert distributions.divergence(attack, recorded) == pytest.approx(0.0, abs=1e-9)
+    assert naturalness.divergence(attack, recorded) == pytest.approx(0.0, abs=1e-9)
     assert pooled([Samples(attack, recorded)]).jsd < 0.01
 
 
 def test_divergence_by_hand():
     # all mass in one bin against half in it and half in another: log 2
-    kl = distributions.divergence(np.full(10, 0.4), np.repeat([0.4, 3.6], 5))
+    kl = naturalness.divergence(np.full(10, 0.4), np.repeat([0.4, 3.6], 5))
     assert kl == pytest.approx(np.log(2), abs=1e-6)
     apart = np.full(10, -15.0), np.full(7, 99.0)  # counted in the end bins
-    assert distributions.jensen_shannon(*apart) == pytest.approx(np.log(2))
-    assert distributions.divergence(*apart) == pytest.approx(np.log(7 / 1e-10), rel=0.02)
+    assert naturalness.jensen_shannon(*apart) == pytest.approx(np.log(2))
+    assert naturalness.divergence(*apart) == pytest.approx(np.log(7 / 1e-10), rel=0.02)
 
 
 @given(st.integers(11, 60), st.integers(0, 2**31))
 def test_savitzky_golay_against_scipy(count, seed):
     values = np.random.default_rng(seed).normal(size=count).cumsum()
     expected = scipy.signal.savgol_filter(values, 11, 2, deriv=1, delta=0.1)
-    np.testing.assert_allclose(savitzky_golay.derivative(values, 0.1), expected, atol=1e-9)
+    np.testing.assert_allclose(naturalness.derivative(values, 0.1), expected, atol=1e-9)
 
 
 def test_changes_of_speed():
     line = straight(0, 0, 5, steps=30, accel=2.0, now=0)[:, :2]
-    np.testing.assert_allclose(accelerations.speed_changes(line, 0.1), 2.0, atol=1e-9)
-    np.testing.assert_allclose(accelerations.smooth_changes(line, 0.1), 2.0, atol=1e-9)
-    assert len(accelerations.speed_changes(line, 0.1)) == 28
-    assert len(accelerations.smooth_changes(line, 0.1)) == 29
-    assert len(accelerations.smooth_changes(line[:11], 0.1)) == 0
+    np.testing.assert_allclose(naturalness.speed_changes(line, 0.1), 2.0, atol=1e-9)
+    np.testing.assert_allclose(naturalness.smooth_changes(line, 0.1), 2.0, atol=1e-9)
+    assert len(naturalness.speed_changes(line, 0.1)) == 28
+    assert len(naturalness.smooth_changes(line, 0.1)) == 29
+    assert len(naturalness.smooth_changes(line[:11], 0.1)) == 0
 
 
 def test_smoothing_takes_noise_out_of_the_comparison():
@@ -113,7 +113,7 @@ def test_smoothing_takes_noise_out_of_the_comparison():
 
 def test_too_short_for_the_filter():
     value = measured("acceleration_kl_smooth", straight(-8, 3.5, 12)[:16])
-    assert (value.value, value.reason) == (None, accelerations.TOO_SHORT)
+    assert (value.value, value.reason) == (None, naturalness.TOO_SHORT_TO_SMOOTH)
 
 
 def test_path_distances_by_hand():
@@ -121,11 +121,11 @@ def test_path_distances_by_hand():
     line = np.array([[0.0, 0], [10, 0], [20, 0]])
     bent = np.array([[0.0, 0], [10, 0], [10, 6]])
     # of the L's points to the line: 0, 0, 6; of the line's to the L: 0, 0, 10
-    assert paths.symmetric_mean(bent, line) == pytest.approx((6 / 3 + 10 / 3) / 2)
-    assert paths.hausdorff(bent, line) == pytest.approx(10.0)
+    assert naturalness.symmetric_mean(bent, line) == pytest.approx((6 / 3 + 10 / 3) / 2)
+    assert naturalness.hausdorff(bent, line) == pytest.approx(10.0)
     longer = np.array([[0.0, 0], [30, 0]])
-    assert paths.hausdorff(line, longer) == pytest.approx(10.0)
-    assert paths.symmetric_mean(line, longer) == pytest.approx(10 / 4)
+    assert naturalness.hausdorff(line, longer) == pytest.approx(10.0)
+    assert naturalness.symmetric_mean(line, longer) == pytest.approx(10 / 4)
 
 
 def brute_force(points, path):
@@ -140,8 +140,10 @@ def test_path_distances_against_brute_force(seed):
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(12, 2)).cumsum(0), rng.normal(size=(9, 2)).cumsum(0)
     there, back = brute_force(a, b), brute_force(b, a)
-    assert paths.symmetric_mean(a, b) == pytest.approx((there.mean() + back.mean()) / 2, abs=2e-3)
-    assert paths.hausdorff(a, b) == pytest.approx(max(there.max(), back.max()), abs=2e-3)
+    assert naturalness.symmetric_mean(a, b) == pytest.approx(
+        (there.mean() + back.mean()) / 2, abs=2e-3
+    )
+    assert naturalness.hausdorff(a, b) == pytest.approx(max(there.max(), back.max()), abs=2e-3)
 
 
 def test_a_path_cut_at_the_contact_is_compared_up_to_it():
@@ -168,11 +170,11 @@ def test_a_log_that_ends_early_is_compared_over_its_own_time():
         metric = plugins.load("metrics", name)
         assert metric.measure(rollout, short).value == pytest.approx(1.0, abs=1e-9)
         assert metric.measure(rollout, whole).value > 2.0
-    found = accelerations.compared(rollout, short)
+    found = naturalness.samples(rollout, short, smooth=False)
     assert len(found.attack) == len(found.recorded) == 30 - 2
-    assert len(accelerations.compared(rollout, whole).attack) == 80 - 2
+    assert len(naturalness.samples(rollout, whole, smooth=False).attack) == 80 - 2
     none = plugins.load("metrics", "path_sspd").measure(rollout, with_log_until(short, 13))
-    assert none.reason == parts.TOO_SHORT
+    assert none.reason == _slices.TOO_SHORT
 
 
 def with_log_until(case, step):

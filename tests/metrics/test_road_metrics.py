@@ -133,7 +133,7 @@ def test_lights_of_a_network_are_those_of_the_rollout(tmp_path):
     )
     driven = rollout_of({"av": AV, "b": straight(10, 0, 10)})
     metric = plugins.load("metrics", "red_light")
-    assert "does not hold" in metric.measure(driven, case).reason
+    assert "traffic lights" in metric.measure(driven, case).reason
     for state, expected in ((SignalState.STOP, 1.0), (SignalState.GO, 0.0)):
         shown = dataclasses.replace(driven, signals=({"behind": state},) * 80)
         assert metric.measure(shown, case).value == expected

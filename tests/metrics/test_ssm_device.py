@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import sumo
 
-from deepmf_sumo.metrics.episode import series
+from deepmf_sumo.metrics import conflict
 from deepmf_sumo.planners import sumo as sumo_planner
 from deepmf_sumo.simulation import network_case, simulate
 
@@ -99,7 +99,7 @@ def rollout(config, start_s, steps):
 
 def test_following(tmp_path):
     config = built(tmp_path, ROAD)
-    theirs, ours = encounter(config), series.over_time(rollout(config, 1.0, 100))
+    theirs, ours = encounter(config), conflict.over_time(rollout(config, 1.0, 100))
     assert ours.ttc_s.min() == pytest.approx(float(theirs["minTTC"]), abs=0.01)
     assert ours.drac_mps2.max() == pytest.approx(float(theirs["maxDRAC"]), abs=0.01)
     # behind a leader that keeps its speed DRAC is what braking needs
@@ -112,6 +112,6 @@ def test_crossing(tmp_path):
     theirs, ours = encounter(config), rollout(config, 2.0, 140)
     assert ours.contacts == ()
     # SUMO's area is as wide as the lanes, and it finds the times between steps; ours are steps
-    pet = series.encroachment_s(ours)
+    pet = conflict.encroachment_s(ours)
     assert float(theirs["PET"]) <= pet <= float(theirs["PET"]) + 0.3
-    assert series.over_time(ours).ttc_s.min() == pytest.approx(float(theirs["minTTC"]), abs=0.15)
+    assert conflict.over_time(ours).ttc_s.min() == pytest.approx(float(theirs["minTTC"]), abs=0.15)

@@ -7,7 +7,7 @@ import pytest
 from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.metrics.episode import encounters
+from deepmf_sumo.metrics import encounters
 
 NORTH = np.pi / 2
 
@@ -42,7 +42,7 @@ def test_minutes_of_two_vehicles_fit_into_memory():
         ways.append(encounters.Trip(step, place, 0.0 * fixed, fixed, size))
     tracemalloc.start()
     try:
-        assert encounters.time_to_spare(*ways, 0.1) == np.inf
+        assert encounters.encounter_s(*ways, 0.1) == np.inf
         assert tracemalloc.get_traced_memory()[1] < 50e6
     finally:
         tracemalloc.stop()
@@ -87,4 +87,6 @@ def test_contact_leaves_nothing():
 
 
 def test_nobody_attacked_is_a_reason():
-    assert measured({"av": straight(0, 0, 10)}, opponent_id=None).reason == "nobody was attacked"
+    assert (
+        measured({"av": straight(0, 0, 10)}, opponent_id=None).reason == "no vehicle was attacked"
+    )

@@ -17,5 +17,5 @@ def test_as_published(counts):
 
 @pytest.mark.parametrize("counts", [(0, 0), (3, 2), (-1, 4)])
 def test_no_rate(counts):
-    with pytest.raises(ValueError, match="no rate"):
+    with pytest.raises(ValueError, match="not a rate"):
         wilson(*counts)

@@ -63,6 +63,6 @@ def test_share_of_plans_whose_wish_nobody_met():
 
 @pytest.mark.parametrize("name", ["unmet_wishes", "wanted_sector_hit"])
 def test_without_a_wish_there_is_a_reason(name):
-    assert "wanted" in measured(name, [plan()]).reason or "wished" in measured(name, []).reason
+    assert "wanted" in measured(name, [plan()]).reason or "wishes" in measured(name, []).reason
     assert measured(name, [plan()]).value is None
     assert measured(name, []).value is None

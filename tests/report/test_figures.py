@@ -268,5 +268,5 @@ def test_timelines_of_any_rollout(folder, tmp_path):
     assert png.stat().st_size > 10_000
     assert svg.read_text().startswith("<?xml")
     alone = folder.add("two", hit=False, opponent=None)
-    with pytest.raises(ValueError, match="nobody was attacked"):
+    with pytest.raises(ValueError, match="no vehicle was attacked"):
         write_timelines(alone, tmp_path / "lines")

@@ -14,7 +14,7 @@ from result_folders import Folder
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Lane, RoadMap
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import page
 from deepmf_sumo.report.page import packing, places, rows
 

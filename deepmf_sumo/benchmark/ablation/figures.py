@@ -6,7 +6,7 @@ from statistics import fmean, median
 from typing import Any, Final
 
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.metrics.statistics.wilson import Interval, wilson
+from deepmf_sumo.metrics.statistics import Interval, wilson
 from deepmf_sumo.predictors.weights import Network
 
 HORIZON: Final = "8.0"

@@ -12,7 +12,7 @@ from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
 from deepmf_sumo.benchmark.gate.rows import Row
 from deepmf_sumo.benchmark.gate.thresholds import Limits, Thresholds
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.statistics import wilson
 
 ALL: Final = "all runs"
 UNFINISHED: Final = {"failed", "timeout", "missing"}

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from deepmf_sumo.benchmark import artifacts, episode, files, result
+from deepmf_sumo.benchmark import artifacts, files, result
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import DT_S, Attack, Case, NetworkSource, RoadMap
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.live.session import Fought
+from deepmf_sumo.metrics import measure
 from deepmf_sumo.spec import Spec
 
 
@@ -118,7 +119,7 @@ def _finished(task: Task, fought: Fought, stage: Stage, begin: float) -> Result:
     )
     spent = [sum(one.reason.milliseconds.values()) for one in rollout.plans if one.reason]
     attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)
-    metrics = episode.measure(rollout, case)
+    metrics = measure(rollout, case)
     found = result.finished(task, case, attack, metrics, time.perf_counter() - begin)
     found["timings"]["simulation_s"] = None  # SUMO was somebody else's
     found["search"]["simulations"] = 0

@@ -17,7 +17,7 @@ from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.risk import attacks
 from deepmf_sumo.benchmark.study import columns
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
+from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 
 Dimension = Literal["place", "accident", "sector", "avoidable"]
 DIMENSIONS: Final[tuple[Dimension, ...]] = ("place", "accident", "sector", "avoidable")

@@ -9,7 +9,7 @@ from deepmf_sumo.benchmark.risk.attacks import Attacked, Network
 from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn, ranks
 from deepmf_sumo.benchmark.risk.places import KINDS, SITES, Kind
 from deepmf_sumo.benchmark.risk.shrinkage import Prior, Shrunk, prior, shrink
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.statistics import wilson
 
 SEVERE_MPS: Final = 5.0
 CONFLICT_S: Final = 1.5

@@ -17,9 +17,15 @@ from deepmf_sumo.benchmark.study.columns import (
     sector,
 )
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.metrics.episode.accelerations import Samples
-from deepmf_sumo.metrics.statistics import diversity, pooled
-from deepmf_sumo.metrics.statistics.wilson import wilson
+from deepmf_sumo.metrics.naturalness import Samples
+from deepmf_sumo.metrics.statistics import (
+    distinct,
+    diversity_m,
+    diversity_within_m,
+    effectively_distinct,
+    pooled,
+    wilson,
+)
 
 Row = dict[str, Any]
 STATUSES: Final = ("ok", "failed", "timeout", "skipped")
@@ -84,13 +90,11 @@ def _variety(done: Sequence[Result]) -> Row:
         if one["samples"] and one["samples"]["opponent_m"]:
             paths[one["scene"]].append(np.array(one["samples"]["opponent_m"]))
     return {
-        "sectors_hit": diversity.kinds(map(sector, done)),
-        "sectors_effective": diversity.effective_kinds(map(sector, done)),
-        "accident_types": diversity.kinds(map(accident, done)),
-        "diversity_m": diversity.mean_distance_m(
-            [path for each in paths.values() for path in each]
-        ),
-        "diversity_within_scenes_m": diversity.mean_distance_within_m(paths.values()),
+        "sectors_hit": distinct(map(sector, done)),
+        "sectors_effective": effectively_distinct(map(sector, done)),
+        "accident_types": distinct(map(accident, done)),
+        "diversity_m": diversity_m([path for each in paths.values() for path in each]),
+        "diversity_within_scenes_m": diversity_within_m(paths.values()),
     }
 
 

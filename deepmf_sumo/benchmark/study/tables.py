@@ -16,7 +16,7 @@ from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.rows import Row, row_of
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.geometry.impact import SECTORS
-from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
+from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.texts import cell
 
 Key = tuple[str, str, int | None, float | None]

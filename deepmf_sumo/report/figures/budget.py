@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from deepmf_sumo.benchmark.study.tables import CURVES
-from deepmf_sumo.metrics.statistics.wilson import Interval
+from deepmf_sumo.metrics.statistics import Interval
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.results import Results
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped

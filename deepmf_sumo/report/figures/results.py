@@ -11,7 +11,7 @@ from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout
 from deepmf_sumo.errors import ReaderError, UsageError
-from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
+from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.report.figures import tracks
 from deepmf_sumo.report.run_table import runs_of

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deepmf_sumo.datatypes import Rollout
-from deepmf_sumo.metrics.episode import series
+from deepmf_sumo.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks, caption_of, various
 from deepmf_sumo.report.figures.results import Results
@@ -31,9 +31,10 @@ def timelines(rollout: Rollout, title: str = "") -> Figure:
     Where AV and opponent are on no collision course, time to collision has no line. Raises
     ValueError where there was no opponent.
     """
-    found = series.over_time(rollout)
-    if isinstance(found, str):
-        raise ValueError(f"no timelines of AV and opponent: {found}")
+    try:
+        found = conflict.over_time(rollout)
+    except NotMeasurable as reason:
+        raise ValueError(f"no timelines of AV and opponent: {reason}") from None
     times, tracks = found.time_s, rollout.tracks
     av, other = tracks.row(rollout.av_id), tracks.row(str(rollout.opponent_id))
     figure = style.sheet(style.SINGLE_IN, 2.9)

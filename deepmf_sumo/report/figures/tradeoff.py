@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from matplotlib.axes import Axes
 
-from deepmf_sumo.metrics.statistics.wilson import Interval, wilson
+from deepmf_sumo.metrics.statistics import Interval, wilson
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.results import Results, Run
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Contact, Driver, Floats, Ints, Rollout
-from deepmf_sumo.metrics.episode import series
+from deepmf_sumo.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures.episode import met_at
 from deepmf_sumo.report.page.packing import steady
 
@@ -143,12 +143,13 @@ def _timeline(rollout: Rollout, turns: Sequence[Mapping[str, Any]]) -> dict[str,
             (turn["opponent"], *(rollout.now + round(turn[end] / rollout.dt_s) for end in _ENDS))
             for turn in turns
         ]
-    parts, reason = [], series.NEVER_TOGETHER
+    parts, reason = [], conflict.NEVER_TOGETHER
     for opponent, first, last in spans:
         there = opponent if opponent in rollout.tracks.ids else None
-        found = series.over_time(replace(rollout, opponent_id=there))
-        if isinstance(found, str):
-            reason = found
+        try:
+            found = conflict.over_time(replace(rollout, opponent_id=there))
+        except NotMeasurable as error:
+            reason = str(error)
             continue
         inside = (found.step >= first) & (found.step <= last)
         parts.append(np.stack([found.step, found.gap_m, found.ttc_s])[:, inside])

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.benchmark.result import Result, first_contact
-from deepmf_sumo.metrics.episode.accident import ACCIDENT_TYPES
+from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 
 COLUMNS: Final = (

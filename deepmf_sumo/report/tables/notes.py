@@ -8,7 +8,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.benchmark.study import Layout
 from deepmf_sumo.benchmark.study.columns import COLUMNS, Column
 from deepmf_sumo.benchmark.study.rows import STATUSES
-from deepmf_sumo.metrics.statistics.pooled import BINS
+from deepmf_sumo.metrics.statistics import BINS
 from deepmf_sumo.report.tables import foresight, rules
 from deepmf_sumo.report.tables.content import Content, Row
 
@@ -98,9 +98,10 @@ def _definition(column: Column, rows: Sequence[Row]) -> str:
 
 
 def _metric(name: str) -> str:
-    module = plugins.load("metrics", name)
-    text = getattr(module, "DEFINITION", None) or inspect.getdoc(module) or ""
-    return " ".join(str(text).split())
+    """The definition of a metric; of another package's, which may have none, its docstring."""
+    found = plugins.load("metrics", name)
+    text = getattr(found, "definition", None) or getattr(found, "DEFINITION", None)
+    return " ".join(str(text or inspect.getdoc(found) or "").split())
 
 
 def _unmeasured(rows: Sequence[Row]) -> list[str]:

@@ -1,0 +1,1 @@
+"""Whether a contact could have been avoided, and by which driver."""

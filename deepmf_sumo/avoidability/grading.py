@@ -1,0 +1,213 @@
+"""Whether a contact could have been avoided, and whose fault it was.
+
+`judge` grades a contact: avoidable by no driver, by a manoeuvre alone, by some or by all reference
+drivers. `avoidable` answers the same for many futures of the opponent before any of them is driven:
+the AV keeps its speed along its path until the driver in its place reacts.
+
+`av_at_fault` follows the classes of nuPlan's at-fault collisions (Caesar et al., 2021, metric
+``no_ego_at_fault_collisions``): the AV is at fault if it hits something that stands, or hits with
+its front, or touches sideways while it is not within one lane. It is not at fault while it stands
+itself, or where it is hit from behind. The classes know neither a right of way nor a cut-in: a car
+that pulls in close before the AV and is hit there counts against the AV; the grade says whether it
+could have done anything. A vehicle stands at less than 0.1 m/s (nuPlan: 0.05, which recorded
+velocities of standing vehicles exceed).
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from deepmf_sumo.avoidability import manoeuvres, reference_drivers
+from deepmf_sumo.avoidability.av_path import AvPath, State, keeps_lane, stays_on_road
+from deepmf_sumo.avoidability.encounter import (
+    Encounter,
+    encounter_of,
+    hit_by,
+    third_parties_of,
+)
+from deepmf_sumo.avoidability.reference_drivers import MODELS, Approach
+from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Floats, Rollout
+from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry.slow import STANDING_MPS
+
+Grade = Literal["A", "B", "C", "D"]
+GRADES: Final[tuple[Grade, ...]] = ("A", "B", "C", "D")
+"""A: unavoidable. B: physically avoidable, but by no driver. C: by at least one. D: by all."""
+By = Literal["any", "all", "cc", "fsm", "rss"]
+Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front", "active_lateral"]
+BEHIND_RAD: Final = np.radians(30)
+_BUMPER_M = 0.1
+_PARTS_LEFT = np.linspace(0.95, 0.0, 20)  # of the step: at 40 m/s 0.2 m from one to the next
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """Which drivers and manoeuvres would have avoided a contact.
+
+    Attributes:
+        avoided_by: name of each of `reference_drivers.MODELS` -> whether that driver would.
+        standing: the same -> whether the opponent runs into that driver's car, which has stopped.
+        manoeuvres: how many of `manoeuvres.GRID` would, started at the onset.
+        onset_step: of the rollout.
+    """
+
+    avoided_by: dict[str, bool]
+    standing: dict[str, bool]
+    manoeuvres: int
+    onset_step: int
+
+    @property
+    def physically(self) -> bool:
+        """Whether any manoeuvre or driver would have avoided the contact."""
+        return self.manoeuvres > 0 or any(self.avoided_by.values())
+
+    @property
+    def avoidable(self) -> bool:
+        """Whether one of the drivers would have avoided the contact: grade C or D."""
+        return any(self.avoided_by.values())
+
+    @property
+    def hit_standing(self) -> bool:
+        """Whether no driver avoids the contact, but one has stopped before it."""
+        return not self.avoidable and any(self.standing.values())
+
+    @property
+    def grade(self) -> Grade:
+        """See `GRADES`."""
+        if all(self.avoided_by.values()):
+            return "D"
+        if self.avoidable:
+            return "C"
+        return "B" if self.physically else "A"
+
+
+def judge(rollout: Rollout, case: Case) -> Judgement | None:
+    """The judgement, or None where AV and opponent did not touch."""
+    encounter = encounter_of(rollout, case)
+    if encounter is None:
+        return None
+    outcome = reference_drivers.outcome(
+        list(MODELS.values()),
+        encounter.path,
+        encounter.approach,
+        encounter.av_along_m,
+        encounter.onset,
+    )
+    return Judgement(
+        avoided_by={name: bool(outcome.avoided[d, 0]) for d, name in enumerate(MODELS)},
+        standing={name: bool(outcome.standing[d, 0]) for d, name in enumerate(MODELS)},
+        manoeuvres=int(evasive_manoeuvres(encounter, rollout, case).sum()),
+        onset_step=encounter.first_step + encounter.onset,
+    )
+
+
+def evasive_manoeuvres(encounter: Encounter, rollout: Rollout, case: Case) -> Bools:
+    """(M) which of `manoeuvres.GRID` avoid any contact and stay on the road."""
+    approach, start = encounter.approach, encounter.onset
+    steps = approach.steps - start
+    driven = manoeuvres.drive(encounter.path, encounter.av_along_m[start:], rollout.dt_s)
+    hit = reference_drivers.overlaps(
+        approach.since(start), driven.centre_m, driven.heading_rad
+    ).any(axis=1)
+    free = driven.holds & ~hit
+    free &= stays_on_road(
+        case.road,
+        encounter.path,
+        driven.along_m,
+        driven.left_m,
+        approach.av_size_m[1] / 2,
+        float(rollout.tracks.z_m[rollout.tracks.row(rollout.av_id), encounter.first_step + start]),
+    )
+    if free.any():
+        first = encounter.first_step + start
+        others = third_parties_of(rollout, case, first, steps)
+        free &= ~hit_by(driven, others, approach.av_size_m)
+    return free
+
+
+def avoidable(
+    av_start: State,
+    av_size_m: Floats,
+    av_path_m: Floats,
+    opponent_now: State,
+    opponent_size_m: Floats,
+    opponent_position_m: Floats,
+    opponent_heading_rad: Floats,
+    dt_s: float,
+    by: By = "any",
+    av_along_m: Floats | None = None,
+) -> Bools:
+    """(N) whether there is no contact with future n of the opponent if a reference driver drives.
+
+    ``av_start`` is the AV at the current step, whose speed it keeps until the driver reacts;
+    ``av_path_m`` (P, 2), P >= 0, are the known points ahead of it; then it goes straight on.
+    ``opponent_now`` is the opponent at the current step, ``opponent_position_m`` (N, K, 2) and
+    ``opponent_heading_rad`` (N, K) are its futures from the step after it, every ``dt_s``. Sizes
+    are (2): length, width. ``by`` names the driver that has to avoid it: one of
+    `reference_drivers.MODELS`, ``any`` of them or ``all``. ``av_along_m`` (K + 1) is how far the AV
+    has driven along its path, now and at the opponent's steps, where it is known not to keep its
+    speed.
+    """
+    path = AvPath.through(av_start.position_m[None], np.array([av_start.heading_rad]), av_path_m)
+    futures, steps = np.shape(opponent_heading_rad)
+    before = np.broadcast_to(opponent_now.position_m, (futures, 1, 2))
+    position = np.concatenate([before, opponent_position_m], axis=1)
+    before_rad = np.full((futures, 1), opponent_now.heading_rad)
+    heading = np.concatenate([before_rad, opponent_heading_rad], axis=1)
+    approach = Approach.of(path, position, heading, opponent_size_m, av_size_m, dt_s)
+    steady_m = av_start.speed_mps * dt_s * np.arange(steps + 1)
+    driven_m = steady_m if av_along_m is None else av_along_m
+    models = list(MODELS.values()) if by in ("any", "all") else [MODELS[by]]
+    avoided = reference_drivers.outcome(models, path, approach, driven_m).avoided
+    result: Bools = np.all(avoided, axis=0) if by == "all" else np.any(avoided, axis=0)
+    return result
+
+
+def collision_class(rollout: Rollout, contact: Contact) -> Collision:
+    """Class of a contact of the AV, from the speeds at the step before it."""
+    tracks, before = rollout.tracks, max(contact.step - 1, 0)
+    av, other = tracks.row(contact.first_id), tracks.row(contact.second_id)
+    if tracks.speed_mps[av, before] <= STANDING_MPS:
+        return "av_stopped"
+    if tracks.speed_mps[other, before] <= STANDING_MPS:
+        return "other_stopped"
+    pose, size_m = _during_step(rollout, contact, contact.first_id, contact.pose_first)
+    others, other_m = _during_step(rollout, contact, contact.second_id, contact.pose_second)
+    their_box = others[:, :2], others[:, 2], other_m
+    touch = int(boxes.overlap(pose[:, :2], pose[:, 2], size_m, *their_box).argmax())
+    x, y = others[touch, :2] - pose[touch, :2]
+    aside = angles.difference(float(np.arctan2(y, x)), float(pose[touch, 2]))
+    if abs(float(aside)) >= np.pi - BEHIND_RAD:
+        return "active_rear"
+    bumper = pose[:, :2] + size_m[0] / 2 * angles.unit(pose[:, 2])
+    front = boxes.overlap(bumper, pose[:, 2], np.array([_BUMPER_M, size_m[1]]), *their_box)
+    return "active_front" if front.any() else "active_lateral"
+
+
+def _during_step(
+    rollout: Rollout, contact: Contact, agent_id: AgentId, end: Floats
+) -> tuple[Floats, Floats]:
+    """(P, 3) poses during the step of the contact until its end (3), and the agent's size (2).
+
+    At the end of the step a fast AV may be half through a crossing car, its front beyond it.
+    """
+    tracks, before = rollout.tracks, max(contact.step - 1, 0)
+    row = tracks.row(agent_id)
+    turn = angles.difference(end[2], tracks.heading_rad[row, before])
+    moved = np.append(end[:2] - tracks.position_m[row, before], turn)
+    return end - _PARTS_LEFT[:, None] * moved, tracks.size_m[row, :2]
+
+
+def av_at_fault(rollout: Rollout, case: Case) -> bool | None:
+    """Whether the contact with the opponent is the AV's fault; None where they did not touch."""
+    contact = rollout.first("av_opponent")
+    if contact is None:
+        return None
+    found = collision_class(rollout, contact)
+    if found == "active_lateral":
+        width = float(rollout.tracks.size_m[rollout.tracks.row(contact.first_id), 1])
+        pose = contact.pose_first
+        z_m = rollout.tracks.z_m[rollout.tracks.row(contact.first_id), contact.step]
+        return not keeps_lane(case.road, pose[:2], float(pose[2]), width, float(z_m))
+    return found in ("other_stopped", "active_front")

@@ -1,1 +1,0 @@
-"""Whether a contact could have been avoided, and by whom."""
