@@ -35,7 +35,7 @@ from deepmf_sumo.metrics import measure
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.planners.checked import blamed
 from deepmf_sumo.policies.base import Policy
-from deepmf_sumo.readers import npz
+from deepmf_sumo.readers import RecordRef, npz
 from deepmf_sumo.spec import FromNetwork
 
 Draw = Callable[[Rollout, Case, Path], None]
@@ -176,7 +176,8 @@ def make_case(task: Task, cache: Path) -> Case:
             source.sumo_options,
             TurnRules(**spec.turns.model_dump()) if spec.opponents == "in_turn" else None,
         )
-    scene, net = _recorded(source.recording, task.scene, cache)
+    assert task.record is not None, "the plan finds the scenes of recordings"
+    scene, net = _recorded(task.record, cache)
     return Case(
         name=task.run_id,
         road=scene.road,
@@ -192,9 +193,9 @@ def make_case(task: Task, cache: Path) -> Case:
 
 
 @functools.lru_cache(maxsize=4)
-def _recorded(recording: Path, scene_id: str, cache: Path) -> tuple[Scene, SumoNet]:
+def _recorded(record: RecordRef, cache: Path) -> tuple[Scene, SumoNet]:
     """Kept between tasks: the methods of a benchmark follow one another on a scene."""
-    scene = readers.scene(recording, scene_id, cache)
+    scene = readers.read(record)
     return scene, network.cached(scene, cache / "nets")
 
 

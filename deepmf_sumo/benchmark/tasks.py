@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 from zlib import crc32
@@ -14,6 +14,7 @@ from zlib import crc32
 import deepmf_sumo
 from deepmf_sumo import readers
 from deepmf_sumo.errors import ReaderError, SpecError, UsageError
+from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.spec import First, FromNetwork, FromRecording, Spec
 
 Part = Literal["main", "budgets", "figures"]
@@ -45,6 +46,7 @@ class Task:
         scene: id in the recording; of a network its file name without suffix, or the moment.
         label: in a benchmark; None takes the names of spec and planner.
         inputs: digest of what is in the files that it reads, see `inputs.fingerprinted`.
+        record: where the scene is recorded; None of a network. Not part of `key`.
     """
 
     run_id: str
@@ -52,6 +54,7 @@ class Task:
     scene: str
     label: Label | None = None
     inputs: str = ""
+    record: RecordRef | None = field(default=None, compare=False)
 
     @property
     def key(self) -> str:
@@ -99,17 +102,17 @@ def plan(specs: Sequence[Spec], cache: Path, name_filter: str = "") -> list[Task
     moments. Raises SpecError where a recording holds no scene, or not the one asked for, or where
     two runs would have one id; UsageError where the filter leaves nothing.
     """
-    wanted = [(spec, scene) for spec in specs for scene in scenes(spec, cache)]
-    times = Counter(run_id_of(spec, scene) for spec, scene in wanted)
+    wanted = [(spec, *found) for spec in specs for found in scenes(spec, cache)]
+    times = Counter(run_id_of(spec, scene) for spec, scene, _ in wanted)
     tasks: dict[str, Task] = {}
-    for spec, named in wanted:
+    for spec, named, record in wanted:
         scene = named if times[run_id_of(spec, named)] == 1 else _told_apart(spec, named)
         run_id = run_id_of(spec, scene)
         if run_id in tasks:
             raise SpecError(
                 f"Two runs are called '{run_id}'; give the specs different names or seeds."
             )
-        tasks[run_id] = Task(run_id=run_id, spec=spec, scene=scene)
+        tasks[run_id] = Task(run_id=run_id, spec=spec, scene=scene, record=record)
     chosen = [task for task in tasks.values() if name_filter.lower() in task.run_id.lower()]
     if not chosen:
         raise UsageError(
@@ -150,28 +153,33 @@ def slug(name: str) -> str:
     return plain if plain and plain == spelled else f"{plain}-{crc32(name.encode()):08x}".strip("-")
 
 
-def scenes(spec: Spec, cache: Path) -> Iterator[str]:
-    """Names of a spec's scenes. Raises SpecError where there is none, or not the one asked for."""
+def scenes(spec: Spec, cache: Path) -> Iterator[tuple[str, RecordRef | None]]:
+    """Names of a spec's scenes, and where they are recorded (None of a network).
+
+    Raises SpecError if there is none, or not the one asked for.
+    """
     source = spec.source
     if isinstance(source, FromNetwork):
-        yield source.network.stem
+        yield source.network.stem, None
         return
+    records: dict[str, RecordRef] = {}
     try:
-        ids = list(dict.fromkeys(readers.ids(source.recording, cache)))
+        for record in readers.records(source.recording, cache):
+            records.setdefault(record.name, record)
     except ReaderError as error:
         raise SpecError(f"spec '{spec.name}': {error}") from None
-    if not ids:
+    if not records:
         raise SpecError(f"spec '{spec.name}': {source.recording} holds no recorded scene.")
     if isinstance(source.scenes, First):
-        yield from ids[: source.scenes.first]
+        yield from list(records.items())[: source.scenes.first]
     elif source.scenes == "all":
-        yield from ids
+        yield from records.items()
     else:
         for scene in source.scenes:
-            if scene not in ids:
-                nearest = difflib.get_close_matches(scene, ids, n=1)
+            if scene not in records:
+                nearest = difflib.get_close_matches(scene, records, n=1)
                 hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
                 raise SpecError(
                     f"spec '{spec.name}': {source.recording} has no scene '{scene}'.{hint}"
                 )
-            yield scene
+            yield scene, records[scene]

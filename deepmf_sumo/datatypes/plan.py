@@ -1,41 +1,95 @@
-"""A plan for the opponent, and why it was chosen."""
+"""Predicted motion, the opponent's plan and why it was chosen, and when opponents take turns."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes.arrays import Bools, Floats, Ints, frozen
-from deepmf_sumo.datatypes.forecast import Forecast, OpponentScores
+from deepmf_sumo.datatypes._arrays import Bools, Floats, Ints, frozen
 from deepmf_sumo.datatypes.scene import AgentId
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlanReason:
-    """What a plan was chosen from.
+class Futures:
+    """M possible futures of one agent, from the step after the view's.
 
     Attributes:
-        scores: of the surrounding vehicles, or None where the opponent was given.
-        candidates: N1 futures of the opponent with P(OV), weighed by comfort if the policy does so.
+        position_m: (M, F, 2) box centre. heading_rad: (M, F).
+    """
+
+    agent_id: AgentId
+    position_m: Floats
+    heading_rad: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_m", frozen(self.position_m))
+        object.__setattr__(self, "heading_rad", frozen(self.heading_rad))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Forecast:
+    """M weighted futures of one agent.
+
+    Attributes:
+        futures: shapes (M, F, ...).
+        probability: (M) sums to 1, most likely first.
+        temperature: the one applied to the scores before the softmax.
+    """
+
+    futures: Futures
+    probability: Floats
+    temperature: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "probability", frozen(self.probability))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpponentScores:
+    """Suitability of each surrounding vehicle as an opponent.
+
+    Attributes:
+        ids: (A) candidates: vehicles in range, not the AV, not parked.
+        logits: (A) before the sigmoid.
+        partner_logits: (A) of the head trained on labelled partners.
+    """
+
+    ids: tuple[AgentId, ...]
+    logits: Floats
+    partner_logits: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "logits", frozen(self.logits))
+        object.__setattr__(self, "partner_logits", frozen(self.partner_logits))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanReason:
+    """Diagnostics of a plan: what it was chosen from, and why.
+
+    Attributes:
+        scores: of the surrounding vehicles, or None if the opponent was given.
+        candidates: N1 futures of the opponent with P(OV), weighted by comfort if the policy does.
         reactions: N1 forecasts of the AV, N2 modes each, given the candidate.
         collides: (N1, N2) boxes overlap at the same time.
-        collision_step: (N1, N2) first step of overlap, counted from 0; F where there is none.
+        collision_step: (N1, N2) first step of overlap, counted from 0; F if there is none.
         value: (N1) the rule's value of each candidate.
         product: (N1) the paper's plain product P_j * sum_k P_jk * Coll_jk.
         chosen: index of the candidate.
-        rule: the rule that chose it; ``<rule>, any sector`` where no pair hits the wanted one,
-            ``nothing fair`` where none can be avoided, ``nothing lawful`` where all break a rule of
-            the road, ``fallback`` where no pair collides.
+        rule: the rule that chose it; ``<rule>, any sector`` if no pair hits the wanted one,
+            ``nothing fair`` if none can be avoided, ``nothing lawful`` if all break a traffic rule,
+            ``fallback`` if no pair collides.
         bent_m: (N1) farthest that the kinematic limits moved a candidate from its prediction.
         milliseconds: wall time by part.
-        origin: (N1) where each candidate comes from: ``mode`` of the prediction, ``goal`` near the
-            AV's predicted way, ``aim`` at the wanted side of it, ``stop`` as the law demands,
-            ``tail`` of the last plan; empty where all are modes.
-        wanted_sector: the AV's sector that was to be hit, 0..7; None: any.
-        sector: (N1, N2) sector in which a pair first overlaps, -1 where it does not; None where
+        origin: (N1) source of each candidate: ``mode`` of the prediction, ``goal`` near the AV's
+            predicted path, ``aim`` at the wanted side of it, ``stop`` as the law demands, ``tail``
+            of the last plan; empty if all are modes.
+        wanted_sector: the AV's sector to hit, 0..7; None: any.
+        sector: (N1, N2) sector in which a pair first overlaps, -1 if it does not; None if
             none is wanted.
-        fair: (N1) a competent driver could avoid the candidate; None where that was not asked.
-        lawful: (N1) the candidate breaks no rule of the road; None where that was not asked.
-        unmet: wishes that no candidate meets: ``sector``, ``fair``, ``lawful``.
+        fair: (N1) a competent driver could avoid the candidate; None if this was not computed.
+        lawful: (N1) the candidate breaks no traffic rule; None if this was not computed.
+        unmet: constraints that no candidate meets: ``sector``, ``fair``, ``lawful``.
     """
 
     scores: OpponentScores | None
@@ -65,7 +119,7 @@ class PlanReason:
 
     @property
     def wished_mass(self) -> Floats:
-        """(N1) the same; 0 for candidates that are not fair or not lawful where they had to be."""
+        """(N1) the same; 0 for candidates that violate a required fairness or lawfulness."""
         mass = self.collision_mass
         for wish in (self.fair, self.lawful):
             mass = mass if wish is None else mass * wish
@@ -92,5 +146,49 @@ class Plan:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def covers(self, step: int) -> bool:
-        """Whether the plan says where the opponent is at ``step``."""
+        """Whether the plan has a pose for ``step``."""
         return self.first_step <= step < self.first_step + len(self.position_m)
+
+
+TurnEnd = Literal[
+    "contact", "out_of_reach", "gone", "too_long", "plan_ended", "harmless", "time", "av_gone"
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurnRules:
+    """When an attack ends, and which vehicle can attack next.
+
+    Attributes:
+        longest_s: maximum duration of one attack.
+        reach_m: maximum distance of the opponent from the AV, between centres.
+        harmless_s: maximum time without a plan that collides with a predicted future of the AV.
+        again_after_s: time before a vehicle attacks again, unless no other vehicle can.
+        clear_s: time after an attack for the AV to separate from all other vehicles.
+    """
+
+    longest_s: float = 15.0
+    reach_m: float = 80.0
+    harmless_s: float = 4.0
+    again_after_s: float = 30.0
+    clear_s: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turn:
+    """One attack of several in an episode.
+
+    Attributes:
+        first_step: at which the opponent was chosen; the policy drives it from the next step on.
+        last_step: the last of the turn; SUMO drives from the next step on.
+        ended: ``contact`` with the AV; ``out_of_reach``; ``gone`` (left the simulation);
+            ``too_long``; ``plan_ended`` (by a policy that does not replan); ``harmless``;
+            ``time`` and ``av_gone``: the episode's end.
+        gap_m: least distance of the boxes of AV and opponent in the turn.
+    """
+
+    opponent_id: AgentId
+    first_step: int
+    last_step: int
+    ended: TurnEnd
+    gap_m: float

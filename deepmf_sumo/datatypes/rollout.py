@@ -1,4 +1,4 @@
-"""What happened in one simulated episode."""
+"""What happened in one simulated episode, what was measured of it, and what a search found."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -7,17 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes.arrays import Bytes, Floats, frozen
-from deepmf_sumo.datatypes.plan import Plan
-from deepmf_sumo.datatypes.road import SignalState
-from deepmf_sumo.datatypes.scene import HISTORY_STEPS, AgentId, Tracks
-from deepmf_sumo.datatypes.turn import Turn
+from deepmf_sumo.datatypes._arrays import Bytes, Floats, frozen
+from deepmf_sumo.datatypes.plan import Plan, Turn
+from deepmf_sumo.datatypes.scene import HISTORY_STEPS, AgentId, SignalState, Tracks
 
 ContactKind = Literal["av_opponent", "av_other", "opponent_other"]
 
 
 class Driver(IntEnum):
-    """Who drove an agent at a step."""
+    """What drove an agent at a step."""
 
     NOBODY = 0
     PLANNER = 1
@@ -31,8 +29,8 @@ class Contact:
     """Two boxes overlap for the first time.
 
     Attributes:
-        first_id: the AV, or the opponent where the AV takes no part. second_id: the other.
-        striker_id: who ran into whom: the one that moved towards the other's box faster.
+        first_id: the AV, or the opponent if the AV is not involved. second_id: the other.
+        striker_id: the vehicle that moved faster towards the other's box.
         pose_first, pose_second: (3) x, y, heading at the contact.
         relative_mps: length of the velocity difference at the last step before the contact.
         closing_mps: speed at which the centres approached.
@@ -61,7 +59,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that a reader of the result has to know: e.g. ``lane_lost``, ``arrived``."""
+    """An occurrence that qualifies the result, e.g. ``lane_lost``, ``arrived``."""
 
     step: int
     agent_id: AgentId
@@ -77,13 +75,13 @@ class Rollout:
         tracks: (A, T) from the first history step to the last simulated one.
         driver: (A, T) Driver numbers.
         now: index of the current step, at which the simulation took over.
-        opponent_id: None if there was nobody to attack; of several turns the decisive one's.
+        opponent_id: None if no vehicle could attack; of several turns the decisive one's.
         ended: ``contact`` (AV and opponent), ``time``, ``av_gone``; of a turn `Turn.ended`.
         seconds: wall time by part (``simulation``, ``policy``, ``planner``).
-        leaders: for each simulated step whom the AV's planner named, or SUMO's model followed on
-            its lanes, when it chose the step; None where nobody looked (poses, plain speeds).
-        signals: for each simulated step the lights as they were before it, by lane id.
-        turns: opponents one after another, where the case asks for that; else empty.
+        leaders: for each simulated step the vehicles that the AV's planner named, or that SUMO's
+            model followed on its lanes; None if neither applies (poses, plain speeds).
+        signals: for each simulated step the signals before it, by lane id.
+        turns: attacks of several opponents in sequence, if the case asks for that; else empty.
     """
 
     tracks: Tracks
@@ -117,9 +115,9 @@ class Rollout:
         return others[0].kind if others else "none"
 
     def of_turn(self, turn: Turn) -> "Rollout":
-        """One turn as the rollout of an attack of its own; steps keep their numbers.
+        """One turn as a rollout of its own; steps keep their numbers.
 
-        Its agents are those that are there in the turn or the second before it.
+        Its agents are those observed in the turn or in the second before it.
         """
         stop = turn.last_step + 1
         seen = self.tracks.valid[:, max(0, turn.first_step + 1 - HISTORY_STEPS) : stop].any(axis=1)
@@ -143,6 +141,47 @@ class Rollout:
 
 
 def decisive(turns: Sequence[Turn]) -> Turn | None:
-    """The first that hits, else the one that came nearest; None of none."""
+    """The first turn with a contact, else the one with the smallest gap; None if there is none."""
     hits = [turn for turn in turns if turn.ended == "contact"]
     return next(iter(hits), None) or min(turns, key=lambda turn: turn.gap_m, default=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricValue:
+    """``value`` is None, with a ``reason``, if the metric is not defined for the rollout."""
+
+    name: str
+    value: float | None
+    unit: str
+    better: Literal["lower", "higher", "neither"]
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """Limits of an adversary's search; the first one reached ends it; None is no limit."""
+
+    simulations: int | None = None
+    seconds: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One attack of a search: its parameters and objective (higher is worse for the AV)."""
+
+    parameters: dict[str, float]
+    objective: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Attack:
+    """The best rollout of a search, and all its trials.
+
+    ``out_of_time``: the budget's seconds ended the search, so it depends on the machine's speed.
+    """
+
+    rollout: Rollout
+    trials: tuple[Trial, ...] = ()
+    simulations: int = 1
+    generation_s: float = 0.0
+    out_of_time: bool = False

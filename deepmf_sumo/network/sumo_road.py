@@ -20,7 +20,7 @@ from deepmf_sumo.datatypes import (
     SignalLink,
     StopSign,
 )
-from deepmf_sumo.datatypes.road import LaneKind, PolygonKind
+from deepmf_sumo.datatypes.scene import LaneKind, PolygonKind
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network.sumo_net import (
     NetEdge,

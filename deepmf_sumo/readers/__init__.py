@@ -1,34 +1,40 @@
-"""Recorded file -> Scene. One file a format; `base.Reader` is the contract.
+"""Recorded file -> Scene: one module per format; `base.Reader` is the contract.
 
-A file's format is found by its content: every plug-in of the folder is asked. Files are read in a
-process of its own each (`bounded`), so that none can end a sweep or a listing.
+A file's format is found by its content: every plug-in of the folder is asked. Each file is read in
+a process of its own (`_bounded`), so that no file can end a sweep or a listing. `records` lists
+where the scenes are, and can keep that in a cache folder; `read` reads one of them.
 """
 
+import hashlib
+import json
+import os
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import ReaderError, UsageError
-from deepmf_sumo.readers import bounded
-from deepmf_sumo.readers.base import IndexedReader, Place, Reader, Refusal
-from deepmf_sumo.readers.index import cached
+from deepmf_sumo.readers import _bounded
+from deepmf_sumo.readers.base import IndexedReader, Reader, RecordRef, Refusal
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
+
+INDEX_VERSION: Final = 3
 
 T = TypeVar("T")
 
-__all__ = ["Refusal", "find", "ids", "scene", "scenes"]
+__all__ = ["RecordRef", "Refusal", "find", "ids", "read", "records", "scene", "scenes"]
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
     """The given files, and those in the given folders (at any depth, sorted, hidden ones not).
 
-    A file that can be reached in several ways, by links, is given once. A folder of results
+    A file that several links lead to is given once. A folder of results
     (`deepmf-sumo run --scenes`) gives the scenes of its runs.
 
-    Raises UsageError where a path does not exist, ReaderError where a folder cannot be read.
+    Raises UsageError if a path does not exist, ReaderError if a folder cannot be read.
     """
     found: dict[Path, Path] = {}
     for path in paths:
@@ -40,8 +46,8 @@ def find(paths: Sequence[Path]) -> list[Path]:
 def scenes(paths: Sequence[Path]) -> Iterator[Scene | Refusal]:
     """All scenes of the files and folders, one at a time; what cannot be used as a Refusal.
 
-    A file of no known format is a Refusal too, but an error (ReaderError) where it is the only
-    one. Raises UsageError at once where a path does not exist.
+    A file of an unknown format is a Refusal too, but an error (ReaderError) if it is the only one.
+    Raises UsageError at once if a path does not exist.
     """
     found = find(paths)
     if len(found) == 1:
@@ -49,34 +55,59 @@ def scenes(paths: Sequence[Path]) -> Iterator[Scene | Refusal]:
     return (each for file in found for each in _scenes(file))
 
 
-def ids(path: Path, cache: Path | None = None) -> list[str]:
-    """Ids of the scenes in a file or folder, in order, refused ones too if they have one.
+def records(path: Path, cache: Path | None = None) -> Iterator[RecordRef]:
+    """The locations of the scenes in a file or folder, in order; refused ones too if they have one.
 
     Args:
         path: a recorded file, or a folder of such.
-        cache: folder in which to keep what was found out about large files.
+        cache: folder that keeps the locations of a file's scenes until the file changes.
 
-    Raises ReaderError where the file is not a recording; one in a folder is left out.
+    Raises ReaderError if the file is not a recording; in a folder such files are left out.
     """
-    found = find([path])
-    names = [place.name for file in found for place in _places(file, cache)]
-    if not names and not path.is_dir():
+    listed = False
+    for file in find([path]):
+        for ref in _records(file, cache):
+            listed = True
+            yield ref
+    if not listed and not path.is_dir():
         _check(path)
-    return names
+
+
+def ids(path: Path, cache: Path | None = None) -> list[str]:
+    """Ids of the scenes in a file or folder, as `records` lists them."""
+    return [ref.name for ref in records(path, cache)]
 
 
 def scene(path: Path, scene_id: str, cache: Path | None = None) -> Scene:
-    """One scene of a file or folder, without reading the others where the format allows that.
+    """One scene of a file or folder by its id; the first one if there are several.
 
-    Raises ReaderError where there is no scene of this id, or it cannot be used.
+    Raises ReaderError if there is no scene of this id, or it cannot be used.
     """
     for file in find([path]):
-        place = next((one for one in _places(file, cache) if one.name == scene_id), None)
-        if place is not None:
-            return _at(file, place)
+        for ref in _records(file, cache):
+            if ref.name == scene_id:
+                return read(ref)
     raise ReaderError(
         f"{path} has no scene '{scene_id}'; `deepmf-sumo scenes {path}` lists those it has."
     )
+
+
+def read(ref: RecordRef) -> Scene:
+    """The scene at a location, without a search.
+
+    Raises ReaderError if it cannot be used, or is no longer there.
+    """
+    for found in _guarded(ref.file, lambda: _at(ref)):
+        if isinstance(found, Refusal):
+            raise ReaderError(found.reason)
+        if found.name == ref.name:
+            return found
+    raise ReaderError(
+        f"{ref.file} no longer has the scene '{ref.name}' as record {ref.record}; was it changed?"
+    )
+
+
+# Files
 
 
 def _files(path: Path) -> list[Path]:
@@ -98,115 +129,164 @@ def _scenes_of_results(folder: Path) -> list[Path] | None:
     return None
 
 
-def _bounded(path: Path, work: Callable[[], Iterator[T]]) -> Iterator[T]:
-    """What the work on a file gives. Raises ReaderError; `bounded.EndedError` is one of them."""
+def _guarded(path: Path, work: Callable[[], Iterator[T]]) -> Iterator[T]:
+    """What the work on a file gives. Raises ReaderError; `_bounded.EndedError` is one of them."""
     if not is_plain(str(path)):
-        raise bounded.EndedError(
+        raise _bounded.EndedError(
             f"{shown(str(path))} has a name with characters that cannot be shown; rename it."
         )
     for name in plugins.names("readers"):  # once here, not in each process that reads
         plugins.load("readers", name)
     try:
-        yield from bounded.each(work)
-    except bounded.EndedError as error:
-        raise bounded.EndedError(f"{path}: {shown(str(error))}.") from None
+        yield from _bounded.each(work)
+    except _bounded.EndedError as error:
+        raise _bounded.EndedError(f"{path}: {shown(str(error))}.") from None
     except ReaderError as error:
         raise ReaderError(shown(str(error))) from None
 
 
 def _check(path: Path) -> None:
-    """Raises ReaderError where no plug-in accepts the file."""
+    """Raises ReaderError if no plug-in accepts the file."""
 
     def look() -> Iterator[None]:
-        _reader(path)
+        _accepting(path)
         return iter(())
 
-    for _ in _bounded(path, look):
+    for _ in _guarded(path, look):
         pass
 
 
-def _reader(path: Path) -> Reader:
-    """The plug-in that accepts the file. Raises ReaderError where none does."""
+def _accepting(path: Path) -> str:
+    """The plug-in that accepts the file. Raises ReaderError if none does."""
     try:
         files.opened(path).close()
     except OSError as error:
         raise ReaderError(f"{path} cannot be read: {files.reason(error)}.") from None
     known = plugins.names("readers")
     for name in known:
-        plugin = plugins.load("readers", name)
-        reader: Reader = plugin() if isinstance(plugin, type) else plugin
-        if reader.accepts(path):
-            return reader
-    raise ReaderError(f"{path} is of no known format; known are {', '.join(known)}.")
+        if _reader(name).accepts(path):
+            return name
+    raise ReaderError(f"{path} has an unknown format; known are {', '.join(known)}.")
+
+
+def _reader(name: str) -> Reader:
+    plugin = plugins.load("readers", name)
+    reader: Reader = plugin() if isinstance(plugin, type) else plugin
+    return reader
+
+
+# Scenes
 
 
 def _scenes(path: Path) -> Iterator[Scene | Refusal]:
     count = 0
     try:
-        for each in _bounded(path, lambda: _read(path)):
+        for each in _guarded(path, lambda: _read(_reader(_accepting(path)), path)):
             yield each
             count += 1
     except ReaderError as error:
         yield Refusal(file=shown(str(path)), record=count, name="", reason=str(error))
 
 
-def _read(path: Path) -> Iterator[Scene | Refusal]:
-    return map(_told, _reader(path).scenes(path))
+def _read(reader: Reader, path: Path) -> Iterator[Scene | Refusal]:
+    return map(_printable, reader.scenes(path))
 
 
-def _told(found: Scene | Refusal) -> Scene | Refusal:
-    """A refusal names what was not accepted: it may hold anything."""
+def _printable(found: Scene | Refusal) -> Scene | Refusal:
+    """A refusal quotes what was not accepted: that can contain anything."""
     if isinstance(found, Scene):
         return found
-    name = shown(found.name[:LONGEST_ID])
-    return replace(found, name=name, reason=shown(found.reason))
+    return replace(found, name=shown(found.name[:LONGEST_ID]), reason=shown(found.reason))
 
 
-def _places(path: Path, cache: Path | None) -> list[Place]:
-    found: list[Place] = []
+def _at(ref: RecordRef) -> Iterator[Scene | Refusal]:
+    """The scene at a location, or nothing."""
+    reader = _reader(ref.reader or _accepting(ref.file))
+    if isinstance(reader, IndexedReader) and ref.offset is not None:
+        yield _printable(reader.scene_at(ref))
+        return
+    yield from (each for each in _read(reader, ref.file) if _number(each) == ref.record)
 
-    def look() -> Iterator[Place]:
-        for place in _bounded(path, lambda: _all_places(path)):
-            found.append(place)
-            yield place
 
+def _number(found: Scene | Refusal) -> int:
+    return found.record if isinstance(found, Refusal) else found.source.record
+
+
+# Locations of scenes
+
+
+def _records(path: Path, cache: Path | None) -> list[RecordRef]:
+    """The locations of a file's scenes; none if it is not a recording."""
+    found: list[RecordRef] = []
     try:
-        return cached(path, cache, look)
-    except bounded.EndedError:
-        # Named, so that it has a row in a sweep, which says why.
+        entry = cache / "index" / f"{_key(path)}.json" if cache else None
+        known = _indexed(entry, path) if entry else None
+        if known is not None:
+            return known
+        found.extend(_guarded(path, lambda: _listed(path)))  # what came before an error stays
+        if entry:
+            _write_index(entry, found)
+    except _bounded.EndedError:
+        # Named, so that it has a row in a sweep, which gives the reason.
         count = len(found)
-        return [*found, Place(name=shown(f"{path.name} record {count}"), record=count, offset=-1)]
+        return [
+            *found,
+            RecordRef(file=path, name=shown(f"{path.name} record {count}"), record=count),
+        ]
     except (ReaderError, OSError):
-        return []  # no recording: nothing in it has an id
+        return []
+    return found
 
 
-def _all_places(path: Path) -> Iterator[Place]:
-    reader = _reader(path)
+def _listed(path: Path) -> Iterator[RecordRef]:
+    name = _accepting(path)
+    reader = _reader(name)
     if isinstance(reader, IndexedReader):
-        for place in reader.places(path):
-            yield replace(place, name=shown(place.name[:LONGEST_ID]))
+        for ref in reader.records(path):
+            yield replace(ref, name=shown(ref.name[:LONGEST_ID]), reader=name)
         return
-    for each in map(_told, reader.scenes(path)):
-        record = each.record if isinstance(each, Refusal) else each.source.record
-        yield Place(name=each.name, record=record, offset=0)
+    for each in _read(reader, path):
+        yield RecordRef(file=path, name=each.name, record=_number(each), reader=name)
 
 
-def _at(path: Path, place: Place) -> Scene:
-    for each in _bounded(path, lambda: _placed(path, place)):
-        if isinstance(each, Refusal):
-            raise ReaderError(each.reason)
-        return each
-    raise ReaderError(f"{path} has no record {place.record} any more; was it changed meanwhile?")
+def _key(path: Path) -> str:
+    """An index belongs to the file's path, size and time of change."""
+    state = path.stat()
+    text = f"{INDEX_VERSION}|{path.resolve()}|{state.st_size}|{state.st_mtime_ns}"
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _placed(path: Path, place: Place) -> Iterator[Scene | Refusal]:
-    """The scene at a place, or nothing."""
-    reader = _reader(path)
-    if isinstance(reader, IndexedReader) and place.offset >= 0:
-        yield _told(reader.scene_at(path, place))
-        return
-    for each in map(_told, reader.scenes(path)):
-        record = each.record if isinstance(each, Refusal) else each.source.record
-        if record == place.record:
-            yield each
-            return
+def _indexed(entry: Path, path: Path) -> list[RecordRef] | None:
+    """The index of a file; None if it is missing, damaged, or of a plug-in that is not there."""
+    try:
+        content = json.loads(entry.read_text(encoding="utf-8"))
+        reader = str(content["reader"])
+        if reader not in ("", *plugins.names("readers")):
+            return None
+        return [
+            RecordRef(
+                file=path,
+                name=str(name),
+                record=int(record),
+                reader=reader,
+                offset=None if offset is None else int(offset),
+            )
+            for name, record, offset in content["records"]
+        ]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _write_index(entry: Path, refs: Sequence[RecordRef]) -> None:
+    """Write an index; the file appears whole or not at all. Raises OSError."""
+    entry.parent.mkdir(parents=True, exist_ok=True)
+    content = {
+        "format_version": INDEX_VERSION,
+        "reader": refs[0].reader if refs else "",
+        "records": [(ref.name, ref.record, ref.offset) for ref in refs],
+    }
+    with tempfile.NamedTemporaryFile(
+        "w", dir=entry.parent, prefix=entry.name, suffix=".part", delete=False, encoding="utf-8"
+    ) as file:
+        json.dump(content, file)
+    os.replace(file.name, entry)  # noqa: PTH105 - `file.name` is text

@@ -20,15 +20,21 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """Where a scene lies in a file: its id, its number, and where its record begins.
+class RecordRef:
+    """Where a scene is recorded; with it `readers.read` finds the scene without a search.
 
-    A record without an id is named by its file and number, so that it is not lost silently.
+    Attributes:
+        name: the scene's id; of a record without one the file's name and the record's number.
+        record: index of the record in the file.
+        reader: the plug-in that reads the file; empty if the file could not be listed to its end.
+        offset: where the record starts, if the reader is an `IndexedReader`.
     """
 
+    file: Path
     name: str
     record: int
-    offset: int
+    reader: str = ""
+    offset: int | None = None
 
 
 class Reader(Protocol):
@@ -47,10 +53,10 @@ class Reader(Protocol):
 class IndexedReader(Protocol):
     """What a reader of files with many scenes offers besides: one scene without the others."""
 
-    def places(self, path: Path) -> Iterator[Place]:
-        """Where the file's scenes lie, in order, whether or not they can be used."""
+    def records(self, path: Path) -> Iterator[RecordRef]:
+        """The locations of the file's scenes in order, whether or not they can be used."""
         ...
 
-    def scene_at(self, path: Path, place: Place) -> Scene | Refusal:
-        """The scene at a place."""
+    def scene_at(self, ref: RecordRef) -> Scene | Refusal:
+        """The scene at a location."""
         ...

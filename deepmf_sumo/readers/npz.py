@@ -1,6 +1,15 @@
-"""The native format: one scene in one .npz file, without pickled objects; it loses nothing."""
+"""The package's own format: one scene in one .npz file, lossless and without pickled objects.
 
+Motion, signals and timestamps are arrays of their own. The points of all road features are in one
+array each (``road_points_m`` (P, 2), ``road_z_m`` (P)), feature after feature, in the order of the
+description: lanes, lines, edges, polygons, stop signs. The description is JSON and contains all
+other fields of the dataclasses under their names; a feature has its number of points besides.
+"""
+
+import dataclasses
+import functools
 import io
+import json
 import math
 import os
 import struct
@@ -9,18 +18,34 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, ClassVar, Final, get_args, get_origin, get_type_hints
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from deepmf_sumo import files
-from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.datatypes import (
+    Boundary,
+    Lane,
+    Neighbour,
+    Polygon,
+    Polyline,
+    RoadMap,
+    Scene,
+    Signals,
+    Source,
+    StopSign,
+    Tracks,
+)
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import checks, native
+from deepmf_sumo.readers import _checks, _single_file
 from deepmf_sumo.readers.base import Refusal
 
+FORMAT_VERSION: Final = 1
 LARGEST_FILE: Final = 2**27
 """Bytes that a file may unpack to. The largest scene seen has 8 MB."""
+
+Arrays = dict[str, np.ndarray]
 
 _NAME = "npz"
 _DAMAGES: Final = (
@@ -32,13 +57,13 @@ _DAMAGES: Final = (
 
 def write(scene: Scene, path: Path) -> None:
     """Write a scene; the file appears whole or not at all. Raises OSError."""
-    arrays: dict[str, Any] = native.to_arrays(scene)
+    arrays = _to_arrays(scene)
     with tempfile.NamedTemporaryFile(
         dir=path.parent, prefix=f".{path.name}", suffix=".part", delete=False
     ) as file:
         part = Path(file.name)
         try:
-            np.savez_compressed(file, **arrays)
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
             file.flush()
             os.fsync(file.fileno())
         except BaseException:
@@ -62,10 +87,7 @@ def accepts(path: Path) -> bool:
 
 def scenes(path: Path) -> Iterator[Scene | Refusal]:
     """The file's one scene, as it was written (its source is the original recording)."""
-    try:
-        yield _scene(path)
-    except ReaderError as error:
-        yield Refusal(file=str(path), record=0, name=path.stem, reason=str(error), dataset=_NAME)
+    return _single_file.found(path, _NAME, _scene)
 
 
 def _scene(path: Path) -> Scene:
@@ -77,32 +99,35 @@ def _scene(path: Path) -> Scene:
             f"{path} is damaged ({why}); write it again from the recording."
         ) from None
     version = arrays["format_version"]
-    if version.tolist() != native.FORMAT_VERSION:
+    if version.tolist() != FORMAT_VERSION:
         raise ReaderError(
-            f"{path} is of format version {str(version)[:40]}; this program reads "
-            f"{native.FORMAT_VERSION}. Write it again from the recording."
+            f"{path} has format version {str(version)[:40]}; this program reads "
+            f"{FORMAT_VERSION}. Write it again from the recording."
         )
     try:
-        return checks.confirmed(native.from_arrays(arrays))
+        return _checks.confirmed(_from_arrays(arrays))
     except ReaderError as error:
         raise ReaderError(f"{path} is not a scene: {error}.") from None
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """All arrays. Raises ReaderError where they are too large, and any of `_DAMAGES`."""
+# The archive
+
+
+def _arrays(path: Path) -> Arrays:
+    """All arrays. Raises ReaderError if they are too large, and any of `_DAMAGES`."""
     with files.opened(path) as file, zipfile.ZipFile(file) as archive:
         size = sum(member.file_size for member in archive.infolist())
         if size > LARGEST_FILE:
             raise ReaderError(
                 f"{path} unpacks to {size} bytes, more than the {LARGEST_FILE} allowed."
             )
-        return {name: _array(archive, f"{name}.npy") for name in native.NAMES}
+        return {name: _array(archive, f"{name}.npy") for name in _NAMES}
 
 
 def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """One array, whose items are as many as it says."""
+    """One array; its size is checked before numpy allocates it."""
     if archive.getinfo(name).compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-        raise ValueError(f"{name} is packed in another way than with deflate")
+        raise ValueError(f"{name} is not packed with deflate")
     content = io.BytesIO(archive.read(name))
     try:
         version = np.lib.format.read_magic(content)
@@ -116,5 +141,217 @@ def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
     if dtype.hasobject or min(shape, default=0) < 0 or needed != there:
         raise ValueError(f"{name} says {dtype} of shape {shape}, but has {there} bytes")
     content.seek(0)
-    array: np.ndarray = np.lib.format.read_array(content, allow_pickle=False)
-    return array
+    return np.lib.format.read_array(content, allow_pickle=False)
+
+
+# Fields of the dataclasses: arrays, points of road features, and those of the description
+
+
+def _hints(kind: type) -> dict[str, Any]:
+    """The types of a dataclass's fields, in order."""
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+def _letters(kind: type) -> dict[str, str]:
+    """The fields that are arrays, with numpy's letter for the kind of their numbers."""
+    return {
+        name: np.dtype(get_args(get_args(hint)[1])[0]).kind
+        for name, hint in _hints(kind).items()
+        if get_origin(hint) is np.ndarray
+    }
+
+
+@functools.cache
+def _described_fields(kind: type) -> dict[str, Any]:
+    """The fields that the description contains, and their types."""
+    apart = {"z_m", *_letters(kind), *_PARTS}
+    return {name: hint for name, hint in _hints(kind).items() if name not in apart}
+
+
+_PARTS: Final = {"tracks", "road", "signals"}
+_OPTIONAL: Final[dict[str, Any]] = {"gives_way_to": ()}
+"""Fields that are written only if they have a value: recordings do not know them."""
+_FEATURES: Final[dict[str, type]] = {
+    "lanes": Lane,
+    "lines": Polyline,
+    "edges": Polyline,
+    "polygons": Polygon,
+    "stop_signs": StopSign,
+}
+_POINTS: Final = {kind: next(iter(_letters(kind))) for kind in _FEATURES.values()}
+"""The field with the points of a feature; their heights are ``z_m``."""
+_LETTERS: Final = {
+    "timestamps_s": "f",
+    "road_points_m": "f",
+    "road_z_m": "f",
+    **{f"tracks_{name}": letter for name, letter in _letters(Tracks).items()},
+    **{f"signals_{name}": letter for name, letter in _letters(Signals).items()},
+}
+_NAMES: Final = ("format_version", "description", *_LETTERS)
+_CALLED: Final = {"b": "booleans", "u": "bytes", "f": "real numbers"}
+
+
+# Scene -> arrays
+
+
+def _to_arrays(scene: Scene) -> Arrays:
+    """The scene as arrays; `_from_arrays` returns an equal scene."""
+    points, heights = [np.zeros((0, 2))], [np.zeros(0)]
+    road: dict[str, list[dict[str, Any]]] = {key: [] for key in _FEATURES}
+    for key, kind in _FEATURES.items():
+        features = getattr(scene.road, key)
+        for feature in features.values() if key == "lanes" else features:
+            points.append(getattr(feature, _POINTS[kind]).reshape(-1, 2))
+            heights.append(np.atleast_1d(feature.z_m))
+            road[key].append(_plain(feature) | {"points": len(points[-1])})
+    description = _plain(scene) | _plain(scene.tracks)
+    description |= {"signal_lane_ids": scene.signals.lane_ids, "road": road}
+    text = json.dumps(description, default=dataclasses.asdict)
+    return {
+        "format_version": np.array(FORMAT_VERSION),
+        "description": np.frombuffer(text.encode(), "uint8"),
+        "timestamps_s": scene.timestamps_s,
+        "road_points_m": np.concatenate(points),
+        "road_z_m": np.concatenate(heights),
+        **{f"tracks_{name}": getattr(scene.tracks, name) for name in _letters(Tracks)},
+        **{f"signals_{name}": getattr(scene.signals, name) for name in _letters(Signals)},
+    }
+
+
+def _plain(value: Any) -> dict[str, Any]:
+    kind: type = type(value)
+    fields = {name: getattr(value, name) for name in _described_fields(kind)}
+    return {name: field for name, field in fields.items() if field or name not in _OPTIONAL}
+
+
+# Arrays -> scene
+
+
+class _Description(BaseModel):
+    """The described fields of a dataclass, checked key by key."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    of: ClassVar[type]
+
+    def built(self, **others: Any) -> Any:
+        """The dataclass, with ``others`` for the fields that are not in the description."""
+        fields = _described_fields(self.of)
+        return self.of(**{name: _built(value) for name, value in self if name in fields}, **others)
+
+
+def _built(value: Any) -> Any:
+    if isinstance(value, _Description):
+        return value.built()
+    return tuple(map(_built, value)) if isinstance(value, tuple) else value
+
+
+def _model(kind: type, **more: Any) -> type[_Description]:
+    """A model of the described fields of a dataclass, and of ``more`` keys."""
+    fields: dict[str, Any] = {
+        name: (_LIMITED.get((name, hint), _LIMITED.get(hint, hint)), _OPTIONAL.get(name, ...))
+        for name, hint in _described_fields(kind).items()
+    }
+    fields |= {name: (hint, ...) for name, hint in more.items()}
+    model = create_model(kind.__name__, __base__=_Description, **fields)
+    model.of = kind
+    return model
+
+
+_Count = Annotated[int, Field(ge=0, lt=2**31)]
+_Amount = Annotated[float, Field(ge=0, lt=1e6)]
+_LIMITED: Final[dict[Any, Any]] = {
+    int: Annotated[int, Field(ge=-1, lt=2**31)],  # WOMD's neighbours can end before they start
+    float: _Amount,
+    float | None: _Amount | None,
+    ("record", int): _Count,
+    ("now", int): _Count,
+    ("kind", int): Annotated[int, Field(ge=0, lt=256)],
+}
+"""Limits of numbers, by the field's name and type or by its type alone; and nested models."""
+_LIMITED[Source] = _model(Source)
+_LIMITED |= {tuple[kind, ...]: tuple[_model(kind), ...] for kind in (Neighbour, Boundary)}  # type: ignore[valid-type, misc]
+_ONE: Final = Annotated[int, Field(ge=1, le=1)]
+_ROAD: Final[dict[str, Any]] = {
+    key: (list[_model(kind, points=_ONE if kind is StopSign else _Count)], ...)  # type: ignore[misc]
+    for key, kind in _FEATURES.items()
+}
+_SCENE: Final = _model(
+    Scene,
+    **_described_fields(Tracks),
+    signal_lane_ids=tuple[str, ...],
+    road=create_model("Road", __base__=_Description, **_ROAD),
+)
+
+
+def _from_arrays(arrays: Arrays) -> Scene:
+    """The scene of the arrays `_NAMES`. Raises ReaderError, naming the field that is wrong."""
+    described = _parsed(arrays["description"].tobytes())
+    _check_arrays(arrays, described)
+    tracks = {name: arrays[f"tracks_{name}"] for name in _letters(Tracks)}
+    signals = {name: arrays[f"signals_{name}"] for name in _letters(Signals)}
+    return described.built(
+        timestamps_s=arrays["timestamps_s"],
+        tracks=Tracks(ids=described.ids, kinds=described.kinds, **tracks),
+        road=_road(described.road, arrays["road_points_m"], arrays["road_z_m"]),
+        signals=Signals(lane_ids=described.signal_lane_ids, **signals),
+    )
+
+
+def _parsed(text: bytes) -> Any:
+    try:
+        return _SCENE.model_validate_json(text)
+    except ValidationError as error:
+        first: Any = error.errors(include_url=False, include_context=False)[0]
+    key = ".".join(str(part) for part in first["loc"])
+    where = f"key '{key[:100]}' of its description" if key else "its description"
+    raise ReaderError(f"{where}: {first['msg'][:200]}")
+
+
+def _check_arrays(arrays: Arrays, described: Any) -> None:
+    """Raises ReaderError for an array whose type or shape contradicts the description."""
+    agents, signals = len(described.ids), len(described.signal_lane_ids)
+    if len(described.kinds) != agents:
+        raise ReaderError(f"'kinds' has {len(described.kinds)} items, but there are {agents} ids")
+    if described.av_id not in described.ids:
+        raise ReaderError(f"'av_id' is '{described.av_id}', but there is no such agent")
+    steps = arrays["timestamps_s"].size
+    points = sum(feature.points for key in _FEATURES for feature in getattr(described.road, key))
+    shapes = {
+        "timestamps_s": (steps,),
+        "road_points_m": (points, 2),
+        "road_z_m": (points,),
+        "tracks_size_m": (agents, 3),
+        "tracks_position_m": (agents, steps, 2),
+        "tracks_z_m": (agents, steps),
+        "tracks_heading_rad": (agents, steps),
+        "tracks_velocity_mps": (agents, steps, 2),
+        "tracks_valid": (agents, steps),
+        "signals_state": (signals, steps),
+        "signals_seen": (signals, steps),
+        "signals_stop_m": (signals, 2),
+        "signals_stop_z_m": (signals,),
+    }
+    for name, letter in _LETTERS.items():
+        array, shape = arrays[name], shapes[name]
+        if array.dtype.kind != letter:
+            raise ReaderError(f"array '{name}' contains {array.dtype}, not {_CALLED[letter]}")
+        if array.shape != shape:
+            raise ReaderError(f"array '{name}' has shape {array.shape}, not {shape}")
+
+
+def _road(described: Any, xy: np.ndarray, z: np.ndarray) -> RoadMap:
+    start = 0
+    road: dict[str, list[Any]] = {key: [] for key in _FEATURES}
+    for key, kind in _FEATURES.items():
+        for one in getattr(described, key):
+            stop = start + one.points
+            at: Any = (xy[start:stop], z[start:stop])
+            if kind is StopSign:
+                at = (xy[start], z.item(start))
+            road[key].append(one.built(**{_POINTS[kind]: at[0], "z_m": at[1]}))
+            start = stop
+    lanes = {lane.id: lane for lane in road.pop("lanes")}
+    if len(lanes) < len(described.lanes):
+        raise ReaderError("two lanes have the same id")
+    return RoadMap(lanes=lanes, **{key: tuple(features) for key, features in road.items()})

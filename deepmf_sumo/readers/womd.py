@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -13,29 +14,30 @@ from google.protobuf.message import DecodeError
 from deepmf_sumo.datatypes import (
     HISTORY_STEPS,
     AgentKind,
-    Boundary,
     Floats,
-    Lane,
-    Neighbour,
-    Polygon,
-    Polyline,
     RoadMap,
     Scene,
     Signals,
     Source,
-    StopSign,
 )
-from deepmf_sumo.datatypes.road import LaneKind
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import bounded, checks, framing
-from deepmf_sumo.readers.base import Place, Refusal
+from deepmf_sumo.readers import _bounded, _checks, _tfrecord
+from deepmf_sumo.readers._recording import (
+    MPS_PER_MPH,
+    Recording,
+    RecordingTracks,
+    RoadBuilder,
+    SignalsBuilder,
+    agent_at,
+    boundary,
+    lane_kind,
+    neighbour,
+)
+from deepmf_sumo.readers.base import RecordRef, Refusal
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
 
 KINDS: Final[tuple[AgentKind, ...]] = ("other", "vehicle", "pedestrian", "cyclist", "other")
 """By Track.ObjectType; unset is ``other``."""
-LANE_KINDS: Final[tuple[LaneKind, ...]] = ("unknown", "freeway", "street", "bike")
-"""By LaneCenter.type."""
-MPS_PER_MPH: Final = 0.44704
 _SHARD = re.compile(r"\.tfrecords?(-\d+-of-\d+)?(\.gz)?$")
 _NAME = "womd"
 _UNDECODABLE = (DecodeError, UnicodeDecodeError)
@@ -45,15 +47,15 @@ _ENOUGH = f"the rest of it was not read, since {_MOST_LOST} records could not be
 
 
 def accepts(path: Path) -> bool:
-    """Whether the file begins as a TFRecord does, or is named as one (a damaged one, then)."""
-    return framing.looks_framed(path) or _SHARD.search(path.name) is not None
+    """Whether the file starts as a TFRecord does, or is named like one (a damaged one, then)."""
+    return _tfrecord.looks_framed(path) or _SHARD.search(path.name) is not None
 
 
 def scenes(path: Path) -> Iterator[Scene | Refusal]:
     """The scenes of a TFRecord file in order."""
     lost = 0
-    for found in framing.records(path):
-        if isinstance(found, framing.Broken):
+    for found in _tfrecord.records(path):
+        if isinstance(found, _tfrecord.Broken):
             reason = f"{path} record {found.index}: {found.reason}."
             scene: Scene | Refusal = _refusal(path, found.index, "", reason)
         else:
@@ -61,30 +63,30 @@ def scenes(path: Path) -> Iterator[Scene | Refusal]:
         yield scene
         lost += isinstance(scene, Refusal)
         if lost == _MOST_LOST:
-            raise bounded.EndedError(_ENOUGH)
+            raise _bounded.EndedError(_ENOUGH)
 
 
-def places(path: Path) -> Iterator[Place]:
-    """Where the records of a TFRecord file lie; what has no id is called by file and number."""
+def records(path: Path) -> Iterator[RecordRef]:
+    """The locations of a TFRecord file's records; one without an id is named by its number."""
     lost = 0
-    for found in framing.records(path):
+    for found in _tfrecord.records(path):
         name = ""
-        if isinstance(found, framing.Record):
+        if isinstance(found, _tfrecord.Record):
             with suppress(*_UNDECODABLE):
                 name = pb.Scenario.FromString(found.payload).scenario_id
         lost += not name
         name = name or f"{path.name} record {found.index}"
-        yield Place(name=name, record=found.index, offset=found.offset)
+        yield RecordRef(file=path, name=name, record=found.index, offset=found.offset)
         if lost == _MOST_LOST:
-            raise bounded.EndedError(_ENOUGH)
+            raise _bounded.EndedError(_ENOUGH)
 
 
-def scene_at(path: Path, place: Place) -> Scene | Refusal:
-    """The scene at a place that `places` told. Raises ReaderError where no record is there."""
-    return _scene(path, framing.record_at(path, place.offset, place.record))
+def scene_at(ref: RecordRef) -> Scene | Refusal:
+    """The scene at a location from `records`. Raises ReaderError if there is no record."""
+    return _scene(ref.file, _tfrecord.record_at(ref.file, ref.offset or 0, ref.record))
 
 
-def _scene(path: Path, record: framing.Record) -> Scene | Refusal:
+def _scene(path: Path, record: _tfrecord.Record) -> Scene | Refusal:
     name = ""
     try:
         message = pb.Scenario.FromString(record.payload)
@@ -95,11 +97,11 @@ def _scene(path: Path, record: framing.Record) -> Scene | Refusal:
             record=record.index,
             sha256=hashlib.sha256(record.payload).hexdigest(),
         )
-        return checks.checked(_recording(message, source))
+        return _checks.checked(_recording(message, source))
     except _UNDECODABLE as error:
-        reason = "is no Scenario message. Is it a 'scenario' file, not a 'tf_example' one?"
+        reason = "is not a Scenario message. Is it a 'scenario' file, not a 'tf_example' one?"
         if "alloc failed" in str(error):  # a MemoryError by another name
-            reason = f"{bounded.TOO_LARGE}."
+            reason = f"{_bounded.TOO_LARGE}."
         return _refusal(path, record.index, name, f"{path} record {record.index}: {reason}")
     except ReaderError as error:
         return _refusal(path, record.index, name, str(error))
@@ -109,41 +111,42 @@ def _refusal(path: Path, record: int, name: str, reason: str) -> Refusal:
     return Refusal(file=str(path), record=record, name=name, reason=reason, dataset=_NAME)
 
 
-def _recording(message: pb.Scenario, source: Source) -> checks.Recording:
+def _recording(message: pb.Scenario, source: Source) -> Recording:
     where = f"{source.file} record {source.record}"
-    if not message.tracks or not message.scenario_id:
-        missing = "tracks" if not message.tracks else "scenario_id"
-        raise ReaderError(
-            f"{where}: no {missing}. Is it a 'scenario' file, not a 'tf_example' one?"
-        )
-    if len(message.map_features) > checks.MOST_FEATURES:
-        raise ReaderError(f"{where}: the map has more than {checks.MOST_FEATURES} features.")
+    _refuse(message, where)
     ids = [str(track.id) for track in message.tracks]
-    return checks.Recording(
+    try:
+        av_id = agent_at(ids, message.sdc_track_index, "sdc_track_index")
+        to_predict = tuple(
+            agent_at(ids, wanted.track_index, "tracks_to_predict")
+            for wanted in message.tracks_to_predict
+        )
+    except ValueError as error:
+        raise ReaderError(f"{where}: {error}.") from None
+    return Recording(
         name=message.scenario_id,
         source=source,
         # Files of 20 s have their current step at 0, which leaves no history to predict from.
         now=max(message.current_time_index, HISTORY_STEPS - 1),
         timestamps_s=np.fromiter(message.timestamps_seconds, float),
-        tracks=_tracks(message, ids, where),
+        tracks=_tracks(message, ids),
         road=_road(message.map_features),
         signals=_signals(message.dynamic_map_states),
-        av_id=_by_index(ids, message.sdc_track_index, f"{where}: sdc_track_index"),
+        av_id=av_id,
         interest=tuple(str(agent) for agent in message.objects_of_interest),
-        to_predict=tuple(
-            _by_index(ids, wanted.track_index, f"{where}: tracks_to_predict")
-            for wanted in message.tracks_to_predict
-        ),
+        to_predict=to_predict,
     )
 
 
-def _by_index(ids: list[str], index: int, what: str) -> str:
-    if not 0 <= index < len(ids):
-        raise ReaderError(f"{what} is {index}, but there are {len(ids)} tracks.")
-    return ids[index]
-
-
-def _tracks(message: pb.Scenario, ids: list[str], where: str) -> checks.RecordingTracks:
+def _refuse(message: pb.Scenario, where: str) -> None:
+    """Raises ReaderError for what is missing or too large, before arrays are made of it."""
+    if not message.tracks or not message.scenario_id:
+        missing = "tracks" if not message.tracks else "scenario_id"
+        raise ReaderError(
+            f"{where}: no {missing}. Is it a 'scenario' file, not a 'tf_example' one?"
+        )
+    if len(message.map_features) > _checks.MOST_FEATURES:
+        raise ReaderError(f"{where}: the map has more than {_checks.MOST_FEATURES} features.")
     steps = len(message.timestamps_seconds)
     for track in message.tracks:
         if len(track.states) != steps:
@@ -151,10 +154,13 @@ def _tracks(message: pb.Scenario, ids: list[str], where: str) -> checks.Recordin
                 f"{where}: track {track.id} has {len(track.states)} states, "
                 f"but there are {steps} timestamps."
             )
-    if steps * len(ids) > checks.MOST_STATES:
-        raise ReaderError(f"{where}: has more than {checks.MOST_STATES} states.")
+    if steps * len(message.tracks) > _checks.MOST_STATES:
+        raise ReaderError(f"{where}: has more than {_checks.MOST_STATES} states.")
+
+
+def _tracks(message: pb.Scenario, ids: list[str]) -> RecordingTracks:
     values = np.array([_states(track) for track in message.tracks])
-    return checks.RecordingTracks(
+    return RecordingTracks(
         ids=ids,
         kinds=[KINDS[track.object_type] for track in message.tracks],
         position_m=values[..., :3],
@@ -180,111 +186,61 @@ def _states(track: pb.Track) -> Floats:
 
 def _signals(states: Iterable[pb.DynamicMapState]) -> Signals:
     per_step = [list(step.lane_states) for step in states]
-    lane_ids = list(dict.fromkeys(light.lane for step in per_step for light in step))
-    rows = {lane: row for row, lane in enumerate(lane_ids)}
-    shape = (len(lane_ids), len(per_step))
-    state, seen = np.zeros(shape, "uint8"), np.zeros(shape, bool)
-    stop = np.zeros((len(lane_ids), 3))
+    rows: dict[int, int] = {}
+    for light in (light for step in per_step for light in step):
+        rows.setdefault(light.lane, len(rows))
+    signals = SignalsBuilder([str(lane) for lane in rows], len(per_step))
     for step, lights in enumerate(per_step):
         for light in lights:
-            row = rows[light.lane]
-            state[row, step], seen[row, step] = light.state, True
-            point = light.stop_point
-            stop[row] = point.x, point.y, point.z
-    return Signals(
-        lane_ids=tuple(str(lane) for lane in lane_ids),
-        state=state,
-        seen=seen,
-        stop_m=stop[:, :2],
-        stop_z_m=stop[:, 2],
-    )
+            row, point = rows[light.lane], light.stop_point
+            signals.state[row, step], signals.seen[row, step] = light.state, True
+            signals.stop_m[row] = point.x, point.y, point.z
+    return signals.built()
 
 
 def _road(features: Iterable[pb.MapFeature]) -> RoadMap:
-    lanes: dict[str, Lane] = {}
-    lines: list[Polyline] = []
-    edges: list[Polyline] = []
-    polygons: list[Polygon] = []
-    signs: list[StopSign] = []
+    road = RoadBuilder()
     for feature in features:
         name = str(feature.id)
         match feature.WhichOneof("feature_data"):
             case "lane":
-                lanes[name] = _lane(name, feature.lane)
+                _add_lane(road, name, feature.lane)
             case "road_line":
-                lines.append(_polyline(name, feature.road_line))
+                road.line(name, feature.road_line.type, _points(feature.road_line.polyline))
             case "road_edge":
-                edges.append(_polyline(name, feature.road_edge))
+                road.edge(name, feature.road_edge.type, _points(feature.road_edge.polyline))
             case "stop_sign":
-                signs.append(_stop_sign(name, feature.stop_sign))
+                sign = feature.stop_sign
+                road.stop_sign(name, _points([sign.position])[0], tuple(map(str, sign.lane)))
             case "crosswalk" | "speed_bump" | "driveway" as kind:
-                points = _points(getattr(feature, kind).polygon)
-                polygons.append(
-                    Polygon(id=name, kind=kind, points_m=points[:, :2], z_m=points[:, 2])
-                )
+                road.polygon(name, kind, _points(getattr(feature, kind).polygon))
             case _:
                 pass  # a kind of feature that is newer than this reader
-    return RoadMap(
-        lanes=lanes,
-        lines=tuple(lines),
-        edges=tuple(edges),
-        polygons=tuple(polygons),
-        stop_signs=tuple(signs),
+    return road.built()
+
+
+def _add_lane(road: RoadBuilder, name: str, lane: pb.LaneCenter) -> None:
+    left, right = (
+        tuple(neighbour(partial(getattr, one)) for one in side)
+        for side in (lane.left_neighbors, lane.right_neighbors)
     )
-
-
-def _lane(name: str, lane: pb.LaneCenter) -> Lane:
-    points = _points(lane.polyline)
-    return Lane(
-        id=name,
-        kind=LANE_KINDS[lane.type] if 0 <= lane.type < len(LANE_KINDS) else "unknown",
-        centre_m=points[:, :2],
-        z_m=points[:, 2],
+    left_boundaries, right_boundaries = (
+        tuple(boundary(partial(getattr, one), one.boundary_type) for one in side)
+        for side in (lane.left_boundaries, lane.right_boundaries)
+    )
+    road.lane(
+        name,
+        lane_kind(lane.type),
+        _points(lane.polyline),
         interpolating=lane.interpolating,
         speed_limit_mps=lane.speed_limit_mph * MPS_PER_MPH if lane.speed_limit_mph > 0 else None,
         next=tuple(str(other) for other in lane.exit_lanes),
         previous=tuple(str(other) for other in lane.entry_lanes),
-        left=_neighbours(lane.left_neighbors),
-        right=_neighbours(lane.right_neighbors),
-        left_boundaries=_boundaries(lane.left_boundaries),
-        right_boundaries=_boundaries(lane.right_boundaries),
+        left=left,
+        right=right,
+        left_boundaries=left_boundaries,
+        right_boundaries=right_boundaries,
     )
-
-
-def _neighbours(neighbours: Iterable[pb.LaneNeighbor]) -> tuple[Neighbour, ...]:
-    return tuple(
-        Neighbour(
-            lane_id=str(neighbour.feature_id),
-            self_start=neighbour.self_start_index,
-            self_end=neighbour.self_end_index,
-            other_start=neighbour.neighbor_start_index,
-            other_end=neighbour.neighbor_end_index,
-        )
-        for neighbour in neighbours
-    )
-
-
-def _boundaries(segments: Iterable[pb.BoundarySegment]) -> tuple[Boundary, ...]:
-    return tuple(
-        Boundary(
-            start=segment.lane_start_index,
-            end=segment.lane_end_index,
-            feature_id=str(segment.boundary_feature_id),
-            kind=segment.boundary_type,
-        )
-        for segment in segments
-    )
-
-
-def _stop_sign(name: str, sign: pb.StopSign) -> StopSign:
-    position = np.array([sign.position.x, sign.position.y])
-    lanes = tuple(str(lane) for lane in sign.lane)
-    return StopSign(id=name, position_m=position, z_m=sign.position.z, lane_ids=lanes)
-
-
-def _polyline(name: str, feature: pb.RoadLine | pb.RoadEdge) -> Polyline:
-    points = _points(feature.polyline)
-    return Polyline(id=name, kind=feature.type, points_m=points[:, :2], z_m=points[:, 2])
 
 
 def _points(points: Iterable[pb.MapPoint]) -> Floats:

@@ -7,8 +7,8 @@ from itertools import chain
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Event, Floats, Plan, Turn, TurnRules, View
+from deepmf_sumo.datatypes.plan import TurnEnd
 from deepmf_sumo.datatypes.rollout import decisive
-from deepmf_sumo.datatypes.turn import TurnEnd
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.geometry.ground import clear, distance_m

@@ -199,7 +199,11 @@ def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
     from deepmf_sumo.benchmark import tasks as batch_tasks
     from deepmf_sumo.benchmark.starter import paper_plan
 
-    monkeypatch.setattr(readers, "ids", lambda path, cache: ["a", "b"])
+    found = [
+        readers.RecordRef(file=tmp_path, name=name, record=number)
+        for number, name in enumerate("ab")
+    ]
+    monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
     assert batch_tasks.readers is readers
     loaded = study.load(paper_plan(), [f'source.recording="{tmp_path}"'])
     rows, planned = rows_of(loaded, tmp_path)

@@ -26,7 +26,11 @@ def test_slugs_of_lossy_names_differ():
 @pytest.fixture
 def recording(tiny, monkeypatch):
     (tiny / "val").mkdir(exist_ok=True)
-    monkeypatch.setattr(readers, "ids", lambda path, cache: ["a1", "b2", "c3", "a1"])
+    found = [
+        readers.RecordRef(file=tiny / "val" / "one", name=name, record=number)
+        for number, name in enumerate(["a1", "b2", "c3", "a1"])
+    ]
+    monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
 
     def load(scenes: str):
         source = f"{{recording: val, scenes: {scenes}}}"
@@ -44,6 +48,8 @@ def test_scenes_of_a_recording(recording, tmp_path, scenes, expected):
     assert [task.scene for task in planned] == expected
     assert [task.run_id for task in planned] == [f"rec--{scene}--0" for scene in expected]
     assert planned[0].resolved()["source"]["scenes"] == [expected[0]]
+    assert [task.record.name for task in planned] == expected
+    assert all(task.record.record < 3 for task in planned)  # the first of two with one id
 
 
 def test_unknown_scene(recording, tmp_path):

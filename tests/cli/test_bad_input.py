@@ -14,14 +14,14 @@ import pytest
 import tiny_network
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.readers import framing
+from deepmf_sumo.readers import _tfrecord
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "readers"))
 from recordings_by_hand import scenario
 
 
 def record(message):
-    return framing.framed(message.SerializeToString())
+    return _tfrecord.framed(message.SerializeToString())
 
 
 def without_lanes():
@@ -99,7 +99,7 @@ def test_damaged_records_are_rows_and_the_others_run(recordings, tmp_path, capsy
         "b.tfrecord record 0": ("skipped", "the checksum of its content is wrong"),
         "c.tfrecord record 0": ("skipped", "is cut off"),
         "d.tfrecord.gz record 0": ("skipped", "cannot be read"),
-        "e": ("skipped", "names 'collections.Counter', which is no plain data"),
+        "e": ("skipped", "names 'collections.Counter', which is not plain data"),
     }
     for name, (status, reason) in reasons.items():
         assert found[name]["status"] == status, name
@@ -115,7 +115,7 @@ def test_scenes_convert_and_run_agree_on_what_is_no_recording(recordings, tmp_pa
             assert main._run([*more, str(tmp_path / name)]) == 3
             assert f"There is no scene in {tmp_path / name}." in capsys.readouterr().err
     assert main._run(["scenes", str(recordings / "f.txt")]) == 3
-    assert "f.txt is of no known format" in capsys.readouterr().err
+    assert "f.txt has an unknown format" in capsys.readouterr().err
 
 
 def test_a_batch_of_which_nothing_can_be_read_is_no_success(recordings, tmp_path):

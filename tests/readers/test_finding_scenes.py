@@ -42,17 +42,17 @@ def test_scenes_of_all_formats_and_a_refusal_for_what_is_none(data):
     assert names(found) == ["x", "y", "z", "g"]
     (refusal,) = [one for one in found if isinstance(one, Refusal)]
     assert refusal.file.endswith("README")
-    assert "no known format; known are gpudrive, npz, scenarionet, womd" in refusal.reason
+    assert "has an unknown format; known are gpudrive, npz, scenarionet, womd" in refusal.reason
 
 
 def test_the_only_file_must_be_a_recording(data):
-    with pytest.raises(ReaderError, match="no known format"):
+    with pytest.raises(ReaderError, match="has an unknown format"):
         readers.scenes([data / "README"])
 
 
 def test_scenes_come_one_at_a_time(tmp_path, monkeypatch):
     read = tmp_path / "read"
-    original = womd.framing.records
+    original = womd._tfrecord.records
 
     def watched(path):
         for record in original(path):
@@ -60,7 +60,7 @@ def test_scenes_come_one_at_a_time(tmp_path, monkeypatch):
                 noted.write(f"{record.index}\n")
             yield record
 
-    monkeypatch.setattr(womd.framing, "records", watched)
+    monkeypatch.setattr(womd._tfrecord, "records", watched)
     shard = by_hand.shard(tmp_path / "b.tfrecord", *([by_hand.scenario()] * 50))
     stream = readers.scenes([shard])
     next(stream)
@@ -80,9 +80,43 @@ def test_ids_and_scenes_by_id(data, tmp_path):
 def test_a_scene_by_id_is_found_again_without_a_search(data, tmp_path, monkeypatch):
     file, cache = data / "b.tfrecord", tmp_path / "cache"
     first = readers.scene(file, "y", cache)
-    monkeypatch.setattr(womd, "places", lambda path: pytest.fail("searched again"))
+    monkeypatch.setattr(womd, "records", lambda path: pytest.fail("searched again"))
     again = readers.scene(file, "y", cache)
     assert again.source == first.source
+
+
+def test_a_listed_scene_is_read_without_a_search(data, tmp_path, monkeypatch):
+    refs = list(readers.records(data, tmp_path / "cache"))
+    assert [(ref.name, ref.record, ref.reader) for ref in refs] == [
+        ("x", 0, "womd"),
+        ("y", 1, "womd"),
+        ("z", 2, "womd"),
+        ("g", 0, "gpudrive"),
+    ]
+    assert refs == list(readers.records(data, tmp_path / "cache")) == list(readers.records(data))
+    for search in ("find", "_accepting", "_records"):
+        monkeypatch.setattr(readers, search, lambda *_: pytest.fail("searched again"))
+    monkeypatch.setattr(womd, "records", lambda path: pytest.fail("searched again"))
+    monkeypatch.setattr(womd, "scenes", lambda path: pytest.fail("read the others"))
+    assert [readers.read(ref).name for ref in refs] == ["x", "y", "z", "g"]
+
+
+def test_a_file_that_changed_after_it_was_listed_is_an_error(tmp_path):
+    file = by_hand.shard(tmp_path / "one.tfrecord", *(by_hand.scenario(name=one) for one in "xy"))
+    first, second = readers.records(file)
+    by_hand.shard(file, by_hand.scenario(name="z"))
+    with pytest.raises(ReaderError, match="no longer has the scene 'x' as record 0"):
+        readers.read(first)
+    with pytest.raises(ReaderError, match="the file ends before it"):
+        readers.read(second)
+
+
+def test_an_index_of_a_plug_in_that_is_not_there_is_made_again(data, tmp_path):
+    file, cache = data / "b.tfrecord", tmp_path / "cache"
+    expected = list(readers.records(file, cache))
+    (entry,) = (cache / "index").iterdir()
+    entry.write_text(entry.read_text().replace('"womd"', '"gone"'))
+    assert list(readers.records(file, cache)) == expected
 
 
 def test_a_changed_file_and_a_damaged_index_are_searched_again(data, tmp_path):
@@ -115,7 +149,7 @@ def test_every_reader_keeps_the_contract(name, tmp_path):
     assert reader.accepts(tmp_path / "missing") is False
 
 
-def test_womd_offers_places():
+def test_womd_finds_records_by_their_location():
     assert isinstance(womd, IndexedReader)
 
 

@@ -145,7 +145,7 @@ def test_scenarionet_early_crosswalks_and_unknown_types(original, described, unp
     assert np.array_equal(scene.road.polygons[0].points_m, original.road.polygons[0].points_m)
     assert scene.road.lanes["100"].kind == "unknown"
     assert [(one.id, one.kind) for one in scene.road.lines] == [("200", 0)]
-    assert scene.repairs == ("Map features of unknown kinds were left out: FOUNTAIN.",)
+    assert scene.repairs == ("Map features of unknown kinds were dropped: FOUNTAIN.",)
 
 
 def test_scenarionet_without_labels_and_names(described, unpickled):
@@ -178,7 +178,7 @@ class Harm:
         (lambda d: d["metadata"].update(metadrive_processed=True), "recorded in MetaDrive"),
         (lambda d: d["tracks"]["7"]["state"].pop("heading"), "lacks the key 'heading'"),
         (lambda d: d["tracks"]["7"]["state"].update(heading=np.zeros(5)), "5 values, not 91"),
-        (lambda d: d["tracks"]["7"].update(state=None), "no valid scene"),
+        (lambda d: d["tracks"]["7"].update(state=None), "not a valid scene"),
         (lambda d: d.update(map_features={}), "no lanes"),
     ],
 )
@@ -228,7 +228,7 @@ def test_signals_without_lane_ids_go_to_the_lane_at_their_stop_point(original, d
     scene = parsed(early)
     assert scene.signals.lane_ids == ("2",)
     assert np.array_equal(scene.signals.state, original.signals.state)
-    assert "1 signals were given to the lanes" in scene.repairs[0]
+    assert "1 signals were assigned to the lanes" in scene.repairs[0]
     assert "977" in scene.repairs[1]
 
 
@@ -255,7 +255,7 @@ def test_markers_in_valid_states_and_zero_sizes_are_mended(drive, parsed):
     assert not scene.tracks.valid[0, 40]
     assert scene.tracks.size_m[0].tolist() == [4.7, 2.0, 1.7]
     assert [" ".join(one.split()[:3]) for one in scene.repairs] == [
-        "1 states are",
+        "1 valid states",
         "Agent 7 has",
     ]
 
@@ -268,9 +268,9 @@ def test_markers_in_valid_states_and_zero_sizes_are_mended(drive, parsed):
         (lambda d: d.update(ego_idx=3), "re-sampled"),
         (lambda d: d["objects"][2].update(length=4.0) or d.pop("metadata"), "the AV is not named"),
         (lambda d: d["metadata"].update(sdc_track_index=9), "sdc_track_index is 9"),
-        (lambda d: d["objects"][0].update(heading=[0.0]), "no valid scene"),
+        (lambda d: d["objects"][0].update(heading=[0.0]), "not a valid scene"),
         (lambda d: d["roads"][1].update(id=100), "two lanes have the id 100"),
-        (lambda d: d["objects"][0].update(position=None), "no valid scene"),
+        (lambda d: d["objects"][0].update(position=None), "not a valid scene"),
     ],
 )
 def test_unusable_json_is_refused(drive, parsed, damage, said):

@@ -15,16 +15,18 @@ from deepmf_sumo.benchmark.study.plan import Loaded, Plan, Subset
 from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.errors import PluginError, SpecError, WeightsError
+from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.spec import First, FromNetwork, SearchBudget, Spec
 from deepmf_sumo.spec.document import Document
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """A scene; ``source`` is the number of its source in the plan."""
+    """A scene; ``source`` is the number of its source in the plan, ``record`` as of `Task`."""
 
     source: int
     scene: str
+    record: RecordRef | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,8 +47,13 @@ class Entry:
         for place in self.situations:
             for seed in seeds:
                 one = self.specs[place.source].model_copy(update={"seed": seed})
-                run_id = tasks.run_id_of(one, place.scene)
-                yield Task(run_id=run_id, spec=one, scene=place.scene, label=self.label)
+                yield Task(
+                    run_id=tasks.run_id_of(one, place.scene),
+                    spec=one,
+                    scene=place.scene,
+                    label=self.label,
+                    record=place.record,
+                )
 
 
 def entries_of(loaded: Loaded, cache: Path) -> list[Entry]:
@@ -146,11 +153,11 @@ def _situations(plan: Plan, specs: Sequence[Spec], cache: Path) -> tuple[Situati
     found = []
     for number, one in enumerate(specs):
         source = one.source
-        for scene in tasks.scenes(one, cache):
+        for scene, record in tasks.scenes(one, cache):
             name = scene
             if isinstance(source, FromNetwork) and stems[scene] > 1:
                 name = f"{scene} {source.start_s:g} s {source.av.vehicle}"
-            found.append(Situation(source=number, scene=name))
+            found.append(Situation(source=number, scene=name, record=record))
     names = Counter(place.scene for place in found)
     twice = [name for name, number in names.items() if number > 1]
     if twice:

@@ -14,7 +14,7 @@ import numpy as np
 from deepmf_sumo import plugins, readers
 from deepmf_sumo.cli import main, scenes  # noqa: F401 - loaded once, not in each process
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.readers import framing, npz, womd
+from deepmf_sumo.readers import _tfrecord, npz, womd
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
 from tests.fuzz import mutators, runner
 
@@ -40,16 +40,16 @@ def _used(path: Path, out: Path) -> None:
         raise DeepmfError("a scene was refused")
 
 
-def _tfrecord(folder: Path) -> Path:
+def _shard(folder: Path) -> Path:
     messages = [by_hand.scenario(name=name) for name in ("one", "two")]
     return by_hand.shard(folder / "scenes.tfrecord", *messages)
 
 
-def _change_tfrecord(rng: random.Random, path: Path) -> None:
+def _change_shard(rng: random.Random, path: Path) -> None:
     if rng.random() < 0.3:  # the framing
         mutators.file(rng, path)
         return
-    payloads = [one.payload for one in framing.records(path) if isinstance(one, framing.Record)]
+    payloads = [one.payload for one in _tfrecord.records(path) if isinstance(one, _tfrecord.Record)]
     at = rng.randrange(len(payloads))
     if rng.random() < 0.4:
         payloads[at] = mutators.damage(rng, payloads[at])
@@ -58,7 +58,7 @@ def _change_tfrecord(rng: random.Random, path: Path) -> None:
         for _ in range(rng.randint(1, 3)):
             _bend_message(rng, message)
         payloads[at] = message.SerializeToString()
-    path.write_bytes(b"".join(map(framing.framed, payloads)))
+    path.write_bytes(b"".join(map(_tfrecord.framed, payloads)))
 
 
 def _bend_message(rng: random.Random, message: Any) -> None:
@@ -201,7 +201,7 @@ def _member(array: np.ndarray) -> bytes:
 
 
 KINDS = (
-    runner.Kind("womd", _tfrecord, _change_tfrecord, _used),
+    runner.Kind("womd", _shard, _change_shard, _used),
     runner.Kind("scenarionet", _pickle, _change_pickle, _used),
     runner.Kind("gpudrive", _json, _change_json, _used),
     runner.Kind("nocturne", _early_json, _change_json, _used),

@@ -1,9 +1,13 @@
 """Unpickling with a list of allowed names.
 
-A pickle is a program: it may call whatever it names. This reader lets it name numpy's way to
-rebuild arrays and scalars, plain containers, and the one dict subclass that old ScenarioNet files
-use; everything else is refused by name before it is looked up. What is allowed is replaced where
-the original could be made to reserve memory at will, or believes what the pickle says of itself.
+A pickle is a program: it can call everything that it names. This reader allows the functions with
+which numpy rebuilds arrays and scalars, plain containers, and the one dict subclass of old
+ScenarioNet files; all other names are refused before they are looked up. An allowed function is
+replaced where the original could reserve any amount of memory, or trusts the pickle's claims.
+
+A small pickle can also unfold: a list that contains one list twice, which contains another twice,
+and so on, takes some bytes, and gigabytes once it becomes text or an array. `check_extent` refuses
+those.
 """
 
 import collections
@@ -11,18 +15,21 @@ import math
 import pickle
 import pickletools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from io import BytesIO
 from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from deepmf_sumo.readers.pickles.extent import check_extent
-
 MOST_OPERATIONS: Final = 2_000_000
-"""Of one pickle; the largest scene seen has 100 000. Each takes up to some hundred bytes."""
+"""Of one pickle; the largest scene seen has 100 000. Each needs up to some hundred bytes."""
 LARGEST_NUMBER: Final = 8
 """Bytes of a whole number. Longer ones can be chosen so that a dict of them takes hours to fill."""
+
+DEEPEST: Final = 16
+"""Containers in containers; scenes have 7."""
+MOST_ITEMS: Final = 10_000_000
+"""Of all containers and arrays, counted at each occurrence; large scenes have 1 000 000."""
 
 _DTYPE: Final = re.compile(r"[biufSUO][0-9]{1,4}")
 _MOST_DIMENSIONS: Final = 8
@@ -33,30 +40,30 @@ class ForbiddenClassError(pickle.UnpicklingError):
     """The pickle names something that is not on the list."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"it names '{name[:100]}', which is no plain data and was not loaded")
+        super().__init__(f"it names '{name[:100]}', which is not plain data and was not loaded")
 
 
 class _Fixed(type):
-    """A class that a pickle cannot change: it can set attributes of all that it can name."""
+    """A class that a pickle cannot change: pickles can set attributes of everything they name."""
 
     def __setattr__(cls, name: str, value: object) -> NoReturn:
         raise pickle.UnpicklingError(f"it sets '{name}' of a class")
 
 
 class ScenarioDescription(dict, metaclass=_Fixed):  # type: ignore[type-arg]
-    """Stands for MetaDrive's class of this name, which is a dict without state of its own."""
+    """Replaces MetaDrive's class of this name, which is a dict without state of its own."""
 
     __slots__ = ()
 
 
 class _TypeName(metaclass=_Fixed):
-    """Stands for a type that a pickle names as an argument: it can be named, but builds nothing."""
+    """Replaces a type that a pickle names as an argument: it can be named, but builds nothing."""
 
     __slots__ = ()
 
 
 class _Function:
-    """A function that a pickle may call, but not change."""
+    """A function that a pickle can call, but not change."""
 
     __slots__ = ("_call",)
 
@@ -71,7 +78,7 @@ class _Function:
 
 
 def load_plain(content: bytes) -> Any:
-    """What the pickle holds, not deeper or larger than `check_extent` allows.
+    """The content of a pickle, at most as deep and large as `check_extent` allows.
 
     Raises:
         ForbiddenClassError: it names a class or function that is not allowed.
@@ -89,7 +96,7 @@ def load_plain(content: bytes) -> Any:
 
 
 def _check_operations(content: bytes) -> None:
-    """Refuse what only an attack on memory or time does."""
+    """Refuse operations that only an attack on memory or time contains."""
     for count, (opcode, argument, _) in enumerate(pickletools.genops(content)):
         if count >= MOST_OPERATIONS:
             raise pickle.UnpicklingError(f"it has more than {MOST_OPERATIONS} operations")
@@ -98,36 +105,36 @@ def _check_operations(content: bytes) -> None:
             raise pickle.UnpicklingError(f"it stores to memo entry {argument}")
         bits = argument.bit_length() if isinstance(argument, int) else 0
         if bits > 8 * LARGEST_NUMBER:
-            raise pickle.UnpicklingError(f"it holds a number of {bits} bits")
+            raise pickle.UnpicklingError(f"it contains a number of {bits} bits")
 
 
 class _DType:
-    """Stands for ``numpy.dtype``: numbers, booleans, text, objects, and their byte order.
+    """Replaces ``numpy.dtype``: numbers, booleans, text, objects, and their byte order.
 
-    The state that a pickle gives a real dtype can hold flags that make numpy take numbers for
-    pointers; here only the byte order is taken from it.
+    The state that a pickle gives a real dtype can contain flags that make numpy use numbers as
+    pointers; here only the byte order is read from it.
     """
 
     __slots__ = ("real",)
 
     def __init__(self, code: Any, *_: Any) -> None:
         if not isinstance(code, str) or not _DTYPE.fullmatch(code):
-            raise pickle.UnpicklingError(f"it holds an array of type {_told(code)}")
+            raise pickle.UnpicklingError(f"it contains an array of type {_told(code)}")
         self.real = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
         order = state[1]
         if order not in ("<", ">", "|", "="):
-            raise pickle.UnpicklingError(f"it holds an array of byte order {_told(order)}")
+            raise pickle.UnpicklingError(f"it contains an array of byte order {_told(order)}")
         if order in ("<", ">"):
             self.real = self.real.newbyteorder(order)
 
 
 class _Array(np.ndarray):
-    """An array that is filled once, by a state that cannot lie.
+    """An array that is filled once, by a state that was checked.
 
-    numpy copies as many pointers out of a list as the shape says, without looking at its length,
-    and frees what an array held before though a view may still show it.
+    numpy copies as many pointers from a list as the shape demands, without checking its length,
+    and frees the array's former content even if a view still shows it.
     """
 
     _filled = False
@@ -143,10 +150,10 @@ class _Array(np.ndarray):
 
 
 def _check_content(shape: Any, dtype: np.dtype[Any], content: Any) -> None:
-    """An array's items are there: a list of objects, or the bytes of all others."""
+    """Refuse an array without all its items: a list of objects, or the bytes of other types."""
     sound = isinstance(shape, tuple) and len(shape) <= _MOST_DIMENSIONS
     if not sound or not all(type(size) is int and 0 <= size < 2**31 for size in shape):
-        raise pickle.UnpicklingError(f"it holds an array of shape {_told(shape)}")
+        raise pickle.UnpicklingError(f"it contains an array of shape {_told(shape)}")
     # numpy multiplies the sizes that are not 0, too
     count, extent = math.prod(shape), math.prod(size for size in shape if size)
     if dtype.hasobject:
@@ -156,12 +163,12 @@ def _check_content(shape: Any, dtype: np.dtype[Any], content: Any) -> None:
     if there != needed or extent >= 2**31:
         kind = "objects" if dtype.hasobject else "bytes"
         raise pickle.UnpicklingError(
-            f"it holds an array of shape {_told(shape)} with {there} {kind}, not {needed}"
+            f"it contains an array of shape {_told(shape)} with {there} {kind}, not {needed}"
         )
 
 
 def _told(value: Any) -> str:
-    """A value in an error message: what it holds may be without end."""
+    """A value in an error message, cut: it can be arbitrarily long."""
     plain = isinstance(value, int) or (
         isinstance(value, tuple) and all(type(one) is int for one in value[:10])
     )
@@ -176,7 +183,7 @@ def _told(value: Any) -> str:
 
 def _real(dtype: Any) -> np.dtype[Any]:
     if type(dtype) is not _DType:
-        raise pickle.UnpicklingError(f"it holds an array of type {type(dtype).__name__}")
+        raise pickle.UnpicklingError(f"it contains an array of type {type(dtype).__name__}")
     return dtype.real
 
 
@@ -190,7 +197,7 @@ def _scalar(dtype: Any, content: Any) -> Any:
     raw = content.encode("latin1") if isinstance(content, str) else content
     real = _real(dtype)
     if real.hasobject:
-        raise pickle.UnpicklingError("it holds a scalar of type 'object'")
+        raise pickle.UnpicklingError("it contains a scalar of type 'object'")
     _check_content((), real, raw)
     return np.frombuffer(raw, dtype=real, count=1)[0]
 
@@ -199,7 +206,7 @@ def _from_buffer(content: Any, dtype: Any, shape: Any, order: Any) -> np.ndarray
     """``numpy._core.numeric._frombuffer``: arrays in pickles of protocol 5."""
     raw, real = bytes(content) if type(content) is bytearray else content, _real(dtype)
     if real.hasobject:
-        raise pickle.UnpicklingError("it takes numbers for objects")
+        raise pickle.UnpicklingError("it uses numbers as objects")
     _check_content(shape, real, raw)
     return np.frombuffer(raw, dtype=real).reshape(shape, order=order)
 
@@ -217,7 +224,7 @@ def _no_bytes() -> bytes:
 
 
 def _default_dict(factory: Any = None) -> dict[Any, Any]:  # noqa: ARG001
-    """``collections.defaultdict`` as a plain dict: nothing asks it for keys that it lacks."""
+    """``collections.defaultdict`` as a plain dict: no code looks up its missing keys."""
     return {}
 
 
@@ -246,15 +253,55 @@ _ALLOWED: Final[dict[tuple[str, str], Callable[..., Any]]] = {
 
 
 class _Unpickler(pickle.Unpickler):
-    """Knows the names of the list only."""
+    """Allows the names of the list only."""
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
-        """The allowed stand-in of a name. Raises ForbiddenClassError."""
+        """The replacement of an allowed name. Raises ForbiddenClassError."""
         try:
             return _ALLOWED[module_name, global_name]
         except KeyError:
             raise ForbiddenClassError(f"{module_name}.{global_name}") from None
 
     def persistent_load(self, pid: Any) -> Any:
-        """Nothing is stored elsewhere. Raises UnpicklingError."""
+        """Raises UnpicklingError: references to other storage are not allowed."""
         raise pickle.UnpicklingError(f"it refers to {_told(pid)} outside itself")
+
+
+def check_extent(value: Any) -> None:
+    """Raises UnpicklingError if the value is too deep, too large, or contains itself."""
+    _extent(value, 0, {})
+
+
+def _extent(value: Any, depth: int, known: dict[int, tuple[int, int]]) -> tuple[int, int]:
+    """Its number of items and the depth of its containers; ``known`` are those of containers."""
+    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        return value.size, 0
+    parts = _parts(value)
+    if parts is None:
+        return 1, 0
+    if id(value) not in known:
+        if depth > DEEPEST:
+            raise pickle.UnpicklingError(
+                f"its lists are more than {DEEPEST} deep, or contain themselves"
+            )
+        items, height = 1, 0
+        for part in parts:
+            more, high = _extent(part, depth + 1, known)
+            items, height = items + more, max(height, high + 1)
+            if items > MOST_ITEMS:
+                raise pickle.UnpicklingError(f"it unfolds to more than {MOST_ITEMS} items")
+        known[id(value)] = items, height
+    if depth + known[id(value)][1] > DEEPEST + 1:
+        raise pickle.UnpicklingError(f"its lists are more than {DEEPEST} deep")
+    return known[id(value)]
+
+
+def _parts(value: Any) -> Iterable[Any] | None:
+    """The parts of a container; None if the value is not one."""
+    if isinstance(value, dict):
+        return (part for pair in value.items() for part in pair)
+    if isinstance(value, list | tuple | set | frozenset):
+        return value
+    if isinstance(value, np.ndarray):
+        return value.flat
+    return None

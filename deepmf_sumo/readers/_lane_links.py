@@ -1,7 +1,7 @@
-"""Which lanes lie beside which, inferred from parallel pieces of their centre lines."""
+"""Links between lanes for formats without them: successors and neighbours, from the geometry."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -10,15 +10,19 @@ import shapely
 from deepmf_sumo.datatypes import Floats, Ints, Lane, Neighbour
 from deepmf_sumo.geometry import angles
 
+HEIGHT_GAP_M: Final = 1.5
+END_GAP_M: Final = 0.3
+SUCCESSOR_TURN_RAD: Final = 0.8
+DIRECTION_OVER_M: Final = 1.0
+"""Length over which a lane's direction at its end is taken: single segments can be noise."""
 NEAREST_M: Final = 2.0
 FARTHEST_M: Final = 5.5
 """Between the centre lines of two lanes side by side; lanes are 2.5 to 4.5 m wide."""
 AHEAD_M: Final = 1.0
 """How far ahead or behind the nearest point of the other lane may lie: lanes overlap lengthwise."""
-TURN_RAD: Final = 0.25
-HEIGHT_GAP_M: Final = 1.5
+NEIGHBOUR_TURN_RAD: Final = 0.25
 SHORTEST_M: Final = 8.0
-"""Shorter parallel pieces are the ends of lanes that part or meet,"""
+"""Shorter parallel pieces are the ends of lanes that diverge or merge,"""
 MOST_OF_A_LANE: Final = 0.8
 """unless they are at least this share of one of the two lanes."""
 GAP_POINTS: Final = 6
@@ -35,7 +39,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class _LanePoints:
-    """All points of all lanes: where, on which lane, at which index (of how many), which way."""
+    """All points of all lanes, (N) each: position, heading, lane, index on it, its last index."""
 
     xy: Floats
     z: Floats
@@ -45,13 +49,75 @@ class _LanePoints:
     last: Ints
 
 
+def linked(lanes: Sequence[Lane]) -> dict[str, Lane]:
+    """The lanes by id, with inferred ``next``, ``previous``, ``left`` and ``right``."""
+    follows: dict[str, list[str]] = {lane.id: [] for lane in lanes}
+    precedes: dict[str, list[str]] = {lane.id: [] for lane in lanes}
+    for before, after in connections(lanes):
+        follows[before].append(after)
+        precedes[after].append(before)
+    beside = neighbours(lanes)
+    return {
+        lane.id: replace(
+            lane,
+            next=tuple(follows[lane.id]),
+            previous=tuple(precedes[lane.id]),
+            left=tuple(beside.left.get(lane.id, ())),
+            right=tuple(beside.right.get(lane.id, ())),
+        )
+        for lane in lanes
+    }
+
+
+def connections(lanes: Sequence[Lane]) -> list[tuple[str, str]]:
+    """Pairs (lane, lane that follows), in the order of ``lanes``.
+
+    A lane follows another if it starts at most 0.3 m from the other's end, at most 1.5 m higher or
+    lower, in a direction that differs by less than 0.8 rad. Bike lanes follow bike lanes only. A
+    lane with a single point has no direction and matches any.
+    """
+    usable = [lane for lane in lanes if len(lane.centre_m)]
+    if not usable:
+        return []
+    start = np.array([lane.centre_m[0] for lane in usable])
+    end = np.array([lane.centre_m[-1] for lane in usable])
+    rise = np.array([lane.z_m[0] for lane in usable]) - np.array(
+        [[lane.z_m[-1]] for lane in usable]
+    )
+    away = start[None] - end[:, None]
+    heading_in = np.array([_heading(lane.centre_m, at_end=True) for lane in usable])
+    heading_out = np.array([_heading(lane.centre_m, at_end=False) for lane in usable])
+    turn = angles.difference(heading_out[None], heading_in[:, None])
+    bike = np.array([lane.kind == "bike" for lane in usable])
+    follows = (
+        (np.hypot(away[..., 0], away[..., 1]) <= END_GAP_M)
+        & (np.abs(rise) <= HEIGHT_GAP_M)
+        & ~(np.abs(turn) >= SUCCESSOR_TURN_RAD)
+        & (bike[:, None] == bike[None])
+        & ~np.eye(len(usable), dtype=bool)
+    )
+    return [(usable[row].id, usable[column].id) for row, column in np.argwhere(follows)]
+
+
+def _heading(points_m: Floats, *, at_end: bool) -> float:
+    """Direction over the last (or first) metre; NaN if all points coincide."""
+    points = points_m[::-1] if at_end else points_m
+    distance = np.hypot(*(points - points[0]).T)
+    far = np.flatnonzero(distance >= DIRECTION_OVER_M)
+    other = int(far[0]) if len(far) else int(distance.argmax())
+    if distance[other] < 1e-3:
+        return float("nan")
+    step = points[0] - points[other] if at_end else points[other] - points[0]
+    return float(np.arctan2(step[1], step[0]))
+
+
 def neighbours(lanes: Sequence[Lane]) -> Beside:
     """Neighbours in the same direction.
 
-    A point lies beside another lane where that lane's nearest point is 2 to 5.5 m to its side,
-    heads the same way within 0.25 rad, is at most 1.5 m higher or lower, and no other lane lies
-    between. Pieces of at least 8 m count, and shorter ones that are most of a lane. Bike lanes
-    are neighbours of bike lanes only.
+    A point lies beside another lane if that lane's nearest point is 2 to 5.5 m to its side, has the
+    same heading within 0.25 rad, is at most 1.5 m higher or lower, and no other lane lies between.
+    Pieces of at least 8 m count, and shorter ones that are most of a lane. Bike lanes are
+    neighbours of bike lanes only.
     """
     usable = [lane for lane in lanes if len(lane.centre_m) > 1]
     found = Beside()
@@ -92,15 +158,16 @@ def _points(lanes: list[Lane]) -> _LanePoints:
 
 
 def _pairs(points: _LanePoints, bike: list[bool]) -> tuple[Ints, Ints, Floats]:
-    """Each point, the nearest point of each lane beside it, and how far left of it that lies."""
+    """Pairs of a point and the nearest point of each other lane, and how far left that is."""
     geometry = np.asarray(shapely.points(points.xy))
     own, other = shapely.STRtree(geometry).query(geometry, predicate="dwithin", distance=FARTHEST_M)
     is_bike = np.array(bike)
+    turn = angles.difference(points.heading[own], points.heading[other])
     fits = (
         (points.lane[own] != points.lane[other])
         & (is_bike[points.lane[own]] == is_bike[points.lane[other]])
         & (np.abs(points.z[own] - points.z[other]) <= HEIGHT_GAP_M)
-        & (np.abs(angles.difference(points.heading[own], points.heading[other])) <= TURN_RAD)
+        & (np.abs(turn) <= NEIGHBOUR_TURN_RAD)
     )
     own, other = own[fits], other[fits]
     away = points.xy[other] - points.xy[own]
@@ -120,7 +187,7 @@ def _nearest_on_side(points: _LanePoints, own: Ints, other: Ints, side_m: Floats
     beside = np.flatnonzero((side_m >= NEAREST_M) & (side_m <= FARTHEST_M))
     order = beside[np.lexsort((side_m[beside], own[beside]))]
     nearest = order[np.concatenate([[True], np.diff(own[order]) != 0])] if len(order) else order
-    # By lane, other lane and place along the lane, which is how pieces are cut.
+    # By lane, other lane and position along the lane: the order in which pieces are cut.
     sort = np.lexsort(
         (points.index[own[nearest]], points.lane[other[nearest]], points.lane[own[nearest]])
     )
@@ -147,7 +214,7 @@ def _pieces(points: _LanePoints, own: Ints, other: Ints) -> list[tuple[int, int,
 
 
 def _is_long(points: _LanePoints, start: int, end: int, other_start: int, other_end: int) -> bool:
-    """Whether a piece is long enough, and leads the same way on both lanes."""
+    """Whether a piece is long enough and has the same direction on both lanes."""
     if points.index[other_end] <= points.index[other_start]:
         return False
     share = max(

@@ -177,8 +177,11 @@ def changed(file, **changes):
         ({"signal_lane_ids": []}, "array 'signals_state' has shape"),
         ({"extra": 1}, "'extra'"),
         ({"tracks_valid": np.ones((3, 91, 1), bool)}, "array 'tracks_valid' has shape"),
-        ({"tracks_valid": np.ones((3, 91))}, "array 'tracks_valid' holds float64"),
-        ({"tracks_position_m": np.zeros((3, 91, 2), complex)}, "array 'tracks_position_m' holds"),
+        ({"tracks_valid": np.ones((3, 91))}, "array 'tracks_valid' contains float64"),
+        (
+            {"tracks_position_m": np.zeros((3, 91, 2), complex)},
+            "array 'tracks_position_m' contains",
+        ),
         ({"tracks_z_m": np.zeros((3, 90))}, "array 'tracks_z_m' has shape"),
         ({"timestamps_s": np.zeros((91, 1))}, "array 'timestamps_s' has shape"),
         ({"timestamps_s": np.arange(91.0)[::-1]}, "runs backwards"),

@@ -1,7 +1,7 @@
-"""Reading in a process of its own that has limits: a file can end that process and no other.
+"""Reading in a separate process with limits: a file can end that process and no other.
 
-The process is a copy of this one (`os.fork`), so it starts in milliseconds. It hands over one item
-at a time. On systems other than Linux reading happens here, without limits.
+The process is a copy of this one (`os.fork`), so it starts in milliseconds. It returns one item at
+a time. On systems other than Linux the file is read in this process, without limits.
 """
 
 import contextlib
@@ -18,9 +18,9 @@ from typing import Final, NoReturn, TypeVar
 from deepmf_sumo.errors import DeepmfError, ReaderError
 
 CPU_S: Final = 4.0
-"""Until the next item is there. The largest scenes take below 1 s."""
+"""CPU time for one item. The largest scenes take less than 1 s."""
 MEMORY_MB: Final = 384
-"""More than this process has. The largest scenes take about 100 MB."""
+"""In addition to the memory of this process. The largest scenes take about 100 MB."""
 TOO_LARGE: Final = f"reading it takes more than {MEMORY_MB} MB"
 
 _TOO_SLOW: Final = f"reading it takes more than {CPU_S:g} s of CPU time"
@@ -31,14 +31,14 @@ T = TypeVar("T")
 
 
 class EndedError(ReaderError):
-    """Reading went beyond the limits, or ended the process that did it."""
+    """Reading exceeded the limits, or ended its process."""
 
 
 def each(work: Callable[[], Iterator[T]]) -> Iterator[T]:
-    """What ``work`` gives, which is called in the other process; its items must be picklable.
+    """The items of ``work``, which is called in the other process; they must be picklable.
 
-    Closing the iterator ends the process. Raises EndedError where it goes beyond the limits, and
-    whatever DeepmfError it raises. Either comes after the items that were there before.
+    Closing the iterator ends the process. Raises EndedError if the process exceeds the limits, and
+    every DeepmfError that it raises; both after the items that came before.
     """
     if sys.platform != "linux":
         yield from work()
@@ -54,7 +54,7 @@ def each(work: Callable[[], Iterator[T]]) -> Iterator[T]:
     try:
         with open(ours, "rb") as stream:  # noqa: PTH123 - a pipe has no path
             while status is None:
-                # A broken item is one that the process did not live to finish.
+                # An item is incomplete if the process ended while it wrote it.
                 try:
                     kind, value = pickle.load(stream)  # noqa: S301 - our own copy wrote it
                 except (EOFError, pickle.UnpicklingError):
@@ -80,7 +80,7 @@ def _reason(code: int) -> str:
 
 
 def _work(work: Callable[[], Iterator[T]], pipe: int, parent: int) -> NoReturn:
-    """The other process's life."""
+    """What the other process does."""
     code = 1
     try:
         _limit(parent)
@@ -92,15 +92,15 @@ def _work(work: Callable[[], Iterator[T]], pipe: int, parent: int) -> NoReturn:
 
 
 def _limit(parent: int) -> None:
-    import resource  # not on Windows, which does not come here
+    import resource  # not on Windows, where this function is not called
 
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # a crash may print; the reason tells of it
-    gc.freeze()  # else the first collection touches, and so copies, all that there is
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # a crash can print; the reason names it
+    gc.freeze()  # else the first collection touches, and so copies, all objects
     pages = int(Path("/proc/self/statm").read_text("ascii").split()[5])
     most = pages * os.sysconf("SC_PAGE_SIZE") + MEMORY_MB * 2**20
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
@@ -122,13 +122,13 @@ def _hand_over(work: Callable[[], Iterator[T]], pipe: int) -> None:
         _say(pipe, _ERROR, error)
     except MemoryError:
         _say(pipe, _ERROR, EndedError(TOO_LARGE))
-    except Exception as error:  # noqa: BLE001 - a mistake of ours ends one file, not the listing
+    except Exception as error:  # noqa: BLE001 - a bug ends one file, not the listing
         reason = f"unexpected {type(error).__name__}: {error}; please report this"
         _say(pipe, _ERROR, EndedError(reason))
 
 
 def _say(pipe: int, kind: int, value: object) -> None:
-    # In memory first: half an item must not be followed by an error.
+    # Pickled whole before it is written: half an item must not be followed by an error.
     said = memoryview(pickle.dumps((kind, value), protocol=5))
     with contextlib.suppress(BrokenPipeError):
         while said:

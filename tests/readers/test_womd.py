@@ -5,7 +5,7 @@ import pytest
 from recordings_by_hand import AV_SIZE, add_lane, scenario, shard
 
 from deepmf_sumo.datatypes import SignalState
-from deepmf_sumo.readers import Refusal, framing, womd
+from deepmf_sumo.readers import Refusal, _tfrecord, womd
 
 
 @pytest.fixture
@@ -135,9 +135,9 @@ def clock_backwards(message):
         (not_a_number, "Agent 7: 1 states", lambda s: s.tracks.valid[0].sum() == 90),
         (jump, "first after step 59; 31 states", lambda s: s.tracks.valid[0].sum() == 60),
         (jump_before, "first after step 3; 4 states", lambda s: s.tracks.valid[0].sum() == 87),
-        (never_seen, "left out: 9", lambda s: s.tracks.ids == ("7", "12")),
+        (never_seen, "dropped: 9", lambda s: s.tracks.ids == ("7", "12")),
         (dangling, "100 to 999", lambda s: s.road.lanes["100"].next == ("102",)),
-        (lane_without_points, "left out: 300", lambda s: "300" not in s.road.lanes),
+        (lane_without_points, "dropped: 300", lambda s: "300" not in s.road.lanes),
         (line_not_finite, "1 lines", lambda s: s.road.lines == ()),
         (unknown_interest, "4242", lambda s: s.interest == ("12", "7")),
         (clock_backwards, "backwards", lambda s: s.timestamps_s[40] == pytest.approx(4.0)),
@@ -244,7 +244,7 @@ def test_a_damaged_record_does_not_cost_the_next(tmp_path):
     assert isinstance(first, Refusal)
     assert "checksum of its content" in first.reason
     assert second.name == "b"
-    assert [place.name for place in womd.places(file)] == ["shard.tfrecord record 0", "b"]
+    assert [ref.name for ref in womd.records(file)] == ["shard.tfrecord record 0", "b"]
 
 
 def test_a_cut_gzip_shard_gives_what_is_whole(tmp_path):
@@ -259,7 +259,7 @@ def test_a_cut_gzip_shard_gives_what_is_whole(tmp_path):
 
 def test_records_of_another_kind_are_refused(tmp_path):
     file = tmp_path / "other.tfrecord"
-    file.write_bytes(framing.framed(b"\x0a\x03abc") + framing.framed(b"\xff\xff"))
+    file.write_bytes(_tfrecord.framed(b"\x0a\x03abc") + _tfrecord.framed(b"\xff\xff"))
     example, noise = womd.scenes(file)
     assert "'tf_example'" in example.reason
-    assert "no Scenario message" in noise.reason
+    assert "not a Scenario message" in noise.reason

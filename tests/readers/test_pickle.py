@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepmf_sumo.readers.pickles import ForbiddenClassError, load_plain
+from deepmf_sumo.readers._pickle import ForbiddenClassError, load_plain
 
 ARRAYS = [
     np.arange(5.0),

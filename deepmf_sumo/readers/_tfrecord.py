@@ -5,7 +5,7 @@
     8 bytes  payload length n, little-endian      4 bytes  masked CRC-32C of the length
     n bytes  payload                              4 bytes  masked CRC-32C of the payload
 
-The file is plain, or gzip around the whole stream; its first two bytes tell which. Offsets count in
+The file is plain, or gzip around the whole stream, by its first two bytes. Offsets are positions in
 the unpacked stream.
 """
 
@@ -23,16 +23,16 @@ from deepmf_sumo.errors import ReaderError
 HEADER: Final = 12
 FOOTER: Final = 4
 LARGEST_RECORD: Final = 32 * 2**20
-"""Bytes. The largest scene seen has 4 MB; a larger length is taken for damage, not for data."""
+"""Bytes. The largest scene seen has 4 MB; a larger length is damage, not data."""
 LARGEST_FILE: Final = 2**40
-"""Bytes, unpacked. A file is never in memory as a whole; this only says that there is an end."""
+"""Bytes, unpacked. A file is never in memory as a whole; this only sets an end."""
 
 _PIECE: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """One whole record, and where it begins."""
+    """One whole record, and where it starts."""
 
     index: int
     offset: int
@@ -40,13 +40,13 @@ class Record:
 
     @property
     def end(self) -> int:
-        """Where the next one begins."""
+        """Where the next one starts."""
         return self.offset + HEADER + len(self.payload) + FOOTER
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Broken:
-    """A record that cannot be read; ``end`` is None where the rest of the file is lost with it."""
+    """A record that cannot be read; ``end`` is None if the rest of the file is lost, too."""
 
     index: int
     offset: int
@@ -61,7 +61,7 @@ def framed(payload: bytes) -> bytes:
 
 
 def looks_framed(path: Path) -> bool:
-    """Whether the file begins with a length and its right checksum."""
+    """Whether the file starts with a length and its checksum."""
     try:
         with _stream(path) as stream:
             header = stream.read(HEADER)
@@ -71,10 +71,10 @@ def looks_framed(path: Path) -> bool:
 
 
 def records(path: Path) -> Iterator[Record | Broken]:
-    """All records in order; what is damaged comes as `Broken`.
+    """All records in order; damaged ones as `Broken`.
 
-    After a payload with a wrong checksum the next record is tried, for its place is known. After
-    a wrong length, or a file that ends too early, nothing more comes.
+    After a payload with a wrong checksum the next record is read, since its position is known. A
+    wrong length, or a file that ends too early, ends the iteration.
     """
     offset, index = 0, 0
     try:
@@ -88,14 +88,14 @@ def records(path: Path) -> Iterator[Record | Broken]:
                     return
                 offset, index = found.end, index + 1
     except OSError as error:
-        reason = f"cannot be read on ({files.reason(error)}); copy or download the file again"
+        reason = f"cannot be read further ({files.reason(error)}); copy or download the file again"
         yield Broken(index=index, offset=offset, reason=reason)
 
 
 def record_at(path: Path, offset: int, index: int) -> Record:
-    """The record that begins at an offset of the decompressed stream.
+    """The record that starts at an offset of the decompressed stream.
 
-    Raises ReaderError where there is no whole record. A gzip file is decompressed up to it.
+    Raises ReaderError if there is no whole record. A gzip file is decompressed up to it.
     """
     try:
         with _stream(path) as stream:
@@ -112,7 +112,7 @@ def record_at(path: Path, offset: int, index: int) -> Record:
 
 
 def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:
-    """The record at the stream's place; None at the end of the file."""
+    """The record at the stream's position; None at the end of the file."""
     header = stream.read(HEADER)
     if not header:
         return None
@@ -134,7 +134,7 @@ def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:
 
 
 def _damage(header: bytes, length: int) -> str:
-    """What is wrong with a record's header, or nothing."""
+    """What is wrong with a record's header; empty if nothing is."""
     if _masked_crc(header[:8]) != header[8:]:
         return (
             "the checksum of its length is wrong, so that neither it nor what follows can be "
@@ -151,7 +151,7 @@ def _truncated(index: int, offset: int, there: int, needed: int) -> Broken:
 
 
 def _masked_crc(content: bytes) -> bytes:
-    """CRC-32C rotated by 15 bits plus a constant, so that a record may hold checksums itself."""
+    """CRC-32C rotated by 15 bits plus a constant, so that a record can contain checksums itself."""
     crc = google_crc32c.value(content)
     return struct.pack("<I", (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF)
 
@@ -163,7 +163,7 @@ def _stream(path: Path) -> BinaryIO:
 
 
 def _skip(stream: BinaryIO, count: int) -> None:
-    """Go on by a number of bytes, or to the end; what is packed must be unpacked for that."""
+    """Skip a number of bytes, or to the end; a packed stream is unpacked for that."""
     if stream.seekable():
         stream.seek(count)
         return

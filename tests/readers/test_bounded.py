@@ -14,7 +14,7 @@ import recordings_by_hand as by_hand
 
 from deepmf_sumo import readers
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import Refusal, bounded, framing, gpudrive
+from deepmf_sumo.readers import Refusal, _bounded, _tfrecord, gpudrive
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
 
 
@@ -26,7 +26,7 @@ def forever():
 
 def large():
     yield 1
-    yield len(b"x" * (bounded.MEMORY_MB + 10) * 2**20)
+    yield len(b"x" * (_bounded.MEMORY_MB + 10) * 2**20)
 
 
 def crash():
@@ -54,26 +54,26 @@ def refuse():
     ],
 )
 def test_what_came_before_is_kept_and_the_rest_is_one_error(work, reason):
-    found = bounded.each(work)
+    found = _bounded.each(work)
     assert next(found) == 1
     with pytest.raises(ReaderError, match=reason) as caught:
         next(found)
-    assert isinstance(caught.value, bounded.EndedError) == (work is not refuse)
+    assert isinstance(caught.value, _bounded.EndedError) == (work is not refuse)
 
 
 def test_reading_without_end_is_ended(monkeypatch):
     # The limit is short here alone: other tests' work may take that long on a slow machine.
-    monkeypatch.setattr(bounded, "CPU_S", 0.3)
-    found = bounded.each(forever)
+    monkeypatch.setattr(_bounded, "CPU_S", 0.3)
+    found = _bounded.each(forever)
     assert next(found) == 1
-    with pytest.raises(bounded.EndedError, match="more than 4 s of CPU time"):
+    with pytest.raises(_bounded.EndedError, match="more than 4 s of CPU time"):
         next(found)
 
 
 def test_arrays_come_back_read_only():
     array = np.arange(5.0)
     array.setflags(write=False)
-    (back,) = bounded.each(lambda: iter([array]))
+    (back,) = _bounded.each(lambda: iter([array]))
     assert np.array_equal(back, array)
     assert not back.flags.writeable
 
@@ -84,7 +84,7 @@ def test_closing_ends_the_process():
         time.sleep(60)
         yield 0
 
-    found = bounded.each(told)
+    found = _bounded.each(told)
     pid = next(found)
     found.close()
     with pytest.raises(ProcessLookupError):
@@ -133,7 +133,7 @@ def empty_states(count):
 def test_some_kilobytes_that_become_gigabytes_are_a_refusal(count, tmp_path):
     file = tmp_path / "x.tfrecord.gz"
     good = by_hand.scenario(name="after").SerializeToString()
-    content = framing.framed(empty_states(count)) + framing.framed(good)
+    content = _tfrecord.framed(empty_states(count)) + _tfrecord.framed(good)
     file.write_bytes(gzip.compress(content, 1))
     before = peak_mb()
     bad, after = readers.scenes([file])
@@ -144,7 +144,7 @@ def test_some_kilobytes_that_become_gigabytes_are_a_refusal(count, tmp_path):
 
 def test_records_without_end_that_cannot_be_used_are_given_up(tmp_path):
     file = tmp_path / "x.tfrecord.gz"
-    file.write_bytes(gzip.compress(framing.framed(b"") * 20_000, 1))
+    file.write_bytes(gzip.compress(_tfrecord.framed(b"") * 20_000, 1))
     found = list(readers.scenes([file]))
     assert len(found) == 1001
     assert "the rest of it was not read" in found[-1].reason
