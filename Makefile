@@ -71,7 +71,7 @@ open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
 
 # An AV under attack in recorded scenes, each run as a scene: what planners do when somebody comes at them.
 # Attacks as they are made, and, cheaply, candidates of all kinds (`drawn`): what happens if they are tried.
-REACT = $(RUN) run docs/studies/reactions.yaml --set source.recording=$(abspath $(SCENES)) --set weights=$(WEIGHTS) \
+REACT = $(RUN) run studies/reactions.yaml --set source.recording=$(abspath $(SCENES)) --set weights=$(WEIGHTS) \
     --scenes --jobs 2 --no-pictures --resume
 seen = --set "planner={name: idm, perception: $(1)}"
 plain = tried_opponents: 1, reactions: 6, goal_candidates: 32, shortlist: null
@@ -118,7 +118,7 @@ womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 
 SCENES ?= $(WOMD)/val
 RESULTS ?= out/val
-STUDY = $(RUN) run docs/studies/recorded.yaml --set source.recording=$(abspath $(SCENES)) --jobs 2 --no-pictures --resume
+STUDY = $(RUN) run studies/recorded.yaml --set source.recording=$(abspath $(SCENES)) --jobs 2 --no-pictures --resume
 no-attack-results: $(READY)  ## the IDM on recorded scenes without attack: contacts and distance to the log
 	for seen in lane corridor; do for parameters in treiber metadrive; do \
 	    $(STUDY) --set adversary=none --set "name=$$seen $$parameters" \

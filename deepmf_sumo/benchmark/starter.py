@@ -10,7 +10,7 @@ from deepmf_sumo.errors import OutputError, UsageError
 FOLDERS = ("scenarios", "sumo_nets")
 """Side by side, because specs name their network by a path relative to themselves."""
 
-PAPER_PLAN = Path("docs/studies/paper.yaml")
+PAPER_PLAN = Path("studies/paper.yaml")
 
 
 def starter_home() -> Path:

@@ -13,7 +13,7 @@ import click
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder of weights, figures, runs and tables; what is finished there is kept.",
+    help="Folder of weights, figures, runs and tables; finished parts are kept.",
 )
 @click.option(
     "--jobs", "-j", type=click.IntRange(1, 256), default=1, show_default=True,
@@ -41,8 +41,8 @@ def command(
 ) -> None:
     """Train, evaluate and attack with each variant of PLAN: a table of quality and cost.
 
-    Writes ablation.csv and ablation.md after each variant. The same command goes on where it was
-    cut off.
+    Writes ablation.csv and ablation.md after each variant. The same command resumes an interrupted
+    study.
     """
     from deepmf_sumo.benchmark import ablation
     from deepmf_sumo.cli.screen.ablation import show
@@ -59,7 +59,7 @@ def command(
     rows, notes = [], []
     for row in ablation.run(plan, options, lambda line: click.echo(line, err=True)):
         rows.append(row)
-        notes = ablation.notes(plan, options, rows)
+        notes = ablation.notes(plan, options.jobs, rows)
         ablation.write(out, notes, rows)
     show(notes, rows, out)
     failed = any(attacked.failed for row in rows for attacked in row.attacks)

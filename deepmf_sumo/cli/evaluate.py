@@ -30,8 +30,8 @@ def command(
 ) -> None:
     """Measure the three predictors on the recordings DATA, which should not be training data.
 
-    Records that cannot be used are named and left out. Baselines without a network stand beside
-    the figures.
+    Records that cannot be used are named and left out. Baselines without a network are shown
+    beside the figures.
     """
     from deepmf_sumo.cli.screen import evaluation as figures
     from deepmf_sumo.training import evaluation

@@ -27,7 +27,7 @@ def command(
 ) -> None:
     """Run the paper's plan on the recordings in SCENES: Tables I to III, Figures 3 to 6.
 
-    The plan is docs/studies/paper.yaml; its keys can be overridden with --set.
+    The plan is studies/paper.yaml of the repository; its keys can be overridden with --set.
     """
     import json
 

@@ -27,7 +27,7 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
     "--config",
     "file",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="YAML file with these settings, also for single networks; flags stand above it.",
+    help="YAML file with these settings, also for single networks; flags take precedence.",
 )
 @click.option("--name", default="custom", show_default=True, help="Name of the set of weights.")
 @click.option(
@@ -35,7 +35,7 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder of the set, instead of its place in the weights home.",
 )
-@click.option("--from", "begin_from", metavar="NAME", help="Set of weights to begin from.")
+@click.option("--from", "begin_from", metavar="NAME", help="Set of weights to start from.")
 @click.option(
     "--preset",
     help="Sizes of the networks: light, paper or vector (light without images).  [default: vector"
@@ -57,11 +57,11 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
     help="Decay of the average of the weights; 0 for none.",
 )
 @click.option("--precision", type=click.Choice(["auto", "bf16", "fp32"]))
-@click.option("--evaluate-every", type=_STEPS, help="Steps between looks at held-out scenes.")
+@click.option("--evaluate-every", type=_STEPS, help="Steps between evaluations on held-out scenes.")
 @click.option(
     "--patience",
     type=click.IntRange(min=0),
-    help="Looks without gain after which to stop; 0: never.",
+    help="Evaluations without gain after which to stop; 0: never.",
 )
 @click.option("--seed", type=click.IntRange(min=0, max=2**31 - 1), help="0 by default.")
 @click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
@@ -78,27 +78,27 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for computed features (1 GB for 700 scenes), else under the weights home.",
 )
-@click.option("--again", is_flag=True, help="Train even what the same training has made before.")
+@click.option("--again", is_flag=True, help="Repeat a training that is complete.")
 @click.option("--licence", help="Note on the data's licence, for the card.")
 def command(network: str, name: str, **settings: Any) -> None:
     """Train NETWORK, or all three of DeepMF, on recordings of any known format.
 
     strive is the motion prior of the baseline of that name; nothing else needs it.
     The scenes at one place in ten are held out for early stopping and temperatures. Sources count
-    by their samples, or by the weights given to them. A run that was cut off goes on with the same
-    command; a network that this very training has made is left as it is.
+    by their samples, or by the weights given to them. The same command resumes an interrupted
+    training, and keeps a network that is complete.
     """
     if Path(name).name != name:
-        raise click.UsageError(f"--name {name} is no plain name; give a folder with --out.")
+        raise click.UsageError(f"--name {name} is not a plain name; give a folder with --out.")
     from deepmf_sumo.training import command as training
     from deepmf_sumo.training.config import Optimisation
 
     optimisation = {key: settings.pop(key) for key in Optimisation.model_fields if key in settings}
-    training.train_named(
-        network,
+    request = training.Request(
+        network=network,
         name=name,
         optimisation=optimisation,
         command=" ".join(["deepmf-sumo", *sys.argv[1:]]),
-        report=click.echo,
         **settings,
     )
+    training.train_requested(request, click.echo)

@@ -1,9 +1,9 @@
-"""Command line and configuration -> what to train; flags stand above the file."""
+"""Command line and configuration -> trainings; flags take precedence over the file."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -11,79 +11,110 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import preset_named
 from deepmf_sumo.predictors.weights import BASELINES, NETWORKS, Network
-from deepmf_sumo.training import beginnings, config, ensembles, run
-from deepmf_sumo.training.cache import Progress
+from deepmf_sumo.training import config, initial_weights, members, run
+from deepmf_sumo.training.config import Config
+from deepmf_sumo.training.run import Training
+from deepmf_sumo.training.samples.dataset import Progress
+from deepmf_sumo.training.samples.feature_cache import Data
 
 
-def train_named(
-    network: str,
-    *,
-    file: Path | None,
-    data: Sequence[str],
-    name: str,
-    out: Path | None,
-    preset: str | None,
-    begin_from: str | None,
-    seed: int | None,
-    licence: str | None,
-    members: int | None,
-    optimisation: Mapping[str, Any],
-    device: str,
-    threads: int | None,
-    cache: Path | None,
-    jobs: int,
-    again: bool,
-    command: str,
-    report: Progress,
-) -> None:
-    """Train the network of a name, or ``all`` three of the paper.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What the command line asks for; what is None is taken from ``file``, else the default.
 
-    Into the folder ``out``, or the set's place in the weights home. What is None is what
-    ``file`` says, else the default. Raises UsageError without any data, and WeightsError where a
-    network cannot begin from what it shall, before any is trained.
+    Attributes:
+        network: its name, or ``all`` for the three of the paper.
+        file: the configuration. data: ``PATH`` or ``PATH=WEIGHT`` each.
+        name: of the set of weights. out: its folder, instead of its place in the weights home.
+        optimisation: values of `config.Optimisation`, for all networks.
+        threads: CPU threads; None leaves them to torch.
+        command: for the card.
     """
-    settings = config.load(file) if file is not None else config.Config(version=1)
-    sources = [config.parsed(text) for text in data] or settings.sources()
-    if not sources:
-        raise UsageError("There is no data to train on; give --data, or a --config with 'data'.")
-    config.check_weights(sources)
-    if members is not None and network not in {"marginal", "all"}:
-        raise UsageError(f"--members is of the marginal network; the {network} network has one.")
-    flags = config.Optimisation(**optimisation)
-    training = partial(
-        run.Training,
-        data=sources,
-        folder=out or weights.place(name),
-        cache=cache or weights.home() / ".features",
-        optimisation={each: flags.over(settings.of(each)) for each in (*NETWORKS, *BASELINES)},
-        begin_from=begin_from or settings.begin_from,
-        seed=seed if seed is not None else settings.seed or 0,
-        device="cuda" if device == "cuda" else "cpu",
-        jobs=jobs,
-        again=again,
-        licence=licence if licence is not None else settings.licence or "",
-        command=command,
-        members=members or settings.members or config.MEMBERS,
-    )
-    chosen = [each for each in NETWORKS if network in {each, "all"}]
-    chosen += [each for each in BASELINES if network == each]
-    sizes = {e: preset_named(preset or settings.preset or config.PRESETS[e]) for e in chosen}
-    trainings = {each: training(preset=sizes[each]) for each in chosen}
-    for each, one in trainings.items():  # before the first of them has been trained
+
+    network: str
+    file: Path | None = None
+    data: Sequence[str] = ()
+    name: str = "custom"
+    out: Path | None = None
+    preset: str | None = None
+    begin_from: str | None = None
+    seed: int | None = None
+    licence: str | None = None
+    members: int | None = None
+    optimisation: Mapping[str, Any] = field(default_factory=dict)
+    device: Literal["cpu", "cuda"] = "cpu"
+    threads: int | None = None
+    cache: Path | None = None
+    jobs: int = 1
+    again: bool = False
+    command: str = ""
+
+
+def train_requested(request: Request, report: Progress) -> None:
+    """Train the networks of a request.
+
+    Raises UsageError without any data, and WeightsError where the initial weights of a network do
+    not fit, before any network is trained.
+    """
+    settings = config.load(request.file) if request.file is not None else Config(version=1)
+    data = _sources(request, settings)
+    if request.members is not None and request.network not in {"marginal", "all"}:
+        raise UsageError(
+            f"--members applies to the marginal network; the {request.network} network has one."
+        )
+    networks = _networks(request.network)
+    trainings = {network: _training(network, request, settings, data) for network in networks}
+    for network, one in trainings.items():
         if one.begin_from is not None:
-            beginnings.check(each, one.preset, one.folder, one.begin_from, report)
-    for each, one in trainings.items():
-        train_each([each], one, threads, report)
+            initial_weights.check(network, one.preset, one.folder, one.begin_from, report)
+    for network, one in trainings.items():
+        train_each([network], one, request.threads, report)
 
 
 def train_each(
-    networks: Sequence[Network], training: run.Training, threads: int | None, report: Progress
+    networks: Sequence[Network], training: Training, threads: int | None, report: Progress
 ) -> None:
-    """Train networks one after the other, with so many CPU threads; None leaves it to torch."""
+    """Train networks one after the other; ``threads`` of the CPU, None leaves them to torch."""
     if threads is not None:
         torch.set_num_threads(threads)
     for network in networks:
         if network == "marginal":
-            ensembles.train(training, report)
+            members.train(training, report)
         else:
             run.train(network, training, report)
+
+
+def _networks(name: str) -> list[Network]:
+    if name == "all":
+        return list(NETWORKS)
+    return [network for network in (*NETWORKS, *BASELINES) if network == name]
+
+
+def _training(
+    network: Network, request: Request, settings: Config, data: Sequence[Data]
+) -> Training:
+    """How to train one network: flags, then the file, then the defaults."""
+    flags = config.Optimisation(**request.optimisation)
+    return Training(
+        data=data,
+        folder=request.out or weights.place(request.name),
+        cache=request.cache or weights.home() / ".features",
+        preset=preset_named(request.preset or settings.preset or config.PRESETS[network]),
+        optimisation={network: flags.over(settings.of(network))},
+        begin_from=request.begin_from or settings.begin_from,
+        seed=settings.seed or 0 if request.seed is None else request.seed,
+        device=request.device,
+        jobs=request.jobs,
+        again=request.again,
+        licence=settings.licence or "" if request.licence is None else request.licence,
+        command=request.command,
+        members=request.members or settings.members or config.MEMBERS,
+    )
+
+
+def _sources(request: Request, settings: Config) -> list[Data]:
+    sources = [config.parsed(text) for text in request.data] or settings.sources()
+    if not sources:
+        raise UsageError("There is no data to train on; give --data, or a --config with 'data'.")
+    config.check_weights(sources)
+    return sources

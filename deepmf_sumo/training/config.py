@@ -10,7 +10,7 @@ from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import ExistingPath, Strict
-from deepmf_sumo.training.making import Data
+from deepmf_sumo.training.samples.feature_cache import Data
 
 Precision = Literal["auto", "bf16", "fp32"]
 DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
@@ -38,7 +38,7 @@ MEMBERS: Final = 1
 """Members of the marginal network. A second lowers errors of 16 and 32 modes, not those of 6."""
 MOST_MEMBERS: Final = 8
 _FINE_RATE: Final = 5e-4
-"""Learning rate of a network that begins from the same one of another set."""
+"""Learning rate of a network whose initial weights are another set's."""
 
 
 class Optimisation(Strict):
@@ -48,7 +48,10 @@ class Optimisation(Strict):
     batch: int | None = Field(default=None, ge=1, description="samples a step")
     rate: float | None = Field(default=None, gt=0, le=1, description="highest learning rate")
     fresh_rate: float | None = Field(
-        default=None, gt=0, le=1, description="of layers that begin anew in a network that does not"
+        default=None,
+        gt=0,
+        le=1,
+        description="of layers with random initial weights in a network that has others",
     )
     weight_decay: float | None = Field(default=None, ge=0, le=1)
     clip: float | None = Field(default=None, gt=0, description="largest norm of the gradient")
@@ -56,9 +59,9 @@ class Optimisation(Strict):
         default=None, ge=0, lt=1, description="decay of the average of the weights; 0: none"
     )
     precision: Precision | None = None
-    evaluate_every: int | None = Field(default=None, ge=1, description="steps between looks")
+    evaluate_every: int | None = Field(default=None, ge=1, description="steps between evaluations")
     patience: int | None = Field(
-        default=None, ge=0, description="looks without gain after which to stop; 0: never"
+        default=None, ge=0, description="evaluations without gain after which to stop; 0: never"
     )
 
     def over(self, other: "Optimisation") -> "Optimisation":
@@ -109,7 +112,7 @@ class Config(Optimisation):
     )
     preset: str | None = None
     begin_from: str | None = Field(
-        default=None, description="set of weights whose networks these begin from"
+        default=None, description="set of weights whose networks give the initial weights"
     )
     seed: int | None = Field(default=None, ge=0, lt=2**31)
     licence: str | None = None
@@ -144,7 +147,7 @@ def load(file: Path) -> Config:
 
 
 def parsed(text: str) -> Data:
-    """``PATH`` or ``PATH=WEIGHT``. Raises UsageError where the weight is no number above 0."""
+    """``PATH`` or ``PATH=WEIGHT``. Raises UsageError where the weight is not a number above 0."""
     path, equals, weight = text.rpartition("=")
     if not equals or Path(text).exists():
         return Data(path=Path(text))
@@ -154,7 +157,7 @@ def parsed(text: str) -> Data:
         value = 0.0
     if not (path and 0 < value < float("inf")):
         raise UsageError(
-            f"--data {text}: '{weight}' is no weight; give PATH=WEIGHT, e.g. {path}=2."
+            f"--data {text}: '{weight}' is not a weight; give PATH=WEIGHT, e.g. {path}=2."
         )
     return Data(path=Path(path), weight=value)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def write(file: Path, content: bytes) -> None:
-    """Write beside, flush to the disk, rename; folders are made. Raises OSError, leaving nothing.
+    """Write beside, flush to the disk, rename; creates folders. Raises OSError, leaving nothing.
 
     Two processes may write the same file: the last one stays.
     """

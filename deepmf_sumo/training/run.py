@@ -3,9 +3,8 @@
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -13,35 +12,30 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import OutputError, RunError, WeightsError
-from deepmf_sumo.predictors import features, weights
+from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.opponent import OpponentNet
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.predictors.weights import Network
-from deepmf_sumo.training import (
-    beginnings,
-    cards,
-    clusters,
-    eligible,
-    loop,
-    making,
-    opponent,
-    opponent_samples,
-    samples,
-    trajectory,
-)
-from deepmf_sumo.training.cache import Arrays, Cache, Progress, mix
-from deepmf_sumo.training.checkpoints import Checkpoints
+from deepmf_sumo.training import cards, initial_weights
 from deepmf_sumo.training.config import Optimisation
-from deepmf_sumo.training.curves import Curves
-from deepmf_sumo.training.making import Data
-from deepmf_sumo.training.motion_prior import evaluation as motion_prior_evaluation
-from deepmf_sumo.training.motion_prior import loss as motion_prior_loss
-from deepmf_sumo.training.motion_prior import samples as graph_samples
-from deepmf_sumo.training.schedule import Loss, Outcome, Schedule
+from deepmf_sumo.training.fit import loop
+from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
+from deepmf_sumo.training.fit.loop import Loss, Outcome, Schedule
+from deepmf_sumo.training.networks import clusters, motion_prior, opponent, trajectory
+from deepmf_sumo.training.samples import feature_cache, graph
+from deepmf_sumo.training.samples import opponent as opponent_samples
+from deepmf_sumo.training.samples import trajectory as trajectory_samples
+from deepmf_sumo.training.samples.dataset import (
+    Dataset,
+    Progress,
+    filter_drivers,
+    filter_pairs,
+    mix,
+)
+from deepmf_sumo.training.samples.feature_cache import Data, Features
 
 _CPU_INFO: Final = Path("/proc/cpuinfo")
 MODES: Final[dict[Network, int]] = {"marginal": 32, "conditional": 6}
@@ -52,11 +46,11 @@ class Training:
     """What to train, on what, and where to.
 
     Attributes:
-        folder: of the weights; checkpoints of a run that was cut off lie beside the tensors.
+        folder: of the weights; checkpoints of an interrupted training lie beside the tensors.
         cache: folder of computed features. jobs: processes that compute them.
         optimisation: of each network; one that is not named takes its defaults.
-        begin_from: set of weights whose networks these begin from.
-        again: train even what this very training has made before.
+        begin_from: set of weights whose networks are the initial weights.
+        again: train again what the same training has made before.
         licence: a note on the data for the card.
         command: for the card.
         members: of the marginal network, trained one after the other.
@@ -80,10 +74,10 @@ class Training:
 def train(network: Network, training: Training, report: Progress, member: int = 1) -> None:
     """Train one network, or a member of it with a seed of its own, and write it.
 
-    A run that was cut off goes on.
+    An interrupted training resumes from its last checkpoint.
 
     Raises:
-        WeightsError: no such device, or weights to begin from that do not fit.
+        WeightsError: no such device, or initial weights that do not fit.
         ReaderError: data without anything to learn from.
         RunError: no pairs for the conditional network, or a loss that is not finite.
         OutputError: the weights cannot be written; the last checkpoint stays.
@@ -92,88 +86,89 @@ def train(network: Network, training: Training, report: Progress, member: int = 
         raise WeightsError("There is no CUDA device for --device cuda; use --device cpu.")
     training = replace(training, seed=training.seed + member - 1)
     stem = weights.member(network, member)
-    begin = beginnings.file_of(
+    initial = initial_weights.file_of(
         network, training.preset, training.folder, training.begin_from, report, member
     )
-    schedule = _schedule(network, training, began=begin is not None)
-    digest = _digest(network, training, schedule, begin)
-    if not training.again and _made(training.folder, stem, digest):
-        report(f"{stem}: this training has been made; --again makes it again")
+    schedule = _schedule(network, training, began=initial is not None)
+    digest = _digest(network, training, schedule, initial)
+    if not training.again and _complete(training.folder, stem, digest):
+        report(f"{stem}: this training is complete; --again repeats it")
         return
-    torch.manual_seed(training.seed)
-    net = weights.build(network, training.preset)
-    if begin is not None:
-        beginnings.load(net, network, begin)
-    cache = eligible.drivers_for(network, open_caches(network, training, report), report)
-    if isinstance(net, DenseTNT):
-        trajectory.start(net, cache, training.seed)
-    if network == "conditional":
-        cache = eligible.pairs(cache)
+    net, dataset = _prepared(network, training, initial, report)
     checkpoints = Checkpoints(training.folder / f"{stem}-{digest[:12]}.checkpoint")
     file = training.folder / "curves" / f"{stem}.csv"
-    curves = Curves(file, [source.name for source in cache.sources], report)
-    outcome = loop.train(net, cache, _loss(net), schedule, checkpoints, curves, report)
-    card = _card(network, net, training, cache, schedule, outcome)
-    card["began_from"] = beginnings.name_of(begin, training.begin_from)
-    card["training_digest"] = digest
-    card |= _measured(network, net, cache)
+    curves = Curves(file, [source.name for source in dataset.sources], report)
+    outcome = loop.train(net, dataset, _loss(net), schedule, checkpoints, curves, report)
+    card = {
+        **_card(network, net, training, dataset, schedule, outcome),
+        "began_from": initial_weights.name_of(initial, training.begin_from),
+        "training_digest": digest,
+        **_fitted(network, net, dataset),
+    }
+    _write(training, stem, net, dataset, card)
+    checkpoints.clear()
+    report(f"{stem}: best step {outcome.best_step}, written to {training.folder}")
+
+
+def open_dataset(network: Network, training: Training, report: Progress) -> Dataset:
+    """The samples of all sources; features that are missing are computed.
+
+    Raises RunError where none is left to train on.
+    """
+    features = _features(network, training.preset)
+    dataset = mix(
+        [
+            feature_cache.open_or_build(features, data, training.cache, report, training.jobs)
+            for data in training.data
+        ]
+    )
+    if not len(dataset.rows(held_out=False)):
+        raise RunError("All scenes that can be learnt from are held out; give more recordings.")
+    return dataset
+
+
+def _features(network: Network, preset: Preset) -> Features:
+    if network == "strive":
+        return graph.features()
+    if network == "opponent":
+        return opponent_samples.features_for(preset)
+    return trajectory_samples.features_for(preset)
+
+
+def _prepared(
+    network: Network, training: Training, initial: Path | None, report: Progress
+) -> tuple[nn.Module, Dataset]:
+    """The network before its first step, and the samples that it learns from."""
+    torch.manual_seed(training.seed)
+    net = weights.build(network, training.preset)
+    if initial is not None:
+        initial_weights.load(net, network, initial)
+    dataset = filter_drivers(network, open_dataset(network, training, report), report)
+    if isinstance(net, DenseTNT):
+        trajectory.fit_profiles(net, dataset, training.seed)
+    return net, filter_pairs(dataset) if network == "conditional" else dataset
+
+
+def _write(
+    training: Training, stem: str, net: nn.Module, dataset: Dataset, card: dict[str, Any]
+) -> None:
     try:
         if stem == "marginal":  # a baseline that `evaluate` shows beside it
-            clusters.write(_clusters(cache, training.seed), training.folder)
-        cards.write(training.folder, stem, net, card)  # last: it says that all has been made
+            clusters.write(_clusters(dataset, training.seed), training.folder)
+        cards.write(training.folder, stem, net, card)  # last: it says that the set is complete
     except OSError as error:
         raise OutputError(
             f"The weights cannot be written to {training.folder} ({error.strerror}); the checkpoint"
             " stays there: make room, and give the same command again."
         ) from None
-    checkpoints.clear()
-    report(f"{stem}: best step {outcome.best_step}, written to {training.folder}")
 
 
-def _clusters(cache: Cache, seed: int) -> clusters.Clusters:
-    rows = cache.rows(held_out=False)
+def _clusters(dataset: Dataset, seed: int) -> clusters.Clusters:
+    rows = dataset.rows(held_out=False)
     future, valid, motion = (
-        np.asarray(cache.arrays[name][rows]) for name in ("future", "future_valid", "motion")
+        np.asarray(dataset.arrays[name][rows]) for name in ("future", "future_valid", "motion")
     )
     return clusters.fit(future, valid > 0, motion, np.random.default_rng([seed, 2]))
-
-
-def open_caches(network: Network, training: Training, report: Progress) -> Cache:
-    """The samples of all sources; features are made where they are not there.
-
-    Raises RunError where none is left to train on.
-    """
-    make = _samples(network, training.preset)
-    kind, settings = _features(network, training.preset)
-    cache = mix(
-        [
-            making.open_or_make(kind, data, settings, make, training.cache, report, training.jobs)
-            for data in training.data
-        ]
-    )
-    if not len(cache.rows(held_out=False)):
-        raise RunError("All scenes that can be learnt from are held out; give more recordings.")
-    return cache
-
-
-def _samples(network: Network, preset: Preset) -> Callable[[Scene], Iterable[Arrays]]:
-    """What one scene gives to a network."""
-    if network == "strive":
-        return graph_samples.graph_samples
-    if network == "opponent":
-        return partial(opponent_samples.opponent_samples, preset=preset)
-    return partial(samples.trajectory_samples, preset=preset)
-
-
-def _features(network: Network, preset: Preset) -> tuple[str, str]:
-    """Kind of the features, and what they depend on: of the preset, the image alone."""
-    if network == "strive":
-        return "graph", graph_samples.settings()
-    if network == "opponent":
-        return "opponent", opponent_samples.settings(preset)
-    image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
-    counts = f"{samples.WINDOW_STEPS} {samples.SIMULATED_TARGETS} {features.MEANING}"
-    return "trajectory", f"{json.dumps(image, sort_keys=True)} {counts}"
 
 
 def _schedule(network: Network, training: Training, *, began: bool) -> Schedule:
@@ -193,7 +188,7 @@ def _schedule(network: Network, training: Training, *, began: bool) -> Schedule:
 def _precision(device: str) -> Literal["fp32", "bf16"]:
     """bf16 on processors that have it.
 
-    Never found out by timing: the same command must give the same weights on one machine.
+    Never decided by timing: the same command must give the same weights on one machine.
     """
     if device == "cuda":
         return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
@@ -204,21 +199,24 @@ def _precision(device: str) -> Literal["fp32", "bf16"]:
     return "bf16" if flags & {"avx512_bf16", "amx_bf16"} else "fp32"
 
 
-def _digest(network: Network, training: Training, schedule: Schedule, begin: Path | None) -> str:
+def _digest(network: Network, training: Training, schedule: Schedule, initial: Path | None) -> str:
     """Of all that the trained tensors depend on."""
-    kind, settings = _features(network, training.preset)
+    features = _features(network, training.preset)
     described = {
         "network": network,
         "preset": training.preset.record(),
         "schedule": asdict(schedule),
-        "data": [(making.digest_of(kind, data, settings), data.weight) for data in training.data],
-        "begin": beginnings.digest(begin),
+        "data": [
+            (feature_cache.digest_of(features.kind, features.settings, data.path), data.weight)
+            for data in training.data
+        ],
+        "begin": initial_weights.digest(initial),
     }
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
 
 
-def _made(folder: Path, stem: str, digest: str) -> bool:
-    """Whether the folder holds the network that this training makes."""
+def _complete(folder: Path, stem: str, digest: str) -> bool:
+    """Whether the folder contains the network that this training makes."""
     try:
         card = weights.read_card(folder, stem)
         weights.tensors(folder, stem)
@@ -231,7 +229,7 @@ def _loss(net: nn.Module) -> Loss:
     if isinstance(net, DenseTNT):
         return trajectory.loss_of(net)
     if isinstance(net, MotionPrior):
-        return motion_prior_loss.loss_of(net)
+        return motion_prior.loss_of(net)
     assert isinstance(net, OpponentNet)
     return opponent.loss_of(net)
 
@@ -240,7 +238,7 @@ def _card(
     network: Network,
     net: nn.Module,
     training: Training,
-    cache: Cache,
+    dataset: Dataset,
     schedule: Schedule,
     outcome: Outcome,
 ) -> dict[str, Any]:
@@ -249,10 +247,10 @@ def _card(
         "preset": training.preset.name,
         "sizes": training.preset.record(),
         "weights": sum(value.numel() for value in net.parameters()),
-        "data": _sources(cache, outcome),
-        "scenes": cache.scenes,
-        "refused": cache.refused,
-        "samples": len(cache.rows(held_out=False)),
+        "data": _sources(dataset, outcome),
+        "scenes": dataset.scenes,
+        "refused": dataset.refused,
+        "samples": len(dataset.rows(held_out=False)),
         "licence": training.licence,
         "limits": cards.LIMITS[network],
         "command": training.command,
@@ -264,34 +262,35 @@ def _card(
         "trained": time.strftime("%Y-%m-%d", time.gmtime()),
         "steps_made": outcome.steps,
         "best_step": outcome.best_step,
-        "held_out_loss": None if outcome.held_out is None else round(outcome.held_out, 4),
+        "held_out_loss": _rounded(outcome.held_out),
         "hours": round(outcome.hours, 3),
     }
 
 
-def _sources(cache: Cache, outcome: Outcome) -> list[dict[str, Any]]:
-    found = []
-    for number, source in enumerate(cache.sources):
-        held_out = outcome.by_source[number]
-        found.append(
-            {
-                "name": source.name,
-                "weight": source.weight,
-                "share": round(float(cache.shares[number]), 4),
-                "scenes": len(source.scenes),
-                "samples": len(cache.rows(held_out=False, source=number)),
-                "refused": len(source.refused),
-                "held_out_loss": None if held_out is None else round(held_out, 4),
-            }
-        )
-    return found
+def _sources(dataset: Dataset, outcome: Outcome) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": source.name,
+            "weight": source.weight,
+            "share": round(float(dataset.shares[number]), 4),
+            "scenes": len(source.scenes),
+            "samples": len(dataset.rows(held_out=False, source=number)),
+            "refused": len(source.refused),
+            "held_out_loss": _rounded(outcome.by_source[number]),
+        }
+        for number, source in enumerate(dataset.sources)
+    ]
 
 
-def _measured(network: Network, net: nn.Module, cache: Cache) -> dict[str, Any]:
+def _rounded(loss: float | None) -> float | None:
+    return None if loss is None else round(loss, 4)
+
+
+def _fitted(network: Network, net: nn.Module, dataset: Dataset) -> dict[str, Any]:
     net.cpu()
     if isinstance(net, MotionPrior):
-        return {"held_out_errors_m": motion_prior_evaluation.of_held_out(net, cache)}
+        return {"held_out_errors_m": motion_prior.held_out_errors(net, dataset)}
     if isinstance(net, DenseTNT):
-        return {"temperature": trajectory.fit_temperature([net], cache, MODES[network])}
+        return {"temperature": trajectory.fit_temperature([net], dataset, MODES[network])}
     assert isinstance(net, OpponentNet)
-    return asdict(opponent.calibrate(net, cache))
+    return asdict(opponent.calibrate(net, dataset))

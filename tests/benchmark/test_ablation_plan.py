@@ -104,7 +104,7 @@ def test_what_is_wrong_is_named_with_its_line(folder, old, new, place, message):
 def test_the_example_is_right(folder):
     from pathlib import Path
 
-    example = Path(__file__).resolve().parents[2] / "docs" / "studies" / "ablation.yaml"
+    example = Path(__file__).resolve().parents[2] / "studies" / "ablation.yaml"
     names = [one["name"] for one in yaml.safe_load(example.read_text(encoding="utf-8"))["variants"]]
     plan = ablation.load(example, [f"data=['{folder / 'train'}']", f"test='{folder / 'val'}'"])
     assert [one.name for one in plan.variants] == names

@@ -17,6 +17,7 @@ def test_lays_out_specs_whose_networks_exist(tmp_path):
         network = yaml.safe_load(path.read_text())["source"]["network"]
         assert (path.parent / network).resolve() in {file.resolve() for file in written}
     assert not [path for path in written if "__pycache__" in path.parts]
+    assert {path.name for path in written if path.suffix == ".py"} == {"build.py"}
     assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == list(starter.FOLDERS)
 
 

@@ -13,7 +13,8 @@ from synthetic import scene
 from deepmf_sumo.cli.ablate import command
 from deepmf_sumo.errors import SpecError
 from deepmf_sumo.readers import npz
-from deepmf_sumo.training import opponent_samples, samples
+from deepmf_sumo.training.samples import opponent as opponent_samples
+from deepmf_sumo.training.samples import trajectory as trajectory_samples
 
 PLAN = """version: 1
 data: [train]
@@ -37,7 +38,7 @@ adversary: G
 
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
-    monkeypatch.setattr(samples, "WINDOW_STEPS", (10, 40))
+    monkeypatch.setattr(trajectory_samples, "WINDOW_STEPS", (10, 40))
     monkeypatch.setattr(opponent_samples, "AV_STEPS", (10,))
     monkeypatch.setattr(opponent_samples, "STAND_IN_STEPS", ())
     made = [scene(shift=2.0 * number - 30, av_speed=4.0 + number % 9) for number in range(20)]

@@ -66,7 +66,7 @@ def test_what_has_been_made_is_left_as_it_is(train, folder, tmp_path):
     first, time = file.read_bytes(), file.stat().st_mtime_ns
     code, text, _ = train(*arguments)
     assert (code, file.stat().st_mtime_ns) == (0, time)
-    assert "this training has been made; --again makes it again" in text
+    assert "this training is complete; --again repeats it" in text
     train(*arguments, "--again")
     assert file.stat().st_mtime_ns > time
     assert file.read_bytes() == first  # the same seed, the same bytes
@@ -137,7 +137,7 @@ def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_
     [
         ([], "There is no data to train on"),
         (["--data", "nowhere"], "nowhere does not exist"),
-        (["--data", "nowhere=much"], "'much' is no weight"),
+        (["--data", "nowhere=much"], "'much' is not a weight"),
         (["--data", "mine=1", "--data", "sumo"], "sumo has no weight"),
         (["--data", "mine", "--preset", "huge"], "huge"),
         (["--data", "mine", "--from", "nobody"], "There are no weights 'nobody'"),
@@ -161,4 +161,4 @@ def test_a_folder_without_recordings_ends_with_3(train, tmp_path):
     (tmp_path / "empty").mkdir()
     code, _, error = train("--data", tmp_path / "empty")
     assert code == 3
-    assert "empty holds no files; there is nothing to learn from" in error
+    assert "empty contains no files; there is nothing to learn from" in error

@@ -21,7 +21,7 @@ def trained(monkeypatch, tmp_path, capsys):
     """Members and seeds that ``train`` asks for, without training."""
     asked = []
     monkeypatch.setattr(
-        command.ensembles, "train", lambda training, _: asked.append((training.members, "all"))
+        command.members, "train", lambda training, _: asked.append((training.members, "all"))
     )
     monkeypatch.setattr(run, "train", lambda network, training, *_: asked.append((0, network)))
     npz.write(scene(), tmp_path / "one.npz")
@@ -40,7 +40,7 @@ def test_the_marginal_network_alone_has_members(trained):
     assert trained("marginal", "--members", 3) == (0, [(3, "all")], "")
     code, asked, error = trained("opponent", "--members", 3)
     assert (code, asked) == (2, [])
-    assert "--members is of the marginal network; the opponent network has one" in error
+    assert "--members applies to the marginal network; the opponent network has one" in error
     assert trained("all", "--members", 1)[1] == [(0, "opponent"), (1, "all"), (0, "conditional")]
 
 

@@ -13,8 +13,8 @@ from synthetic import rotated, scene
 
 from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.training import augmentation
-from deepmf_sumo.training.samples import trajectory_samples
+from deepmf_sumo.training.networks import trajectory
+from deepmf_sumo.training.samples.trajectory import trajectory_samples
 
 FLIP = np.array([[1.0, 0.0], [0.0, -1.0]])
 
@@ -45,7 +45,7 @@ def batch():
 
 
 def test_a_mirrored_sample_is_the_sample_of_the_mirrored_scene(batch):
-    found = augmentation.mirrored(batch, torch.tensor([True]), LIGHT)
+    found = trajectory.mirrored(batch, torch.tensor([True]), LIGHT)
     wanted = first_batch(flipped(scene(shift=1.3)))
     for name in ("agents", "agent_info", "lanes", "motion", "future", "partner"):
         assert found[name].numpy() == pytest.approx(wanted[name].numpy(), abs=1e-4), name
@@ -56,12 +56,12 @@ def test_a_mirrored_sample_is_the_sample_of_the_mirrored_scene(batch):
 
 def test_mirroring_twice_changes_nothing(batch):
     rows = torch.tensor([True])
-    twice = augmentation.mirrored(augmentation.mirrored(batch, rows, LIGHT), rows, LIGHT)
+    twice = trajectory.mirrored(trajectory.mirrored(batch, rows, LIGHT), rows, LIGHT)
     assert all(torch.equal(twice[name], batch[name]) for name in batch)
 
 
 def test_rows_that_are_not_named_stay(batch):
-    same = augmentation.mirrored(batch, torch.tensor([False]), LIGHT)
+    same = trajectory.mirrored(batch, torch.tensor([False]), LIGHT)
     assert all(torch.equal(same[name], batch[name]) for name in batch)
 
 
@@ -73,8 +73,8 @@ def test_an_image_survives_packing(batch):
 
 def test_the_target_and_what_it_will_do_are_kept(batch):
     many = {name: values.repeat(64, *[1] * (values.ndim - 1)) for name, values in batch.items()}
-    found = augmentation._noisy(
-        augmentation._dropped(dict(many), torch.Generator().manual_seed(0)),
+    found = trajectory._noisy(
+        trajectory._dropped(dict(many), torch.Generator().manual_seed(0)),
         torch.Generator().manual_seed(1),
     )
     for name in ("future", "partner", "paths", "path_info", "motion"):
@@ -89,6 +89,6 @@ def test_the_target_and_what_it_will_do_are_kept(batch):
 
 def test_the_same_generator_gives_the_same_batch(batch):
     one, other = (
-        augmentation.augmented(batch, LIGHT, torch.Generator().manual_seed(5)) for _ in range(2)
+        trajectory.augmented(batch, LIGHT, torch.Generator().manual_seed(5)) for _ in range(2)
     )
     assert all(torch.equal(one[name], other[name]) for name in batch)

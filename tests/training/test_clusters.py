@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.errors import RunError, WeightsError
-from deepmf_sumo.training import clusters
+from deepmf_sumo.training.networks import clusters
 
 TIMES = np.arange(1, 81) * 0.1
 

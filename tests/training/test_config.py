@@ -6,7 +6,7 @@ from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.training import command as training
 from deepmf_sumo.training import config
 from deepmf_sumo.training.config import Optimisation
-from deepmf_sumo.training.making import Data
+from deepmf_sumo.training.samples.feature_cache import Data
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -97,7 +97,7 @@ def test_a_source_on_the_command_line_may_have_a_weight(tmp_path):
 
 @pytest.mark.parametrize("text", ["a=", "a=heavy", "a=0", "a=-1", "a=inf", "a=nan", "=2"])
 def test_what_is_no_weight_is_refused(text):
-    with pytest.raises(UsageError, match="is no weight; give PATH=WEIGHT"):
+    with pytest.raises(UsageError, match="is not a weight; give PATH=WEIGHT"):
         config.parsed(text)
 
 
@@ -106,12 +106,10 @@ def test_members_come_from_the_flag_then_the_file_then_the_default(tmp_path, mon
     file = tmp_path / "train.yaml"
     asked = []
     monkeypatch.setattr(training, "train_each", lambda _, made, *__: asked.append(made.members))
-    given = dict.fromkeys(("preset", "begin_from", "seed", "licence", "out", "threads", "cache"))
-    given |= {"data": [], "name": "x", "optimisation": {}, "device": "cpu", "jobs": 1}
-    given |= {"again": False, "command": "", "report": print}
     for text, flag in (("", None), ("members: 3\n", None), ("members: 3\n", 1)):
         file.write_text(f"version: 1\ndata: [mine]\n{text}", encoding="utf-8")
-        training.train_named("marginal", file=file, members=flag, **given)
+        request = training.Request(network="marginal", file=file, members=flag)
+        training.train_requested(request, print)
     assert asked == [config.MEMBERS, 3, 1]
 
 

@@ -16,9 +16,11 @@ from deepmf_sumo import readers
 from deepmf_sumo.errors import OutputError, RunError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.training import beginnings, cards, ensembles, loop, run, samples
+from deepmf_sumo.training import cards, initial_weights, members, run
 from deepmf_sumo.training.config import Optimisation
-from deepmf_sumo.training.making import Data
+from deepmf_sumo.training.fit import loop
+from deepmf_sumo.training.samples import trajectory
+from deepmf_sumo.training.samples.feature_cache import Data
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 
@@ -36,8 +38,8 @@ def data(tmp_path_factory):
     training = run.Training(data=[Data(path=file)], folder=folder, cache=folder, preset=SMALL)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(readers, "scenes", lambda _: iter(made))
-        patch.setattr(samples, "WINDOW_STEPS", (10,))
-        run.open_caches("marginal", training, print)
+        patch.setattr(trajectory, "WINDOW_STEPS", (10,))
+        run.open_dataset("marginal", training, print)
     return file
 
 
@@ -58,15 +60,15 @@ def made(data):
     """A set with two members, and what was said while it was trained."""
     lines, folder = [], data.parent / "made"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(samples, "WINDOW_STEPS", (10,))
-        ensembles.train(training_of(data, folder), lines.append)
+        patch.setattr(trajectory, "WINDOW_STEPS", (10,))
+        members.train(training_of(data, folder), lines.append)
     return folder, lines
 
 
 @pytest.fixture
 def training(data, tmp_path, monkeypatch):
     """Into an empty folder."""
-    monkeypatch.setattr(samples, "WINDOW_STEPS", (10,))
+    monkeypatch.setattr(trajectory, "WINDOW_STEPS", (10,))
     return training_of(data, tmp_path / "set")
 
 
@@ -115,7 +117,7 @@ def test_members_differ_by_seed_and_the_first_card_lists_them(trained, made):
 def test_what_has_been_made_stays(trained):
     before = {file: file.stat().st_mtime_ns for file in trained.folder.glob("*.*")}
     lines = []
-    ensembles.train(trained, lines.append)
+    members.train(trained, lines.append)
     assert before == {file: file.stat().st_mtime_ns for file in trained.folder.glob("*.*")}
     assert [line.split(":")[0] for line in lines] == ["marginal", "marginal-2"]
 
@@ -133,22 +135,22 @@ def test_a_run_cut_off_in_the_second_member_goes_on_to_the_same_bytes(training, 
     with monkeypatch.context() as patch:
         patch.setattr(loop._Run, "step", cut)
         with pytest.raises(RunError, match="cut off"):
-            ensembles.train(training, lines.append)
+            members.train(training, lines.append)
     assert "members" not in card(training)  # a set of one network until the second is there
-    ensembles.train(training, lines.append)
+    members.train(training, lines.append)
     assert any("going on from step 1" in line for line in lines)
-    assert any(line.startswith("marginal: this training has been made") for line in lines)
+    assert any(line.startswith("marginal: this training is complete") for line in lines)
     assert contents(training.folder) == contents(made[0])
 
 
 def test_fewer_members_take_the_first_ones_own_temperature(trained):
     alone = card(trained)["members"][0]["temperature"]
-    ensembles.train(replace(trained, members=1), print)
+    members.train(replace(trained, members=1), print)
     assert card(trained)["temperature"] == alone
     assert "members" not in card(trained)
     assert "mixture" not in card(trained)
     lines = []
-    ensembles.train(trained, lines.append)  # both are there: nothing is trained
+    members.train(trained, lines.append)  # both are there: nothing is trained
     assert not any(line.startswith("step") for line in lines)
     assert len(card(trained)["members"]) == 2
 
@@ -157,7 +159,7 @@ def test_other_members_need_another_temperature(trained):
     cards.add_results(trained.folder, {"data": ["val"], "marginal": {"objects": 1}})
     assert "results" in card(trained)
     listed = card(trained)["members"]
-    ensembles.train(replace(trained, seed=6), print)
+    members.train(replace(trained, seed=6), print)
     assert [one["seed"] for one in card(trained)["members"]] == [6, 7]
     assert card(trained)["members"] != listed
     assert "results" not in card(trained)
@@ -165,14 +167,14 @@ def test_other_members_need_another_temperature(trained):
 
 def test_members_begin_from_those_of_another_set(trained, tmp_path):
     names = [
-        beginnings.file_of(
+        initial_weights.file_of(
             "marginal", SMALL, tmp_path / "fine", str(trained.folder), print, member
         ).stem
         for member in (1, 2, 3)
     ]
     assert names == ["marginal", "marginal-2", "marginal"]
     net = weights.build("marginal", SMALL)
-    beginnings.load(net, "marginal", trained.folder / "marginal-2.safetensors")
+    initial_weights.load(net, "marginal", trained.folder / "marginal-2.safetensors")
     own = weights.tensors(trained.folder, "marginal-2")["score.weight"]
     assert torch.equal(net.score.weight, own.float())
 
@@ -186,7 +188,7 @@ def test_a_card_that_cannot_be_written_leaves_the_members(trained, monkeypatch):
 
     monkeypatch.setattr(cards.files, "write", full)
     with pytest.raises(OutputError, match="No space left on device"):
-        ensembles.train(trained, print)
+        members.train(trained, print)
     assert card(trained) == before
 
 

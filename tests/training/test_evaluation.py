@@ -19,8 +19,10 @@ from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.readers.base import Refusal
-from deepmf_sumo.training import cards, clusters, evaluation, windows
-from deepmf_sumo.training.evaluation.calibration import error_if_right
+from deepmf_sumo.training import cards, evaluation
+from deepmf_sumo.training.evaluation.measures import error_if_right
+from deepmf_sumo.training.networks import clusters
+from deepmf_sumo.training.samples import windows
 
 SCENES = [scene(shift=3.0 * number, av_speed=8.0 + number) for number in range(3)]
 

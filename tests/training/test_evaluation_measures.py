@@ -11,15 +11,25 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
 from synthetic import scene
 
 from deepmf_sumo.datatypes import Forecast, Futures
-from deepmf_sumo.training import windows
-from deepmf_sumo.training.evaluation import baselines, likelihood, opponent_rules, plausibility
-from deepmf_sumo.training.evaluation.calibration import ModeCalibration, expected_error
-from deepmf_sumo.training.evaluation.displacement import DisplacementErrors, summary
-from deepmf_sumo.training.evaluation.estimates import difference, mean, standard_error
-from deepmf_sumo.training.evaluation.opponent import vehicles_near
-from deepmf_sumo.training.evaluation.ranking import Ranking, auroc, average_precision
-from deepmf_sumo.training.evaluation.targets import targets
-from deepmf_sumo.training.windows import Future
+from deepmf_sumo.training.evaluation import forecasts, marginal, measures, opponent
+from deepmf_sumo.training.evaluation.forecasts import targets
+from deepmf_sumo.training.evaluation.measures import (
+    DisplacementErrors,
+    ModeCalibration,
+    difference,
+    error_summary,
+    expected_error,
+    mean,
+    standard_error,
+)
+from deepmf_sumo.training.evaluation.opponent import (
+    Ranking,
+    auroc,
+    average_precision,
+    vehicles_near,
+)
+from deepmf_sumo.training.samples import windows
+from deepmf_sumo.training.samples.windows import Future
 
 STRAIGHT = np.stack([np.arange(1, 81) * 1.0, np.zeros(80)], 1)
 
@@ -110,7 +120,7 @@ def test_a_summary_has_standard_errors_and_no_miss_rule_before_three_seconds():
     errors, valid = DisplacementErrors(), np.ones(80, bool)
     for off in (1.0, 3.0):
         errors.add(STRAIGHT[None] + [0, off], STRAIGHT, np.zeros(80), valid, 0.0)
-    late, early = summary({1: errors}, "8.0"), summary({1: errors}, "2.0")
+    late, early = error_summary({1: errors}, "8.0"), error_summary({1: errors}, "2.0")
     assert late["min_fde"] == {"1": 2.0}
     assert late["min_fde_standard_error"] == {"1": 1.0}
     assert late["miss_rate"] == {"1": 0.5}
@@ -152,10 +162,10 @@ def test_likelihood_of_modes_is_a_density_and_grows_with_probability():
     axis = np.linspace(-60, 60, 401)
     grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) + place
     forecast = forecast_of(modes, [0.8, 0.2])
-    total = sum(np.exp(likelihood.of_modes(forecast, step, p, 1.25)) for p in grid[::7])
+    total = sum(np.exp(measures.of_modes(forecast, step, p, 1.25)) for p in grid[::7])
     assert total * 7 * 0.3**2 == pytest.approx(1.0, abs=0.02)
     other = forecast_of(modes, [0.2, 0.8])
-    gain = likelihood.of_modes(forecast, step, place, 0.75) - likelihood.of_modes(
+    gain = measures.of_modes(forecast, step, place, 0.75) - measures.of_modes(
         other, step, place, 0.75
     )
     assert gain == pytest.approx(np.log(4), abs=0.05)
@@ -169,10 +179,10 @@ def test_the_end_is_judged_by_all_goals_and_what_is_unknown_not_at_all():
         return np.array([-3.0])
 
     forecast = forecast_of(STRAIGHT[None], [1.0])
-    known = likelihood.by_horizon(forecast, future_of(STRAIGHT), density)
+    known = measures.log_likelihoods(forecast, future_of(STRAIGHT), density)
     assert known["8.0"] == -3.0
     assert asked[0][0].tolist() == [[80.0, 0.0]]
-    cut = likelihood.by_horizon(forecast, future_of(STRAIGHT, np.arange(80) < 30), density)
+    cut = measures.log_likelihoods(forecast, future_of(STRAIGHT, np.arange(80) < 30), density)
     assert cut["3.0"] is not None
     assert cut["5.0"] is cut["8.0"] is None
 
@@ -183,12 +193,12 @@ def test_modes_that_meet_others_are_not_clear():
     waits = np.stack([np.full(80, -50.0), np.zeros(80)], 1)
     rushes = np.stack([-50.0 + steps * 2.0, np.zeros(80)], 1)  # 20 m/s
     modes = np.stack([target.future.position_m, rushes, waits])
-    first = plausibility.first_overlap(target, modes, np.zeros((3, 80)))
+    first = forecasts.first_overlap(target, modes, np.zeros((3, 80)))
     # as it drove it meets `south` at the crossing, from x = -3, y = -2.7 on, after 4.7 s; faster it
     # passes before, and meets the one that waits at x = 55.2, after 5.3 s
-    assert first.tolist() == [46, 52, plausibility.NEVER]
+    assert first.tolist() == [46, 52, forecasts.NEVER]
     unknown = np.full((1, 80, 2), np.nan)
-    assert plausibility.first_overlap(target, unknown, unknown[..., 0])[0] == plausibility.NEVER
+    assert forecasts.first_overlap(target, unknown, unknown[..., 0])[0] == forecasts.NEVER
 
 
 def test_modes_off_the_lanes_are_found_at_half_seconds():
@@ -197,20 +207,20 @@ def test_modes_off_the_lanes_are_found_at_half_seconds():
     leaves = target.future.position_m + np.stack([np.zeros(80), 0.1 * steps], 1)
     modes = np.stack([target.future.position_m, leaves])
     # off beyond 1.85 + 0.5 m: at step index 23 (2.4 m), seen at 24; then `left` is far
-    assert plausibility.first_off_road(target, modes).tolist() == [plausibility.NEVER, 24]
+    assert forecasts.first_off_road(target, modes).tolist() == [forecasts.NEVER, 24]
 
 
 def test_baselines_go_straight_and_along_the_lane():
     given = scene(turn=0.4)
     target = the(given, "av")
-    straight = baselines.constant_velocity(target)[0]
+    straight = marginal.constant_velocity(target)[0]
     assert straight == pytest.approx(target.future.position_m, abs=1e-6)
-    lane = baselines.lane_following(target)[0]
+    lane = marginal.lane_following(target)[0]
     assert lane == pytest.approx(target.future.position_m, abs=0.3)
     tilted = tilted_scene()
-    lane = baselines.lane_following(the(tilted, "av"))[0]
+    lane = marginal.lane_following(the(tilted, "av"))[0]
     assert np.abs(lane[-20:, 1]).max() < 0.2  # back on the lane y = 0
-    assert np.abs(baselines.constant_velocity(the(tilted, "av"))[0, -1, 1]) > 10
+    assert np.abs(marginal.constant_velocity(the(tilted, "av"))[0, -1, 1]) > 10
 
 
 def tilted_scene():
@@ -227,12 +237,12 @@ def test_opponent_rules_by_hand():
     view = windows.view_at(scene(), 10)
     rows = np.array([view.history.row(name) for name in ("south", "parked", "far")])
     # relative to the AV at (-50, 0): (50, -45), (20, 12), (-90, 0)
-    assert opponent_rules.corridor(view, rows).tolist() == pytest.approx([-100.0, -28.0, -18.0])
-    assert opponent_rules.nearest(view, rows)[1] == pytest.approx(-np.hypot(20, 12))
-    assert opponent_rules.nearest_moving(view, rows)[1] == -np.inf
-    assert np.isfinite(opponent_rules.nearest_moving(view, rows)[[0, 2]]).all()
+    assert opponent.corridor(view, rows).tolist() == pytest.approx([-100.0, -28.0, -18.0])
+    assert opponent.nearest(view, rows)[1] == pytest.approx(-np.hypot(20, 12))
+    assert opponent.nearest_moving(view, rows)[1] == -np.inf
+    assert np.isfinite(opponent.nearest_moving(view, rows)[[0, 2]]).all()
     # they meet at the crossing at 5 s; the AV passes 12 m beside the parked one
-    approach = opponent_rules.constant_velocity(view, rows)
+    approach = opponent.constant_velocity(view, rows)
     assert approach[0] == pytest.approx(0.0, abs=4.0)
     assert approach[1] == pytest.approx(-12.0, abs=0.1)
 

@@ -8,11 +8,11 @@ import pytest
 sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
 from synthetic import scene
 
-from deepmf_sumo.training import labels, windows
+from deepmf_sumo.training.samples import opponent, windows
 
 
 def interacts(scene, agent_id):
-    return bool(labels.interacting(scene.tracks, scene.av_id, [agent_id])[0])
+    return bool(opponent.interacting(scene.tracks, scene.av_id, [agent_id])[0])
 
 
 def test_ways_that_cross_at_different_times_interact():

@@ -19,7 +19,8 @@ from deepmf_sumo.datatypes import ROLLOUT, SIMULATED
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
-from deepmf_sumo.training.motion_prior import evaluation, loss, samples
+from deepmf_sumo.training.networks import motion_prior
+from deepmf_sumo.training.samples import graph
 
 
 def of_dataset(name, made):
@@ -29,7 +30,7 @@ def of_dataset(name, made):
 @pytest.fixture(scope="module")
 def batch():
     rows = [
-        next(samples.graph_samples(scene(shift=3.0 * n - 12, av_speed=5.0 + n))) for n in range(4)
+        next(graph.graph_samples(scene(shift=3.0 * n - 12, av_speed=5.0 + n))) for n in range(4)
     ]
     return {name: torch.from_numpy(np.stack([row[name] for row in rows])) for name in rows[0]}
 
@@ -44,27 +45,27 @@ def test_futures_are_in_each_vehicles_frame(batch):
 
 
 def test_later_windows_know_less():
-    made = list(samples.graph_samples(scene()))
+    made = list(graph.graph_samples(scene()))
     known = [int(each["future"][0, :, 3].sum()) for each in made]
     assert known == [16, 14, 12, 10]
 
 
 def test_of_an_attack_the_av_alone_teaches():
-    made = next(samples.graph_samples(of_dataset(ROLLOUT, scene())))
+    made = next(graph.graph_samples(of_dataset(ROLLOUT, scene())))
     assert made["future"][0, :, 3].all()
     assert not made["future"][1:].any()
 
 
 def test_simulated_scenes_are_looked_at_once():
-    assert len(list(samples.graph_samples(of_dataset(SIMULATED, scene())))) == 1
+    assert len(list(graph.graph_samples(of_dataset(SIMULATED, scene())))) == 1
 
 
 def test_training_lowers_the_loss_and_the_errors(batch):
     torch.manual_seed(0)
     net = MotionPrior(LIGHT)
-    find = loss.loss_of(net)
+    find = motion_prior.loss_of(net)
     few = {name: values[:3, :4] for name, values in batch.items()}
-    before = evaluation.errors(net, [few], torch.Generator().manual_seed(0))
+    before = motion_prior.errors(net, [few], torch.Generator().manual_seed(0))
     optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
     net.train()
     for turn in range(6):
@@ -72,7 +73,7 @@ def test_training_lowers_the_loss_and_the_errors(batch):
         optimiser.zero_grad()
         value.backward()
         optimiser.step()
-    after = evaluation.errors(net, [few], torch.Generator().manual_seed(0))
+    after = motion_prior.errors(net, [few], torch.Generator().manual_seed(0))
     assert before["vehicles"] == 3 * 3
     assert after["reconstruction_ade"] < before["reconstruction_ade"]
     assert after["min_ade_16"] <= after["mean_ade"] * 1.5
@@ -82,7 +83,7 @@ def test_training_lowers_the_loss_and_the_errors(batch):
 def test_all_of_the_divergence_counts_in_evaluation(batch):
     torch.manual_seed(0)
     net = MotionPrior(LIGHT)
-    find = loss.loss_of(net)
+    find = motion_prior.loss_of(net)
     batch = {name: values[:2] for name, values in batch.items()}
     with torch.no_grad():
         net.eval()
@@ -94,18 +95,18 @@ def test_all_of_the_divergence_counts_in_evaluation(batch):
 
 def test_a_batch_that_knows_nobody_among_the_nearest_teaches_nothing(batch):
     blind = {**batch, "future": torch.zeros_like(batch["future"])}
-    value = loss.loss_of(MotionPrior(LIGHT))(blind, torch.Generator().manual_seed(0))
+    value = motion_prior.loss_of(MotionPrior(LIGHT))(blind, torch.Generator().manual_seed(0))
     assert torch.isfinite(value)
 
 
 def test_nobody_moves():
-    assert evaluation.errors(MotionPrior(LIGHT), [], torch.Generator()) == {}
+    assert motion_prior.errors(MotionPrior(LIGHT), [], torch.Generator()) == {}
 
 
 def test_the_command_trains_writes_and_does_not_train_twice(monkeypatch, tmp_path):
     made = [scene(shift=2.0 * n - 15, turn=0.3 * n) for n in range(12)]
     monkeypatch.setattr(readers, "scenes", lambda _: iter(made))
-    monkeypatch.setattr(samples, "WINDOW_STEPS", (10,))
+    monkeypatch.setattr(graph, "WINDOW_STEPS", (10,))
     file = tmp_path / "recordings.bin"
     file.write_bytes(b"x")
     line = ["strive", "--data", str(file), "--out", str(tmp_path / "set"), "--cache",
@@ -118,7 +119,7 @@ def test_the_command_trains_writes_and_does_not_train_twice(monkeypatch, tmp_pat
     assert not list((tmp_path / "set").glob("*.checkpoint*"))
     assert isinstance(weights.motion_prior(tmp_path / "set"), MotionPrior)
     done = CliRunner().invoke(command, line, catch_exceptions=False)
-    assert "this training has been made" in done.output
+    assert "this training is complete" in done.output
 
 
 def test_all_leaves_the_prior_out():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.training import losses, opponent
+from deepmf_sumo.training.networks import opponent
 
 
 class Net:
@@ -49,7 +49,7 @@ def test_the_partner_s_head_is_fitted_where_a_partner_is_named():
 @pytest.mark.parametrize("samples", [0, 1000])
 def test_the_first_head_has_what_its_loss_implies(samples):
     found = opponent.calibrate(Net(), Cache(samples))
-    assert (found.temperature, found.offset) == losses.focal_link()
+    assert (found.temperature, found.offset) == opponent.focal_link()
 
 
 def test_without_held_out_scenes_the_partner_s_logits_stay():
@@ -61,9 +61,9 @@ def test_without_held_out_scenes_the_partner_s_logits_stay():
 def test_where_the_focal_loss_is_least_its_link_gives_the_frequency(frequency, alpha, gamma):
     logits = torch.linspace(-6.0, 6.0, 12001)
     yes, no = (
-        losses.focal(logits, torch.full_like(logits, each), alpha, gamma) for each in (1.0, 0.0)
+        opponent.focal(logits, torch.full_like(logits, each), alpha, gamma) for each in (1.0, 0.0)
     )
     least = float(logits[(frequency * yes + (1 - frequency) * no).argmin()])
-    temperature, offset = losses.focal_link(alpha, gamma)
+    temperature, offset = opponent.focal_link(alpha, gamma)
     found = 1 / (1 + np.exp(-(least / temperature + offset)))
     assert found == pytest.approx(frequency, abs=0.012)

@@ -12,11 +12,10 @@ sys.path.append(str(Path(__file__).resolve().parent))
 import tiny_training
 
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.training import checkpoints as checkpoints_module
-from deepmf_sumo.training import files, loop
-from deepmf_sumo.training.checkpoints import Checkpoints
-from deepmf_sumo.training.curves import Curves
-from deepmf_sumo.training.schedule import Schedule
+from deepmf_sumo.training import files
+from deepmf_sumo.training.fit import checkpoints, loop
+from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
+from deepmf_sumo.training.fit.loop import Schedule
 
 SCHEDULE = Schedule(steps=60, batch=16, evaluate_every=15, average=0.95, rate=0.02)
 
@@ -109,7 +108,7 @@ def test_with_both_checkpoints_damaged_training_starts_anew(tmp_path):
     lines = []
     again, _, steps = train(tmp_path / "part", lines=lines)
     assert steps == 60
-    assert "training starts anew" in lines[0]
+    assert "training starts again" in lines[0]
     assert same(whole, again)
 
 
@@ -123,7 +122,7 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
         real(descriptor)
 
-    monkeypatch.setattr(checkpoints_module.os, "fsync", full)
+    monkeypatch.setattr(checkpoints.os, "fsync", full)
     monkeypatch.setattr(files, "write", lambda *_: None)  # of the curves
     lines = []
     with pytest.raises(CutError):

@@ -18,22 +18,16 @@ from deepmf_sumo.errors import OutputError, RunError, UsageError, WeightsError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.readers.base import Refusal
-from deepmf_sumo.training import (
-    clusters,
-    held_out,
-    loop,
-    losses,
-    making,
-    opponent_samples,
-    run,
-    samples,
-    trajectory,
-)
-from deepmf_sumo.training.cache import Source
-from deepmf_sumo.training.checkpoints import Checkpoints
+from deepmf_sumo.training import run
 from deepmf_sumo.training.config import Optimisation
-from deepmf_sumo.training.curves import Curves
-from deepmf_sumo.training.making import Data
+from deepmf_sumo.training.fit import loop
+from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
+from deepmf_sumo.training.networks import clusters, trajectory
+from deepmf_sumo.training.samples import feature_cache
+from deepmf_sumo.training.samples import opponent as opponent_samples
+from deepmf_sumo.training.samples import trajectory as trajectory_samples
+from deepmf_sumo.training.samples.dataset import Source
+from deepmf_sumo.training.samples.feature_cache import Data
 
 
 @pytest.fixture
@@ -45,7 +39,7 @@ def recordings(monkeypatch, tmp_path):
     ]
     refusal = Refusal(file="-", record=20, name="bad", reason="damaged")
     monkeypatch.setattr(readers, "scenes", lambda _: iter([*made, refusal]))
-    monkeypatch.setattr(samples, "WINDOW_STEPS", (10, 40))
+    monkeypatch.setattr(trajectory_samples, "WINDOW_STEPS", (10, 40))
     monkeypatch.setattr(opponent_samples, "AV_STEPS", (10,))
     monkeypatch.setattr(opponent_samples, "STAND_IN_STEPS", ())
     file = tmp_path / "recordings.bin"
@@ -81,21 +75,21 @@ def test_all_networks_are_trained_and_usable(training, recordings):
 
 
 def test_training_lowers_the_loss(training):
-    made = run.open_caches("marginal", training, print)
+    made = run.open_dataset("marginal", training, print)
     torch.manual_seed(0)
     net = weights.build("marginal", LIGHT)
-    trajectory.start(net, made, 0)
+    trajectory.fit_profiles(net, made, 0)
     loss = trajectory.loss_of(net)
     schedule = loop.Schedule(steps=16, batch=8, evaluate_every=16)
-    before = held_out.evaluate(net, made, loss, schedule)[0]
+    before = loop.validation_losses(net, made, loss, schedule)[0]
     checkpoints = Checkpoints(training.folder / "c")
     curves = Curves(training.folder / "c.csv", ["recordings"], print)
     loop.train(net, made, loss, schedule, checkpoints, curves, lambda _: None)
-    assert held_out.evaluate(net, made, loss, schedule)[0] < before - 0.5
+    assert loop.validation_losses(net, made, loss, schedule)[0] < before - 0.5
 
 
 def test_held_out_scenes_are_never_trained_on(training):
-    made = run.open_caches("opponent", training, print)
+    made = run.open_dataset("opponent", training, print)
     train, held = made.rows(held_out=False), made.rows(held_out=True)
     assert not set(made.scene[train]) & set(made.scene[held])
     assert len(set(made.scene[held])) == 2
@@ -152,16 +146,16 @@ def test_clusters_that_cannot_be_written_leave_a_training_to_finish(training, mo
 
 
 def test_a_cache_is_made_once(training, monkeypatch):
-    first = run.open_caches("opponent", training, print)
+    first = run.open_dataset("opponent", training, print)
     monkeypatch.setattr(readers, "scenes", None)
-    second = run.open_caches("opponent", training, print)
+    second = run.open_dataset("opponent", training, print)
     assert first.sources[0].digest == second.sources[0].digest
     rows = np.array([5, 2, 9])
     assert np.array_equal(second.batch(rows)["pair"], np.asarray(first.arrays["pair"])[rows])
 
 
 def test_the_paper_preset_takes_one_step():
-    arrays = list(samples.trajectory_samples(scene(), PAPER))[:2]
+    arrays = list(trajectory_samples.trajectory_samples(scene(), PAPER))[:2]
     batch = {
         name: torch.from_numpy(np.stack([each[name] for each in arrays])) for name in arrays[0]
     }
@@ -170,29 +164,29 @@ def test_the_paper_preset_takes_one_step():
     given = trajectory.partner_condition(batch, PAPER, None)
     assert given.image.shape == (2, 80, 224, 224)
     goals = net(batch, given)
-    loss = losses.mixture(net, goals, batch).mean()
+    loss = trajectory.mixture_loss(net, goals, batch).mean()
     loss.backward()
     assert torch.isfinite(loss)
     assert net.image.blocks[0][0].weight.grad.abs().max() > 0
 
 
 def test_the_loss_is_lower_for_what_happened(training):
-    made = run.open_caches("marginal", training, print)
+    made = run.open_dataset("marginal", training, print)
     net = weights.build("marginal", LIGHT)
-    trajectory.start(net, made, 0)
+    trajectory.fit_profiles(net, made, 0)
     net.eval()
     batch = loop.tensors(made.batch(np.arange(8)))
     with torch.inference_mode():
         goals = net(batch)
-        true = losses.mixture(net, goals, batch).mean()
+        true = trajectory.mixture_loss(net, goals, batch).mean()
         batch["future"] = batch["future"] + 30.0
-        assert losses.mixture(net, goals, batch).mean() > true + 5.0
+        assert trajectory.mixture_loss(net, goals, batch).mean() > true + 5.0
 
 
 def test_data_that_does_not_exist_is_named(tmp_path):
     missing = Data(path=tmp_path / "no")
     with pytest.raises(UsageError, match="does not exist"):
-        making.open_or_make("opponent", missing, "", lambda _: [], tmp_path, print)
+        feature_cache.open_or_build(opponent_samples.features_for(LIGHT), missing, tmp_path, print)
 
 
 def test_the_command_makes_a_named_set(recordings, tmp_path, monkeypatch):

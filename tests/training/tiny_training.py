@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepmf_sumo.training.cache import Source, mix
+from deepmf_sumo.training.samples.dataset import Source, mix
 
 
 def source(name, count, *, weight=None, slope=1.0, scenes=20):

@@ -29,7 +29,7 @@ class Variant(Strict):
     name: str = Field(min_length=1, max_length=60)
     sizes: dict[str, Any] = Field(
         default_factory=dict,
-        description="sizes of a preset: the marginal and the conditional network are trained anew",
+        description="sizes of a preset: marginal and conditional network are trained for them",
     )
     attack: dict[str, Any] = Field(
         default_factory=dict, description="settings of the adversary; nothing is trained for them"
@@ -51,7 +51,9 @@ class Plan(Config):
     """
 
     data: list[Annotated[DataEntry, BeforeValidator(_entry)]] = Field(min_length=1)
-    begin_from: None = Field(default=None, description="variants of other sizes begin anew")
+    begin_from: None = Field(
+        default=None, description="variants of other sizes start from random weights"
+    )
     members: None = Field(default=None, description="each variant has one")
     preset: str = Field(default="light", description="sizes of the base's networks, all three")
     test: ExistingPath

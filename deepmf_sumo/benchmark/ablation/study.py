@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from deepmf_sumo.benchmark import batch, files
-from deepmf_sumo.benchmark.ablation.figures import Row, row
 from deepmf_sumo.benchmark.ablation.plan import BASE, Plan, Variant
+from deepmf_sumo.benchmark.ablation.table import Row, row
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.weights import NETWORKS, Network
-from deepmf_sumo.training import beginnings, evaluation, making
+from deepmf_sumo.training import evaluation, initial_weights
 from deepmf_sumo.training.command import train_each
-from deepmf_sumo.training.making import Data
 from deepmf_sumo.training.run import Training
+from deepmf_sumo.training.samples import feature_cache
 
 _OWN: Final[tuple[Network, ...]] = ("marginal", "conditional")
 """Networks that other sizes change; the opponent network is the base's."""
@@ -70,7 +70,7 @@ def run(plan: Plan, options: Options, report: Report) -> Iterator[Row]:
 
 
 def _train(plan: Plan, variant: Variant, options: Options, say: Report) -> Path:
-    """The folder of the variant's networks; `train` leaves alone what it has made before."""
+    """The folder of the variant's networks; `train` keeps networks that are complete."""
     root = options.out / "weights"
     folder = root / slug(variant.name)
     own = NETWORKS if variant.name == BASE else _OWN
@@ -97,8 +97,8 @@ def _train(plan: Plan, variant: Variant, options: Options, say: Report) -> Path:
 
 
 def _digest(plan: Plan, folder: Path) -> str:
-    tensors = [beginnings.digest(folder / f"{network}.safetensors") for network in NETWORKS]
-    return making.digest_of("ablation", Data(path=plan.test), " ".join(tensors))[:12]
+    tensors = [initial_weights.digest(folder / f"{network}.safetensors") for network in NETWORKS]
+    return feature_cache.digest_of("ablation", " ".join(tensors), plan.test)[:12]
 
 
 def _evaluate(

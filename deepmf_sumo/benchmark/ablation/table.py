@@ -1,14 +1,176 @@
-"""Rows -> ``ablation.csv`` with all figures, and ``ablation.md`` to read."""
+"""Cards, evaluation and runs of each variant -> its row; rows -> ``ablation.csv``, ``ablation.md``.
+
+Notes above the readable table give data, steps, seeds and denominators: without them neither rates
+nor costs can be judged.
+"""
 
 import csv
 import io
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from statistics import fmean, median
+from typing import Any, Final, Self
 
 from deepmf_sumo.benchmark import files
-from deepmf_sumo.benchmark.ablation.figures import MODES, Attacked, Estimate, Row
+from deepmf_sumo.benchmark.ablation.plan import Plan
+from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.metrics.statistics import Interval, wilson
+from deepmf_sumo.predictors.weights import NETWORKS, Network
+
+HORIZON: Final = "8.0"
+MODES: Final = ("6", "16", "32")
+_MINUTES: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A mean and its standard error; None where it was not measured."""
+
+    mean: float | None
+    standard_error: float | None
+
+    @classmethod
+    def of(cls, figures: Mapping[str, Any], name: str) -> Self:
+        """The figure of a name, and the one that is its standard error."""
+        return cls(mean=figures[name], standard_error=figures[f"{name}_standard_error"])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attacked:
+    """The attacks on one planner.
+
+    Attributes:
+        runs: that succeeded. not_ok: failed, timed out or skipped. failed: without the skipped.
+        hits: runs in which the opponent hit the AV first. rate: of the runs; None without any.
+        rms_mps2: the opponent's RMS acceleration, mean over the runs.
+    """
+
+    planner: str
+    runs: int
+    not_ok: int
+    failed: int
+    hits: int
+    rate: Interval | None
+    rms_mps2: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One variant.
+
+    Attributes:
+        networks: the variant whose networks it uses.
+        cards: by network.
+        scenes, refused: recordings that were evaluated, and that could not be.
+        min_fde_m: by number of modes, at 8 s, of ``objects`` vehicles.
+        log_likelihood: nats, at 8 s.
+        gain_true, gain_shuffled: of the AV's log likelihood, given the other's future, nats, at
+            8 s, of ``avs`` AVs.
+        cycle_ms: median over the replanning ``cycles`` of all runs.
+    """
+
+    variant: str
+    networks: str
+    cards: Mapping[Network, Mapping[str, Any]]
+    scenes: int
+    refused: int
+    min_fde_m: Mapping[str, Estimate]
+    objects: int
+    log_likelihood: Estimate
+    gain_true: Estimate
+    gain_shuffled: Estimate
+    avs: int
+    cycle_ms: float | None
+    cycles: int
+    attacks: tuple[Attacked, ...]
+
+    @property
+    def weights(self) -> int:
+        """Of all three networks."""
+        return sum(card["weights"] for card in self.cards.values())
+
+    @property
+    def minutes(self) -> float:
+        """Of training the marginal and the conditional network."""
+        return _MINUTES * float(
+            self.cards["marginal"]["hours"] + self.cards["conditional"]["hours"]
+        )
+
+    @property
+    def opponent_minutes(self) -> float:
+        """Of training the opponent network, which all variants share."""
+        return _MINUTES * float(self.cards["opponent"]["hours"])
+
+
+def row(
+    variant: str,
+    networks: str,
+    cards: Mapping[Network, Mapping[str, Any]],
+    evaluation: Mapping[str, Any],
+    results: Mapping[str, Sequence[Result]],
+) -> Row:
+    """The row of a variant.
+
+    Args:
+        variant: its name.
+        networks: name of the variant whose networks it uses.
+        cards: by network.
+        evaluation: as `training.evaluation.evaluate` gives it.
+        results: of the attacks, by planner.
+    """
+    marginal = evaluation["marginal"][HORIZON]
+    gains = evaluation["conditional"][HORIZON]["by_role"]["av"]
+    cycles = [
+        sum(parts.values())
+        for each in results.values()
+        for one in each
+        for parts in one["timings"].get("plans_ms", ())
+    ]
+    return Row(
+        variant=variant,
+        networks=networks,
+        cards=cards,
+        scenes=evaluation["scenes"],
+        refused=evaluation["refused"],
+        min_fde_m={
+            modes: Estimate(
+                mean=marginal["min_fde"][modes],
+                standard_error=marginal["min_fde_standard_error"][modes],
+            )
+            for modes in MODES
+        },
+        objects=marginal["objects"],
+        log_likelihood=Estimate.of(marginal, "log_likelihood"),
+        gain_true=Estimate.of(gains, "log_likelihood_gain_true"),
+        gain_shuffled=Estimate.of(gains, "log_likelihood_gain_shuffled"),
+        avs=gains["log_likelihood_objects"],
+        cycle_ms=median(cycles) if cycles else None,
+        cycles=len(cycles),
+        attacks=tuple(_attacked(planner, each) for planner, each in results.items()),
+    )
+
+
+def _attacked(planner: str, results: Sequence[Result]) -> Attacked:
+    done = [one for one in results if one["status"] == "ok"]
+    hits = sum(one["outcome"] == "av_opponent" for one in done)
+    rms = [
+        value
+        for one in done
+        if (value := one["metrics"]["opponent_rms_acceleration"]["value"]) is not None
+    ]
+    return Attacked(
+        planner=planner,
+        runs=len(done),
+        not_ok=len(results) - len(done),
+        failed=sum(one["status"] in {"failed", "timeout"} for one in results),
+        hits=hits,
+        rate=wilson(hits, len(done)) if done else None,
+        rms_mps2=fmean(rms) if rms else None,
+    )
+
 
 HEADINGS: Final = (
     "variant", "networks", "weights", "minutes", "minFDE6 m", "minFDE16 m", "minFDE32 m",
@@ -114,3 +276,72 @@ def _rounded(value: float | None) -> float | None:
 
 def _line(values: Sequence[str]) -> str:
     return f"| {' | '.join(value.replace('|', '/') for value in values)} |"
+
+
+def notes(plan: Plan, jobs: int, rows: Sequence[Row]) -> list[str]:
+    """Paragraphs on data, steps, seeds, threads and denominators, then one on the variants."""
+    return [
+        _training_note(rows),
+        _evaluation_note(plan, rows[0]),
+        _attack_note(plan, jobs, rows),
+        _variants_note(plan),
+    ]
+
+
+def _training_note(rows: Sequence[Row]) -> str:
+    cards = rows[0].cards
+    sources = ", ".join(
+        f"{source['name']} ({source['scenes']} scenes, {source['refused']} refused)"
+        for source in cards["marginal"]["data"]
+    )
+    steps = ", ".join(
+        f"{network} {cards[network]['steps']} of {cards[network]['schedule']['batch']}"
+        for network in NETWORKS
+    )
+    every = [card for row in rows for card in row.cards.values()]
+    return (
+        f"Trained on {sources}; steps and samples a step: {steps}; seed {_each(every, 'seed')};"
+        f" device {_each([card['schedule'] for card in every], 'device')}, threads"
+        f" {_each(every, 'threads')}. 'minutes' is the wall time of training the marginal and the"
+        " conditional network, without features; the opponent network is the same in all rows and"
+        f" took {rows[0].opponent_minutes:.1f}. One training a row: differences below the noise"
+        " of seeds say nothing."
+    )
+
+
+def _evaluation_note(plan: Plan, base: Row) -> str:
+    return (
+        f"Measured at 8 s on {plan.test.name}: {base.scenes} scenes ({base.refused} refused),"
+        f" {base.objects} objects; gains of {base.avs} AVs, given the other's true or a shuffled"
+        " future, over the marginal network; ± standard error. 'weights' counts all three networks."
+    )
+
+
+def _attack_note(plan: Plan, jobs: int, rows: Sequence[Row]) -> str:
+    cycles = sum(row.cycles for row in rows)
+    planners = "; ".join(f"{name}: {_told(keys)}" for name, keys in plan.planners.items())
+    return (
+        f"Attacked as {plan.study.name} says, the seed of its runs too; {planners}. Hits: runs in"
+        " which the opponent hit the AV first, of all that succeeded, and 95 % Wilson interval;"
+        " rms: the opponent's acceleration along its path, mean over runs. 'cycle ms': median of"
+        f" all replanning cycles ({cycles} in all), in workers of one thread each, {jobs} at a"
+        " time in the last command; what else the machine did is in it."
+    )
+
+
+def _variants_note(plan: Plan) -> str:
+    lines = [f"- base: preset {plan.preset_of(plan.all_variants[0]).name}, as the study attacks"]
+    for variant in plan.variants:
+        told = _told({**variant.sizes, **variant.attack})
+        own = "" if plan.trained_for(variant) == variant else f" ({plan.trained_for(variant).name})"
+        lines.append(f"- {variant.name}: {told}{own}")
+    return "\n".join(lines)
+
+
+def _told(changes: Mapping[str, Any]) -> str:
+    told = ", ".join(f"{key} {json.dumps(value)}" for key, value in changes.items())
+    return told or "nothing changed"
+
+
+def _each(values: Sequence[Any], key: str) -> str:
+    return ", ".join(sorted({str(value[key]) for value in values}))

@@ -1,33 +1,98 @@
 """The conditional network: what it gains from another's future, true or shuffled."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
-from deepmf_sumo.datatypes import Floats, Forecast, Futures
+import numpy as np
+
+from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
+from deepmf_sumo.geometry import angles, frames
 from deepmf_sumo.predictors.conditional import Conditional
-from deepmf_sumo.training.evaluation import conditions, likelihood, reactions
-from deepmf_sumo.training.evaluation.calibration import ModeCalibration
-from deepmf_sumo.training.evaluation.conditions import (
-    CONDITIONS,
-    MARGINAL,
-    NOTHING,
-    SHUFFLED,
-    TRUE,
-    Observed,
-)
-from deepmf_sumo.training.evaluation.displacement import EARLY, HORIZONS, STEPS
-from deepmf_sumo.training.evaluation.estimates import difference, mean, standard_error
-from deepmf_sumo.training.evaluation.forecast_modes import FEW, ForecastModes
+from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastModes, Role, Target
 from deepmf_sumo.training.evaluation.marginal import Marginals
-from deepmf_sumo.training.evaluation.targets import Role, Target
-from deepmf_sumo.training.windows import Future
+from deepmf_sumo.training.evaluation.measures import (
+    EARLY,
+    HORIZONS,
+    STEPS,
+    ModeCalibration,
+    difference,
+    log_likelihoods,
+    mean,
+    standard_error,
+)
+from deepmf_sumo.training.samples import windows
+from deepmf_sumo.training.samples.windows import Future
+
+MARGINAL: Final = "marginal"
+NOTHING, TRUE, SHUFFLED = "given_nothing", "given_true", "given_shuffled"
+CONDITIONS: Final = (MARGINAL, NOTHING, TRUE, SHUFFLED)
+"""The marginal network; the conditional one given nothing, the other's true future, or the future
+of another scene's vehicle, begun at the other's pose."""
+SECONDS: Final = ("1.0", "2.0", "3.0")
+_SHOWN: Final = {"most_probable": 1, f"best_of_{FEW}": FEW}
+
+
+@dataclass(slots=True)
+class Observed:
+    """Errors under each condition, a value an object, in the same order under all conditions.
+
+    Attributes:
+        fde: by condition, number of modes, horizon; 1 is the most probable of the fewest modes.
+        log: log likelihood by condition and horizon.
+    """
+
+    fde: dict[tuple[str, int, str], list[float]] = field(default_factory=lambda: defaultdict(list))
+    log: dict[tuple[str, str], list[float]] = field(default_factory=lambda: defaultdict(list))
+
+    def add_modes(self, condition: str, modes: int, modes_m: Floats, future: Future) -> None:
+        """Modes (M, 80, 2) of one object; the best counts."""
+        for key, step in STEPS.items():
+            if future.valid[step]:
+                error = np.linalg.norm(modes_m[:, step] - future.position_m[step], axis=-1)
+                self.fde[condition, modes, key].append(float(error.min()))
+
+    def add_log(self, condition: str, values: dict[str, float | None]) -> None:
+        """Log likelihoods of one object by horizon."""
+        for key, value in values.items():
+            if value is not None:
+                self.log[condition, key].append(value)
+
+    def joined(self, other: "Observed") -> "Observed":
+        """These objects and the others."""
+        both = Observed()
+        for each in (self, other):
+            for place, errors in each.fde.items():
+                both.fde[place].extend(errors)
+            for spot, logs in each.log.items():
+                both.log[spot].extend(logs)
+        return both
+
+    def gains(self, key: str) -> dict[str, Any]:
+        """Gains in log likelihood at a horizon with standard errors, nats.
+
+        Against the marginal network, and against the conditional one given nothing.
+        """
+        found: dict[str, Any] = {"log_likelihood_objects": len(self.log[MARGINAL, key])}
+        for name, condition in (("true", TRUE), ("shuffled", SHUFFLED), ("nothing", NOTHING)):
+            for suffix, against in (("", MARGINAL), ("_over_nothing", NOTHING)):
+                if condition != against:
+                    label = f"log_likelihood_gain_{name}{suffix}"
+                    found[label], found[f"{label}_standard_error"] = difference(
+                        self.log[condition, key], self.log[against, key]
+                    )
+        return found
+
+    def most_probable(self, key: str) -> dict[str, float | None]:
+        """Mean error of the most probable mode at a horizon, by condition."""
+        return {condition: mean(self.fde[condition, 1, key]) for condition in CONDITIONS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """A target, the partner whose future is given, and what the marginal network said."""
+    """A target, the partner whose future is given, and the predictions of the marginal network."""
 
     target: Target
     partner: Future
@@ -71,7 +136,7 @@ class ConditionalFigures:
         else:
             self._first = list(pairs)
         self._before = [
-            (pair.target.role, conditions.motion(pair.target.view, pair.partner)) for pair in pairs
+            (pair.target.role, motion(pair.target.view, pair.partner)) for pair in pairs
         ]
 
     def finish(self, conditional: Conditional) -> None:
@@ -85,9 +150,7 @@ class ConditionalFigures:
             same = [moved for role, moved in self._before if role == pair.target.role]
             same = same or [moved for _, moved in self._before]
             view, agent_id = pair.target.view, pair.partner.agent_id
-            shuffled = (
-                conditions.begun_at(view, agent_id, same[number % len(same)]) if same else None
-            )
+            shuffled = begun_at(view, agent_id, same[number % len(same)]) if same else None
             self._measure(conditional, pair, shuffled)
 
     def _measure(self, conditional: Conditional, pair: Pair, shuffled: Futures | None) -> None:
@@ -95,7 +158,7 @@ class ConditionalFigures:
         seen = [self.by_role[target.role]]
         if target.planner:
             seen.append(self.attacked)
-        true = conditions.given(pair.partner)
+        true = given(pair.partner)
         asked: dict[str, Futures | None] = {NOTHING: None, TRUE: true}
         if shuffled is not None:
             asked[SHUFFLED] = shuffled
@@ -126,7 +189,7 @@ class ConditionalFigures:
         """Forecasts by condition and number of modes; given futures go through at once."""
         given = {name: futures for name, futures in asked.items() if futures is not None}
         first, *more = given.values()
-        together = conditions.given_both(first, more[0]) if more else first
+        together = given_both(first, more[0]) if more else first
         found: dict[str, dict[int, Forecast]] = {name: {} for name in asked}
         for modes in self.modes:
             found[NOTHING][modes] = _answers(conditional, target, None, modes)[0]
@@ -158,7 +221,7 @@ class ConditionalFigures:
                 },
                 **self._informed(both, key),
             }  # fmt: skip
-        found["reactions"] = reactions.summary(self.attacked)
+        found["reactions"] = _reactions(self.attacked)
         return found
 
     def _informed(self, both: Observed, key: str) -> dict[str, Any]:
@@ -207,7 +270,7 @@ def _log_likelihood(
             view, agent_id, futures, ends_m, kernel_m, planner=target.planner
         )
 
-    return likelihood.by_horizon(forecast, target.future, density)
+    return log_likelihoods(forecast, target.future, density)
 
 
 def _answers(
@@ -220,3 +283,61 @@ def _answers(
     return conditional.react(
         target.view, target.agent_id, given, modes, planner=target.planner, chosen_at=chosen_at
     )
+
+
+def given(future: Future) -> Futures:
+    """An agent's future as the one condition."""
+    return Futures(
+        agent_id=future.agent_id,
+        position_m=future.position_m[None],
+        heading_rad=future.heading_rad[None],
+    )
+
+
+def given_both(one: Futures, other: Futures) -> Futures:
+    """Two conditions on the same agent at once."""
+    return Futures(
+        agent_id=one.agent_id,
+        position_m=np.concatenate([one.position_m, other.position_m]),
+        heading_rad=np.concatenate([one.heading_rad, other.heading_rad]),
+    )
+
+
+def motion(view: View, future: Future) -> Floats:
+    """(80, 3) a future in the frame of its own agent."""
+    return windows.local_future(view, future.agent_id, future)
+
+
+def begun_at(view: View, agent_id: AgentId, moved: Floats) -> Futures:
+    """Another's motion (80, 3), begun at the agent's pose."""
+    row = view.history.row(agent_id)
+    origin, heading = view.history.position_m[row, -1], float(view.history.heading_rad[row, -1])
+    return Futures(
+        agent_id=agent_id,
+        position_m=frames.to_scene(moved[None, :, :2], origin, heading),
+        heading_rad=angles.wrap(moved[None, :, 2] + heading),
+    )
+
+
+def _reactions(attacked: Observed) -> dict[str, Any]:
+    """Error of the AV's most probable mode and of the best of six, at 1, 2, 3 s.
+
+    Given the opponent's true future (reactive), given nothing (blind), and by the marginal network;
+    the gain is blind minus reactive.
+    """
+    found: dict[str, Any] = {}
+    for key in SECONDS:
+        found[key] = {"objects": len(attacked.fde[TRUE, FEW, key])}
+        for label, modes in _SHOWN.items():
+            reactive, blind = attacked.fde[TRUE, modes, key], attacked.fde[NOTHING, modes, key]
+            gain, gain_error = difference(blind, reactive)
+            found[key][label] = {
+                "reactive": mean(reactive),
+                "reactive_standard_error": standard_error(reactive),
+                "blind": mean(blind),
+                "blind_standard_error": standard_error(blind),
+                "marginal": mean(attacked.fde[MARGINAL, modes, key]),
+                "gain": gain,
+                "gain_standard_error": gain_error,
+            }
+    return found

@@ -3,30 +3,38 @@
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Forecast
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Floats, Forecast
+from deepmf_sumo.geometry import angles, frames, polylines
+from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.marginal import Marginal
-from deepmf_sumo.training import clusters
-from deepmf_sumo.training.clusters import Clusters
-from deepmf_sumo.training.evaluation import baselines, displacement, likelihood
-from deepmf_sumo.training.evaluation.calibration import ModeCalibration
-from deepmf_sumo.training.evaluation.displacement import (
+from deepmf_sumo.predictors.paths import path_set
+from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastModes, Target, compare
+from deepmf_sumo.training.evaluation.measures import (
     EARLY,
     HORIZONS,
     STEPS,
     DisplacementErrors,
+    ModeCalibration,
+    error_summary,
+    log_likelihoods,
+    mean,
+    standard_error,
 )
-from deepmf_sumo.training.evaluation.estimates import mean, standard_error
-from deepmf_sumo.training.evaluation.forecast_modes import FEW, ForecastModes, compare
-from deepmf_sumo.training.evaluation.targets import Target
+from deepmf_sumo.training.networks import clusters
+from deepmf_sumo.training.networks.clusters import Clusters
+
+_TIMES_S: Final[Floats] = np.asarray(np.arange(1, FUTURE_STEPS + 1) * DT_S, float)
+_TURN_STEPS: Final = 5
+"""The yaw rate is that of the last half second, as in `features.Features`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marginals:
-    """What the marginal network said of a target: forecasts by modes, log likelihoods by horizon.
+    """Predictions for a target: forecasts by number of modes, log likelihoods by horizon.
 
     A log likelihood is None where the target is not known at the horizon.
     """
@@ -68,7 +76,7 @@ class MarginalFigures:
             self.baselines["clusters"] = {modes: DisplacementErrors() for modes in clusters.MODES}
 
     def add(self, marginal: Marginal, target: Target) -> Marginals:
-        """One target; what was predicted is given back, for comparison."""
+        """Add one target; returns its predictions for comparison."""
         view, agent_id, future = target.view, target.agent_id, target.future
         found = dict(
             zip(self.modes, marginal.predict_each(view, agent_id, self.modes), strict=True)
@@ -78,7 +86,7 @@ class MarginalFigures:
         self.chosen.add(target, found, warm.predict_each(view, agent_id, (FEW,))[0])
         self._of_horizons(marginal, target)
         self._baselines(target)
-        logs = likelihood.by_horizon(
+        logs = log_likelihoods(
             found[max(found)],
             future,
             lambda end, kernel: marginal.end_density(view, agent_id, end, kernel),
@@ -90,7 +98,7 @@ class MarginalFigures:
         return Marginals(forecasts=found, log_likelihood=logs)
 
     def _of_horizons(self, marginal: Marginal, target: Target) -> None:
-        """Who needs to know 3 s asks for modes that cover 3 s: those for 8 s are spread too far."""
+        """Errors of modes chosen for each horizon; those for 8 s are too far apart at 3 s."""
         for key, step in STEPS.items():
             if not target.future.valid[step]:
                 continue
@@ -104,11 +112,11 @@ class MarginalFigures:
 
     def _baselines(self, target: Target) -> None:
         known = self.baselines
-        compare(known["constant_velocity"][1], baselines.constant_velocity(target), target)
-        compare(known["lane_following"][1], baselines.lane_following(target), target)
+        compare(known["constant_velocity"][1], constant_velocity(target), target)
+        compare(known["lane_following"][1], lane_following(target), target)
         if self.fitted is not None:
             for modes, errors in known["clusters"].items():
-                compare(errors, baselines.map_blind(self.fitted, target, modes), target)
+                compare(errors, map_blind(self.fitted, target, modes), target)
 
     def summary(self) -> dict[str, Any]:
         """Figures by horizon."""
@@ -139,4 +147,46 @@ class MarginalFigures:
         return {str(modes): mean(self.of_horizon.get((key, modes), [])) for modes in self.modes}
 
     def _baseline_summary(self, key: str) -> dict[str, Any]:
-        return {name: displacement.summary(errors, key) for name, errors in self.baselines.items()}
+        return {name: error_summary(errors, key) for name, errors in self.baselines.items()}
+
+
+def constant_velocity(target: Target) -> Floats:
+    """(1, 80, 2) straight on at the speed and in the direction of now."""
+    tracks = target.view.history
+    start, velocity = tracks.position_m[target.row, -1], tracks.velocity_mps[target.row, -1]
+    return np.asarray((start + _TIMES_S[:, None] * velocity)[None], float)
+
+
+def lane_following(target: Target) -> Floats:
+    """(1, 80, 2) along the nearest lane path at the speed of now; straight on without one."""
+    tracks = target.view.history
+    start = tracks.position_m[target.row, -1]
+    heading = float(tracks.heading_rad[target.row, -1])
+    paths = path_set(
+        road_index(target.view.road),
+        start,
+        heading,
+        target.speed_mps,
+        target.view.signals,
+        float(tracks.z_m[target.row, -1]),
+    )
+    place, _ = polylines.points_at(paths.points_m[0], target.speed_mps * _TIMES_S)
+    return frames.to_scene(place, start, heading)[None]
+
+
+def map_blind(fitted: Clusters, target: Target, modes: int) -> Floats:
+    """(M, 80, 2) clusters of how others moved on from this speed and yaw rate."""
+    tracks = target.view.history
+    start = tracks.position_m[target.row, -1]
+    heading = float(tracks.heading_rad[target.row, -1])
+    went = clusters.predict(fitted, target.speed_mps, _yaw_rate(target), modes)
+    return frames.to_scene(went, start, heading)
+
+
+def _yaw_rate(target: Target) -> float:
+    tracks = target.view.history
+    seen = np.flatnonzero(tracks.valid[target.row])
+    back = int(seen[max(-_TURN_STEPS - 1, -len(seen))])
+    heading = tracks.heading_rad[target.row]
+    seconds = max((tracks.steps - 1 - back) * target.view.dt_s, target.view.dt_s)
+    return float(angles.difference(heading[-1], heading[back])) / seconds

@@ -1,23 +1,161 @@
-"""The opponent network against the pseudo-labels and the labelled partner.
+"""The opponent network, and rules without a network, against pseudo-labels and labelled partners.
 
-Candidates are all vehicles at the step within 80 m of the AV. The same among those that an attack
-may choose, which are not parked, stands beside it.
+Candidates are all vehicles at the step within 80 m of the AV. The same figures are given for those
+that an attack may choose, which are not parked.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, Scene, View
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.predictors.opponent import RANGE_M, Opponent
-from deepmf_sumo.training import labels
-from deepmf_sumo.training.evaluation.calibration import error_if_right, expected_error
-from deepmf_sumo.training.evaluation.estimates import mean
-from deepmf_sumo.training.evaluation.opponent_rules import RULES
-from deepmf_sumo.training.evaluation.ranking import Ranking
+from deepmf_sumo.training.evaluation.measures import error_if_right, expected_error, mean
+from deepmf_sumo.training.samples.opponent import interacting
 
+_TIMES_S = np.arange(0.0, 8.01, 0.1)
+_STILL_M = 0.5
+_BESIDE, _AHEAD = 2.0, 0.2
+"""Cost of a metre beside the AV's heading, and of a metre along it."""
 _HEADS = ("label_head", "partner_head")
+
+
+def auroc(scores: Floats, labels: Bools) -> float | None:
+    """Area under the ROC curve; ties count half. None without both kinds."""
+    positive, negative = int(labels.sum()), int((~labels).sum())
+    if not positive or not negative:
+        return None
+    _, inverse, counts = np.unique(scores, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(counts) - (counts - 1) / 2)[inverse]
+    return float((ranks[labels].sum() - positive * (positive + 1) / 2) / (positive * negative))
+
+
+def average_precision(scores: Floats, labels: Bools) -> float | None:
+    """Area under the precision-recall curve (step-wise). None without positives.
+
+    Precision is taken after the last candidate of a score, so that the order of equal scores does
+    not matter.
+    """
+    if not labels.any():
+        return None
+    order = np.argsort(-scores, kind="stable")
+    hits, ordered = labels[order], scores[order]
+    last = np.searchsorted(-ordered, -ordered, side="right")  # count of those that score no less
+    precision = np.cumsum(hits)[last - 1] / last
+    return float(precision[hits].mean())
+
+
+@dataclass(slots=True)
+class Ranking:
+    """Scenes' candidates, ranked by one score. -inf is for what the score does not rank.
+
+    Attributes:
+        best_positive: place of the first positive of each scene, 0 first; infinite where none is
+            ranked.
+        places: the same of the labelled partner, in each scene that names one.
+    """
+
+    scores: list[Floats] = field(default_factory=list)
+    labels: list[Bools] = field(default_factory=list)
+    best_positive: list[float] = field(default_factory=list)
+    places: list[float] = field(default_factory=list)
+
+    def add(self, scores: Floats, positive: Bools) -> None:
+        """Candidates of one scene: scores (A) and labels (A)."""
+        if len(scores):
+            self.scores.append(scores)
+            self.labels.append(positive)
+            order = _in_order(scores)
+            found = np.flatnonzero((positive & (scores > -np.inf))[order])
+            self.best_positive.append(float(found[0]) if len(found) else np.inf)
+
+    def add_partner(self, scores: Floats, partner: int | None) -> None:
+        """The labelled partner's row among scores (A); None where it is not a candidate."""
+        if partner is None or scores[partner] == -np.inf:
+            self.places.append(np.inf)
+        else:
+            self.places.append(float(_in_order(scores).tolist().index(partner)))
+
+    def by_label(self) -> dict[str, Any]:
+        """AUROC, average precision, and in how many scenes a positive is first, or among three."""
+        area = precision = None
+        if self.scores:
+            scores, labels = np.concatenate(self.scores), np.concatenate(self.labels)
+            area, precision = auroc(scores, labels), average_precision(scores, labels)
+        found = {
+            "auroc": None if area is None else round(area, 4),
+            "average_precision": None if precision is None else round(precision, 4),
+        }
+        return found | _among_first("top{}_positive", self.best_positive)
+
+    def by_partner(self, prefix: str = "partner") -> dict[str, Any]:
+        """In how many scenes the labelled partner is the first, and among the first three."""
+        return _among_first(prefix + "_top{}", self.places)
+
+
+def _in_order(scores: Floats) -> Ints:
+    """Rows by falling score; equal scores keep their order."""
+    return np.argsort(-scores, kind="stable")
+
+
+def _among_first(name: str, places: Sequence[float]) -> dict[str, Any]:
+    """Share and number of scenes whose place is the first, and among the first three."""
+    found: dict[str, Any] = {}
+    for count in (1, 3):
+        hits = [place < count for place in places]
+        found[name.format(count)] = mean(hits)
+        found[f"{name.format(count)}_scenes"] = sum(hits)
+    return found
+
+
+def corridor(view: View, rows: Ints) -> Floats:
+    """(A) the AV drives on along its heading: nearness to that line counts ten times as much."""
+    place = _local(view, rows)
+    return np.asarray(-(_BESIDE * np.abs(place[:, 1]) + _AHEAD * np.abs(place[:, 0])), float)
+
+
+def nearest(view: View, rows: Ints) -> Floats:
+    """(A) nearness now."""
+    distance: Floats = np.hypot(*_local(view, rows).T)
+    return -distance
+
+
+def nearest_moving(view: View, rows: Ints) -> Floats:
+    """(A) nearness of those that move now or have moved in the last second; -inf for others."""
+    tracks = view.history
+    first = tracks.valid[rows].argmax(1)
+    moved = np.hypot(*(tracks.position_m[rows, -1] - tracks.position_m[rows, first]).T)
+    moving = (tracks.speed_mps[rows, -1] > WAITING_MPS) | (moved > _STILL_M)
+    return np.where(moving, nearest(view, rows), -np.inf)
+
+
+def constant_velocity(view: View, rows: Ints) -> Floats:
+    """(A) nearness at the closest approach within 8 s if both keep their velocity."""
+    tracks, av = view.history, view.history.row(view.av_id)
+    apart = tracks.position_m[rows, -1] - tracks.position_m[av, -1]
+    relative = tracks.velocity_mps[rows, -1] - tracks.velocity_mps[av, -1]
+    way = apart[:, None] + _TIMES_S[:, None] * relative[:, None]
+    return np.asarray(-np.linalg.norm(way, axis=-1).min(1), float)
+
+
+RULES: Final[dict[str, Callable[[View, Ints], Floats]]] = {
+    "corridor": corridor,
+    "nearest": nearest,
+    "nearest_moving": nearest_moving,
+    "constant_velocity": constant_velocity,
+}
+
+
+def _local(view: View, rows: Ints) -> Floats:
+    """(A, 2) positions now, ahead and to the left of the AV."""
+    tracks, av = view.history, view.history.row(view.av_id)
+    return frames.to_local(
+        tracks.position_m[rows, -1], tracks.position_m[av, -1], float(tracks.heading_rad[av, -1])
+    )
 
 
 @dataclass(slots=True)
@@ -50,7 +188,7 @@ class OpponentFigures:
         """One scene."""
         rows = vehicles_near(view)
         ids = [view.history.ids[row] for row in rows]
-        positive = labels.interacting(scene.tracks, scene.av_id, ids)
+        positive = interacting(scene.tracks, scene.av_id, ids)
         found = opponent.score(view, everyone=True)
         place = {agent_id: column for column, agent_id in enumerate(found.ids)}
         column = np.array([place.get(agent_id, -1) for agent_id in ids], np.int64)
@@ -115,7 +253,7 @@ class OpponentFigures:
     def _calibration(self) -> dict[str, Any]:
         """ECE of the first head's sigmoid over attackable candidates, calibrated and as trained.
 
-        And the mean and the 95 % quantile of the ECE that so many right scores would show.
+        And the mean and the 95 % quantile of the ECE of as many correct scores.
         """
         logits = np.concatenate(self.logits) if self.logits else np.zeros(0)
         happened = np.concatenate(self.positives) if self.positives else np.zeros(0, bool)

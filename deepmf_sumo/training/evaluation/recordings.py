@@ -1,4 +1,4 @@
-"""Recordings and weights -> figures."""
+"""Recordings and weights -> figures: on the screen, in a file, on the cards."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -9,20 +9,23 @@ from typing import Any, Final
 import torch
 
 from deepmf_sumo import readers
-from deepmf_sumo.datatypes import ROLLOUT, Scene
+from deepmf_sumo.datatypes import ROLLOUT, Scene, View
 from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.readers.base import Refusal
-from deepmf_sumo.training import cards, clusters, files, windows
-from deepmf_sumo.training.evaluation import summary
+from deepmf_sumo.training import cards, files
 from deepmf_sumo.training.evaluation.conditional import ConditionalFigures, Pair
+from deepmf_sumo.training.evaluation.forecasts import targets
 from deepmf_sumo.training.evaluation.marginal import MarginalFigures
+from deepmf_sumo.training.evaluation.measures import HORIZONS
 from deepmf_sumo.training.evaluation.opponent import OpponentFigures
-from deepmf_sumo.training.evaluation.targets import targets
+from deepmf_sumo.training.networks import clusters
+from deepmf_sumo.training.samples import windows
 
 MODES: Final = (6, 16, 32)
 _NAMED: Final = 20
-"""So many refused records are named, the others counted."""
+"""Refused records that are named; the others are counted."""
 
 
 @dataclass(slots=True)
@@ -64,22 +67,12 @@ def evaluate(
         view = windows.view_at(scene, scene.now)
         if scene.source.dataset != ROLLOUT:
             opponent.add(predictors.opponent, scene, view)
-        pairs = []
-        for target in targets(scene, view):
-            found = marginal.add(predictors.marginal, target)
-            if target.partner is not None:
-                pairs.append(Pair(target=target, partner=target.partner, marginals=found))
-        conditional.add(predictors.conditional, pairs)
+        conditional.add(predictors.conditional, _pairs(scene, view, predictors.marginal, marginal))
         scenes, labelled = scenes + 1, labelled + len(scene.interest)
         if scenes % 20 == 0:
             report(f"{scenes} scenes")
     if not scenes:
-        places, why = ", ".join(map(str, data)), ""
-        if refused.count:
-            why = f" (the first of {refused.count} refused: {refused.reasons[0]})"
-        raise ReaderError(
-            f"There is no usable scene in {places}{why}; give recorded files or folders of such."
-        )
+        raise ReaderError(_nothing(data, refused))
     conditional.finish(predictors.conditional)
     return {
         "data": [path.name for path in data],
@@ -94,6 +87,23 @@ def evaluate(
         "marginal": marginal.summary(),
         "conditional": conditional.summary(),
     }
+
+
+def _pairs(scene: Scene, view: View, network: Marginal, figures: MarginalFigures) -> list[Pair]:
+    """Measure the marginal network on a scene; returns the targets that have a partner."""
+    pairs = []
+    for target in targets(scene, view):
+        found = figures.add(network, target)
+        if target.partner is not None:
+            pairs.append(Pair(target=target, partner=target.partner, marginals=found))
+    return pairs
+
+
+def _nothing(data: Sequence[Path], refused: Refused) -> str:
+    places, why = ", ".join(map(str, data)), ""
+    if refused.count:
+        why = f" (the first of {refused.count} refused: {refused.reasons[0]})"
+    return f"There is no usable scene in {places}{why}; give recorded files or folders of such."
 
 
 def run(
@@ -118,7 +128,7 @@ def run(
     if card:
         folder = weights.find(name)
         try:
-            cards.add_results(folder, summary.compact(found))
+            cards.add_results(folder, compact(found))
         except OSError as error:
             raise OutputError(
                 f"The cards in {folder} cannot be written: {error.strerror}; leave --card out."
@@ -142,3 +152,32 @@ def _usable(data: Sequence[Path], refused: Refused) -> Iterator[Scene]:
             refused.add(each.source.file, each.source.record, reason)
         else:
             yield each
+
+
+_OPPONENT: Final = (
+    "scenes", "candidates", "positives", "parked", "auroc", "average_precision",
+    "top1_positive", "top3_positive", "partner_top1", "partner_top3", "scenes_with_partner", "ece",
+)  # fmt: skip
+_MARGINAL: Final = (
+    "objects", "min_fde", "min_fde_of_horizon", "min_ade", "miss_rate", "log_likelihood", "ece",
+    "overlap_free", "on_road",
+)  # fmt: skip
+_CONDITIONAL: Final = (
+    "objects", "min_fde_marginal", "min_fde_given_true", "min_fde_given_shuffled",
+    "log_likelihood_gain_true", "log_likelihood_gain_true_standard_error",
+    "log_likelihood_gain_shuffled", "log_likelihood_gain_shuffled_standard_error",
+    "min_ade", "miss_rate", "negative_log_likelihood", "ece", "overlap_free", "on_road",
+)  # fmt: skip
+
+
+def compact(found: dict[str, Any]) -> dict[str, Any]:
+    """The main figures of each network, of the nested ones that `evaluate` gives."""
+    marginal, conditional = found["marginal"], found["conditional"]
+    return {
+        "data": found["data"],
+        "opponent": {key: found["opponent"][key] for key in _OPPONENT},
+        "marginal": {"targets": marginal["targets"]}
+        | {key: {name: marginal[key][name] for name in _MARGINAL} for key in HORIZONS},
+        "conditional": {"targets": conditional["targets"]}
+        | {key: {name: conditional[key][name] for name in _CONDITIONAL} for key in HORIZONS},
+    }

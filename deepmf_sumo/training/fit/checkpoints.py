@@ -1,0 +1,138 @@
+"""State of a training on disk: checkpoints to resume from, and curves of the losses."""
+
+import csv
+import hashlib
+import io
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from deepmf_sumo.training import files
+from deepmf_sumo.training.samples.dataset import Progress
+
+_DIGEST_BYTES: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoints:
+    """The last checkpoint of a training, and the one before; a file starts with its own hash."""
+
+    file: Path
+
+    @property
+    def previous(self) -> Path:
+        """The checkpoint before the last one."""
+        return self.file.with_name(f"{self.file.name}.previous")
+
+    def save(self, state: dict[str, Any], report: Progress) -> bool:
+        """Whether it was written. A full disk costs this checkpoint only: those before stay."""
+        memory = io.BytesIO()
+        torch.save(state, memory)
+        content = memory.getvalue()
+        beside = self.file.with_name(f"{self.file.name}.{os.getpid()}")
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            with beside.open("wb") as file:
+                file.write(hashlib.sha256(content).digest() + content)
+                file.flush()
+                os.fsync(file.fileno())
+            if self.file.exists():
+                self.file.replace(self.previous)
+            beside.replace(self.file)
+        except OSError as error:
+            beside.unlink(missing_ok=True)
+            report(
+                f"warning: the checkpoint {self.file} cannot be written ({error.strerror});"
+                " training goes on, and the checkpoint before stays"
+            )
+            return False
+        return True
+
+    def load(self, device: str, report: Progress) -> dict[str, Any] | None:
+        """The last checkpoint that is whole; None where there is none."""
+        damaged: list[Path] = []
+        for file in (self.file, self.previous):
+            state = _read(file, device)
+            if state is not None:
+                if damaged:
+                    report(f"{damaged[0]} is damaged; the checkpoint before it is used")
+                return state
+            if file.exists():
+                damaged.append(file)
+        if damaged:
+            report(f"{damaged[0]} is damaged, and there is no other; training starts again")
+        return None
+
+    def clear(self) -> None:
+        """Remove both: the training has ended."""
+        self.file.unlink(missing_ok=True)
+        self.previous.unlink(missing_ok=True)
+
+
+def _read(file: Path, device: str) -> dict[str, Any] | None:
+    try:
+        content = file.read_bytes()
+    except OSError:
+        return None
+    stored, payload = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    if hashlib.sha256(payload).digest() != stored:
+        return None
+    state: dict[str, Any] = torch.load(io.BytesIO(payload), weights_only=True, map_location=device)
+    return state
+
+
+class Curves:
+    """One row for each evaluation on the held-out samples.
+
+    Args:
+        file: the table; event files go into a folder of the same name without ending.
+        sources: names of the sources of held-out samples.
+    """
+
+    def __init__(self, file: Path, sources: Sequence[str], report: Progress) -> None:
+        self.file, self.report = file, report
+        self.columns = ["step", "loss", "held_out", *_columns(sources), "rate", "ms_a_step"]
+        self.events: Any = None
+
+    def begin(self, step: int) -> None:
+        """Start at a step; later steps in event files are dropped."""
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            return
+        try:
+            self.events = SummaryWriter(str(self.file.with_suffix("")), purge_step=step + 1)
+        except OSError as error:
+            self.report(f"warning: no event files for TensorBoard ({error.strerror})")
+
+    def write(self, rows: Sequence[Sequence[float]]) -> None:
+        """All rows to the table, the last one to the event files; values as in ``columns``."""
+        text = io.StringIO()
+        shown = [[f"{value:.6g}" for value in row] for row in rows]
+        csv.writer(text, lineterminator="\n").writerows([self.columns, *shown])
+        try:
+            files.write(self.file, text.getvalue().encode())
+            if self.events is not None:
+                for name, value in zip(self.columns[1:], rows[-1][1:], strict=True):
+                    self.events.add_scalar(name, value, int(rows[-1][0]))
+                self.events.flush()
+        except OSError as error:
+            self.report(f"warning: {self.file} cannot be written ({error.strerror})")
+
+    def end(self) -> None:
+        """Close the event files."""
+        if self.events is not None:
+            self.events.close()
+
+
+def _columns(sources: Sequence[str]) -> list[str]:
+    """A name for each source; numbered where two are equal."""
+    names = [f"held_out {name}" for name in sources]
+    return [
+        name if names.count(name) == 1 else f"{name} ({number})"
+        for number, name in enumerate(names, start=1)
+    ]

@@ -1,0 +1,127 @@
+"""Initial weights: random, those of another set, or of the marginal network beside."""
+
+import hashlib
+from pathlib import Path
+from typing import Final
+
+from torch import Tensor, nn
+
+from deepmf_sumo.errors import WeightsError
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.training.samples.dataset import Progress
+
+MARGINAL: Final = "marginal"
+"""On the card of a conditional network that started from the marginal one of its own set."""
+_ADDED: Final = frozenset({"goal_follow.weight"})
+"""Tensors that networks without the follower as input lack; they start as zeros."""
+_NO_SIZES: Final = ("name", "dropout", "reactive")
+"""Fields of a preset on which no tensors depend but those `_ADDED`."""
+
+
+def file_of(
+    network: Network,
+    preset: Preset,
+    folder: Path,
+    begin_from: str | None,
+    report: Progress,
+    member: int = 1,
+) -> Path | None:
+    """The file with the initial tensors; None for random ones.
+
+    A member starts from the same member of another set, or from the first where that has fewer.
+    The conditional network starts from the marginal one of the same folder where no other set is
+    named. Raises WeightsError where the set is missing or of another version or other sizes.
+    """
+    if begin_from is not None:
+        source = weights.find(begin_from)
+        if source.resolve() == folder.resolve():
+            raise WeightsError(
+                f"--from {begin_from} is the set that is to be trained; give the new one another"
+                " --name."
+            )
+        stem = weights.member(network, member)
+        if member > 1 and stem not in weights.listed(source):
+            stem = network
+        _check_sizes(source, stem, preset)
+        weights.tensors(source, stem)
+        return source / f"{stem}.safetensors"
+    if network != "conditional" or not (folder / "marginal.safetensors").is_file():
+        return None
+    try:
+        _check_sizes(folder, MARGINAL, preset)
+    except WeightsError as error:
+        report(f"conditional: random initial weights, not those of the marginal network: {error}")
+        return None
+    return folder / "marginal.safetensors"
+
+
+def check(
+    network: Network, preset: Preset, folder: Path, begin_from: str | None, report: Progress
+) -> None:
+    """Raise what `file_of` and `load` would raise."""
+    file = file_of(network, preset, folder, begin_from, report)
+    if file is not None:
+        load(weights.build(network, preset), network, file)
+
+
+def digest(file: Path | None) -> str:
+    """Of the tensors in a file; empty without one."""
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
+
+
+def load(net: nn.Module, network: Network, file: Path) -> None:
+    """Put the tensors of a file into the network.
+
+    The conditional network shares all layers of the marginal one but those that read the condition.
+    Where the condition enters the image, its channels come after the shared ones.
+    Tensors that an older set lacks are zero at first. Raises WeightsError where they do not
+    fit.
+    """
+    found = weights.tensors(file.parent, file.stem)
+    own = net.state_dict()
+    widens = network == "conditional" and file.stem == MARGINAL
+    lacking = set() if widens else own.keys() - found.keys()
+    unlike = sorted((found.keys() - own.keys()) | (lacking - _ADDED))
+    unlike += sorted(
+        name
+        for name in found.keys() & own.keys()
+        if own[name].shape != found[name].shape
+        and not (widens and _wider(name, own[name], found[name]))
+    )
+    if unlike:
+        raise WeightsError(
+            f"{file} does not fit the {network} network: it differs in {', '.join(unlike[:3])}"
+            f"{' and others' if len(unlike) > 3 else ''}; choose another --from."
+        )
+    for name in lacking:
+        own[name].zero_()
+    for name, value in found.items():
+        own[name][tuple(slice(size) for size in value.shape)].copy_(value)
+
+
+def name_of(file: Path | None, begin_from: str | None) -> str:
+    """For the card."""
+    return "" if file is None else begin_from or MARGINAL
+
+
+def _wider(name: str, own: Tensor, shared: Tensor) -> bool:
+    """Whether a layer takes the channels of another one and more, or has more profiles."""
+    grows = 0 if name == "profile" else 1
+    rest = [size for axis, size in enumerate(own.shape) if axis != grows]
+    same = rest == [size for axis, size in enumerate(shared.shape) if axis != grows]
+    able = own.ndim == 4 or name in {"profile", "profiles", "prior"}
+    return able and own.ndim == shared.ndim and same and own.shape[grows] > shared.shape[grows]
+
+
+def _check_sizes(folder: Path, network: str, preset: Preset) -> None:
+    """The card must be of this version, and name the sizes of the preset."""
+    card = weights.read_card(folder, network)
+    sizes, wanted = Preset.from_record(card.get("sizes")).record(), preset.record()
+    for key, value in wanted.items():
+        if key not in _NO_SIZES and sizes[key] != value:
+            raise WeightsError(
+                f"The {network} network of {folder} has {key} {sizes[key]}, but preset"
+                f" '{preset.name}' has {value}; choose weights of the same preset."
+            )

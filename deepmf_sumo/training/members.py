@@ -1,0 +1,127 @@
+"""Several members of the marginal network: trained one after the other, measured as one.
+
+The card of the first member lists all members once they are complete, so that a set is whole at
+any time.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepmf_sumo.errors import OutputError
+from deepmf_sumo.predictors import decoding, marginal, weights
+from deepmf_sumo.predictors.anchors import KNOT_STEPS
+from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.training import cards, run
+from deepmf_sumo.training.fit.loop import tensors
+from deepmf_sumo.training.networks import trajectory
+from deepmf_sumo.training.run import Training
+from deepmf_sumo.training.samples.dataset import Dataset, Progress
+
+_OF_EACH: Final = (
+    "seed", "best_step", "held_out_loss", "hours", "temperature", "training_digest",
+)  # fmt: skip
+"""What of each member's card the first one's repeats."""
+_OF_ALL: Final = ("members", "mixture", "results")
+"""What the first member's card says of all of them."""
+_MODES: Final = (6, 16, 32)
+_SAMPLES: Final = 600
+_BATCH: Final = 32
+
+
+def train(training: Training, report: Progress) -> None:
+    """Train the members that are missing, then fit the temperature of their mixture.
+
+    Raises what `run.train` raises.
+    """
+    names = [weights.member("marginal", number + 1) for number in range(training.members)]
+    for number in range(training.members):
+        run.train("marginal", training, report, number + 1)
+    folder = training.folder
+    cards_of = [weights.read_card(folder, name) for name in names]
+    digests = [card["training_digest"] for card in cards_of]
+    if weights.members(folder, cards_of[0]) == digests:
+        return
+    card = _pooled_card(names, cards_of)
+    if len(names) > 1:
+        card |= _measured(training, report)
+    try:
+        cards.write_card(folder, "marginal", card)
+    except OSError as error:
+        raise OutputError(
+            f"The card of the marginal network cannot be written to {folder} ({error.strerror});"
+            " its members are there: make room, and give the same command again."
+        ) from None
+    report(f"marginal: {len(names)} member(s), temperature {card['temperature']}")
+
+
+def _pooled_card(names: list[str], cards_of: list[dict[str, Any]]) -> dict[str, Any]:
+    """The first member's card with a list of all members; as a single network's for one."""
+    first = cards_of[0]
+    alone = first["members"][0] if "members" in first else first  # with its own temperature
+    card = {key: value for key, value in first.items() if key not in _OF_ALL}
+    if len(names) == 1:
+        return card | {"temperature": alone["temperature"]}
+    listed = [
+        {"name": name, **{key: one[key] for key in _OF_EACH}}
+        for name, one in zip(names, [alone, *cards_of[1:]], strict=True)
+    ]
+    return card | {"members": listed}
+
+
+def _measured(training: Training, report: Progress) -> dict[str, Any]:
+    """The mixture's temperature, and its held-out figures."""
+    nets = []
+    for number in range(training.members):
+        net, _ = weights.read_network(training.folder, "marginal", number + 1)
+        assert isinstance(net, DenseTNT)
+        nets.append(net.eval())
+    dataset = run.open_dataset("marginal", training, report)
+    return {
+        "temperature": trajectory.fit_temperature(nets, dataset, run.MODES["marginal"]),
+        "mixture": mixture_errors(nets, dataset),
+    }
+
+
+@torch.inference_mode()
+def mixture_errors(nets: Sequence[DenseTNT], dataset: Dataset) -> dict[str, Any]:
+    """Samples, loss (negative log density, nats) and min FDE at 8 s (m) by number of modes.
+
+    Of the mixture, and of the first network alone on the same samples: up to 600 held-out ones that
+    are known for 8 s. Empty where there are none.
+    """
+    rows = dataset.rows(held_out=True)
+    rows = rows[np.asarray(dataset.arrays["future_valid"][rows, -1]) > 0]
+    rows = np.sort(np.random.default_rng(0).permutation(rows)[:_SAMPLES])
+    if len(rows) == 0:
+        return {}
+    sums: dict[str, float] = {}
+    for begin in range(0, len(rows), _BATCH):
+        batch = tensors(dataset.batch(rows[begin : begin + _BATCH]))
+        members = [net(batch) for net in nets]
+        for name, chosen in (("", len(nets)), ("first_", 1)):
+            for key, value in _figures(nets[:chosen], members[:chosen], batch).items():
+                sums[name + key] = sums.get(name + key, 0.0) + float(value.sum())
+    return {"samples": len(rows)} | {
+        key: round(value / len(rows), 4) for key, value in sums.items()
+    }
+
+
+def _figures(
+    nets: Sequence[DenseTNT], members: Sequence[Goals], batch: dict[str, Tensor]
+) -> dict[str, Tensor]:
+    """(B) each."""
+    knots = list(KNOT_STEPS)
+    valid = batch["future_valid"][:, None, knots]
+    density = marginal.log_density(nets, members, 1.0, batch["future"][:, None, knots], valid)
+    found = {"loss": -density[:, 0]}
+    goals = marginal.pooled(members)
+    weight, ends = goals.logits[:, 0].flatten(1).softmax(-1), goals.ends()[:, 0]
+    for modes in _MODES:
+        chosen, _ = decoding.select(weight, ends, modes)
+        at = ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2))
+        found[f"min_fde_{modes}"] = (at - batch["future"][:, -1:]).norm(dim=-1).amin(1)
+    return found

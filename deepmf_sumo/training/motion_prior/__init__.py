@@ -1,1 +1,0 @@
-"""Training of STRIVE's motion prior."""

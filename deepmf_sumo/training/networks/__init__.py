@@ -1,0 +1,1 @@
+"""What each network minimises, and what is fitted after its training."""

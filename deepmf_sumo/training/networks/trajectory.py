@@ -1,0 +1,205 @@
+"""Training of the marginal and the conditional network: profiles, loss, augmentation, temperature.
+
+Each augmentation keeps what a sample says true: what is mirrored is mirrored everywhere. Only other
+vehicles and the map are hidden, never the target, its paths, or a given future. The past of the
+given future's vehicle may be hidden: its route can be known without its history.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepmf_sumo.predictors import anchors, conditioning, decoding, marginal, raster
+from deepmf_sumo.predictors.anchors import KNOT_STEPS
+from deepmf_sumo.predictors.conditioning import Condition
+from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.training.fit.loop import Loss, tensors
+from deepmf_sumo.training.networks import clusters
+from deepmf_sumo.training.samples.dataset import Dataset
+
+_RARE = -6.9
+"""log .001: prior of profiles that are not fitted on data."""
+_GIVEN = 0.6
+"""Share of samples whose partner's future is given; the others keep the network able to predict
+without a condition."""
+CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met", "goal_follow")
+"""Layers with random initial weights where the conditional network starts from the marginal one."""
+_TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
+MIRRORED: Final = 0.3
+AGENT_DROPPED: Final = 0.1
+LANE_DROPPED: Final = 0.05
+POSITION_NOISE_M: Final = 0.03
+HEADING_NOISE_RAD: Final = 0.01
+_LEFT_COLUMNS: Final = {
+    "agents": (1, 3, 5),
+    "lanes": (1,),
+    "paths": (1,),
+    "path_info": (2, 3),
+    "path_agents": (1, 3, 5),
+    "motion": (2,),
+    "future": (1,),
+    "partner": (1, 2),
+}
+"""Columns that change their sign when left becomes right."""
+
+
+def fit_profiles(net: DenseTNT, dataset: Dataset, seed: int) -> None:
+    """Fit the speed profiles on the samples that are trained on, and put them into the network."""
+    rows = dataset.rows(held_out=False)
+    known = rows[np.asarray(dataset.arrays["future_valid"][rows]).all(1)]
+    table = clusters.speed_profiles(
+        np.asarray(dataset.arrays["driven"][known], float),
+        np.asarray(dataset.arrays["motion"][known, 0], float),
+        net.preset.profiles,
+        np.random.default_rng([seed, 1]),
+    )
+    fitted = torch.from_numpy(table.relative_m).float()
+    speeds = torch.tensor(anchors.START_SPEEDS_MPS)
+    braking = anchors.braking(speeds)[:, : net.profiles.shape[1] - fitted.shape[1]]
+    net.profiles.copy_(torch.cat([fitted, braking], 1))
+    prior = torch.from_numpy(table.log_prior).float()
+    rare = prior.new_full(braking.shape[:2], _RARE)
+    net.prior.copy_(torch.cat([prior, rare], 1))
+
+
+def loss_of(net: DenseTNT) -> Loss:
+    """Mixture likelihood; a conditional network is given most of the partners' futures."""
+
+    def loss(batch: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+        if net.training:
+            batch = augmented(batch, net.preset, generator)
+        given = partner_condition(batch, net.preset, generator) if net.conditional else None
+        return mixture_loss(net, net(batch, given), batch).mean()
+
+    return loss
+
+
+def partner_condition(
+    batch: dict[str, Tensor],
+    preset: Preset,
+    generator: torch.Generator | None,
+) -> Condition:
+    """The partner's future as condition; with a generator some are left out at random."""
+    position, heading = batch["partner"][..., :2], batch["partner"][..., 2]
+    given = batch["partner_known"]
+    if generator is not None:
+        keep = torch.rand(len(given), generator=generator) < _GIVEN
+        given = given * keep.to(given.device)
+    return conditioning.encode(position[:, None], heading[:, None], given[:, None], preset)
+
+
+def _given(net: DenseTNT, batch: dict[str, Tensor]) -> Condition | None:
+    return partner_condition(batch, net.preset, None) if net.conditional else None
+
+
+@torch.inference_mode()
+def fit_temperature(
+    nets: Sequence[DenseTNT], dataset: Dataset, modes: int, samples: int = 600
+) -> float:
+    """The temperature at which modes nearest to true ends are likeliest, on held-out scenes.
+
+    Of one network, or of the mixture of several.
+    """
+    for net in nets:
+        net.eval().cpu()
+    rows = dataset.rows(held_out=True)
+    rows = rows[np.asarray(dataset.arrays["future_valid"][rows, -1]) > 0]
+    rows = rows[np.random.default_rng(0).permutation(len(rows))[:samples]]
+    if len(rows) == 0:
+        return 1.0
+    nll = np.zeros(len(_TEMPERATURES))
+    for begin in range(0, len(rows), 64):
+        batch = tensors(dataset.batch(rows[begin : begin + 64]))
+        goals = marginal.pooled([net(batch, _given(net, batch)) for net in nets])
+        logits = goals.logits[:, 0].flatten(1)
+        ends = goals.ends()[:, 0]
+        chosen, _ = decoding.select(logits.softmax(-1), ends, modes)
+        at = ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2))
+        nearest = (at - batch["future"][:, -1:]).norm(dim=-1).argmin(1, keepdim=True)
+        for row, temperature in enumerate(_TEMPERATURES):
+            mass = decoding.mass((logits / temperature).softmax(-1), ends, at)
+            nll[row] -= float(mass.gather(1, nearest).clamp_min(1e-4).log().sum())
+    return float(_TEMPERATURES[nll.argmin()])
+
+
+def mixture_loss(net: DenseTNT, goals: Goals, batch: dict[str, Tensor]) -> Tensor:
+    """(B) negative log density of what happened under all goals and their kernels.
+
+    It trains scores and completion together: DenseTNT's nearest-goal likelihood is its limit for
+    narrow kernels.
+    """
+    knots = list(KNOT_STEPS)
+    true = batch["future"][:, None, knots]
+    valid = batch["future_valid"][:, None, knots]
+    return -net.log_density(goals, true, valid).flatten(1).logsumexp(1)
+
+
+def augmented(
+    batch: dict[str, Tensor], preset: Preset, generator: torch.Generator
+) -> dict[str, Tensor]:
+    """A batch of `samples.trajectory_samples`, changed at random."""
+    batch = _noisy(_dropped(dict(batch), generator), generator)
+    rows = _drawn(len(batch["motion"]), MIRRORED, generator, batch["motion"].device)
+    return mirrored(batch, rows, preset)
+
+
+def mirrored(batch: dict[str, Tensor], rows: Tensor, preset: Preset) -> dict[str, Tensor]:
+    """Left and right exchanged in the given rows (B)."""
+    batch = dict(batch)
+    for name, columns in _LEFT_COLUMNS.items():
+        values = batch[name]
+        sign = torch.ones_like(values)
+        sign[..., list(columns)] = (1.0 - 2.0 * rows.to(values.dtype)).view(
+            -1, *[1] * (values.ndim - 1)
+        )
+        batch[name] = values * sign
+    if preset.raster and rows.any():
+        bits = batch["raster"].clone()
+        bits[rows] = raster.repack(raster.unpack(bits[rows], preset).flip(3))
+        batch["raster"] = bits
+    return batch
+
+
+def _dropped(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Tensor]:
+    """Agents and pieces of lanes that were overlooked; they stay in the image."""
+    for states, info, share, column, first in (
+        ("agents", "agent_info", AGENT_DROPPED, 7, 1),
+        ("lanes", "lane_info", LANE_DROPPED, 9, 0),
+        ("path_agents", "path_agents", AGENT_DROPPED, 7, 0),
+    ):
+        there = batch[info][..., column]
+        keep = ~_drawn(there.shape, share, generator, there.device)
+        keep[:, :first] = True
+        batch[info] = batch[info] * keep.unsqueeze(-1)
+        if states != info:
+            mask = keep.view(*keep.shape, *[1] * (batch[states].ndim - keep.ndim))
+            batch[states] = batch[states] * mask
+    return batch
+
+
+def _noisy(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Tensor]:
+    """Histories of the others with small errors, the same ones at all steps of an agent."""
+    agents = batch["agents"].clone()
+    shape = (*agents.shape[:2], 1)
+    shift = torch.randn(*shape, 2, generator=generator).to(agents.device) * POSITION_NOISE_M
+    turn = torch.randn(*shape, generator=generator).to(agents.device) * HEADING_NOISE_RAD
+    there = agents[..., 6]
+    shift[:, 0], turn[:, 0] = 0.0, 0.0
+    agents[..., 0:2] += shift * there.unsqueeze(-1)
+    cos, sin = agents[..., 2].clone(), agents[..., 3].clone()
+    agents[..., 2] = cos * turn.cos() - sin * turn.sin()
+    agents[..., 3] = sin * turn.cos() + cos * turn.sin()
+    batch["agents"] = agents
+    return batch
+
+
+def _drawn(
+    shape: int | torch.Size, share: float, generator: torch.Generator, device: torch.device
+) -> Tensor:
+    """True with the given probability."""
+    size = (shape,) if isinstance(shape, int) else tuple(shape)
+    return (torch.rand(size, generator=generator) < share).to(device)

@@ -1,0 +1,1 @@
+"""Recordings -> features: windows of scenes, samples of each network, their cache."""

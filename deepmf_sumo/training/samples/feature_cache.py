@@ -1,0 +1,323 @@
+"""Recordings -> features in a folder of memory-mapped arrays, one folder for each source.
+
+An interrupted build continues: the features of each recorded file are kept in a shard until all
+shards are complete, and then joined. Their order is that of the files, whatever the number of
+processes.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+
+from deepmf_sumo import readers
+from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.errors import OutputError, ReaderError, RunError
+from deepmf_sumo.files import opened, reason
+from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.training.samples import windows
+from deepmf_sumo.training.samples.dataset import Arrays, Progress, Source
+
+VERSION: Final = 4
+"""Changes when features change: older caches are not read."""
+_SHOWN: Final = 3
+"""Refused records that a message names."""
+_SILENCE_S: Final = 10.0
+"""Longest time between two progress reports."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Data:
+    """Where recordings are, and how much they count in training.
+
+    Attributes:
+        path: a recorded file, or a folder of such.
+        weight: relative to the other sources'; None goes by the number of samples.
+    """
+
+    path: Path
+    weight: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Features:
+    """What is computed of a scene.
+
+    Attributes:
+        kind: ``opponent``, ``trajectory`` or ``graph``.
+        settings: all that the features depend on besides the scene.
+        of: the samples of one scene; with several processes it must be picklable.
+    """
+
+    kind: str
+    settings: str
+    of: Callable[[Scene], Iterable[Arrays]]
+
+
+@dataclass(slots=True)
+class Contents:
+    """What a folder of arrays contains; written to its ``index.json``."""
+
+    count: int = 0
+    scenes: list[str] = field(default_factory=list)
+    places: list[str] = field(default_factory=list)
+    refused: dict[str, str] = field(default_factory=dict)
+    arrays: dict[str, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
+
+    def write(self, folder: Path) -> None:
+        """Put it into the folder that it describes."""
+        (folder / "index.json").write_text(json.dumps(asdict(self)), encoding="utf-8")
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """The contents of a folder of arrays."""
+        return cls(**json.loads((folder / "index.json").read_text(encoding="utf-8")))
+
+
+def open_or_build(
+    features: Features, data: Data, root: Path, report: Progress, jobs: int = 1
+) -> Source:
+    """The features of these recordings, computed by ``jobs`` processes if they are missing.
+
+    ``root`` is the folder of all caches.
+
+    Raises:
+        UsageError: the path does not exist.
+        ReaderError: there is nothing to learn from.
+        OutputError: the features cannot be written.
+    """
+    files = readers.find([data.path])
+    digest = digest_of(features.kind, features.settings, data.path)
+    folder = root / f"{features.kind}-{digest[:16]}"
+    if not (folder / "index.json").is_file():
+        _report_others(root, features.kind, data.path, report)
+        try:
+            _build(folder, data.path, files, features, report, jobs)
+        except OSError as error:
+            if not (folder / "index.json").is_file():  # another process may have built it
+                raise OutputError(
+                    f"Features cannot be written to {root} ({error.strerror}); make room there, or"
+                    " give another folder with --cache."
+                ) from None
+    contents = Contents.read(folder)
+    _report_refused(data.path, contents, report)
+    if not contents.count:
+        raise ReaderError(_nothing(data.path, files, contents))
+    arrays: Arrays = {
+        name: np.memmap(
+            folder / f"{name}.bin", dtype=dtype, mode="r", shape=(contents.count, *shape)
+        )
+        for name, (dtype, shape) in contents.arrays.items()
+    }
+    return Source(
+        name=data.path.name,
+        scene=np.array(arrays.pop("scene")),
+        arrays=arrays,
+        scenes=contents.scenes,
+        places=contents.places,
+        refused=contents.refused,
+        digest=digest,
+        weight=data.weight,
+    )
+
+
+def digest_of(kind: str, settings: str, path: Path) -> str:
+    """Digest of what the features depend on, and of the files' names and contents.
+
+    A copy of the recordings has the same digest. Raises UsageError where the path does not exist.
+    """
+    hasher = hashlib.sha256(f"{VERSION} {kind} {settings}".encode())
+    for file in readers.find([path]):
+        try:
+            with opened(file) as stream:
+                content = hashlib.file_digest(stream, "sha256").hexdigest()
+        except OSError as error:
+            raise ReaderError(f"{file} cannot be read: {reason(error)}.") from None
+        hasher.update(f"{file.name} {content}".encode())
+    return hasher.hexdigest()
+
+
+def _build(
+    folder: Path,
+    path: Path,
+    files: Sequence[Path],
+    features: Features,
+    report: Progress,
+    jobs: int,
+) -> None:
+    """Write a shard for each file, join the shards, and put the result in place."""
+    shards = folder.with_name(f"{folder.name}.parts")
+    shards.mkdir(parents=True, exist_ok=True)
+    places = [shards / f"{number:06}" for number in range(len(files))]
+    missing = [pair for pair in zip(files, places, strict=True) if not pair[1].is_dir()]
+    complete = len(files) - len(missing)
+    if complete:
+        report(f"features for {features.kind}: going on after {complete} files")
+    last = time.monotonic()
+    for number, _ in enumerate(_each(partial(_write_shard, features), missing, jobs), start=1):
+        if time.monotonic() - last > _SILENCE_S:
+            last = time.monotonic()
+            report(
+                f"features for {features.kind}: {complete + number} of {len(files)} files"
+                f" of {path.name}"
+            )
+    with _appears_whole(folder) as unfinished:
+        contents = _join_shards(places, unfinished)
+        (unfinished / "source").write_text(str(path.resolve()), encoding="utf-8")
+    shutil.rmtree(shards, ignore_errors=True)
+    report(
+        f"features for {features.kind}: {contents.count} samples of {len(contents.scenes)} scenes"
+        f" of {path.name}"
+    )
+
+
+@contextmanager
+def _appears_whole(folder: Path) -> Iterator[Path]:
+    """An empty folder beside, which takes the folder's name at the end.
+
+    Unless another process was faster, or something fails.
+    """
+    beside = folder.with_name(f"{folder.name}.{os.getpid()}")
+    shutil.rmtree(beside, ignore_errors=True)  # left by a killed process of the same id
+    beside.mkdir()
+    try:
+        yield beside
+        if not (folder / "index.json").is_file():
+            beside.rename(folder)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def _each(
+    work: Callable[[tuple[Path, Path]], None], pairs: Sequence[tuple[Path, Path]], jobs: int
+) -> Iterator[None]:
+    if jobs == 1 or len(pairs) < 2:
+        yield from map(work, pairs)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(pairs)), mp_context=context) as pool:
+        try:
+            yield from pool.map(work, pairs)
+        except BrokenProcessPool:
+            raise RunError(
+                "A process that computes features was ended from outside, perhaps for want of"
+                " memory; give the same command again, with fewer --jobs."
+            ) from None
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _write_shard(features: Features, pair: tuple[Path, Path]) -> None:
+    """Features of one recorded file, in a folder that appears whole."""
+    file, place = pair
+    contents = Contents()
+    with _appears_whole(place) as unfinished:
+        for each in _scenes(file):
+            if isinstance(each, Refusal):
+                name = each.name or f"record {each.record}"
+                contents.refused[f"{Path(each.file).name}: {name}"] = each.reason
+                continue
+            for sample in _samples(features, each, file):
+                numbered = {**sample, "scene": np.array(len(contents.scenes), np.int64)}
+                _append(unfinished, numbered, contents.arrays)
+                contents.count += 1
+            contents.scenes.append(each.name)
+            contents.places.append(windows.place_of(each))
+        contents.write(unfinished)
+
+
+def _scenes(file: Path) -> Iterator[Scene | Refusal]:
+    try:
+        yield from readers.scenes([file])
+    except ReaderError as error:
+        yield Refusal(file=str(file), record=0, name="", reason=str(error))
+
+
+def _samples(features: Features, scene: Scene, file: Path) -> Iterator[Arrays]:
+    """The samples of a scene; an error names it."""
+    try:
+        yield from features.of(scene)
+    except (ArithmeticError, LookupError, ValueError) as error:
+        raise RunError(
+            f"The features of scene {scene.name} of {file} cannot be computed"
+            f" ({type(error).__name__}: {error}); leave it out, and tell the developers."
+        ) from error
+
+
+def _append(folder: Path, sample: Arrays, arrays: dict[str, tuple[str, tuple[int, ...]]]) -> None:
+    for name, values in sample.items():
+        described = (values.dtype.str, values.shape)
+        if arrays.setdefault(name, described) != described:
+            raise ValueError(f"{name} is {described}, was {arrays[name]}")
+        with (folder / f"{name}.bin").open("ab") as file:
+            file.write(values.tobytes())
+
+
+def _join_shards(places: Sequence[Path], folder: Path) -> Contents:
+    """Concatenate the arrays of all shards; scenes are counted through."""
+    whole = Contents()
+    for place in places:
+        shard = Contents.read(place)
+        for name, (dtype, _) in shard.arrays.items():
+            with (folder / f"{name}.bin").open("ab") as to:
+                if name == "scene":
+                    scene = np.fromfile(place / "scene.bin", dtype) + len(whole.scenes)
+                    to.write(scene.astype(dtype).tobytes())
+                else:
+                    with (place / f"{name}.bin").open("rb") as file:
+                        shutil.copyfileobj(file, to, 2**20)
+        whole.arrays = shard.arrays | whole.arrays
+        whole.count += shard.count
+        whole.scenes += shard.scenes
+        whole.places += shard.places
+        whole.refused |= shard.refused
+    whole.write(folder)
+    return whole
+
+
+def _nothing(path: Path, files: Sequence[Path], contents: Contents) -> str:
+    if not files:
+        return f"{path} contains no files; there is nothing to learn from."
+    if contents.scenes:
+        return (
+            f"None of the {len(contents.scenes)} scenes of {path} gives a sample: no vehicle moves"
+            " there for 3 s; there is nothing to learn from."
+        )
+    why = next(iter(contents.refused.values()), "the files are empty")
+    return f"No record of {path} can be used ({why.rstrip('.')}); there is nothing to learn from."
+
+
+def _report_refused(path: Path, contents: Contents, report: Progress) -> None:
+    if not contents.refused:
+        return
+    shown = [f"{name} ({reason})" for name, reason in list(contents.refused.items())[:_SHOWN]]
+    rest = len(contents.refused) - len(shown)
+    more = f"; and {rest} more" if rest else ""
+    report(
+        f"{path.name}: {len(contents.refused)} record(s) left out, as they cannot be used: "
+        f"{'; '.join(shown)}{more}"
+    )
+
+
+def _report_others(root: Path, kind: str, path: Path, report: Progress) -> None:
+    """Caches are large: name those of the same recordings that exist already."""
+    for file in sorted(root.glob(f"{kind}-*/source")):
+        if file.read_text(encoding="utf-8") == str(path.resolve()):
+            size = sum(each.stat().st_size for each in file.parent.iterdir()) / 2**20
+            report(
+                f"{file.parent} ({size:.0f} MB) contains features of {path.name} as it was"
+                " before, or computed otherwise; delete it if you no longer need them"
+            )

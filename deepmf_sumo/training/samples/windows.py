@@ -1,0 +1,209 @@
+"""Scene -> what a predictor would have seen at a step, and what happened then."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import (
+    FUTURE_STEPS,
+    HISTORY_STEPS,
+    ROLLOUT,
+    AgentId,
+    Bools,
+    Floats,
+    Scene,
+    Tracks,
+    View,
+)
+from deepmf_sumo.geometry import angles, frames
+
+MIN_FUTURE_STEPS: Final = 30
+"""A target is known for at least 3 s."""
+MIN_ATTACKED_STEPS: Final = 10
+"""An AV under attack is for 1 s: what it does just before a contact counts most."""
+MIN_DISTANCE_M: Final = 2.0
+"""A vehicle that moves less is not a target, except the AV and labelled agents."""
+_FARTHEST_M: Final = 30.0
+"""Others that stay farther away, in space and time, are no partners."""
+_PLACE_M: Final = 500.0
+_MAX_STEP_M: Final = 12.0
+"""Tracks that jump farther in 0.1 s are the tracker's mistakes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Future:
+    """What an agent did after the view, in the scene's frame.
+
+    Attributes:
+        position_m: (80, 2). heading_rad: (80). valid: (80).
+    """
+
+    agent_id: AgentId
+    position_m: Floats
+    heading_rad: Floats
+    valid: Bools
+
+
+def place_of(scene: Scene) -> str:
+    """Where a scene is: scenes of one place share its roads, be they recorded, driven or attacked.
+
+    A cell of 500 m of the recording's frame. Networks have frames of their own: scenes of SUMO
+    traffic name theirs, a configuration or a generated one, where others name a recorded file.
+    """
+    row = scene.tracks.row(scene.av_id)
+    cell = np.floor(scene.tracks.position_m[row, scene.now] / _PLACE_M).astype(int)
+    source = Path(scene.source.file)
+    name = source.name if source.suffix in {"", ".sumocfg"} else ""
+    return f"{name} {cell[0]} {cell[1]}"
+
+
+def view_at(scene: Scene, step: int) -> View:
+    """The view at a step of a recording, with the agents that are there."""
+    window = scene.tracks.window(step - HISTORY_STEPS + 1, step + 1)
+    rows = np.flatnonzero(window.valid[:, -1]).tolist()
+    return View(
+        step=step,
+        dt_s=scene.dt_s,
+        av_id=scene.av_id,
+        history=window.select(rows),
+        road=scene.road,
+        signals=scene.signals.at(step),
+        steps_left=scene.tracks.steps - 1 - step,
+        av_recorded_steps=_recorded_steps(scene, step),
+    )
+
+
+def _recorded_steps(scene: Scene, step: int) -> int:
+    """Of the last 10 steps before a window those before the planner of an attacked AV took over."""
+    if scene.source.dataset != ROLLOUT or not scene.source.sha256:
+        return 0  # not a log, or traffic that SUMO drove before as well
+    return min(max(scene.now + HISTORY_STEPS - 1 - step, 0), HISTORY_STEPS - 1)
+
+
+def future_of(scene: Scene, agent_id: AgentId, step: int) -> Future:
+    """The 80 steps after ``step``; invalid where the recording has ended."""
+    tracks, row = scene.tracks, scene.tracks.row(agent_id)
+    position, heading = np.zeros((FUTURE_STEPS, 2)), np.zeros(FUTURE_STEPS)
+    valid = np.zeros(FUTURE_STEPS, bool)
+    stop = min(step + 1 + FUTURE_STEPS, tracks.steps)
+    count = stop - step - 1
+    position[:count] = tracks.position_m[row, step + 1 : stop]
+    heading[:count] = tracks.heading_rad[row, step + 1 : stop]
+    valid[:count] = tracks.valid[row, step + 1 : stop]
+    return Future(agent_id=agent_id, position_m=position, heading_rad=heading, valid=valid)
+
+
+def least_steps(scene: Scene) -> int:
+    """Steps after a window that must be known of a target."""
+    return MIN_ATTACKED_STEPS if scene.source.dataset == ROLLOUT else MIN_FUTURE_STEPS
+
+
+def targets(scene: Scene, step: int) -> Iterator[Future]:
+    """Vehicles to learn from at a step: known for long enough, moving; labelled ones always.
+
+    Of a simulated attack only the AV is: its opponent drives a plan, and the others the log.
+    """
+    tracks = scene.tracks
+    labelled = {scene.av_id, *scene.interest}
+    attacked = scene.source.dataset == ROLLOUT
+    for row, agent_id in enumerate(tracks.ids):
+        if tracks.kinds[row] != "vehicle" or not tracks.valid[row, step]:
+            continue
+        if attacked and agent_id != scene.av_id:
+            continue
+        future = future_of(scene, agent_id, step)
+        known, least = np.flatnonzero(future.valid), least_steps(scene)
+        if len(known) < least or known[-1] < least - 1:
+            continue
+        if jumps(tracks, row):
+            continue
+        away = future.position_m[known[-1]] - tracks.position_m[row, step]
+        if agent_id in labelled or np.hypot(*away) > MIN_DISTANCE_M:
+            yield future
+
+
+def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
+    """The future that matters most to the agent: the labelled partner's, else the closest one's.
+
+    The approach of two futures is the least of distance plus 2 m per second of time between them.
+    """
+    attacked = scene.source.dataset == ROLLOUT
+    if agent_id in scene.interest and (attacked or step == scene.now):
+        other = [each for each in scene.interest if each != agent_id]
+        if other and _known(scene, other[0], step):
+            return _filled(scene, future_of(scene, other[0], step), step)
+    others = [each for each in _movers(scene, step) if each.agent_id != agent_id]
+    if not others:
+        return None
+    own = _filled(scene, future_of(scene, agent_id, step), step).position_m[4::5]
+    times = np.arange(len(own)) * 0.5
+    late = 2.0 * np.abs(times[:, None] - times)
+    ways = np.stack([each.position_m[4::5] for each in others])
+    apart = np.linalg.norm(own[:, None] - ways[:, None], axis=-1) + late  # (A, 16, 16)
+    least = apart.min(axis=(1, 2))
+    return others[int(least.argmin())] if least.min() < _FARTHEST_M else None
+
+
+def local_future(view: View, agent_id: AgentId, future: Future) -> Floats:
+    """(80, 3) x, y, heading of a future in the frame of ``agent_id`` at the view."""
+    row = view.history.row(agent_id)
+    origin, heading = view.history.position_m[row, -1], float(view.history.heading_rad[row, -1])
+    local = frames.to_local(future.position_m, origin, heading)
+    turn = angles.wrap(future.heading_rad - heading)
+    return np.concatenate([local, turn[:, None]], axis=1)
+
+
+@lru_cache(maxsize=2)
+def _movers(scene: Scene, step: int) -> tuple[Future, ...]:
+    """Completed futures of all vehicles that move after the step."""
+    found = []
+    for row, agent_id in enumerate(scene.tracks.ids):
+        if scene.tracks.kinds[row] != "vehicle" or not _known(scene, agent_id, step):
+            continue
+        future = _filled(scene, future_of(scene, agent_id, step), step)
+        away = np.hypot(*(future.position_m[-1] - future.position_m[0]))
+        if away > MIN_DISTANCE_M and not jumps(scene.tracks, row):
+            found.append(future)
+    return tuple(found)
+
+
+def _known(scene: Scene, agent_id: AgentId, step: int) -> bool:
+    row = scene.tracks.row(agent_id)
+    valid = scene.tracks.valid[row]
+    ahead = valid[step + 1 : step + 1 + FUTURE_STEPS]
+    return bool(valid[step] and ahead.sum() >= MIN_FUTURE_STEPS)
+
+
+def _filled(scene: Scene, future: Future, step: int) -> Future:
+    """Gaps filled by interpolation, the end by constant velocity: a given future is complete."""
+    row = scene.tracks.row(future.agent_id)
+    known = np.flatnonzero(future.valid)
+    if len(known) == FUTURE_STEPS or len(known) == 0:
+        return future
+    steps = np.arange(FUTURE_STEPS)
+    position = np.stack(
+        [np.interp(steps, known, future.position_m[known, axis]) for axis in (0, 1)], axis=1
+    )
+    heading = np.interp(steps, known, np.unwrap(future.heading_rad[known]))
+    last = int(known[-1])
+    velocity = scene.tracks.velocity_mps[row, step + 1 + last]
+    position[last:] += (steps[last:] - last)[:, None] * scene.dt_s * velocity
+    valid = np.ones(FUTURE_STEPS, bool)
+    return Future(
+        agent_id=future.agent_id,
+        position_m=position,
+        heading_rad=angles.wrap(heading),
+        valid=valid,
+    )
+
+
+def jumps(tracks: Tracks, row: int) -> bool:
+    """Whether an agent moves farther in a step than vehicles do: the tracker's mistake."""
+    valid = tracks.valid[row]
+    both = valid[1:] & valid[:-1]
+    step = np.diff(tracks.position_m[row], axis=0)[both]
+    return bool(len(step) and np.hypot(step[:, 0], step[:, 1]).max() > _MAX_STEP_M)
