@@ -5,13 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deepmf_sumo.benchmark.live import Attacker
+    from deepmf_sumo.benchmark.results import Results
 
 __version__ = "0.1.0"
-__all__ = ["Attacker", "__version__"]
+__all__ = ["Attacker", "Results", "__version__"]
+
+
+_HOMES = {"Attacker": "deepmf_sumo.benchmark.live", "Results": "deepmf_sumo.benchmark.results"}
 
 
 def __getattr__(name: str) -> Any:
-    """`Attacker`, when it is asked for: what it needs takes a second to import."""
-    if name == "Attacker":
-        return importlib.import_module("deepmf_sumo.benchmark.live").Attacker
+    """`Attacker` or `Results`, imported on first use: what they need takes a second to import."""
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

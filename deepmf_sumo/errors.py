@@ -18,6 +18,9 @@
 A message is one sentence that names the file, the field and the value, and says what to do.
 """
 
+import difflib
+from collections.abc import Iterable
+
 
 class DeepmfError(Exception):
     """Base of all errors that are reported to the user as one line."""
@@ -74,6 +77,12 @@ class RunTimeoutError(RunError):
     """A run took longer than its time limit."""
 
 
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``" Did you mean 'X'?"`` for the known name that is most like ``name``, or an empty text."""
+    found = difflib.get_close_matches(name, list(known), n=1)
+    return f" Did you mean '{found[0]}'?" if found else ""
+
+
 __all__ = [
     "ConversionError",
     "DeepmfError",
@@ -87,4 +96,5 @@ __all__ = [
     "SpecError",
     "UsageError",
     "WeightsError",
+    "nearest",
 ]

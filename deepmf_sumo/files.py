@@ -1,4 +1,4 @@
-"""The door through which every file that a user names is opened.
+"""Reading files that a user names, and writing files that appear whole.
 
 A path can name a device, a pipe or a folder, and a file of a few kilobytes can unpack to gigabytes.
 Only regular files pass here, nothing waits, and no more is read than the caller allows. What does
@@ -7,17 +7,28 @@ not pass raises OSError like a file that is missing, so that callers handle one 
 
     except OSError as error:
         raise SpecError(f"{file}: cannot be read: {files.reason(error)}.") from None
+
+A written file appears under its name when it is complete, with the same bytes for the same content.
+What the system refuses is an OutputError inside `writing`.
 """
 
 import errno
 import gzip
 import io
+import json
 import os
 import stat
+import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Final, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, cast
+
+from deepmf_sumo.errors import OutputError
+
+if TYPE_CHECKING:  # `--help` does not load numpy
+    from numpy.typing import NDArray
 
 GZIP: Final = b"\x1f\x8b"
 """The first bytes of a gzip file."""
@@ -25,6 +36,7 @@ GZIP: Final = b"\x1f\x8b"
 Instead = Callable[[Path], list[Path] | None]
 
 _PIECE: Final = 2**20
+_LEAST_EFFORT: Final = 1
 _KINDS: Final = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -86,6 +98,67 @@ def inside(folder: Path, instead: Instead | None = None) -> Iterator[Path]:
 def reason(error: OSError) -> str:
     """Why a file cannot be read, as the end of a sentence without its full stop."""
     return error.strerror or str(error)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn an OSError of what is done inside into an OutputError that names ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {reason(error)}.") from None
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[BinaryIO]:
+    """A file to write to, which takes the name ``path`` at the end of the block.
+
+    It is flushed to the disk before. Where the block raises, ``path`` stays as it was, and no part
+    of the file is left. Raises OSError.
+    """
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        with beside.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+
+
+def write(path: Path, content: str | bytes) -> None:
+    """Write a file that appears whole, see `whole`. Raises OSError."""
+    with whole(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Write JSON with sorted keys. Raises OSError, ValueError for NaN, which JSON does not know."""
+    text = json.dumps(values, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    write(path, f"{text}\n")
+
+
+def gzipped(text: str) -> bytes:
+    """A gzip file without a time stamp and a file name."""
+    return gzip.compress(text.encode(), compresslevel=6, mtime=0)
+
+
+def npz(arrays: "Mapping[str, NDArray[Any]]") -> bytes:
+    """A compressed .npz file; its members have a fixed time stamp, and none is an object."""
+    import numpy as np
+
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            member = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            member.compress_type = zipfile.ZIP_DEFLATED
+            packed = io.BytesIO()
+            np.lib.format.write_array(packed, np.asarray(array), allow_pickle=False)
+            # More effort makes coordinates little smaller.
+            archive.writestr(member, packed.getvalue(), compresslevel=_LEAST_EFFORT)
+    return buffer.getvalue()
 
 
 def _inside(folder: Path, instead: Instead, seen: set[Path]) -> Iterator[Path]:
@@ -166,4 +239,7 @@ class _Unpacked(io.RawIOBase):
         self._file.close()
 
 
-__all__ = ["GZIP", "content", "inside", "opened", "pieces", "reason", "text", "unpacked"]
+__all__ = [
+    "GZIP", "content", "gzipped", "inside", "npz", "opened", "pieces", "reason", "text", "unpacked",
+    "whole", "write", "write_json", "writing",
+]  # fmt: skip

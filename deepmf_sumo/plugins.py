@@ -6,7 +6,6 @@ The folder's listing is the registry; a metric is a function in a module of its 
 by ``my_package.my_module:MyClass``.
 """
 
-import difflib
 import functools
 import importlib
 import importlib.metadata
@@ -15,7 +14,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from deepmf_sumo.errors import PluginError
+from deepmf_sumo.errors import PluginError, nearest
 
 Kind = Literal["readers", "planners", "policies", "adversaries", "metrics", "exporters"]
 
@@ -57,10 +56,10 @@ def load(kind: Kind, name: str) -> Any:
     if ":" in name:
         return _load_class(kind, name)
     if name not in names(kind):
-        nearest = difflib.get_close_matches(name, names(kind), n=1)
-        hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
-        known = ", ".join(names(kind))
-        raise PluginError(f"No plug-in '{name}' in {kind}.{hint} Known: {known}.")
+        known = names(kind)
+        raise PluginError(
+            f"No plug-in '{name}' in {kind}.{nearest(name, known)} Known: {', '.join(known)}."
+        )
     for point in _entry_points(kind):
         if point.name == name:
             return point.load()
@@ -84,8 +83,7 @@ def explain(error: ValidationError, schema: type[BaseModel]) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        nearest = difflib.get_close_matches(str(first["loc"][-1]), list(schema.model_fields), n=1)
-        hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+        hint = nearest(str(first["loc"][-1]), schema.model_fields)
         return f"unknown key '{key}'.{hint} Known: {', '.join(schema.model_fields)}."
     return f"'{key}' is {first['input']!r}: {first['msg']}."
 

@@ -6,6 +6,7 @@ import socket
 import pytest
 
 from deepmf_sumo import files
+from deepmf_sumo.errors import OutputError
 
 
 @pytest.fixture
@@ -102,3 +103,22 @@ def test_link_loops_end_and_each_file_comes_once(tmp_path):
     (tmp_path / "g").symlink_to("/dev/zero")
     found = [str(path.relative_to(tmp_path)) for path in files.inside(tmp_path)]
     assert found == ["b", "deep/a"]
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "made"
+    files.write(path, "old")
+    with pytest.raises(TypeError), files.whole(path) as file:
+        file.writelines([b"half", "no bytes"])
+    assert (path.read_text(), [one.name for one in tmp_path.iterdir()]) == ("old", ["made"])
+    with files.whole(path) as file:
+        file.write(b"new")
+        assert path.read_text() == "old"
+    assert (path.read_text(), [one.name for one in tmp_path.iterdir()]) == ("new", ["made"])
+
+
+def test_what_cannot_be_written_is_one_sentence(tmp_path):
+    path = tmp_path / "missing" / "made"
+    sentence = r"made cannot be written: No such file or directory\."
+    with pytest.raises(OutputError, match=sentence), files.writing(path):
+        files.write(path, "text")

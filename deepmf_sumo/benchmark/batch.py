@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from deepmf_sumo.benchmark import branches, episode, executors, result, shards, tasks
+from deepmf_sumo.benchmark import branches, episode, executors, result, shards, stored, tasks
 from deepmf_sumo.benchmark.executors import Limits
 from deepmf_sumo.benchmark.home import cache_folder
 from deepmf_sumo.benchmark.inputs import Input, fingerprinted
@@ -109,7 +109,7 @@ def begin(
     ``read`` is what the runs read. Returns the files that an earlier batch of the folder read with
     other content.
     """
-    before = store.inputs()
+    before = stored.inputs_of(store.out)
     now = {str(one.path): one.digest for one in read}
     machine = {
         "executor": options.executor,
@@ -138,7 +138,7 @@ def fill(
     found = {
         task.run_id: before[task.run_id]
         for task in planned
-        if before.get(task.run_id, {}).get("key") == task.key
+        if task.run_id in before and before[task.run_id]["key"] == task.key
     }
     left = [task for task in planned if task.run_id not in found]
     if left:

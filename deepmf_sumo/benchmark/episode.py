@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from deepmf_sumo import network, plugins, readers, simulation
-from deepmf_sumo.benchmark import artifacts, branches, expectations, files, result, turns
+from deepmf_sumo import files, network, plugins, readers, simulation
+from deepmf_sumo.benchmark import artifacts, branches, expectations, result, turns
 from deepmf_sumo.benchmark.logs import logged
 from deepmf_sumo.benchmark.rollout_scene import scene_of
 from deepmf_sumo.benchmark.tasks import Task

@@ -23,13 +23,14 @@ def _broken(expect: Expect, result: Result) -> Iterator[str]:
     if fastest is not None and contact and contact["relative_mps"] > fastest:
         yield f"contact speed is {contact['relative_mps']:.2f} m/s, expected at most {fastest:g}"
     for name, bound in expect.metrics.items():
-        value = result["metrics"].get(name, {"reason": "no such metric"})
-        if value.get("value") is None:
-            yield f"{name} has no value ({value['reason']})"
-        elif bound.min is not None and value["value"] < bound.min:
-            yield f"{name} is {value['value']:.4g}, expected at least {bound.min:g}"
-        elif bound.max is not None and value["value"] > bound.max:
-            yield f"{name} is {value['value']:.4g}, expected at most {bound.max:g}"
+        found = result["metrics"].get(name, {"reason": "no such metric"})
+        value = found.get("value")
+        if value is None:
+            yield f"{name} has no value ({found['reason']})"
+        elif bound.min is not None and value < bound.min:
+            yield f"{name} is {value:.4g}, expected at least {bound.min:g}"
+        elif bound.max is not None and value > bound.max:
+            yield f"{name} is {value:.4g}, expected at most {bound.max:g}"
 
 
 def _yaml(value: bool) -> str:

@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from deepmf_sumo.benchmark import files, pool
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import pool
 from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.network import generated
 from deepmf_sumo.readers import npz

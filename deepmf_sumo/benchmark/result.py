@@ -6,21 +6,95 @@ All that differs between two equal runs stands under ``timings``.
 import math
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Required, TypedDict
 
 import numpy as np
 
-from deepmf_sumo import plugins
+from deepmf_sumo import plugins, tables
 from deepmf_sumo.benchmark import turns
 from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, MetricValue, Rollout
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics import NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork
-from deepmf_sumo.texts import cell
 
 Status = Literal["ok", "failed", "timeout", "skipped"]
-Result = dict[str, Any]
+
+
+class ContactValues(TypedDict, total=False):
+    """A contact, see `datatypes.Contact`; ``time_s`` is since the simulation took over."""
+
+    kind: str
+    first_id: str
+    second_id: str
+    striker_id: str
+    step: int
+    time_s: float
+    relative_mps: float
+    closing_mps: float
+    delta_v_mps: float
+    sector: int
+    pose_first: list[float]
+    pose_second: list[float]
+
+
+class MetricValues(TypedDict, total=False):
+    """A metric, see `datatypes.MetricValue`; ``value`` is None where it is not defined."""
+
+    value: float | None
+    unit: str
+    better: str
+    reason: str
+
+
+class Result(TypedDict, total=False):
+    """The content of ``result.json``, see docs/results-folder.md.
+
+    Keys from ``outcome`` on are those of successful runs. `stored.result_of` checks the shape of
+    what it reads; results of earlier versions may lack keys that are not required.
+    """
+
+    run_id: Required[str]
+    key: Required[str]
+    spec: Required[str]
+    scene: Required[str]
+    network: str | None
+    planner: Required[str]
+    perception: str | None
+    parameters: str | None
+    adversary: Required[str]
+    version: str | None
+    method: Required[str]
+    planner_label: Required[str]
+    base_method: Required[str]
+    part: Required[str]
+    budget: Required[dict[str, Any]]
+    weights: Required[str | None]
+    seed: Required[int]
+    settings: Required[dict[str, Any]]
+    status: Required[Status]
+    error: Required[str]
+    refused: bool
+    expectations_broken: list[str]
+    timings: Required[dict[str, Any]]
+
+    outcome: str
+    ended: str
+    steps: int
+    duration_steps: int
+    opponent: str | None
+    opponent_score: float | None
+    contacts: list[ContactValues]
+    events: list[dict[str, Any]]
+    metrics: dict[str, MetricValues]
+    samples: dict[str, Any] | None
+    plans: int
+    rules: list[str]
+    search: dict[str, Any]
+    conversion: dict[str, Any] | None
+    repairs: list[str]
+    turns: list[dict[str, Any]]
+
 
 COLUMNS: Final = (
     "run_id",
@@ -61,9 +135,7 @@ TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
 def unfinished(task: Task, status: Status, error: str, wall_s: float = 0.0) -> Result:
     """The result of a run that has none, and why."""
     return {
-        **_identity(task),
-        "status": status,
-        "error": " ".join(error.split()),
+        **_identity(task, status, " ".join(error.split())),
         "timings": {"wall_s": wall_s},
     }
 
@@ -82,10 +154,8 @@ def finished(
     """
     rollout = attack.rollout
     decisive = turns.decisive_part(rollout, case)
-    return {
-        **_identity(task),
-        "status": "ok",
-        "error": "",
+    found: Result = {
+        **_identity(task, "ok"),
         "outcome": rollout.outcome,
         "ended": rollout.ended,
         "steps": rollout.tracks.steps - 1 - rollout.now,
@@ -106,8 +176,10 @@ def finished(
         "conversion": _conversion(case.net.report if case.net else None),
         "repairs": list(case.scene.repairs) if case.scene else [],
         "timings": _timings(attack, case, wall_s),
-        **({} if by_turn is None else {"turns": by_turn}),
     }
+    if by_turn is not None:
+        found["turns"] = by_turn
+    return found
 
 
 def row(result: Result) -> dict[str, str]:
@@ -115,19 +187,19 @@ def row(result: Result) -> dict[str, str]:
     contact = first_contact(result) or {}
     metrics, timings = result.get("metrics", {}), result["timings"]
     by_turn = result.get("turns")
-    known = {
+    known: dict[str, Any] = {
         **{key: result.get(key) for key in COLUMNS},
         "contact_time_s": contact.get("time_s"),
         "contact_speed_mps": contact.get("relative_mps"),
         "impact_sector": contact.get("sector"),
-        **{key: metrics.get(key, {}).get("value") for key in ("feasible", "on_road")},
+        **{key: metrics[key]["value"] for key in ("feasible", "on_road") if key in metrics},
         **{f"budget_{name}": value for name, value in result["budget"].items()},
         "simulations": result.get("search", {}).get("simulations"),
         **{key: timings.get(key) for key in TIMINGS},
         "turns": None if by_turn is None else len(by_turn),
         "turn_hits": None if by_turn is None else turns.hits(by_turn),
     }
-    return {key: _text(known[key]) for key in COLUMNS}
+    return {key: tables.cell(known[key]) for key in COLUMNS}
 
 
 def attacked(result: Result) -> bool:
@@ -135,7 +207,7 @@ def attacked(result: Result) -> bool:
     return bool(result["status"] == "ok" and result["opponent"] is not None)
 
 
-def first_contact(result: Result) -> dict[str, Any] | None:
+def first_contact(result: Result) -> ContactValues | None:
     """The contact that the outcome names."""
     contacts = result.get("contacts", [])
     return next((one for one in contacts if one["kind"] == result["outcome"]), None)
@@ -152,7 +224,8 @@ def not_finite(values: Any, name: str = "") -> str | None:
     return next((one for one in found if one), None)
 
 
-def _identity(task: Task) -> dict[str, Any]:
+def _identity(task: Task, status: Status, error: str = "") -> Result:
+    """What is known of a run whatever became of it; its timings are to be added."""
     spec = task.spec
     planner = plugins.settings("planners", spec.planner.name, spec.planner.settings)
     adversary = plugins.settings("adversaries", spec.adversary.name, spec.adversary.settings)
@@ -162,6 +235,9 @@ def _identity(task: Task) -> dict[str, Any]:
     return {
         "run_id": task.run_id,
         "key": task.key,
+        "status": status,
+        "error": error,
+        "timings": {},
         "spec": spec.name,
         "scene": task.scene,
         "network": source.network.stem if isinstance(source, FromNetwork) else None,
@@ -204,7 +280,7 @@ def _opponent_score(rollout: Rollout, settings: dict[str, Any]) -> float | None:
     return None
 
 
-def _contact(contact: Contact, rollout: Rollout) -> dict[str, Any]:
+def _contact(contact: Contact, rollout: Rollout) -> Any:
     values = asdict(contact)
     values["time_s"] = round((contact.step - rollout.now) * rollout.dt_s, 3)
     for name in ("pose_first", "pose_second"):
@@ -237,7 +313,7 @@ def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
     }
 
 
-def _metric(value: MetricValue) -> dict[str, Any]:
+def _metric(value: MetricValue) -> Any:
     return {key: part for key, part in asdict(value).items() if key != "name"}
 
 
@@ -265,9 +341,3 @@ def _timings(attack: Attack, case: Case, wall_s: float) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))

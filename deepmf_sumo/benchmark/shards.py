@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Final, Self
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, stored
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import Store, opened
 from deepmf_sumo.benchmark.tasks import Task
@@ -21,7 +22,7 @@ from deepmf_sumo.errors import OutputError, UsageError
 
 FILE: Final = "shard.json"
 _WAYS: Final = "--overwrite deletes them, another folder for OUT keeps them"
-_WHOLE: Final = ("moments.csv",)
+_WHOLE: Final = (stored.MOMENTS,)
 """Tables that every part has whole."""
 
 
@@ -144,7 +145,7 @@ def copied(
             beside.replace(store.runs / run_id)
     except OSError as error:
         raise OutputError(f"{store.out} cannot be written: {error.strerror or error}.") from None
-    read = {path: digest for shard in shards for path, digest in Store(shard).inputs().items()}
+    read = {path: digest for shard in shards for path, digest in stored.inputs_of(shard).items()}
     store.manifest(keys, {"shards": [str(shard) for shard in shards], "inputs": read})
     return [store.read_run(run_id) for run_id in keys]
 

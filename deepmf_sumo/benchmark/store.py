@@ -1,7 +1,5 @@
 """A result folder."""
 
-import csv
-import io
 import os
 import platform
 import shutil
@@ -17,7 +15,8 @@ from statistics import fmean, median
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, junit, locks, result, stored, turns
+from deepmf_sumo import files, tables
+from deepmf_sumo.benchmark import junit, locks, result, stored, turns
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import OutputError, UsageError
@@ -72,20 +71,8 @@ class Store:
 
     def read_run(self, run_id: str) -> Result:
         """The result of a run that is there. Raises UsageError where it cannot be read."""
-        file = stored.run_folder(self.out, run_id, "runs.csv") / "result.json"
+        file = stored.run_folder(self.out, run_id, stored.RUNS) / "result.json"
         return stored.result_of(file, whole=True)
-
-    def inputs(self) -> dict[str, str]:
-        """Digests of the files that the batch of the manifest read, by path; none before one."""
-        try:
-            found = stored.mapping(self.out / "manifest.json")["machine"]["inputs"]
-        except (UsageError, LookupError, TypeError):
-            return {}
-        return dict(found) if isinstance(found, dict) else {}
-
-    def planned(self) -> int:
-        """How many runs the batch of the manifest has, ended or not."""
-        return len(stored.keys_of(self.out))
 
     def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
         """Write the manifest of a batch; ``machine`` is what may differ between equal ones."""
@@ -108,7 +95,7 @@ class Store:
                 **machine,
             },
         }
-        files.write_json(self.out / "manifest.json", manifest)
+        files.write_json(self.out / stored.MANIFEST, manifest)
 
     def forget_views(self) -> None:
         """Take away the map and the page of earlier runs: they would stand beside other ones."""
@@ -117,11 +104,8 @@ class Store:
 
     def finish(self, results: Sequence[Result], *, junit_too: bool, interrupted: bool) -> None:
         """Write the tables of all runs, in the order of the tasks."""
-        table = io.StringIO()
-        writer = csv.DictWriter(table, result.COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(result.row(one) for one in results)
-        files.write(self.out / "runs.csv", table.getvalue())
+        table = tables.to_csv(map(result.row, results), result.COLUMNS, cell=str)
+        files.write(self.out / stored.RUNS, table)
         by_turn = turns.table(results)
         if by_turn is not None:
             files.write(self.out / turns.TABLE, by_turn)
@@ -143,7 +127,7 @@ def opened(
     another process, or holds results that neither option speaks of; then nothing in it is changed.
     """
     with ExitStack() as until_done:
-        with _named(out):
+        with files.writing(out):
             until_done.enter_context(_claimed(out, keep=resume or overwrite, ways=ways))
             _emptied(out, resume=resume)
         yield Store(out)
@@ -153,7 +137,7 @@ def check(out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS)
     """Raise what `opened` would raise, before any work is done; the folder is left as it is."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
-        with _named(out), _claimed(out, keep=resume or overwrite, ways=ways):
+        with files.writing(out), _claimed(out, keep=resume or overwrite, ways=ways):
             pass
     finally:
         for folder in made:
@@ -165,7 +149,7 @@ def check(out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS)
 def _claimed(out: Path, *, keep: bool, ways: str) -> Iterator[None]:
     """The folder, which is made where it is missing, locked; ``keep``: it may hold results."""
     out.mkdir(parents=True, exist_ok=True)
-    if not (_is_ours(out / "manifest.json") or _is_empty(out)):
+    if not (_is_ours(out / stored.MANIFEST) or _is_empty(out)):
         raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
     with locks.held(out):
         if not keep and holds_results(out):
@@ -179,7 +163,7 @@ def holds_results(out: Path) -> bool:
     if runs.is_dir() and any(not run.name.startswith(".") for run in runs.iterdir()):
         return True
     try:
-        none_planned = Store(out).planned() == 0
+        none_planned = not stored.keys_of(out)
     except UsageError:
         none_planned = False
     return not none_planned and any((out / name).exists() for name in MADE if name != "runs")
@@ -193,15 +177,6 @@ def _emptied(out: Path, *, resume: bool) -> None:
     (out / "runs").mkdir(exist_ok=True)
     files.write(out / "runs" / ".writable", "")
     (out / "runs" / ".writable").unlink()
-
-
-@contextmanager
-def _named(out: Path) -> Iterator[None]:
-    """What the system refuses is said of the folder."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
 
 
 def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TextIO
+from typing import Annotated, Any, Final, Literal, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from deepmf_sumo.benchmark import result
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import is_run_id
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.tables import read_csv
 
 _LARGEST: Final = 2**26
 """Bytes of a JSON file: thousands of trials of a search are some MB."""
@@ -37,6 +38,17 @@ DAMAGE: Final = (
 )  # fmt: skip
 """What files raise that were cut off, or hold something else."""
 
+RUNS: Final = "runs.csv"
+MANIFEST: Final = "manifest.json"
+MOMENTS: Final = "moments.csv"
+
+_NEEDED: Final = (
+    "run_id", "status", "spec", "scene", "planner", "perception", "adversary", "version", "seed",
+    "outcome", "opponent", "contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median",
+)  # fmt: skip
+"""Columns of ``runs.csv`` in all versions."""
+
+_WITHOUT: Final = "run it anew, or remove it: places then come from the tracks alone"
 _AGAIN: Final = "remove the run's folder and go on with --resume"
 
 
@@ -196,7 +208,7 @@ def result_of(file: Path, *, whole: bool = False) -> Result:
     wrong = result.not_finite(found)
     if wrong:
         raise _damaged(file, f"{wrong} is not a finite number", _AGAIN)
-    return found
+    return cast(Result, found)
 
 
 def run_folder(out: Path, run_id: object, file: str) -> Path:
@@ -214,13 +226,75 @@ def run_folder(out: Path, run_id: object, file: str) -> Path:
 
 def keys_of(out: Path) -> dict[str, str]:
     """Run id -> key of all runs of a folder's manifest. Raises UsageError where it is damaged."""
-    file = out / "manifest.json"
+    file = out / MANIFEST
     keys = mapping(file).get("runs")
     if not isinstance(keys, dict) or not all(isinstance(key, str) for key in keys.values()):
         raise UsageError(f"{file} is damaged: it names no runs; run it anew.")
     for run_id in keys:
         run_folder(out, run_id, file.name)
     return keys
+
+
+def inputs_of(out: Path) -> dict[str, str]:
+    """Digests of the files that the runs of the manifest read, by path; none without a manifest."""
+    try:
+        found = mapping(out / MANIFEST)["machine"]["inputs"]
+    except (UsageError, LookupError, TypeError):
+        return {}
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def rows_of(out: Path) -> list[dict[str, str]]:
+    """The rows of ``runs.csv``, in its order.
+
+    Raises UsageError where there is no such file, or it is damaged or cut short: part of the runs
+    must not pass for all of them.
+    """
+    file = out / RUNS
+    if not file.is_file():
+        begun = (out / MANIFEST).is_file()
+        rest = "finish it with --resume" if begun else "give the --out of an earlier command"
+        raise UsageError(f"{out} is no complete result folder: it has no runs.csv; {rest}.")
+    rows = read_csv(file)
+    lost = [name for name in _NEEDED if rows and name not in rows[0]]
+    if lost:
+        raise UsageError(f"{file} has no column '{lost[0]}': it is not of deepmf-sumo.")
+    return rows
+
+
+def moments_of(out: Path) -> dict[str, dict[str, str]]:
+    """Where each AV was and went, by run: ``moments.csv``; empty where no moments were chosen.
+
+    Raises UsageError where it is damaged.
+    """
+    file = out / MOMENTS
+    if not file.is_file():
+        return {}
+    rows = read_csv(file, _WITHOUT)
+    if rows and "run_id" not in rows[0]:
+        raise UsageError(f"{file} is no table of moments (column run_id); {_WITHOUT}.")
+    return {row["run_id"]: row for row in rows}
+
+
+def result_folders(folder: Path) -> list[Path]:
+    """The folder itself, or the result folders in it, by name.
+
+    Raises UsageError where there is none.
+    """
+    if (folder / MANIFEST).is_file():
+        return [folder]
+    inside = sorted(file.parent for file in folder.glob(f"*/{MANIFEST}"))
+    if not inside:
+        raise UsageError(
+            f"{folder} is no result folder, and holds none: there is no manifest.json; give the"
+            " --out of run, attack or benchmark."
+        )
+    return inside
+
+
+def net_file(folder: Path) -> Path | None:
+    """The network in a run's folder."""
+    return next(iter(sorted((folder / "sumo").glob("net.net.xml*"))), None)
 
 
 def mapping(file: Path, *, again: str = "run it anew") -> dict[str, Any]:
@@ -272,6 +346,7 @@ def _damaged(file: Path, why: str, again: str) -> UsageError:
 
 
 __all__ = [
-    "DAMAGE", "MOST_STEPS", "arrays", "first_wrong", "keys_of", "mapping", "result_of",
+    "DAMAGE", "MANIFEST", "MOMENTS", "MOST_STEPS", "RUNS", "arrays", "first_wrong", "inputs_of",
+    "keys_of", "mapping", "moments_of", "net_file", "result_folders", "result_of", "rows_of",
     "run_folder", "tracks",
 ]  # fmt: skip

@@ -1,6 +1,5 @@
 """Specs -> tasks: one for every scene of a recording, one for a network."""
 
-import difflib
 import hashlib
 import json
 import re
@@ -13,7 +12,7 @@ from zlib import crc32
 
 import deepmf_sumo
 from deepmf_sumo import readers
-from deepmf_sumo.errors import ReaderError, SpecError, UsageError
+from deepmf_sumo.errors import ReaderError, SpecError, UsageError, nearest
 from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.spec import First, FromNetwork, FromRecording, Spec
 
@@ -177,8 +176,7 @@ def scenes(spec: Spec, cache: Path) -> Iterator[tuple[str, RecordRef | None]]:
     else:
         for scene in source.scenes:
             if scene not in records:
-                nearest = difflib.get_close_matches(scene, records, n=1)
-                hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+                hint = nearest(scene, records)
                 raise SpecError(
                     f"spec '{spec.name}': {source.recording} has no scene '{scene}'.{hint}"
                 )

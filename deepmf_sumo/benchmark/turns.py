@@ -1,14 +1,12 @@
 """Opponents in turn: each turn judged by itself, and the table of all."""
 
-import csv
-import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
+from deepmf_sumo import tables
 from deepmf_sumo.datatypes import Case, MetricValue, Rollout, Turn
 from deepmf_sumo.datatypes.rollout import decisive
-from deepmf_sumo.texts import cell
 
 TABLE: Final = "turns.csv"
 _RUN: Final = ("run_id", "spec", "scene", "planner", "adversary", "version", "seed")
@@ -38,22 +36,22 @@ def hits(by_turn: Sequence[dict[str, Any]]) -> int:
     return sum(turn["ended"] == "contact" for turn in by_turn)
 
 
-def table(results: Sequence[dict[str, Any]]) -> str | None:
+def table(results: Sequence[Mapping[str, Any]]) -> str | None:
     """A row a turn of all runs, or None where no run had opponents in turn."""
     runs = [one for one in results if one.get("turns") is not None]
     if not runs:
         return None
     metrics = sorted({name for one in runs for turn in one["turns"] for name in turn["metrics"]})
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_RUN, *_TURN, *metrics])
-    for one in runs:
-        for number, turn in enumerate(one["turns"], start=1):
-            known = {**turn, "turn": number}
-            values = [turn["metrics"].get(name) for name in metrics]
-            row = [*(one.get(key) for key in _RUN), *(known[key] for key in _TURN), *values]
-            writer.writerow([_text(value) for value in row])
-    return text.getvalue()
+    rows = [
+        {
+            **{key: one.get(key) for key in _RUN},
+            **{key: {**turn, "turn": number}[key] for key in _TURN},
+            **{name: turn["metrics"].get(name) for name in metrics},
+        }
+        for one in runs
+        for number, turn in enumerate(one["turns"], start=1)
+    ]
+    return tables.to_csv(rows, [*_RUN, *_TURN, *metrics])
 
 
 def _part(turn: Turn, rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
@@ -76,9 +74,3 @@ def _turn(turn: Turn, rollout: Rollout, case: Case, measure: Measure) -> dict[st
         "hit_speed_mps": hit.relative_mps if hit else None,
         "metrics": {value.name: value.value for value in measure(cut, its_case)},
     }
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import click
 
-from deepmf_sumo.cli.parameters.finite import FiniteRange
+from deepmf_sumo.cli._parameters import FiniteRange
 from deepmf_sumo.cli.sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
 

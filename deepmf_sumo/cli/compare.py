@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from deepmf_sumo.cli.parameters.finite import FiniteRange
+from deepmf_sumo.cli._parameters import FiniteRange
 
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 

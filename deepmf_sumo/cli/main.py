@@ -34,7 +34,11 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Names of all commands, sorted; underscores of file names are dashes."""
-        found = [module for module in pkgutil.iter_modules(cli.__path__) if not module.ispkg]
+        found = [
+            module
+            for module in pkgutil.iter_modules(cli.__path__)
+            if not (module.ispkg or module.name.startswith("_"))
+        ]
         return sorted(one.name.replace("_", "-") for one in found if one.name != "main")
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:

@@ -1,9 +1,12 @@
 """``deepmf-sumo merge``: folders of shards -> one folder."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from deepmf_sumo.benchmark.result import Result
 
 
 @click.command(name="merge")
@@ -50,7 +53,7 @@ def command(
 
 def _benchmark(
     out: Path, shards: tuple[Path, ...], *, figures: bool, overwrite: bool
-) -> tuple[list[dict[str, Any]], list[str]]:
+) -> "tuple[list[Result], list[str]]":
     from deepmf_sumo.benchmark import study
     from deepmf_sumo.cli.screen import benchmark as screen
     from deepmf_sumo.report import benchmark as report

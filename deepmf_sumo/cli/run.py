@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from deepmf_sumo.cli.parameters.seeds import Seeds
+from deepmf_sumo.cli._parameters import Seeds
 from deepmf_sumo.cli.sweep import Sweep, end_of_runs, options
 
 

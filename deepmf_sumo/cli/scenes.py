@@ -1,8 +1,7 @@
 """``deepmf-sumo scenes``: what recorded files hold, a row a scene."""
 
 import csv
-import os
-import tempfile
+import io
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,8 +12,9 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from deepmf_sumo import files
 from deepmf_sumo.cli.screen.console import escape, wide
-from deepmf_sumo.errors import OutputError, ReaderError
+from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.texts import cell
 
 if TYPE_CHECKING:  # numpy and the readers are loaded when the command runs
@@ -148,23 +148,11 @@ def _written(path: Path | None) -> Iterator[Any]:
     if path is None:
         yield lambda _: None
         return
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", dir=path.parent, prefix=f".{path.name}", delete=False, newline="", encoding="utf-8"
-        ) as file:
-            part = Path(file.name)
-            try:
-                writer = csv.DictWriter(file, COLUMNS)
-                writer.writeheader()
-                yield lambda row: writer.writerow(
-                    {key: cell(one) if isinstance(one, str) else one for key, one in row.items()}
-                )
-                file.flush()
-                os.fsync(file.fileno())
-            except BaseException:
-                part.unlink()
-                raise
-        part.chmod(0o644)
-        part.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror}.") from None
+    with files.writing(path), files.whole(path) as file:
+        text = io.TextIOWrapper(file, "utf-8", newline="")
+        writer = csv.DictWriter(text, COLUMNS)
+        writer.writeheader()
+        yield lambda row: writer.writerow(
+            {key: cell(one) if isinstance(one, str) else one for key, one in row.items()}
+        )
+        text.detach()  # flushed; the file is closed when it is whole

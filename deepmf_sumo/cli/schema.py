@@ -21,8 +21,7 @@ def command(out: Path | None, planner: bool) -> None:
     """
     import json
 
-    from deepmf_sumo import spec
-    from deepmf_sumo.errors import OutputError
+    from deepmf_sumo import files, spec
     from deepmf_sumo.planners.remote import protocol
 
     schema = protocol.schema() if planner else spec.schema()
@@ -30,7 +29,5 @@ def command(out: Path | None, planner: bool) -> None:
     if out is None:
         click.echo(text, nl=False)
         return
-    try:
+    with files.writing(out):
         out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None

@@ -22,17 +22,14 @@ def command(folders: tuple[Path, ...], everything: bool, csv_file: Path | None) 
     Rates have 95 % intervals. Means are of the runs that have a value; under the table stands why
     others have none.
     """
-    from deepmf_sumo.benchmark import files
+    from deepmf_sumo import files
     from deepmf_sumo.cli.screen import table as screen
-    from deepmf_sumo.errors import OutputError
     from deepmf_sumo.report import comparison
     from deepmf_sumo.report.side_by_side import side_by_side
 
     groups = comparison.groups(folders)
     if csv_file:
-        try:
-            table = comparison.compare(groups)
+        table = comparison.compare(groups)
+        with files.writing(csv_file):
             files.write(csv_file, table.to_csv(index=False, float_format="%.4g"))
-        except OSError as error:
-            raise OutputError(f"{csv_file} cannot be written: {error.strerror}.") from None
     screen.show(side_by_side(groups, everything=everything))

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from deepmf_sumo.cli.parameters.finite import FiniteRange
+from deepmf_sumo.cli._parameters import FiniteRange
 
 _STEPS = click.IntRange(min=1)
 _ABOVE_0 = FiniteRange(min=0, min_open=True)

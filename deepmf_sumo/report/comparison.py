@@ -8,9 +8,8 @@ from typing import Any, Final
 
 import pandas as pd
 
-from deepmf_sumo.benchmark import stored
+from deepmf_sumo.benchmark.results import Results, Run
 from deepmf_sumo.metrics.statistics import wilson
-from deepmf_sumo.report.run_table import runs_of
 
 _NUMBERS: Final = ("contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median")
 """Columns of ``runs.csv`` that are averaged."""
@@ -129,18 +128,17 @@ def compare(found: Sequence[Group]) -> pd.DataFrame:
 
 def _runs(folder: Path) -> pd.DataFrame:
     """``runs.csv`` with the contacts and metrics of each run's ``result.json``."""
-    table = pd.DataFrame(runs_of(folder)).replace("", None)
+    runs = Results.of(folder).runs
+    table = pd.DataFrame([run.row for run in runs]).replace("", None)
     for name in _NUMBERS:
         table[name] = pd.to_numeric(table[name], errors="coerce")
-    details = [_details(folder, run_id) for run_id in table["run_id"]]
-    return pd.concat([table, pd.DataFrame(details)], axis=1)
+    return pd.concat([table, pd.DataFrame(map(_details, runs))], axis=1)
 
 
-def _details(folder: Path, run_id: str) -> dict[str, Any]:
-    file = stored.run_folder(folder, run_id, "runs.csv") / "result.json"
-    if not file.is_file():
+def _details(run: Run) -> dict[str, Any]:
+    if not run.has_result:
         return {}
-    result = stored.result_of(file)
+    result = run.result
     kinds = {contact["kind"] for contact in result.get("contacts", [])}
     metrics = result.get("metrics", {})
     values = {name: one["value"] for name, one in metrics.items()}

@@ -1,20 +1,13 @@
 """Results -> rows of the table that a terminal shows."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
+
+from deepmf_sumo.geometry import impact
 
 HEADINGS: Final = ("run", "outcome", "contact", "speed", "opponent", "AV hit at", "generated in")
 
-SECTORS: Final = (
-    "front",
-    "front left",
-    "left",
-    "rear left",
-    "rear",
-    "rear right",
-    "right",
-    "front right",
-)
+SECTORS: Final = tuple(name.replace("_", " ") for name in impact.SECTORS)
 """Names of the eight impact sectors, counter-clockwise."""
 
 OUTCOMES: Final = {
@@ -25,12 +18,12 @@ OUTCOMES: Final = {
 }
 
 
-def rows(results: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+def rows(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """A row a run, in the order of `HEADINGS`; the content of ``result.json`` goes in."""
     return [_row(result) for result in results]
 
 
-def _row(result: dict[str, Any]) -> tuple[str, ...]:
+def _row(result: Mapping[str, Any]) -> tuple[str, ...]:
     run_id = result["run_id"]
     if result["status"] != "ok":
         return (run_id, f"{result['status']}: {result['error']}", "", "", "", "", "")

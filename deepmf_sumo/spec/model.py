@@ -1,6 +1,5 @@
 """What a spec may hold, key by key."""
 
-import difflib
 import stat
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,12 +18,13 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from deepmf_sumo.errors import nearest
+
 
 def unknown_key(key: str, model: type[BaseModel]) -> str:
     """The rule that an unknown key breaks, with the nearest name."""
-    nearest = difflib.get_close_matches(key, list(model.model_fields), n=1)
-    hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
-    return f"unknown key.{hint} Known: {', '.join(model.model_fields) or 'none'}"
+    known = ", ".join(model.model_fields) or "none"
+    return f"unknown key.{nearest(key, model.model_fields)} Known: {known}"
 
 
 def _wrong(rule: str) -> PydanticCustomError:

@@ -13,7 +13,7 @@ import pytest
 from ray_double import Ray
 
 from deepmf_sumo.benchmark import executors
-from deepmf_sumo.benchmark.executors import Limits, cluster, local, place
+from deepmf_sumo.benchmark.executors import Limits, base, cluster, place
 from deepmf_sumo.benchmark.executors.cluster import Cluster
 from deepmf_sumo.benchmark.inputs import Input, digest
 from deepmf_sumo.errors import PluginError, RunError, UsageError
@@ -182,8 +182,8 @@ def test_no_task_is_begun_after_the_last_minute(runs, use):
 
 
 def test_names_of_executors():
-    assert executors.chosen("local", 3) == local.Local(jobs=3)
-    assert executors.chosen() == local.Local(jobs=1)
+    assert executors.chosen("local", 3) == base.Local(jobs=3)
+    assert executors.chosen() == base.Local(jobs=1)
     assert executors.chosen("ray") == Cluster()
     assert executors.chosen("ray://head:6000", 8) == Cluster(host="head", port=6000, jobs=8)
     assert executors.chosen("ray://[fd00::2]").name == "ray://[fd00::2]:10001"

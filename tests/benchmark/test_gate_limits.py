@@ -89,7 +89,7 @@ specs: {made up: {max_av_collision_rate: 0.4}}
 
 
 def test_a_group_without_runs_is_refused(tmp_path):
-    with pytest.raises(UsageError, match=r"network 'nroth': no run .* did you mean 'north'"):
+    with pytest.raises(UsageError, match=r"network 'nroth': no run .* Did you mean 'north'"):
         judge(tmp_path, "networks: {nroth: {max_failed_runs: 0}}", [row("north")])
 
 

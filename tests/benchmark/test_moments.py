@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark.moments import Moment, Wish, again, plan
+from deepmf_sumo.benchmark.moments import Moment, Wish, asked, plan
 from deepmf_sumo.benchmark.moments.choice import choose
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.simulation.traffic_survey import Body, Sightings
@@ -152,11 +152,11 @@ def test_nobody_at_all_is_told_when_moments_are_taken_again():
 def test_moments_of_a_table_are_each_taken_once(tmp_path):
     table = tmp_path / "moments.csv"
     table.write_text("run_id,av,start_s\nr1,car ü,3.04\nr1,car ü,3.0\nr2,b,7\n", "utf-8")
-    assert again.read(tmp_path) == again.read(table) == (("car ü", 3.0), ("b", 7.0))
+    assert asked.read(tmp_path) == asked.read(table) == (("car ü", 3.0), ("b", 7.0))
     for damaged in ("run_id,av,start_s\nr,a,inf\n", "run_id,av\nr,a\n", "run_id,av,start_s\nr\n"):
         table.write_text(damaged)
         with pytest.raises(UsageError, match="is no table of moments"):
-            again.read(table)
+            asked.read(table)
 
 
 def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path):

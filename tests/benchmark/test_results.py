@@ -11,8 +11,8 @@ import pytest
 import tiny_network
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
-from deepmf_sumo import spec
-from deepmf_sumo.benchmark import artifacts, compare, expectations, files, junit, result, store
+from deepmf_sumo import files, spec
+from deepmf_sumo.benchmark import artifacts, compare, expectations, junit, result, store
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import (
     Attack,

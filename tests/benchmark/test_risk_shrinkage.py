@@ -2,15 +2,18 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from deepmf_sumo.benchmark.risk.shrinkage import STRENGTHS, Prior, not_exceeded, prior, shrink
+from deepmf_sumo.benchmark.risk.shrinkage import STRENGTHS, Prior, prior, shrink
 
 
-@pytest.mark.parametrize("a", [0.05, 0.5, 1.0, 3.0, 200.0])
-@pytest.mark.parametrize("b", [0.3, 1.0, 5.0, 77.0])
-def test_chances_agree_with_the_textbook(a, b):
-    rates = np.linspace(0.01, 0.99, 9)
-    ours = [not_exceeded(rate, a, b) for rate in rates]
-    assert ours == pytest.approx(beta.cdf(rates, a, b), abs=1e-9)
+@pytest.mark.parametrize("events", [0, 1, 3, 20, 200])
+@pytest.mark.parametrize("others", [0, 1, 5, 77])
+def test_ends_are_those_of_the_mixture_of_the_textbook(events, others):
+    given = Prior(0.3, (0.05, 0.1, 0.15, 0.2, 0.2, 0.3))
+    found = shrink(events, events + others, given)
+    a, b = (0.3 * np.array(STRENGTHS) + events, 0.7 * np.array(STRENGTHS) + others)
+    chances = [float(np.array(given.chances) @ beta.cdf(end, a, b)) for end in found[1:]]
+    assert chances == pytest.approx([0.05, 0.95], abs=1e-8)
+    assert found.rate == pytest.approx(np.array(given.chances) @ beta.mean(a, b))
 
 
 def test_one_strength_is_one_beta_distribution():

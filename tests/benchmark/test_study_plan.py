@@ -8,7 +8,8 @@ import tiny_plan
 
 import deepmf_sumo
 from deepmf_sumo.benchmark import study
-from deepmf_sumo.benchmark.study import entries, outline
+from deepmf_sumo.benchmark.study import entries
+from deepmf_sumo.benchmark.study.layout import layout_of
 from deepmf_sumo.benchmark.study.run import _scene_by_scene
 from deepmf_sumo.errors import SpecError, UsageError
 
@@ -133,7 +134,7 @@ def test_budgets_are_methods_of_their_own_and_run_once(plan, tmp_path):
     assert {task.label.base for task in others} == {"fixed"}
     assert len(others) == len({task.run_id for task in others}) == 7
     assert all(task.spec.budget.seconds == 2.0 for task in others if "(2 s)" in task.label.method)
-    layout = outline.layout_of(loaded.plan, rows, tasks)
+    layout = layout_of(loaded.plan, rows, tasks)
     assert layout.equal_seconds.scenes == ["tiny 2 s av"]
     assert layout.curves.planners == ["lane"]
     assert len(layout.curves.budgets["fixed"]) == 3
@@ -158,7 +159,7 @@ def test_methods_for_figures_alone_are_in_no_table(plan, tmp_path):
     )  # fmt: skip
     rows, tasks = rows_of(loaded, tmp_path)
     assert [task.label.part for task in tasks].count("figures") == 1
-    layout = outline.layout_of(loaded.plan, rows, tasks)
+    layout = layout_of(loaded.plan, rows, tasks)
     assert layout.methods == ["fixed"]
     assert layout.planned("none", "lane") == 1
     assert layout.planned("none", "straight") == 0
@@ -207,7 +208,7 @@ def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
     assert batch_tasks.readers is readers
     loaded = study.load(paper_plan(), [f'source.recording="{tmp_path}"'])
     rows, planned = rows_of(loaded, tmp_path)
-    layout = outline.layout_of(loaded.plan, rows, planned)
+    layout = layout_of(loaded.plan, rows, planned)
     assert layout.baseline == "DeepMF-S1"
     assert layout.versions == ["DeepMF-G", "DeepMF-S4", "DeepMF-S2", "DeepMF-S1"]
     assert set(layout.compared) >= {"STRIVE", "ART", "BBO", "BRS", "BGA", "DeepMF-S1"}

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.benchmark import compare
+from deepmf_sumo.benchmark.quantities import BY_NAME, COLUMNS
+from deepmf_sumo.benchmark.result import row as row_of_run
 from deepmf_sumo.benchmark.study import paired, tables
-from deepmf_sumo.benchmark.study.columns import BY_NAME, COLUMNS
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.layout import read as read_layout
 from deepmf_sumo.benchmark.study.rows import row_of
@@ -17,6 +18,7 @@ from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import benchmark as report
 from deepmf_sumo.report.tables import latex, rules
+from deepmf_sumo.tables import to_csv
 
 
 def result(scene="a", method="fast", planner="lane", hit=True, **changes):
@@ -163,13 +165,11 @@ def folder(tmp_path):
               "methods": {"fast": own | {"adversary": "S1"},
                           "slow_&_old": own | {"adversary": {"name": "brs"}}}},
     ).write(tmp_path)  # fmt: skip
-    lines = ["run_id"]
     for one in runs:
         place = tmp_path / "runs" / one["run_id"]
         place.mkdir(parents=True)
         (place / "result.json").write_text(json.dumps(one))
-        lines.append(one["run_id"])
-    (tmp_path / "runs.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "runs.csv").write_text(to_csv(map(row_of_run, runs), cell=str))
     tables.write(tmp_path)
     return tmp_path
 

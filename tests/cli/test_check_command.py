@@ -48,7 +48,7 @@ def test_names_with_brackets_and_stars_are_shown(tmp_path, out, capsys):
     ("text", "told"),
     [
         ("max_colision_rate: 0.1", "Did you mean 'max_collision_rate'?"),
-        ("specs: {mad up: {min_judged_runs: 1}}", "did you mean 'made up'?"),
+        ("specs: {mad up: {min_judged_runs: 1}}", "Did you mean 'made up'?"),
         ("baseline: nowhere.json", "nowhere.json: no such file or folder"),
     ],
 )

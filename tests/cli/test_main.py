@@ -21,8 +21,9 @@ def run(*arguments, **options):
 def test_help_lists_the_files_of_the_folder():
     done = run("--help")
     assert done.returncode == 0
-    files = {path.stem for path in (ROOT / "deepmf_sumo" / "cli").glob("*.py")}
-    for name in files - {"main", "__init__"}:
+    files = {path.stem for path in (ROOT / "deepmf_sumo" / "cli").glob("[!_]*.py")}
+    assert "  -" not in done.stdout.partition("Commands:")[2]
+    for name in files - {"main"}:
         assert f"  {name.replace('_', '-')} " in done.stdout
 
 

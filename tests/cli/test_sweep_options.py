@@ -15,8 +15,7 @@ from xml.etree import ElementTree as ET
 import pytest
 import tiny_network
 
-from deepmf_sumo.benchmark import compare, shards
-from deepmf_sumo.benchmark.store import Store
+from deepmf_sumo.benchmark import compare, shards, stored
 from deepmf_sumo.cli import main
 
 SHARED = (
@@ -123,9 +122,9 @@ def test_one_seed_and_several_are_refused(specs, tmp_path, capsys, more):
 
 def test_the_whole_knows_what_its_parts_read(folders, tmp_path):
     assert call("merge", tmp_path / "all", folders / "1", folders / "2") == 0
-    read = Store(tmp_path / "all").inputs()
+    read = stored.inputs_of(tmp_path / "all")
     assert read
-    assert read == Store(folders / "1").inputs() | Store(folders / "2").inputs()
+    assert read == stored.inputs_of(folders / "1") | stored.inputs_of(folders / "2")
 
 
 def test_moments_of_an_attack_are_those_of_every_part(folders, tmp_path):

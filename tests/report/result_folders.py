@@ -7,8 +7,8 @@ import numpy as np
 import yaml
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
-from deepmf_sumo import spec
-from deepmf_sumo.benchmark import artifacts, files, result
+from deepmf_sumo import files, spec
+from deepmf_sumo.benchmark import artifacts, result
 from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.datatypes import (
     Attack,

@@ -20,7 +20,7 @@ def folder(tmp_path, outcomes, *, opponents=True, planners=("idm",), reason="nev
         run.mkdir(parents=True)
         row = dict.fromkeys(COLUMNS, "")
         planner = planners[number % len(planners)]
-        row |= {"run_id": run.name, "spec": "s", "planner": planner, "status": status}
+        row |= {"run_id": run.name, "spec": "s", "planner": planner, "status": status, "seed": "0"}
         row |= {"outcome": outcome, "generation_s": "0.5", "cycle_ms_median": "80"}
         row |= {"opponent": "7" if opponents else ""}
         row |= {"contact_time_s": str(2 + number), "contact_speed_mps": "5"} if outcome else {}

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.text import Text
 from result_folders import Folder
 
+from deepmf_sumo.benchmark import results
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report import figures
 from deepmf_sumo.report.figures import (
@@ -14,7 +15,6 @@ from deepmf_sumo.report.figures import (
     budget,
     draw_all,
     methods,
-    results,
     scores,
     sectors,
     style,
@@ -41,7 +41,7 @@ def folder(tmp_path):
 
 def draw(module, folder):
     with style.printed():
-        return module.draw(results.read(folder.out))
+        return module.draw(results.Results.of(folder.out))
 
 
 def texts(sheet):
@@ -54,7 +54,7 @@ def width_in(png):
 
 def test_a_rollout_is_read_as_it_was_written(folder):
     written = folder.add("one")
-    read = results.read(folder.out).runs[0].rollout
+    read = results.Results.of(folder.out).done[0].rollout
     assert set(read.tracks.ids) == set(written.tracks.ids)
     assert "NA" in read.tracks.ids
     for agent in written.tracks.ids:
@@ -171,7 +171,7 @@ def test_attacks_that_asked_for_a_sector_come_first(folder):
 
 def test_the_av_drives_up_in_a_panel_of_a_sector(folder):
     folder.add("one", turn=2.0)
-    run = results.read(folder.out).runs[0]
+    run = results.Results.of(folder.out).done[0]
     window = sectors._from_av(run)
     ahead = run.contact.pose_first[:2] + np.array([np.cos(2.0), np.sin(2.0)])
     step = window.place(ahead) - window.place(run.contact.pose_first[:2])
@@ -203,7 +203,7 @@ def test_rates_count_attacked_runs_of_the_own_budget(folder):
             folder.add(f"s{number}", method=method, hit=hit, metrics=natural)
     folder.add("s6", hit=False, opponent=None)
     folder.add("s7", method="S1 (8 simulations)", part="budgets")
-    found = results.read(folder.out)
+    found = results.Results.of(folder.out)
     assert "S1 (8 simulations)" not in found.methods
     points = tradeoff._points(found, "replay", "opponent_rms_acceleration")
     assert [(one.method, one.rate.rate, one.mean) for one in points] == [
@@ -239,7 +239,7 @@ def test_curves_become_lines(folder):
 
 def test_the_road_of_a_lost_recording_is_that_of_the_network(folder, tmp_path):
     folder.add("one")
-    run = results.read(folder.out).runs[0]
+    run = results.Results.of(folder.out).done[0]
     assert len(run.road()[0].lanes) == 2
     assert run.road()[1] == ""
     (tmp_path / "one.npz").unlink()

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from deepmf_sumo.benchmark import batch, files
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import batch
 from deepmf_sumo.benchmark.ablation.plan import BASE, Plan, Variant
 from deepmf_sumo.benchmark.ablation.table import Row, row
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.tasks import slug
-from deepmf_sumo.errors import OutputError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.weights import NETWORKS, Network
 from deepmf_sumo.training import evaluation, initial_weights
@@ -88,11 +88,9 @@ def _train(plan: Plan, variant: Variant, options: Options, say: Report) -> Path:
     )
     train_each(own, training, options.threads, say)
     if variant.name != BASE:
-        try:
+        with files.writing(folder):
             for name in ("opponent.safetensors", "opponent.json"):
                 files.write(folder / name, (root / BASE / name).read_bytes())
-        except OSError as error:
-            raise OutputError(f"{folder} cannot be written: {error.strerror}.") from None
     return folder
 
 

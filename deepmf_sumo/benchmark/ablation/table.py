@@ -4,8 +4,6 @@ Notes above the readable table give data, steps, seeds and denominators: without
 nor costs can be judged.
 """
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,10 +11,9 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Final, Self
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo import files, tables
 from deepmf_sumo.benchmark.ablation.plan import Plan
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.errors import OutputError
 from deepmf_sumo.metrics.statistics import Interval, wilson
 from deepmf_sumo.predictors.weights import NETWORKS, Network
 
@@ -204,23 +201,12 @@ def cells(row: Row) -> list[str]:
 def write(folder: Path, notes: Sequence[str], rows: Sequence[Row]) -> None:
     """Write both tables, the notes above the readable one. Raises OutputError."""
     planners = [attacked.planner for attacked in rows[0].attacks]
-    lines = [_line(headings(planners)), _line(["---"] * len(headings(planners)))]
-    lines += [_line(cells(row)) for row in rows]
+    lines = tables.to_markdown(headings(planners), map(cells, rows))
     text = "\n\n".join(["# Ablation", *notes, "\n".join(lines)]) + "\n"
-    try:
+    with files.writing(folder):
         files.write(folder / "ablation.md", text)
-        files.write(folder / "ablation.csv", _csv(rows))
-    except OSError as error:
-        raise OutputError(f"{folder} cannot be written: {error.strerror}.") from None
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    records = [_record(row) for row in rows]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    return text.getvalue()
+        table = tables.to_csv(map(_record, rows), cell=tables.exact)
+        files.write(folder / "ablation.csv", table)
 
 
 def _record(row: Row) -> dict[str, Any]:
@@ -272,10 +258,6 @@ def _number(value: float | None, form: str) -> str:
 
 def _rounded(value: float | None) -> float | None:
     return round(value, 4) if isinstance(value, float) else value
-
-
-def _line(values: Sequence[str]) -> str:
-    return f"| {' | '.join(value.replace('|', '/') for value in values)} |"
 
 
 def notes(plan: Plan, jobs: int, rows: Sequence[Row]) -> list[str]:

@@ -1,10 +1,11 @@
-"""What an executor is."""
+"""What an executor is, and the one of this machine."""
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from deepmf_sumo.benchmark import pool
 from deepmf_sumo.benchmark.pool import Finished
 from deepmf_sumo.benchmark.tasks import Task
 
@@ -52,4 +53,27 @@ class Executor(Protocol):
         """
 
 
-__all__ = ["Executor", "Limits", "Work"]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Local:
+    """Processes of this machine; ``jobs`` at a time."""
+
+    jobs: int = 1
+
+    def check(self) -> None:
+        """Nothing can be wrong."""
+
+    def run(
+        self, work: Work, tasks: Sequence[Task], limits: Limits
+    ) -> Generator[Finished, None, None]:
+        """As `pool.run`."""
+        return pool.run(
+            work,
+            tasks,
+            jobs=self.jobs,
+            timeout_s=limits.timeout_s,
+            memory_mb=limits.memory_mb,
+            minutes=limits.minutes,
+        )
+
+
+__all__ = ["Executor", "Limits", "Local", "Work"]

@@ -14,9 +14,9 @@ from typing import Any, Literal
 
 from deepmf_sumo.benchmark.gate.limits import ALL
 from deepmf_sumo.benchmark.gate.matching import Matched, match
-from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
 from deepmf_sumo.benchmark.gate.rows import Results, Row
 from deepmf_sumo.benchmark.gate.thresholds import SHOWN, Baseline
+from deepmf_sumo.benchmark.quantities import COMPARABLE, Quantity
 from deepmf_sumo.errors import UsageError
 
 State = Literal["passed", "worse", "better", "cannot tell", "not judged"]
@@ -60,7 +60,7 @@ def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
     shown = [name for name in SHOWN if name not in wanted.quantities]
     return [
         _compare(
-            group, BY_QUANTITY[name], _of(new, wanted.by, member), _of(old, wanted.by, member),
+            group, COMPARABLE[name], _of(new, wanted.by, member), _of(old, wanted.by, member),
             alone if name in wanted.quantities else 1 - wanted.confidence, wanted,
         )
         for group, member in groups.items()

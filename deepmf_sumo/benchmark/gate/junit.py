@@ -5,79 +5,68 @@ missing, too few runs, or a comparison that cannot tell; ``skipped``: nobody to 
 to judge by.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from xml.etree import ElementTree as ET  # written, never parsed
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo import files
 from deepmf_sumo.benchmark.gate import verdict as sentences
-from deepmf_sumo.benchmark.gate.limits import UNFINISHED
+from deepmf_sumo.benchmark.gate.comparison import Comparison
+from deepmf_sumo.benchmark.gate.limits import UNFINISHED, Judgement
 from deepmf_sumo.benchmark.gate.rows import Row
 from deepmf_sumo.benchmark.gate.verdict import Verdict
-from deepmf_sumo.benchmark.junit import clean
-from deepmf_sumo.errors import OutputError
+from deepmf_sumo.benchmark.junit import Mark, TestCase, write_suites
 
 
 def write(path: Path, verdict: Verdict) -> None:
     """Write the file. Raises OutputError."""
-    root = ET.Element("testsuites", name="deepmf-sumo")
-    _gate(root, verdict)
-    suites: dict[str, list[Row]] = {}
-    for row in verdict.results.rows.values():
-        suites.setdefault(row.spec, []).append(row)
+    suites = [("thresholds", [_threshold(one) for one in verdict.judgements])]
+    if verdict.comparisons is not None:
+        judged = [one for one in verdict.comparisons if one.state != "not judged"]
+        suites.append(("baseline", [_comparison(one) for one in judged]))
+    by_spec: dict[str, list[TestCase]] = {}
     tolerated = _tolerated(verdict)
-    for name, rows in suites.items():
-        suite = _suite(root, name)
-        for row in rows:
-            _run(suite, row, verdict, tolerated=tolerated)
-    for suite in root:
-        _counts(suite, [suite])
-    _counts(root, list(root))
-    ET.indent(root)
-    content = b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root) + b"\n"
-    try:
-        files.write(path, content)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror}.") from None
+    for row in verdict.results.rows.values():
+        by_spec.setdefault(row.spec, []).append(_run(row, verdict, tolerated=tolerated))
+    with files.writing(path):
+        write_suites(path, [*suites, *by_spec.items()])
 
 
-def _gate(root: ET.Element, verdict: Verdict) -> None:
-    """A suite of the thresholds, and one of the comparisons."""
-    suite = _suite(root, "thresholds")
-    for one in verdict.judgements:
-        case = _case(suite, one.group, one.limit)
-        text = sentences.sentence(one)
-        if one.state == "no value":
-            _mark(case, "skipped", text)
-        elif one.state != "held":
-            _mark(case, "error" if one.state == "unfit" else "failure", text)
-    if verdict.comparisons is None:
-        return
-    suite = _suite(root, "baseline")
-    for each in verdict.comparisons:
-        if each.state == "not judged":
-            continue
-        case = _case(suite, f"baseline: {each.group}", each.quantity)
-        if each.state == "worse":
-            _mark(case, "failure", sentences.regression(each))
-        elif each.state == "cannot tell":
-            _mark(case, "error", sentences.undecided(each))
+def _threshold(one: Judgement) -> TestCase:
+    text, marks = sentences.sentence(one), []
+    if one.state == "no value":
+        marks = [Mark("skipped", text)]
+    elif one.state != "held":
+        marks = [Mark("error" if one.state == "unfit" else "failure", text)]
+    return TestCase(classname=one.group, name=one.limit, marks=marks)
 
 
-def _run(suite: ET.Element, row: Row, verdict: Verdict, *, tolerated: bool) -> None:
-    case = _case(suite, _classname(row), f"{row.scene} seed {row.seed}", row.wall_s)
+def _comparison(one: Comparison) -> TestCase:
+    marks = []
+    if one.state == "worse":
+        marks = [Mark("failure", sentences.regression(one))]
+    elif one.state == "cannot tell":
+        marks = [Mark("error", sentences.undecided(one))]
+    return TestCase(classname=f"baseline: {one.group}", name=one.quantity, marks=marks)
+
+
+def _run(row: Row, verdict: Verdict, *, tolerated: bool) -> TestCase:
     failures = verdict.failures(row)
-    if failures:  # in one element: most servers show the first alone
-        _mark(case, "failure", "; ".join(failures))
+    # in one element: most servers show the first alone
+    marks = [Mark("failure", "; ".join(failures))] if failures else []
     if row.status in UNFINISHED and not tolerated:
-        _mark(case, "error", f"{row.status}: {row.reason}")
+        marks.append(Mark("error", f"{row.status}: {row.reason}"))
     elif row.status in UNFINISHED:
-        _mark(case, "skipped", f"allowed by max_failed_runs: {row.status}: {row.reason}")
+        allowed = f"allowed by max_failed_runs: {row.status}: {row.reason}"
+        marks.append(Mark("skipped", allowed))
     elif not (row.judged or failures):
-        _mark(case, "skipped", row.reason)
-    out = ET.SubElement(case, "system-out")
+        marks.append(Mark("skipped", row.reason))
     values = ", ".join(f"{name} {value:g}" for name, value in row.values.items())
-    out.text = clean(f"{values or '-'}; files: {verdict.results.source}/runs/{row.run_id}")
+    return TestCase(
+        classname=_classname(row),
+        name=f"{row.scene} seed {row.seed}",
+        seconds=row.wall_s,
+        marks=marks,
+        output=f"{values or '-'}; files: {verdict.results.source}/runs/{row.run_id}",
+    )
 
 
 def _tolerated(verdict: Verdict) -> bool:
@@ -90,26 +79,3 @@ def _tolerated(verdict: Verdict) -> bool:
 def _classname(row: Row) -> str:
     """What tells equal scenes and seeds apart: spec, method and planner, each named once."""
     return " / ".join(dict.fromkeys(part for part in (row.spec, row.method, row.planner) if part))
-
-
-def _suite(root: ET.Element, name: str) -> ET.Element:
-    return ET.SubElement(root, "testsuite", name=clean(name))
-
-
-def _case(suite: ET.Element, classname: str, name: str, seconds: float = 0.0) -> ET.Element:
-    return ET.SubElement(
-        suite, "testcase", classname=clean(classname), name=clean(name), time=f"{seconds:.3f}"
-    )
-
-
-def _mark(case: ET.Element, kind: str, message: str) -> None:
-    ET.SubElement(case, kind, message=clean(message))
-
-
-def _counts(element: ET.Element, suites: Sequence[ET.Element]) -> None:
-    cases = [case for suite in suites for case in suite.findall("testcase")]
-    seconds = sum(float(case.get("time", "0")) for case in cases)
-    element.set("tests", str(len(cases)))
-    for kind, name in (("failure", "failures"), ("error", "errors"), ("skipped", "skipped")):
-        element.set(name, str(sum(case.find(kind) is not None for case in cases)))
-    element.set("time", f"{seconds:.3f}")

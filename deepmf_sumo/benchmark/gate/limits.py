@@ -1,6 +1,5 @@
 """Thresholds against runs."""
 
-import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -8,10 +7,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
 from deepmf_sumo.benchmark.gate.rows import Row
 from deepmf_sumo.benchmark.gate.thresholds import Limits, Thresholds
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.benchmark.quantities import COMPARABLE, Quantity
+from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.metrics.statistics import wilson
 
 ALL: Final = "all runs"
@@ -69,10 +68,9 @@ def _groups(thresholds: Thresholds, rows: Sequence[Row]) -> Iterator[tuple[str, 
             members = [row for row in rows if fnmatchcase(getattr(row, kind), pattern)]
             if not members:
                 known = list(dict.fromkeys(getattr(row, kind) for row in rows))
-                nearest = difflib.get_close_matches(pattern, known, n=1)
-                hint = f"did you mean '{nearest[0]}'?" if nearest else f"there are {known[:5]}."
+                hint = nearest(pattern, known) or f" There are {known[:5]}."
                 raise UsageError(
-                    f"thresholds of the {kind} '{pattern}': no run of the results is of it; {hint}"
+                    f"thresholds of the {kind} '{pattern}': no run of the results is of it.{hint}"
                 )
             yield f"{kind} {pattern}", limits, members
 
@@ -110,7 +108,7 @@ def _rate(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgemen
     name = limit.removeprefix("max_")
     values = _values(name, rows)
     if not values:
-        return _without_value(group, limit, bound, BY_QUANTITY[name], rows)
+        return _without_value(group, limit, bound, COMPARABLE[name], rows)
     hits = [run_id for run_id, value in values.items() if value]
     rate, low, high = wilson(len(hits), len(values))
     broken = rate > bound
@@ -126,11 +124,11 @@ def _percentile(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Ju
     name = _PERCENTILES[limit]
     values = _values(name, rows)
     if not values:
-        return _without_value(group, limit, bound, BY_QUANTITY[name], rows)
+        return _without_value(group, limit, bound, COMPARABLE[name], rows)
     value = float(np.percentile(list(values.values()), 5, method="inverted_cdf"))
     blamed = [run_id for run_id, each in values.items() if each < bound] if value < bound else []
     return Judgement(
-        group=group, limit=limit, bound=bound, value=value, unit=BY_QUANTITY[name].unit,
+        group=group, limit=limit, bound=bound, value=value, unit=COMPARABLE[name].unit,
         runs=len(values), state="broken" if blamed else "held", blamed=tuple(blamed),
     )  # fmt: skip
 
@@ -139,11 +137,11 @@ def _greatest(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judg
     name = _GREATEST[limit]
     values = _values(name, rows)
     if not values:
-        return _without_value(group, limit, bound, BY_QUANTITY[name], rows)
+        return _without_value(group, limit, bound, COMPARABLE[name], rows)
     blamed = [run_id for run_id, each in values.items() if each > bound]
     return Judgement(
         group=group, limit=limit, bound=bound, value=max(values.values()),
-        unit=BY_QUANTITY[name].unit, runs=len(values), state="broken" if blamed else "held",
+        unit=COMPARABLE[name].unit, runs=len(values), state="broken" if blamed else "held",
         blamed=tuple(blamed),
     )  # fmt: skip
 
@@ -153,7 +151,7 @@ def _without_value(
 ) -> Judgement:
     """Fine where nothing happened that could be measured; no basis where it was not measured."""
     hits = _values("collision_rate", rows)
-    missed = any(hits.values()) if quantity.hits_only else bool(hits)
+    missed = any(hits.values()) if quantity.of_hits else bool(hits)
     return Judgement(
         group=group, limit=limit, bound=bound, value=None, unit=quantity.unit, runs=0,
         state="unfit" if missed else "no value",

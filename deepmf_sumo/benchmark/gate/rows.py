@@ -10,12 +10,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from deepmf_sumo.benchmark import files, stored
-from deepmf_sumo.benchmark.gate.quantities import QUANTITIES, judged
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import results, stored
+from deepmf_sumo.benchmark.quantities import COMPARABLE, judged
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import FORMAT_VERSION as FOLDER_VERSION
-from deepmf_sumo.benchmark.store import Store
-from deepmf_sumo.errors import OutputError, UsageError
+from deepmf_sumo.errors import UsageError
 
 FORMAT_VERSION: Final = 2
 _KIND: Final = "deepmf-sumo results"
@@ -78,71 +78,61 @@ def read(path: Path) -> Results:
     return _of_folder(path) if path.is_dir() else _of_file(path)
 
 
-def write(path: Path, results: Results) -> None:
+def write(path: Path, found: Results) -> None:
     """Write the file that a later job compares with. Raises OutputError."""
-    rows = [asdict(row) for row in results.rows.values()]
+    rows = [asdict(row) for row in found.rows.values()]
     for row in rows:
         del row["wall_s"]  # so that equal results are equal files
     values = {
         "kind": _KIND,
         "format_version": FORMAT_VERSION,
-        "version": results.version,
-        "attacks": results.attacks,
+        "version": found.version,
+        "attacks": found.attacks,
         "runs": rows,
     }
-    try:
+    with files.writing(path):
         files.write_json(path, values)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror}.") from None
 
 
 def _of_folder(out: Path) -> Results:
-    manifest = _json(out / "manifest.json", f"{out} is no result folder: it has no manifest.json.")
-    if not isinstance(manifest, dict) or manifest.get("tool") != "deepmf-sumo":
-        raise UsageError(f"{out / 'manifest.json'} is not a manifest of deepmf-sumo.")
+    file = out / stored.MANIFEST
+    if not file.exists():
+        raise UsageError(f"{out} is no result folder: it has no manifest.json.")
+    manifest = stored.mapping(file)
+    if manifest.get("tool") != "deepmf-sumo":
+        raise UsageError(f"{file} is not a manifest of deepmf-sumo.")
     if manifest.get("format_version") != FOLDER_VERSION:
         raise UsageError(
             f"{out} has format {manifest.get('format_version')}, this version of deepmf-sumo reads"
             f" format {FOLDER_VERSION}; run it anew."
         )
-    store, rows = Store(out), {}
+    rows: dict[str, Row] = {}
     attacks: dict[str, dict[str, Any]] = {}
-    for run_id, key in stored.keys_of(out).items():
-        row = _row_of(store, run_id, key, attacks)
-        if row is not None:
-            rows[run_id] = row
+    for run_id, result in results.planned(out).items():
+        try:
+            rows[run_id] = _missing(run_id) if result is None else _row(result)
+            if result is not None:
+                attacks.setdefault(rows[run_id].attack, _attack(result))
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise UsageError(
+                f"{out / 'runs' / run_id / 'result.json'} is no result of this version of"
+                f" deepmf-sumo ({type(error).__name__}: {error}); run it anew."
+            ) from None
     return Results(source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks)
 
 
-def _row_of(store: Store, run_id: str, key: str, attacks: dict[str, dict[str, Any]]) -> Row | None:
-    """None for a run that is in no table (made for figures, or with another budget).
-
-    Its attack is added to ``attacks``.
-    """
-    file = store.runs / run_id / "result.json"
-    found = stored.result_of(file) if file.is_file() else None
-    try:
-        if found is None or found["key"] != key:  # of an earlier batch, not yet made anew
-            spec, scene, seed = run_id.rsplit("--", 2)
-            return Row(
-                run_id=run_id, spec=spec, network=scene, scene=scene, seed=int(seed),
-                status="missing", reason="the run has no result: it was not begun, or interrupted",
-            )  # fmt: skip
-        if found.get("part", "main") != "main":
-            return None
-        row = _row(found)
-        attacks.setdefault(row.attack, _attack(found))
-        return row
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise UsageError(
-            f"{file} is no result of this version of deepmf-sumo ({type(error).__name__}:"
-            f" {error}); run it anew."
-        ) from None
+def _missing(run_id: str) -> Row:
+    """The row of a run that has no result, or one of an earlier batch."""
+    spec, scene, seed = run_id.rsplit("--", 2)
+    return Row(
+        run_id=run_id, spec=spec, network=scene, scene=scene, seed=int(seed), status="missing",
+        reason="the run has no result: it was not begun, or interrupted",
+    )  # fmt: skip
 
 
 def _row(result: Result) -> Row:
     went = result["status"] == "ok"
-    found = {one.name: one.value(result) for one in QUANTITIES} if went else {}
+    found = {name: one.of(result) for name, one in COMPARABLE.items()} if went else {}
     attack = json.dumps(_attack(result), sort_keys=True).encode()
     return Row(
         run_id=result["run_id"],

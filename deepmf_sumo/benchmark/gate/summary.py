@@ -4,12 +4,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo import files
 from deepmf_sumo.benchmark.gate import verdict as sentences
 from deepmf_sumo.benchmark.gate.limits import UNFINISHED
 from deepmf_sumo.benchmark.gate.rows import Row
 from deepmf_sumo.benchmark.gate.verdict import Verdict, difference, figure
-from deepmf_sumo.errors import OutputError
+from deepmf_sumo.tables import to_markdown
 
 LONGEST_LIST: Final = 20
 _TITLES: Final = {0: "passed", 1: "failed", 3: "no verdict"}
@@ -18,21 +18,23 @@ _MARKS: Final = {"held": "held", "broken": "**broken**", "unfit": "**no basis**"
 
 def write(path: Path, verdict: Verdict) -> None:
     """Add it to the end of a file, as job pages expect. Raises OutputError."""
-    try:
+    with files.writing(path):
         before = path.read_text("utf-8") if path.is_file() else ""
         files.write(path, before + text(verdict))
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror}.") from None
 
 
 def text(verdict: Verdict) -> str:
     """Title, tables, and the runs to look at; long lists are cut, and the cut is said."""
     rows = list(verdict.results.rows.values())
     lines = [f"## deepmf-sumo: {_TITLES[verdict.exit_code]}", "", counts(rows), ""]
-    lines += _table(("group", "threshold", "allowed", "measured", "runs", ""), thresholds(verdict))
+    lines += to_markdown(
+        ("group", "threshold", "allowed", "measured", "runs", ""), thresholds(verdict)
+    )
     if verdict.comparisons is not None:
         lines += ["", f"Against `{verdict.baseline}`:", ""]
-        lines += _table(("group", "quantity", "was", "is", "difference", ""), comparisons(verdict))
+        lines += to_markdown(
+            ("group", "quantity", "was", "is", "difference", ""), comparisons(verdict)
+        )
     lines += [f"\n{note}." for note in verdict.notes]
     undecided = [one for one in verdict.comparisons or () if one.state == "cannot tell"]
     lines += [f"\n{sentences.undecided(one)}." for one in undecided[:LONGEST_LIST]]
@@ -92,8 +94,3 @@ def _unfinished(rows: Iterable[Row]) -> list[str]:
     return [
         f"- `{row.run_id}`: {row.status}, {row.reason}" for row in rows if row.status in UNFINISHED
     ]
-
-
-def _table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    lines = [heading, ["---"] * len(heading), *rows]
-    return [f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines]

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, TTC_CEILING_S
+from deepmf_sumo.benchmark.quantities import COMPARABLE, TTC_CEILING_S
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import Strict
@@ -20,7 +20,7 @@ class Limits(Strict):
     """Bounds over a group of runs; None is no bound.
 
     Attributes:
-        max_av_collision_rate: see `quantities.QUANTITIES` for this and the other rates.
+        max_av_collision_rate: see `quantities.COMPARABLE` for this and the other rates.
         min_ttc_p05: seconds; the least time to collision that 95 % of the attacked runs keep.
         max_delta_v_mps, max_collision_speed_mps: of the worst hit.
         max_failed_runs: failed, timed out or missing ones.
@@ -42,8 +42,8 @@ class Limits(Strict):
 
 
 def _known(name: str) -> str:
-    if name not in BY_QUANTITY:
-        rule = f"'{name}' is no quantity. Known: {', '.join(BY_QUANTITY)}"
+    if name not in COMPARABLE:
+        rule = f"'{name}' is no quantity. Known: {', '.join(COMPARABLE)}"
         raise PydanticCustomError("rule", "{rule}", {"rule": rule})
     return name
 

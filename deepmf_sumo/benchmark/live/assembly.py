@@ -1,6 +1,5 @@
 """A session put together: settings as of a spec, DeepMF, the road of the simulation."""
 
-import difflib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from deepmf_sumo.benchmark.live.one_thread import OneThread
 from deepmf_sumo.benchmark.live.results import Stage
 from deepmf_sumo.datatypes import AgentId, TurnRules
 from deepmf_sumo.deepmf.policy import Settings, build
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.live.connection import LiveApi, road_files
 from deepmf_sumo.live.engagement import Scenery, Surroundings
 from deepmf_sumo.live.observer import Observer
@@ -150,6 +149,5 @@ def _check_edges(api: LiveApi, triggers: Sequence[Trigger]) -> None:
     known = {lane.rpartition("_")[0] for lane in api.lane.getIDList()} if wanted else set()
     for edge in wanted:
         if edge not in known:
-            nearest = difflib.get_close_matches(edge, sorted(known), n=1)
-            hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+            hint = nearest(edge, sorted(known))
             raise UsageError(f"trigger 'edge={edge}': the network has no such edge.{hint}")

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, store
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import store
 from deepmf_sumo.benchmark.live.results import Results, Stage
 from deepmf_sumo.datatypes import AgentId, Contact, Event
 from deepmf_sumo.live.session import Fought

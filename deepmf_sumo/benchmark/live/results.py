@@ -11,9 +11,9 @@ import traceback
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from deepmf_sumo.benchmark import artifacts, files, result
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import artifacts, result
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.benchmark.tasks import Task
@@ -84,7 +84,9 @@ class Results:
             traceback.print_exc()
             reason = f"not measured: {type(error).__name__}: {error}"
             found = result.unfinished(task, "failed", reason, time.perf_counter() - begin)
-        known: dict[str, Any] = {
+        found["settings"]["planner"] = {}
+        return {
+            **found,
             "network": self._stage.name,
             "planner": self._stage.planner,
             "planner_label": self._stage.planner,
@@ -92,8 +94,6 @@ class Results:
             "parameters": None,
             "expectations_broken": [],
         }
-        found["settings"]["planner"] = {}
-        return found | known
 
     def _keep_net(self, folder: Path) -> None:
         """The network belongs to each run's folder; it is there once, under many names."""

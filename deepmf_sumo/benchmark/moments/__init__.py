@@ -1,7 +1,6 @@
 """AVs and moments of a SUMO scenario to attack, chosen by ourselves: no spec needed."""
 
-from deepmf_sumo.benchmark.moments.again import read
-from deepmf_sumo.benchmark.moments.asked import check, names_of
+from deepmf_sumo.benchmark.moments.asked import check, names_of, read
 from deepmf_sumo.benchmark.moments.finding import find
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish
 from deepmf_sumo.benchmark.moments.plan import attack, base_spec

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from deepmf_sumo.benchmark import files, pool
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import pool
 from deepmf_sumo.benchmark.moments.choice import choose, turns_of
 from deepmf_sumo.benchmark.moments.encounters import encounters
 from deepmf_sumo.benchmark.moments.moment import Found, Moment, Wish

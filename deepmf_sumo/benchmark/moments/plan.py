@@ -1,7 +1,5 @@
 """Moments -> tasks, as if each had been a spec."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields, replace
@@ -9,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 from zlib import crc32
 
-from deepmf_sumo.benchmark import batch, files
+from deepmf_sumo import files, tables
+from deepmf_sumo.benchmark import batch, stored
 from deepmf_sumo.benchmark.moments.choice import LONG_S
 from deepmf_sumo.benchmark.moments.moment import Moment
 from deepmf_sumo.benchmark.result import Result
@@ -17,9 +16,7 @@ from deepmf_sumo.benchmark.tasks import Task, moment_name, run_id_of
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.spec import Av, Plugin, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
-from deepmf_sumo.texts import cell
 
-TABLE: Final = "moments.csv"
 MET: Final = "met"
 """The adversary's ``opponent`` that is whoever the AV is about to meet."""
 
@@ -88,7 +85,7 @@ def attack(
 
     def tell(progress: batch.Progress) -> None:
         if progress.last is None:  # the folder is there by now, and empty
-            files.write(options.out / TABLE, _table(tasks, moments))
+            files.write(options.out / stored.MOMENTS, _table(tasks, moments))
         report(progress)
 
     return batch.run_tasks(tasks, options, tell)
@@ -137,13 +134,9 @@ def _of_met(spec: Spec) -> bool:
 
 
 def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:
-    table = io.StringIO()
+    rows = [
+        {"run_id": task.run_id, **asdict(moment)}
+        for task, moment in zip(tasks, moments, strict=True)
+    ]
     names = ["run_id", *(field.name for field in fields(Moment))]
-    writer = csv.DictWriter(table, names, lineterminator="\n")
-    writer.writeheader()
-    for task, moment in zip(tasks, moments, strict=True):
-        row = {"run_id": task.run_id, **asdict(moment)}
-        writer.writerow(
-            {name: cell(each) if isinstance(each, str) else each for name, each in row.items()}
-        )
-    return table.getvalue()
+    return tables.to_csv(rows, names, cell=tables.exact)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.risk.attacks import net_digest
-from deepmf_sumo.benchmark.store import Store
+from deepmf_sumo.benchmark.stored import inputs_of
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.errors import UsageError
 
@@ -64,7 +64,7 @@ def _traffic(folders: Iterable[Path]) -> dict[str, set[str]]:
     """Digests of files of routes and the like, by name; of live sessions none are known."""
     found: dict[str, set[str]] = {}
     for folder in folders:
-        for path, digest in Store(folder).inputs().items():
+        for path, digest in inputs_of(folder).items():
             name = Path(path).name
             if name.endswith((".xml", ".xml.gz")) and ".net." not in name:
                 found.setdefault(name, set()).add(digest)

@@ -1,28 +1,20 @@
 """Result folders -> the networks in them, each with the attacks on it."""
 
-import csv
 import hashlib
-import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
-from deepmf_sumo import files
 from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result, attacked
+from deepmf_sumo.benchmark.results import planned
 from deepmf_sumo.benchmark.risk import places
 from deepmf_sumo.benchmark.risk.attacked import Attacked, of_run
 from deepmf_sumo.benchmark.risk.places import Places
 from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.texts import of_cell
-
-Row = Mapping[str, str]
-
-_LARGEST: Final = 2**26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,7 +56,7 @@ def read(folders: Sequence[Path]) -> list[Network]:
     """
     networks: dict[tuple[str, str], _Filling] = {}
     left_out: Counter[str] = Counter()
-    once = {out.resolve(): out for folder in folders for out in result_folders(folder)}
+    once = {out.resolve(): out for folder in folders for out in stored.result_folders(folder)}
     for out in once.values():
         _read(out, networks, left_out)
     found = [networks[key] for key in sorted(networks) if networks[key].attacks]
@@ -91,25 +83,9 @@ def read(folders: Sequence[Path]) -> list[Network]:
     ]
 
 
-def result_folders(folder: Path) -> list[Path]:
-    """The folder itself, or those in it that are result folders, by name.
-
-    Raises UsageError where there is none.
-    """
-    if (folder / "manifest.json").is_file():
-        return [folder]
-    inside = sorted(file.parent for file in folder.glob("*/manifest.json"))
-    if not inside:
-        raise UsageError(
-            f"{folder} is no result folder, and holds none: there is no manifest.json; give the"
-            " --out of run, attack or benchmark."
-        )
-    return inside
-
-
 def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counter[str]) -> None:
-    moments = _moments(out)
-    for run_id, result in results(out).items():
+    moments = stored.moments_of(out)
+    for run_id, result in planned(out).items():
         if result is None:
             left_out["without a result"] += 1
         elif result["status"] != "ok":
@@ -137,43 +113,9 @@ def of_runs(folders: Sequence[Path]) -> dict[str, Result]:
     return {
         f"{out}/runs/{run_id}": result
         for out in folders
-        for run_id, result in results(out).items()
+        for run_id, result in planned(out).items()
         if result is not None and result["status"] == "ok"
     }
-
-
-def results(out: Path) -> dict[str, Result | None]:
-    """The result of each run of a folder's manifest, those of other budgets left out.
-
-    None for a run that is not there yet. Raises UsageError where a file cannot be read.
-    """
-    found: dict[str, Result | None] = {}
-    for run_id, key in stored.keys_of(out).items():
-        file = out / "runs" / run_id / "result.json"
-        result = stored.result_of(file) if file.is_file() else None
-        if result is not None and result.get("key") != key:  # of an earlier batch
-            result = None
-        if result is None or result.get("part", "main") == "main":
-            found[run_id] = result
-    return found
-
-
-def _moments(out: Path) -> dict[str, Row]:
-    """Where each AV was and went, by run; empty where no moments were chosen."""
-    file = out / "moments.csv"
-    if not file.is_file():
-        return {}
-    try:
-        lines = io.StringIO(files.text(file, _LARGEST), newline="")
-        return {
-            row["run_id"]: {name: of_cell(text) for name, text in row.items()}
-            for row in csv.DictReader(lines)
-        }
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, csv.Error):
-        raise UsageError(
-            f"{file} is no table of moments (column run_id); run it anew, or remove it: places"
-            " then come from the tracks alone."
-        ) from None
 
 
 def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling]) -> _Filling:
@@ -198,10 +140,10 @@ def net_digest(folder: Path) -> str:
 
 
 def _net_file(folder: Path) -> Path:
-    nets = sorted((folder / "sumo").glob("net.net.xml*"))
-    if not nets:
+    file = stored.net_file(folder)
+    if file is None:
         raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it anew.")
-    return nets[0]
+    return file
 
 
-__all__ = ["Attacked", "Network", "net_digest", "of_runs", "read", "result_folders", "results"]
+__all__ = ["Attacked", "Network", "net_digest", "of_runs", "read"]

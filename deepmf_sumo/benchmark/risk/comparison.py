@@ -14,12 +14,12 @@ from typing import Any, Final, Literal
 from deepmf_sumo.benchmark.gate import matching, rows
 from deepmf_sumo.benchmark.gate.comparison import differing, two_sided
 from deepmf_sumo.benchmark.gate.matching import Matched
-from deepmf_sumo.benchmark.gate.quantities import BY_QUANTITY, Quantity
 from deepmf_sumo.benchmark.gate.rows import Results, Row
+from deepmf_sumo.benchmark.quantities import COMPARABLE, Quantity
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.risk import alike, attacks
-from deepmf_sumo.benchmark.risk.attacks import result_folders
 from deepmf_sumo.benchmark.risk.origins import Origin, Tagged, origins, tags
+from deepmf_sumo.benchmark.stored import result_folders
 from deepmf_sumo.errors import UsageError
 
 COMPARED: Final = (
@@ -79,15 +79,15 @@ def compare(
     Args:
         a: what was.
         b: what is.
-        quantities: of `gate.quantities`.
+        quantities: of `quantities.COMPARABLE`.
         confidence: of all intervals of a table together.
 
     Raises UsageError for a folder or a quantity that cannot be used, and where the sides were made
     by different versions of the program, or their attacks had different times.
     """
-    unknown = [name for name in quantities if name not in BY_QUANTITY]
+    unknown = [name for name in quantities if name not in COMPARABLE]
     if unknown:
-        known = ", ".join(BY_QUANTITY)
+        known = ", ".join(COMPARABLE)
         raise UsageError(f"'{unknown[0]}' is no quantity to compare; there are: {known}.")
     old, new = _side(a), _side(b)
     if old.version != new.version:
@@ -128,16 +128,16 @@ def differences(
     Args:
         old: rows with the ids of `compare`: those of pairs are equal.
         new: the same.
-        quantities: of `gate.quantities`.
+        quantities: of `quantities.COMPARABLE`.
         confidence: of all intervals together.
     """
-    numbers = [name for name in quantities if not BY_QUANTITY[name].rate]
+    numbers = [name for name in quantities if not COMPARABLE[name].rate]
     alone = 1 - (1 - confidence) / (len(quantities) + len(numbers))
     sides = list(new.rows.values()), list(old.rows.values())
     found = [
-        _change(BY_QUANTITY[name], name, matching.match(name, *sides, alone)) for name in quantities
+        _change(COMPARABLE[name], name, matching.match(name, *sides, alone)) for name in quantities
     ]
-    return found + [_leaning(BY_QUANTITY[name], old, new, alone) for name in numbers]
+    return found + [_leaning(COMPARABLE[name], old, new, alone) for name in numbers]
 
 
 def _change(quantity: Quantity, name: str, found: Matched, *, share: bool = False) -> Change:

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
+from deepmf_sumo.benchmark import quantities
 from deepmf_sumo.benchmark.gate import matching
 from deepmf_sumo.benchmark.gate.comparison import two_sided
 from deepmf_sumo.benchmark.gate.matching import Matched
 from deepmf_sumo.benchmark.gate.rows import Row
 from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.risk import attacks
-from deepmf_sumo.benchmark.study import columns
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 
@@ -59,7 +59,7 @@ def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str,
         results: of `attacks.of_runs`.
         folders: where they stand.
     """
-    hits = {key: one for key, one in results.items() if attacked(one) and columns.hit(one)}
+    hits = {key: one for key, one in results.items() if attacked(one) and quantities.hit(one)}
     found = {key: _kinds(one) for key, one in hits.items()}
     try:
         networks = attacks.read(folders)
@@ -74,8 +74,8 @@ def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str,
 
 
 def _kinds(result: Result) -> dict[Dimension, str]:
-    accident, sector = columns.accident(result), columns.sector(result)
-    avoidable = columns.metric(result, "avoidable")
+    accident, sector = quantities.accident(result), quantities.sector(result)
+    avoidable = quantities.metric(result, "avoidable")
     kinds: dict[Dimension, str] = {}
     if accident is not None:
         kinds["accident"] = ACCIDENT_TYPES[accident].replace("_", " ")

@@ -1,6 +1,6 @@
 """What a benchmark's folder says of its plan: all that tables need, without specs and scenes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -8,11 +8,18 @@ from typing import Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import files, stored
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import stored
+from deepmf_sumo.benchmark.study.entries import Entry, count
+from deepmf_sumo.benchmark.study.plan import Plan, Subset
+from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.spec import SearchBudget
 
 FILE: Final = "study.json"
 FORMAT_VERSION: Final = 2
+
+Budgets = dict[str, list[SearchBudget]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +78,40 @@ class Layout:
         values = asdict(self)
         values["runs"] = [list(pair) for pair in self.runs.items()]  # JSON objects are sorted here
         files.write_json(folder / FILE, {"format_version": FORMAT_VERSION, **values})
+
+
+def layout_of(plan: Plan, entries: Sequence[Entry], planned: Sequence[Task]) -> Layout:
+    """What the folder of the plan keeps of it; ``planned`` are all its tasks."""
+    deepmf = {entry.label.base for entry in entries if entry.specs[0].adversary.name == "deepmf"}
+    methods = [label for label, method in plan.methods.items() if not method.figures_only]
+    baseline = plan.tables.baseline or methods[0]
+    versions, compared = plan.tables.versions, plan.tables.compared
+    if versions is None:
+        versions = tuple(method for method in methods if method in deepmf)
+    if compared is None:
+        compared = tuple(one for one in methods if one == baseline or one not in deepmf)
+    scenes = list(dict.fromkeys(place.scene for entry in entries for place in entry.situations))
+    equal, curves = plan.equal_seconds, plan.curves
+    seconds: Budgets = {}
+    points: Budgets = {}
+    if equal:
+        seconds = {method: [SearchBudget(seconds=equal.seconds)] for method in equal.methods}
+    if curves:
+        points = {method: list(each.budgets) for method, each in curves.methods.items()}
+    return Layout(
+        name=plan.name,
+        version=deepmf_sumo.__version__,
+        methods=methods,
+        planners=list(plan.planners),
+        scenes=scenes,
+        baseline=baseline,
+        versions=list(versions),
+        compared=list(compared),
+        equal_seconds=_part(plan, equal, seconds, scenes) if equal else None,
+        curves=_part(plan, curves, points, scenes) if curves else None,
+        runs={task.run_id: task.key for task in planned},
+        plan=plan.model_dump(mode="json"),
+    )
 
 
 class _First(BaseModel):
@@ -133,3 +174,13 @@ def _check(layout: Layout) -> None:
     lost = [method for method in named if method not in plan.methods]
     if lost:
         raise ValueError(f"the plan has no method {lost[0][:80]!r}")
+
+
+def _part(plan: Plan, subset: Subset, budgets: Budgets, scenes: list[str]) -> Budgeted:
+    return Budgeted(
+        budgets={
+            method: [budget.model_dump() for budget in each] for method, each in budgets.items()
+        },
+        planners=list(subset.planners or plan.planners),
+        scenes=scenes[: count(subset, scenes)],
+    )

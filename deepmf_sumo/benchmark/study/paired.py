@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo.benchmark.quantities import COLUMNS, Quantity, counted
 from deepmf_sumo.benchmark.result import Result
-from deepmf_sumo.benchmark.study.columns import COLUMNS, Column, counted
 
 RESAMPLES: Final = 10_000
 CONFIDENCE: Final = 0.95
@@ -39,7 +39,7 @@ def differences(
 
 
 def _difference(
-    column: Column,
+    column: Quantity,
     method: str,
     baseline: str,
     planner: str,
@@ -83,7 +83,7 @@ def interval(by_scene: Sequence[Sequence[float]]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _values(column: Column, results: Sequence[Result]) -> dict[tuple[str, int], float]:
+def _values(column: Quantity, results: Sequence[Result]) -> dict[tuple[str, int], float]:
     return {
         (one["scene"], one["seed"]): value
         for one in results

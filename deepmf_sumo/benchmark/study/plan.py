@@ -1,6 +1,5 @@
 """``benchmark PLAN``: methods, planners, scenes, seeds and budgets, in strict YAML."""
 
-import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.benchmark.tasks import slug
-from deepmf_sumo.errors import SpecError
+from deepmf_sumo.errors import SpecError, nearest
 from deepmf_sumo.spec import SearchBudget
 from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
@@ -162,8 +161,7 @@ class Plan(Strict):
         for key, labels, known in used:
             for label in labels:
                 if label not in known:
-                    nearest = difflib.get_close_matches(label, list(known), n=1)
-                    hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+                    hint = nearest(label, known)
                     rule = f"'{label}' is none of the plan's.{hint} Known: {', '.join(known)}"
                     raise _wrong(key, rule)
         return self
@@ -214,8 +212,7 @@ def _leave_out(document: Document, without: Sequence[str]) -> None:
     known = methods if isinstance(methods, dict) else {}
     for label in without:
         if label not in known:
-            nearest = difflib.get_close_matches(label, list(known), n=1)
-            hint = f" Did you mean '{nearest[0]}'?" if nearest else ""
+            hint = nearest(label, known)
             raise SpecError(f"--without {label}: the plan has no such method.{hint}")
         del known[label]
         for key in ("tables", "equal_seconds", "curves"):

@@ -1,21 +1,21 @@
 """Runs of a method on a planner -> its row: means with their denominators, rates with intervals."""
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import fmean, median
 from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo.benchmark.result import Result, attacked
-from deepmf_sumo.benchmark.study.columns import (
+from deepmf_sumo.benchmark.quantities import (
     COLUMNS,
-    Column,
+    Quantity,
     accident,
     counted,
     hit,
     sector,
 )
+from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.metrics.naturalness import Samples
 from deepmf_sumo.metrics.statistics import (
@@ -44,7 +44,7 @@ def row_of(method: str, planner: str, results: Sequence[Result], planned: int) -
     """
     done = [one for one in results if attacked(one)]
     statuses = Counter(one["status"] for one in results)
-    first = results[0] if results else {}
+    first: Mapping[str, Any] = results[0] if results else {}
     row: Row = {
         "method": method,
         "planner": planner,
@@ -71,7 +71,7 @@ def row_of(method: str, planner: str, results: Sequence[Result], planned: int) -
     return row | counts
 
 
-def _cells(column: Column, values: Sequence[float]) -> Row:
+def _cells(column: Quantity, values: Sequence[float]) -> Row:
     """The mean; of rates with the interval, of the generation time with the median."""
     cells: Row = {column.name: fmean(values) if values else None}
     if column.rate:

@@ -11,7 +11,7 @@ from deepmf_sumo.benchmark.inputs import fingerprinted
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.shards import Shard, note
 from deepmf_sumo.benchmark.store import opened
-from deepmf_sumo.benchmark.study import entries, layout, outline, tables
+from deepmf_sumo.benchmark.study import entries, layout, tables
 from deepmf_sumo.benchmark.study.entries import Entry
 from deepmf_sumo.benchmark.study.plan import Loaded
 from deepmf_sumo.benchmark.tasks import Part, Task
@@ -33,7 +33,7 @@ def run(
     plan = loaded.plan
     rows = entries.entries_of(loaded, cache_folder())
     planned, read = fingerprinted(entries.tasks_of(rows, plan.seeds))
-    outlined = outline.layout_of(plan, rows, planned)
+    outlined = layout.layout_of(plan, rows, planned)
     if options.resume and (options.out / layout.FILE).is_file():
         layout.read(options.out)  # refuses what another version made
     chosen = shard.choose(planned) if shard else planned

@@ -1,28 +1,22 @@
 """A benchmark's folder -> ``table.csv`` and the tables beside it."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo import files as door
-from deepmf_sumo.benchmark import files, stored
+from deepmf_sumo import files, tables
+from deepmf_sumo.benchmark import stored
+from deepmf_sumo.benchmark.quantities import accident, hit, sector
 from deepmf_sumo.benchmark.result import Result, attacked
 from deepmf_sumo.benchmark.study import layout, paired
-from deepmf_sumo.benchmark.study.columns import accident, hit, sector
 from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
 from deepmf_sumo.benchmark.study.rows import Row, row_of
-from deepmf_sumo.errors import UsageError
 from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
-from deepmf_sumo.texts import cell
 
 Key = tuple[str, str, int | None, float | None]
 """Method, planner, and the budget: simulations, seconds; both None where it is the method's own."""
-
-_LARGEST: Final = 2**28
 
 MAIN: Final = "table.csv"
 DIFFERENCES: Final = "differences.csv"
@@ -35,30 +29,24 @@ def write(folder: Path) -> None:
     """Write all tables of a benchmark's folder, from its runs. Raises UsageError."""
     plan = layout.read(folder)
     runs = _grouped(results_of(folder))
-    write_csv(folder / MAIN, main_rows(plan, runs))
-    write_csv(folder / DIFFERENCES, _differences(plan, runs))
-    write_csv(folder / ACCIDENTS, _accidents(plan, runs))
+    files.write(folder / MAIN, tables.to_csv(main_rows(plan, runs)))
+    files.write(folder / DIFFERENCES, tables.to_csv(_differences(plan, runs)))
+    files.write(folder / ACCIDENTS, tables.to_csv(_accidents(plan, runs)))
     for name, part, rows_of in (
         (EQUAL_SECONDS, plan.equal_seconds, _equal_seconds),
         (CURVES, plan.curves, _curves),
     ):
         if part:
-            write_csv(folder / name, rows_of(plan, part, runs))
+            files.write(folder / name, tables.to_csv(rows_of(plan, part, runs)))
         else:  # that of an earlier plan, where the folder is resumed
             (folder / name).unlink(missing_ok=True)
 
 
 def results_of(folder: Path) -> list[Result]:
     """All results that ``runs.csv`` lists, in its order. Raises UsageError where there are none."""
-    file = folder / "runs.csv"
-    try:
-        rows = csv.DictReader(io.StringIO(door.text(file, _LARGEST), newline=""))
-        run_ids = [row["run_id"] for row in rows]
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {door.reason(error)}.") from None
-    except (ValueError, KeyError, csv.Error) as error:
-        raise UsageError(f"{file} is damaged ({error}); write it anew with --resume.") from None
-    folders = (stored.run_folder(folder, run_id, file.name) for run_id in run_ids)
+    folders = (
+        stored.run_folder(folder, row["run_id"], stored.RUNS) for row in stored.rows_of(folder)
+    )
     return [stored.result_of(one / "result.json") for one in folders]
 
 
@@ -172,19 +160,3 @@ def _point(
         "budget_seconds": shown["seconds"],
     }
     return head | row_of(method, planner, found, planned)
-
-
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Rows of one set of columns; None is empty, numbers have six digits."""
-    text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({key: _text(value) for key, value in row.items()} for row in rows)
-    files.write(path, text.getvalue())
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))

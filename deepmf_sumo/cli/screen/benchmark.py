@@ -3,29 +3,23 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.table import Table
 
+from deepmf_sumo.benchmark.quantities import COLUMNS
+from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.report.table import counted
 from deepmf_sumo.report.tables.content import Row, read
 
-_SHOWN: Final = {
-    "collision_time_s": "time s",
-    "collision_speed_mps": "speed m/s",
-    "kl": "KL",
-    "wasserstein": "W m/s2",
-    "sspd_m": "SSPD m",
-    "hausdorff_m": "Hausd. m",
-    "generation_time_s": "gen. s",
-}
+_SHOWN: Final = {one.name: one.short for one in COLUMNS if one.short}
 
 _FAILURES: Final = 10
 """That are shown with their reason."""
 
 
-def show(out: Path, results: Sequence[dict[str, Any]], expected: int, made: Sequence[Path]) -> None:
+def show(out: Path, results: Sequence[Result], expected: int, made: Sequence[Path]) -> None:
     """A line a method and planner, what did not go through, and the files."""
     console = wide()
     grid = Table(box=None, pad_edge=False, header_style="bold")

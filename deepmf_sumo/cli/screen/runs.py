@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deepmf_sumo.benchmark.batch import Progress
+from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.report import table as tables
 
@@ -36,7 +37,7 @@ def progress() -> Iterator[Callable[[Progress], None]]:
         yield report
 
 
-def table(results: Sequence[dict[str, Any]], summary: dict[str, Any], out: Path) -> None:
+def table(results: Sequence[Result], summary: dict[str, Any], out: Path) -> None:
     """The runs, the totals, and where the files are."""
     console = wide()
     grid = Table(box=None, pad_edge=False, header_style="bold")
@@ -70,5 +71,5 @@ def _left(now: Progress, seconds: float) -> str:
     return f", {rest:.0f} s left" if rest < 100 else f", {rest / 60:.0f} min left"
 
 
-def _outcome(result: dict[str, Any]) -> str:
+def _outcome(result: Result) -> str:
     return str(result["outcome"] if result["status"] == "ok" else result["status"])

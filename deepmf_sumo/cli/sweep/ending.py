@@ -1,20 +1,24 @@
 """The end of a sweep: what is shown, and the exit code."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from deepmf_sumo.cli.sweep.options import Sweep
 
+if TYPE_CHECKING:
+    from deepmf_sumo.benchmark.result import Result
 
-def end_of_runs(sweep: Sweep, results: Sequence[dict[str, Any]]) -> int:
+
+def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
     """Show the table of the runs; returns the exit code."""
-    from deepmf_sumo.benchmark.store import Store, summary
+    from deepmf_sumo.benchmark import stored
+    from deepmf_sumo.benchmark.store import summary
     from deepmf_sumo.cli.screen.runs import table
     from deepmf_sumo.report.table import counted
 
-    missing = Store(sweep.out).planned() - len(results)
+    missing = len(stored.keys_of(sweep.out)) - len(results)
     if results:
         table(results, summary(results), sweep.out)
     if missing:
@@ -22,7 +26,7 @@ def end_of_runs(sweep: Sweep, results: Sequence[dict[str, Any]]) -> int:
     return end(sweep, results, missing)
 
 
-def end(sweep: Sweep, results: Sequence[dict[str, Any]], missing: int) -> int:
+def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
     """The exit code: 130 where runs are missing, 2 where a spec was wrong, else the verdict's.
 
     Without thresholds the verdict is that of the runs themselves, see `batch.exit_code`.

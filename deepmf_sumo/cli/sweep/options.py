@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import click
 
-from deepmf_sumo.cli.parameters.finite import FiniteRange
+from deepmf_sumo.cli._parameters import FiniteRange
 
 _POSITIVE: Final = FiniteRange(min=0, min_open=True)
 _GIVEN: Final = click.Path(exists=True, path_type=Path)

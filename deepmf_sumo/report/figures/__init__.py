@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo import files
+from deepmf_sumo.benchmark.results import Results
 from deepmf_sumo.report.figures import (
     attacks,
     budget,
     methods,
-    results,
     scores,
     sectors,
     style,
@@ -21,7 +21,7 @@ from deepmf_sumo.report.figures.timelines import write_timelines
 
 __all__ = ["draw_all", "write_timelines"]
 
-FIGURES: Final[dict[str, Callable[[results.Results], Sheet | Skipped]]] = {
+FIGURES: Final[dict[str, Callable[[Results], Sheet | Skipped]]] = {
     "figure_3_scores": scores.draw,
     "figure_4_attacks": attacks.draw,
     "figure_5_sectors": sectors.draw,
@@ -39,7 +39,7 @@ def draw_all(out: Path) -> list[Path]:
 
     Returns the files, the index last. Raises UsageError where ``out`` is no result folder.
     """
-    found = results.read(out)
+    found = Results.of(out)
     folder = out / "figures"
     folder.mkdir(exist_ok=True)
     written, lines = [], []

@@ -4,10 +4,10 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Final
 
+from deepmf_sumo.benchmark.results import Results, Run
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, scale_of, window_of
 from deepmf_sumo.report.figures.grid import Grid, frame, shape
-from deepmf_sumo.report.figures.results import Results, Run
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped
 from deepmf_sumo.report.table import SECTORS
 
@@ -18,7 +18,7 @@ FEW: Final = 4
 
 def draw(results: Results) -> Sheet | Skipped:
     """Hits in scenes that differ in where the AV is hit."""
-    hits = [run for run in attacks(results.runs) if run.hit and run.recorded]
+    hits = [run for run in attacks(results.done) if run.hit and run.recorded]
     chosen = various(hits)[:MOST]
     if not chosen:
         return Skipped("no run hit the AV")

@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
+from deepmf_sumo.benchmark.results import Results
 from deepmf_sumo.benchmark.study.tables import CURVES
 from deepmf_sumo.metrics.statistics import Interval
 from deepmf_sumo.report.figures import style
-from deepmf_sumo.report.figures.results import Results
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped
 
 BUDGETS: Final = {
@@ -34,7 +34,7 @@ class Point(NamedTuple):
 
 def draw(results: Results) -> Sheet | Skipped:
     """A column a planner, a row a kind of budget, a line a method."""
-    file = results.out / CURVES
+    file = results.folders[0] / CURVES
     if not file.is_file():
         return Skipped(f"there is no {CURVES}: the plan has no `curves`")
     with file.open(newline="", encoding="utf-8") as lines:

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from deepmf_sumo.benchmark.results import Results, Run
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import caption_of
 from deepmf_sumo.report.figures.episode import (
@@ -17,7 +18,6 @@ from deepmf_sumo.report.figures.episode import (
     window_of,
 )
 from deepmf_sumo.report.figures.grid import Grid, frame, shape
-from deepmf_sumo.report.figures.results import Results, Run
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped
 
 COMPARED: Final = 12
@@ -61,7 +61,7 @@ def draw(results: Results) -> Sheet | Skipped:
 def _chosen(results: Results) -> list[Run]:
     """A run a method, in the order of the methods, all of one scene, planner and seed."""
     groups: dict[tuple[str, int], dict[str, Run]] = defaultdict(dict)
-    for run in results.runs:
+    for run in results.done:
         if run.planner == results.planners[0] and run.recorded:
             groups[run.scene, run.seed].setdefault(run.method, run)
     scenes = [[runs[one] for one in results.methods if one in runs] for runs in groups.values()]

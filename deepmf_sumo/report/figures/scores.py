@@ -7,6 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from deepmf_sumo.benchmark.artifacts import read_scores
+from deepmf_sumo.benchmark.results import Results, Run
 from deepmf_sumo.datatypes import OpponentScores, Rollout
 from deepmf_sumo.report.drawing.road import draw_road
 from deepmf_sumo.report.drawing.vehicles import draw_boxes
@@ -15,9 +17,7 @@ from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks
 from deepmf_sumo.report.figures.episode import star
 from deepmf_sumo.report.figures.grid import Grid, frame
-from deepmf_sumo.report.figures.results import Results, Run
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped
-from deepmf_sumo.report.figures.tracks import read_scores
 
 MOST: Final = 4
 COLUMNS: Final = 2
@@ -68,7 +68,7 @@ def draw(results: Results) -> Sheet | Skipped:
 
 def _scored(results: Results) -> list[Scored]:
     """One run a scene, with the chances of those that are scored."""
-    runs = {run.scene: run for run in reversed(attacks(results.runs)) if run.recorded}
+    runs = {run.scene: run for run in reversed(attacks(results.done)) if run.recorded}
     found = []
     for run in reversed(runs.values()):
         scores = read_scores(run.folder)

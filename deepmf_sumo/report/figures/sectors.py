@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
 
+from deepmf_sumo.benchmark.results import Results, Run
 from deepmf_sumo.report.drawing.window import Window, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import names, of_deepmf
 from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, met_at, scale_of
 from deepmf_sumo.report.figures.grid import Grid, frame
-from deepmf_sumo.report.figures.results import Results, Run
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped
 from deepmf_sumo.report.table import SECTORS
 
@@ -23,7 +23,7 @@ PLACES: Final = ((0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2))
 
 def draw(results: Results) -> Sheet | Skipped:
     """One hit for each sector, seen from the AV at the contact."""
-    runs = of_deepmf((*results.steered, *results.runs))
+    runs = of_deepmf((*results.steered, *results.done))
     hits = [run for run in runs if run.hit and run.recorded]
     if not hits:
         return Skipped("no run hit the AV")

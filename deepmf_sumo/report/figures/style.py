@@ -13,7 +13,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo import files
 from deepmf_sumo.report.drawing.road import RoadStyle
 
 SINGLE_IN: Final = 3.4

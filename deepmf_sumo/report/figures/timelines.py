@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from deepmf_sumo.benchmark.results import Results
 from deepmf_sumo.datatypes import Rollout
 from deepmf_sumo.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks, caption_of, various
-from deepmf_sumo.report.figures.results import Results
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped
 
 LONGEST_S: Final = 10.0
@@ -70,7 +70,7 @@ def _contacts(rollout: Rollout, charts: Sequence[Axes]) -> None:
 
 def draw(results: Results) -> Sheet | Skipped:
     """The run that is panel (a) of the attacks."""
-    hits = [run for run in attacks(results.runs) if run.hit and run.recorded]
+    hits = [run for run in attacks(results.done) if run.hit and run.recorded]
     if not hits:
         return Skipped("no run hit the AV")
     run = various(hits)[0]

@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 
 from matplotlib.axes import Axes
 
+from deepmf_sumo.benchmark.results import Results, Run
 from deepmf_sumo.metrics.statistics import Interval, wilson
 from deepmf_sumo.report.figures import style
-from deepmf_sumo.report.figures.results import Results, Run
 from deepmf_sumo.report.figures.sheet import Sheet, Skipped
 
 NATURALNESS: Final = {
@@ -73,7 +73,7 @@ def _points(results: Results, planner: str, metric: str) -> list[Point]:
     for method in results.methods:
         runs = [
             run
-            for run in results.runs
+            for run in results.done
             if run.method == method and run.planner == planner and run.attacked
         ]
         values = [value for run in runs if (value := run.metric(metric)) is not None]

@@ -6,13 +6,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo.benchmark import files, stored
-from deepmf_sumo.errors import OutputError, UsageError, WeightsError
+from deepmf_sumo import files
+from deepmf_sumo.benchmark import stored
+from deepmf_sumo.errors import UsageError, WeightsError
 from deepmf_sumo.report.page.places import ELEMENTS
 from deepmf_sumo.report.page.roads import Roads
 from deepmf_sumo.report.page.rows import COLUMNS, SPEED_KINDS
 from deepmf_sumo.report.page.run_pages import RunPage, run_page
-from deepmf_sumo.report.run_table import rows_of, runs_of
 from deepmf_sumo.report.table import SECTORS
 
 _SCRIPTS: Final = (
@@ -29,7 +29,7 @@ def write(out: Path) -> Path:
     reason. Raises UsageError where ``out`` is no result folder, OutputError where it cannot be
     written.
     """
-    table, manifest = _table(out), _json(out / "manifest.json")
+    table, manifest = _table(out), _json(out / stored.MANIFEST)
     roads = Roads()
     pages = [run_page(out, row, roads) for row in table]
     content = {
@@ -43,18 +43,15 @@ def write(out: Path) -> Path:
         "orders": {"sector": SECTORS, "element": ELEMENTS, "speed": SPEED_KINDS},
     }
     page = _joined(content, [page.details for page in pages], roads.packed())
-    try:
+    with files.writing(out):
         files.write(out / "report.html", page)
-    except OSError as error:
-        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
     return out / "report.html"
 
 
 def _table(out: Path) -> list[dict[str, str]]:
     """Rows of ``runs.csv``, with where the AV was where an attack chose moments by itself."""
-    moments = out / "moments.csv"
-    known = {row["run_id"]: row for row in rows_of(moments)} if moments.is_file() else {}
-    return [{**known.get(row["run_id"], {}), **row} for row in runs_of(out)]
+    known = stored.moments_of(out)
+    return [{**known.get(row["run_id"], {}), **row} for row in stored.rows_of(out)]
 
 
 def _json(file: Path) -> dict[str, Any]:

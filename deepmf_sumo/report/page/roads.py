@@ -10,9 +10,10 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
+from deepmf_sumo.benchmark import stored
+from deepmf_sumo.benchmark.results import Run
 from deepmf_sumo.datatypes import Floats, RoadMap
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.report.figures.results import Run, source_of
 from deepmf_sumo.report.page.packing import packed, stepwise
 
 AROUND_M: Final = 60.0
@@ -72,13 +73,11 @@ class Roads:
 
 def _key(run: Run) -> str:
     """What tells roads apart: the recorded scene, or the content of the network."""
-    source = source_of(run.folder)
+    source = run.source
     if "recording" in source:
         return f"{source['recording']} {run.scene}"
-    nets = sorted((run.folder / "sumo").glob("net.net.xml*"))
-    if not nets:
-        return run.run_id
-    return _digest(nets[0], nets[0].stat().st_mtime_ns)
+    net = stored.net_file(run.folder)
+    return run.run_id if net is None else _digest(net, net.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=4096)

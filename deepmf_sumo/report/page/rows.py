@@ -32,7 +32,7 @@ def row(table: Mapping[str, str], result: Result | None, element: str, note: str
         element: of the road, where the AV was hit; else empty.
         note: why the run has no result, or cannot be replayed.
     """
-    found = result or {}
+    found: Any = result or {}
     outcome = found.get("outcome") or table.get("outcome") or None
     contact = (first_contact(found) if outcome else None) or {}
     hit = bool(contact) and str(outcome).startswith("av")

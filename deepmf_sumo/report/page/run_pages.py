@@ -9,9 +9,9 @@ import numpy as np
 
 from deepmf_sumo.benchmark import stored
 from deepmf_sumo.benchmark.result import Result
+from deepmf_sumo.benchmark.results import Run
 from deepmf_sumo.datatypes import Floats, RoadMap
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report.figures.results import Run, run_of
 from deepmf_sumo.report.page.packing import packed
 from deepmf_sumo.report.page.places import element
 from deepmf_sumo.report.page.reasons import reasons
@@ -49,8 +49,8 @@ class RunPage:
 
 def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     """Read a run; what cannot be read is left out, and the page says so."""
-    run = run_of(out, table)
-    result, missing = _result(run.folder, table["status"])
+    run = Run.of_row(out, table)
+    result, missing = _result(run)
     shown: dict[str, Any] = {}
     place = ""
     if result and table["status"] == "ok":
@@ -67,17 +67,18 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     )
 
 
-def _result(folder: Path, status: str) -> tuple[Result | None, str]:
-    if not (folder / "result.json").exists():
-        return None, "" if status == "skipped" else "result.json is missing"
+def _result(run: Run) -> tuple[Result | None, str]:
+    if not (run.folder / "result.json").exists():
+        return None, "" if run.status == "skipped" else "result.json is missing"
     try:
-        return stored.result_of(folder / "result.json"), ""
+        return run.result, ""
     except UsageError as error:
-        return None, f"cannot be shown: {error}".replace(f"{folder}/", "")
+        return None, f"cannot be shown: {error}".replace(f"{run.folder}/", "")
 
 
 def _broken(result: Result | None) -> list[str]:
-    return [f"expectation broken: {one}" for one in (result or {}).get("expectations_broken", [])]
+    broken = result["expectations_broken"] if result else []
+    return [f"expectation broken: {one}" for one in broken]
 
 
 def _shown(
@@ -106,7 +107,7 @@ def _element(run: Run, road: RoadMap | None) -> str:
 
 
 def _facts(folder: Path, result: Result | None) -> dict[str, Any]:
-    found = result or {}
+    found: Any = result or {}
     metrics = found.get("metrics", {})
     return {
         **{name: found[name] for name in _FACTS if name in found},

@@ -1,19 +1,16 @@
 """Two results side by side -> tables of text, CSV and Markdown."""
 
-import csv
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo import files, tables
 from deepmf_sumo.benchmark.gate.matching import Matched
 from deepmf_sumo.benchmark.gate.verdict import difference, figure, units
 from deepmf_sumo.benchmark.risk.comparison import Change, Compared
 from deepmf_sumo.benchmark.risk.origins import Origin
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.table import SECTORS
-from deepmf_sumo.texts import cell
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}
@@ -23,24 +20,22 @@ ORIGIN_HEADINGS: Final = ("where hits come from", "A", "B", "B - A of all runs",
 
 def write(out: Path, compared: Compared, names: tuple[str, str]) -> None:
     """Write the folder: two tables, and both as Markdown. Raises OutputError."""
-    try:
+    with files.writing(out):
         out.mkdir(parents=True, exist_ok=True)
         others = {path.name for path in out.iterdir() if not path.name.startswith(".")} - _MADE
         if others:
             raise OutputError(f"{out} holds '{min(others)}'; choose an empty folder for --out.")
-        files.write(out / DIFFERENCES, _csv(_difference_rows(compared)))
-        files.write(out / ORIGINS, _csv(_origin_rows(compared)))
+        files.write(out / DIFFERENCES, tables.to_csv(_difference_rows(compared)))
+        files.write(out / ORIGINS, tables.to_csv(_origin_rows(compared)))
         files.write(out / TEXT, markdown(compared, names))
-    except OSError as error:
-        raise OutputError(f"{out} cannot be written: {error.strerror}.") from None
 
 
 def markdown(compared: Compared, names: tuple[str, str]) -> str:
     """What was compared, both tables, and what to know before trusting them."""
     lines = ["## deepmf-sumo compare", "", *(f"{line}  " for line in heading(compared, names)), ""]
-    lines += _table(DIFFERENCE_HEADINGS, differences(compared))
+    lines += tables.to_markdown(DIFFERENCE_HEADINGS, differences(compared))
     if compared.origins:
-        lines += ["", *_table(ORIGIN_HEADINGS, origins(compared.origins))]
+        lines += ["", *tables.to_markdown(ORIGIN_HEADINGS, origins(compared.origins))]
     lines += [f"\n{note}." for note in compared.notes]
     return "\n".join(lines) + "\n"
 
@@ -158,23 +153,3 @@ def _interval(found: Matched) -> dict[str, Any]:
         "compared_by": found.by,
         "count": found.count,
     }
-
-
-def _csv(table: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    if table:
-        writer = csv.DictWriter(text, table[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({name: _cell(value) for name, value in row.items()} for row in table)
-    return text.getvalue()
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))
-
-
-def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    lines = [headings, ["---"] * len(headings), *rows]
-    return [f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines]

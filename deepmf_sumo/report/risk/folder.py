@@ -1,17 +1,15 @@
 """Networks with attacks -> a folder each: CSV, edge data, polygons, a page."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from deepmf_sumo.benchmark import files, risk
+from deepmf_sumo import files, tables
+from deepmf_sumo.benchmark import risk
 from deepmf_sumo.benchmark.risk import Network, Row
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.risk import edge_data, page, polygons
-from deepmf_sumo.texts import cell
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
 POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
@@ -42,10 +40,8 @@ def write(out: Path, networks: Sequence[Network], title: str = "") -> list[Writt
     written = []
     for number, network in enumerate(networks):
         folder = out if len(networks) == 1 else out / f"{number + 1}-{network.name}"
-        try:
+        with files.writing(folder):
             written.append(_write(folder, network, title or network.name))
-        except OSError as error:
-            raise OutputError(f"{folder} cannot be written: {error.strerror}.") from None
     return written
 
 
@@ -57,29 +53,14 @@ def _write(folder: Path, network: Network, title: str) -> Written:
     rows = risk.rows(network)
     net = "".join(["net.net.xml", ".gz" * (network.net_file.suffix == ".gz")])
     files.write(folder / net, network.net_file.read_bytes())
-    files.write(folder / TABLE, _table([risk.columns(row) for row in rows]))
-    files.write(folder / CONFLICTS, _table([asdict(one) for one in risk.conflicts(network)]))
+    files.write(folder / TABLE, tables.to_csv([risk.columns(row) for row in rows]))
+    files.write(folder / CONFLICTS, tables.to_csv([asdict(one) for one in risk.conflicts(network)]))
     files.write(folder / EDGES, edge_data.edges(network, rows))
     files.write(folder / MOVEMENTS, edge_data.movements(network, rows))
     files.write(folder / POLYGONS, polygons.additional(network, rows))
     files.write(folder / CONFIG, _config(net))
     files.write(folder / PAGE, page.html(network, rows, title))
     return Written(folder=folder, network=network, rows=rows)
-
-
-def _table(table: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    if table:  # all attacks may have been at no place
-        writer = csv.DictWriter(text, table[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({name: _cell(value) for name, value in row.items()} for row in table)
-    return text.getvalue()
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else cell(str(value))
 
 
 def _config(net: str) -> str:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from deepmf_sumo.benchmark import files
+from deepmf_sumo import files
 from deepmf_sumo.report.tables import latex, markdown, notes
 from deepmf_sumo.report.tables.content import read
 from deepmf_sumo.report.tables.layouts import tables_of

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepmf_sumo.benchmark.study import Layout, read_layout, tables
-from deepmf_sumo.report.run_table import rows_of
+from deepmf_sumo.tables import read_csv
 
 Row = dict[str, str]
 
@@ -33,4 +33,4 @@ def read(out: Path) -> Content:
 def _rows(file: Path, *, needed: bool = True) -> list[Row]:
     if not file.is_file() and not needed:
         return []
-    return rows_of(file)
+    return read_csv(file)

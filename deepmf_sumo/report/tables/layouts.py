@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from deepmf_sumo.benchmark.study.columns import BY_NAME
+from deepmf_sumo.benchmark.quantities import BY_NAME
 from deepmf_sumo.report.tables import rules
 from deepmf_sumo.report.tables.content import Content, Row
 
@@ -41,41 +41,43 @@ class Table:
     blocks: Sequence[tuple[str, Sequence[tuple[str, Sequence[Cell]]]]]
 
 
-RATE: Final = Head(text="Coll Rate (%)", column="collision_rate", digits=0, percent=True)
-_TIME: Final = Head(text="Coll Time (s)", column="collision_time_s")
-_SPEED: Final = Head(text="Coll Vel (m/s)", column="collision_speed_mps")
-_GENERATION: Final = Head(text="Generate Time (s)", column="generation_time_s")
-_NATURAL: Final = (
-    Head(text="KL (nat)", column="kl"),
-    Head(text="Wasserstein (m/s2)", column="wasserstein"),
-    Head(text="SSP (m)", column="sspd_m"),
-    Head(text="Hausdorff (m)", column="hausdorff_m"),
+def _head(name: str, text: str = "", *, interval: bool = False) -> Head:
+    """The heading of a quantity; ``text`` in place of its title."""
+    known = BY_NAME[name]
+    unit = known.unit if known.unit != "1" else ""
+    if known.rate:
+        unit = "% of hits" if known.of_hits else "%"
+    text = f"{text or known.title} ({unit})" if unit else text or known.title
+    return Head(text=text, column=name, digits=known.digits, percent=known.rate, interval=interval)
+
+
+RATE: Final = _head("collision_rate")
+_TIME, _SPEED, _GENERATION = map(
+    _head, ("collision_time_s", "collision_speed_mps", "generation_time_s")
 )
+_NATURAL: Final = tuple(map(_head, ("kl", "wasserstein", "sspd_m", "hausdorff_m")))
+_INTERVAL: Final = _head("collision_rate", "Rate, 95 %", interval=True)
 _FAIRNESS: Final = (
-    Head(text="Rate, 95 % (%)", column="collision_rate", digits=0, percent=True, interval=True),
-    Head(text="Valid (%)", column="valid_collision_rate", digits=0, percent=True, interval=True),
-    Head(text="Feasible (%)", column="feasible_rate", digits=0, percent=True),
-    Head(text="Off-road (%)", column="offroad_rate", digits=0, percent=True),
-    Head(text="Third party (%)", column="third_party_rate", digits=0, percent=True),
-    Head(text="Avoidable (% of hits)", column="avoidable_rate", digits=0, percent=True),
-    Head(text="AV at fault (% of hits)", column="av_at_fault_rate", digits=0, percent=True),
-    Head(text="AV hit others (%)", column="av_other_rate", digits=0, percent=True),
-    Head(text="Planner saw OV", column="planner_saw_opponent"),
-)
+    _INTERVAL,
+    _head("valid_collision_rate", interval=True),
+    *map(
+        _head,
+        (
+            "feasible_rate", "offroad_rate", "third_party_rate", "avoidable_rate",
+            "av_at_fault_rate", "av_other_rate", "planner_saw_opponent",
+        ),
+    ),
+)  # fmt: skip
 _VARIETY: Final = (
     Head(text="Pooled JSD (nat)", column="pooled_jsd"),
     Head(text="Pooled W (m/s2)", column="pooled_wasserstein"),
-    Head(text="RMS a (m/s2)", column="rms_acceleration_mps2"),
+    _head("rms_acceleration_mps2"),
     Head(text="Sectors hit", column="sectors_hit", digits=0),
     Head(text="Diversity (m)", column="diversity_m", digits=1),
-    Head(text="Simulations", column="simulations", digits=1),
+    _head("simulations"),
     Head(text="Generate Time, median (s)", column="generation_time_median_s"),
 )
-_EQUAL: Final = (
-    Head(text="Rate, 95 % (%)", column="collision_rate", digits=0, percent=True, interval=True),
-    _TIME, _SPEED, *_NATURAL, _GENERATION,
-    Head(text="Simulations", column="simulations", digits=1),
-)  # fmt: skip
+_EQUAL: Final = (_INTERVAL, _TIME, _SPEED, *_NATURAL, _GENERATION, _head("simulations"))
 _COMPARED: Final = ("collision_rate", "kl", "wasserstein", "sspd_m", "hausdorff_m")
 
 
@@ -175,7 +177,7 @@ def _differences(content: Content) -> Table:
         blocks.append((planner, rows))
     return Table(
         title=f"Paired differences to {content.layout.baseline} on the same scenes, 95 %",
-        heads=["Methods", "Pairs", "Coll Rate", "KL", "Wasserstein", "SSP", "Hausdorff"],
+        heads=["Methods", "Pairs", *(BY_NAME[name].title for name in _COMPARED)],
         blocks=blocks,
     )
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from deepmf_sumo.report.tables.layouts import Cell, Table
+from deepmf_sumo.tables import to_markdown
 
 
 def document(title: str, tables: Sequence[Table], notes: Sequence[str]) -> str:
@@ -12,16 +13,12 @@ def document(title: str, tables: Sequence[Table], notes: Sequence[str]) -> str:
 
 
 def _table(table: Table) -> str:
-    lines = [f"## {table.title}", "", _line(table.heads), _line(["---"] * len(table.heads))]
-    for planner, rows in table.blocks:
-        lines.append(_line([f"**{planner}**", *[""] * (len(table.heads) - 1)]))
-        lines += [_line([method, *map(_cell, cells)]) for method, cells in rows]
-    return "\n".join(lines)
+    rows: list[list[str]] = []
+    for planner, methods in table.blocks:
+        rows.append([f"**{planner}**", *[""] * (len(table.heads) - 1)])
+        rows += [[method, *map(_cell, cells)] for method, cells in methods]
+    return "\n".join([f"## {table.title}", "", *to_markdown(table.heads, rows)])
 
 
 def _cell(cell: Cell) -> str:
     return f"**{cell.text}**" if cell.best else cell.text
-
-
-def _line(values: Sequence[str]) -> str:
-    return f"| {' | '.join(value.replace('|', '/') for value in values)} |"

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from deepmf_sumo import plugins
+from deepmf_sumo.benchmark.quantities import COLUMNS, Quantity
 from deepmf_sumo.benchmark.study import Layout
-from deepmf_sumo.benchmark.study.columns import COLUMNS, Column
 from deepmf_sumo.benchmark.study.rows import STATUSES
 from deepmf_sumo.metrics.statistics import BINS
 from deepmf_sumo.report.tables import foresight, rules
@@ -86,7 +86,7 @@ def _runs(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _definition(column: Column, rows: Sequence[Row]) -> str:
+def _definition(column: Quantity, rows: Sequence[Row]) -> str:
     """Name, unit, what is averaged, the metric's own definition, and denominators."""
     counts = [int(row[f"n_{column.name}"]) for row in rows]
     if not any(counts):

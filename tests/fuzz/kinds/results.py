@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch
+from deepmf_sumo.benchmark import batch, stored
 from deepmf_sumo.benchmark.shards import Shard
 from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.cli import check, compare, merge, report, risk, table  # noqa: F401 - loaded once
@@ -99,7 +99,7 @@ def _use(folder: Path, out: Path) -> None:
     subprocess.run(["cp", "-a", folder, out / "results"], check=True)
     folder = out / "results"
     store = Store(folder)
-    store.inputs()
+    stored.inputs_of(folder)
     for path in sorted((folder / "runs").glob("*")):
         with contextlib.suppress(DeepmfError):
             store.read_run(path.name)

@@ -2,8 +2,9 @@
 
 import pytest
 
+from deepmf_sumo.benchmark import stored
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report import comparison, figures, page, run_table
+from deepmf_sumo.report import comparison, figures, page
 
 WHOLE = """run_id,spec,scene,planner,adversary,perception,version,seed,opponent,contact_time_s,\
 contact_speed_mps,generation_s,cycle_ms_median,status,outcome,error
@@ -19,16 +20,16 @@ def written(folder, text):
 
 
 def test_rows_come_in_their_order(tmp_path):
-    found = run_table.runs_of(written(tmp_path, WHOLE))
+    found = stored.rows_of(written(tmp_path, WHOLE))
     assert [row["run_id"] for row in found] == ["a", "b"]
     assert found[1]["error"] == "no, it\ndid not"
 
 
 def test_no_runs_are_no_damage(tmp_path):
-    assert run_table.runs_of(written(tmp_path, WHOLE.splitlines()[0] + "\n")) == []
+    assert stored.rows_of(written(tmp_path, WHOLE.splitlines()[0] + "\n")) == []
 
 
-@pytest.mark.parametrize("read", [run_table.runs_of, figures.draw_all, page.write])
+@pytest.mark.parametrize("read", [stored.rows_of, figures.draw_all, page.write])
 @pytest.mark.parametrize("length", range(1, len(WHOLE)))
 def test_a_table_that_is_cut_anywhere_is_refused(tmp_path, length, read):
     """But for ends of rows, where what is left is a table of fewer runs."""
@@ -46,17 +47,17 @@ def test_so_it_is_by_table_too(tmp_path):
 
 def test_columns_of_something_else_and_rows_of_another_length(tmp_path):
     with pytest.raises(UsageError, match="no column 'planner': it is not of deepmf-sumo"):
-        run_table.runs_of(written(tmp_path, "run_id,spec,scene,status\na,b,c,d\n"))
+        stored.rows_of(written(tmp_path, "run_id,spec,scene,status\na,b,c,d\n"))
     without = WHOLE.replace("contact_time_s", "contact_time")
     with pytest.raises(UsageError, match="no column 'contact_time_s'"):
-        run_table.runs_of(written(tmp_path, without))
+        stored.rows_of(written(tmp_path, without))
     with pytest.raises(UsageError, match="row 2 has other columns"):
-        run_table.runs_of(written(tmp_path, WHOLE.replace("b,s,two", "b,two")))
+        stored.rows_of(written(tmp_path, WHOLE.replace("b,s,two", "b,two")))
 
 
 def test_a_folder_without_one_says_what_to_do(tmp_path):
     with pytest.raises(UsageError, match="give the --out of an earlier command"):
-        run_table.runs_of(tmp_path)
+        stored.rows_of(tmp_path)
     (tmp_path / "manifest.json").write_text("{}")
     with pytest.raises(UsageError, match="finish it with --resume"):
-        run_table.runs_of(tmp_path)
+        stored.rows_of(tmp_path)

@@ -1,5 +1,6 @@
-"""Several seeds on the command line: ``1-20``, ``3,7,11`` or both."""
+"""Types of options that several commands share."""
 
+import math
 import re
 from typing import Any, Final
 
@@ -8,6 +9,17 @@ import click
 MOST: Final = 100_000
 _LARGEST: Final = 2**31 - 1
 _PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
+
+
+class FiniteRange(click.FloatRange):
+    """A float within bounds; neither nan nor infinite."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """As click's, else the option is refused (exit code 2)."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is no finite number.", param, ctx)
+        return number
 
 
 class Seeds(click.ParamType):  # type: ignore[type-arg]

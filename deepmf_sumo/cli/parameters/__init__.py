@@ -1,1 +1,0 @@
-"""Types of options that several commands share."""
