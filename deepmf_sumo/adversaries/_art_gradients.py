@@ -32,7 +32,7 @@ from torch import Tensor
 
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, HISTORY_STEPS, AgentId, Bools, Floats, View
 from deepmf_sumo.deepmf.tracking import Start
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.predictors import anchors
 from deepmf_sumo.predictors.decoding import as_batch, pose_of
@@ -286,7 +286,7 @@ class Past:
         tracks, row = self._view.history, self._row
         own = np.zeros((HISTORY_STEPS, 7))
         own[:, 0:2], own[:, 4:6] = tracks.position_m[row], tracks.velocity_mps[row]
-        own[:, 2:4] = angles.unit(tracks.heading_rad[row])
+        own[:, 2:4] = frames.unit(tracks.heading_rad[row])
         moved = self._states(torch.from_numpy(own), torch.from_numpy(offset_m)[None])[0].numpy()
         position, velocity = tracks.position_m.copy(), tracks.velocity_mps.copy()
         heading = tracks.heading_rad.copy()
@@ -411,7 +411,7 @@ def bend(
     steps = len(reference_m)
     count = steps // KNOT_STEPS + 1
     behind = np.arange(_BEFORE, -1, -1)[:, None] * DT_S * start.speed_mps
-    before = start.position_m - behind * angles.unit(start.course_rad)
+    before = start.position_m - behind * frames.unit(start.course_rad)
     fixed = len(before)
     gap = _Gap(reference_m, start.heading_rad, target)
 
@@ -474,10 +474,10 @@ class _Gap:
         # Single precision: far from the origin it would not resolve centimetres.
         origin = reference_m[0]
         self._reference = _single(reference_m - origin)
-        self._still = _single(angles.unit(heading_rad))
+        self._still = _single(frames.unit(heading_rad))
         self._places = _single(_circles(target.own_size_m))
         self._radii = float(target.own_size_m[1] + target.av_size_m[1]) / 2
-        ahead = angles.unit(target.heading_rad)[:, None]
+        ahead = frames.unit(target.heading_rad)[:, None]
         places = _circles(target.av_size_m)[:, None]
         self._av = _single(target.position_m[:, None] - origin + places * ahead)  # (K, 3, 2)
         self._gone = torch.from_numpy(~target.there)

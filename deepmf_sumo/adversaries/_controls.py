@@ -14,7 +14,7 @@ import numpy as np
 from deepmf_sumo.adversaries._episodes import Motion, Scouted
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Plan, RoadMap
 from deepmf_sumo.deepmf.tracking import Limits, Start
-from deepmf_sumo.geometry import angles, frames, polylines
+from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.paths import path_set
 
@@ -119,7 +119,7 @@ class Bicycle:
             agent_id=self._agent,
             first_step=self._first_step,
             position_m=np.stack([places.real, places.imag], -1),
-            heading_rad=angles.wrap(headings),
+            heading_rad=frames.wrap(headings),
             speed_mps=speeds,
         )
 
@@ -143,17 +143,17 @@ class Bicycle:
     def _turns(self, reference: Motion, road: RoadMap) -> Floats:
         """(N) heading of the rear axle's path every 0.5 m, from the heading now on."""
         start = self._start
-        rear = start.position_m - self._rear_m * angles.unit(start.heading_rad)
+        rear = start.position_m - self._rear_m * frames.unit(start.heading_rad)
         there = reference.valid
         heading = reference.heading_rad[there]
-        driven = reference.position_m[there] - self._rear_m * angles.unit(heading)
+        driven = reference.position_m[there] - self._rear_m * frames.unit(heading)
         path = _spaced(np.concatenate([rear[None], driven]))
         end = heading[-1] if len(path) > 1 else start.heading_rad
         path = np.concatenate([path, _onwards(road, path[-1], float(end), start.speed_mps)])
         length = polylines.arc_lengths(path)[-1]
         _, course = polylines.points_at(path, np.arange(0.0, length, _NODE_M))
         course = _smoothed(np.unwrap(course), _SMOOTH_NODES)
-        off = float(angles.difference(start.heading_rad, course[0]))
+        off = float(frames.difference(start.heading_rad, course[0]))
         turned: Floats = course + off * np.exp(-np.arange(len(course)) * _NODE_M / _TURN_IN_M)
         return turned
 

@@ -51,7 +51,7 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.deepmf.candidates import Levels, collisions, footprint
 from deepmf_sumo.deepmf.settings import LIMITS
 from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked
-from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import distance_m
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 
@@ -92,7 +92,7 @@ def continued(motion: Motion, start: Start) -> Floats:
     heading = motion.heading_rad[last] if len(there) else start.course_rad
     speed = motion.speed_mps[last] if len(there) else start.speed_mps
     beyond = np.maximum(every - last, 0)[:, None] * DT_S * speed
-    path: Floats = filled + beyond * angles.unit(heading)
+    path: Floats = filled + beyond * frames.unit(heading)
     return path
 
 

@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from deepmf_sumo.adversaries._episodes import Motion, Scouted, motion_of
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, AgentId, Floats, Plan, View
-from deepmf_sumo.geometry import angles, boxes, frames
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.strive import costs
 from deepmf_sumo.predictors.strive.graph import graph_of, members
@@ -106,13 +106,13 @@ class Situation:
         heading = motions.heading[0, row].double().numpy()
         speed = motions.speed[0, row].double().numpy()
         beyond = np.arange(1, max(steps - FUTURE_STEPS, 0) + 1)[:, None] * DT_S * speed[-1]
-        local = np.concatenate([local, local[-1] + beyond * angles.unit(heading[-1])])[:steps]
+        local = np.concatenate([local, local[-1] + beyond * frames.unit(heading[-1])])[:steps]
         last = (0, len(local) - min(steps, FUTURE_STEPS))
         return Plan(
             agent_id=agent_id,
             first_step=view.step + 1,
             position_m=frames.to_scene(local, origin, turn),
-            heading_rad=angles.wrap(np.pad(heading[:steps], last, mode="edge") + turn),
+            heading_rad=frames.wrap(np.pad(heading[:steps], last, mode="edge") + turn),
             speed_mps=np.pad(speed[:steps], last, mode="edge"),
         )
 

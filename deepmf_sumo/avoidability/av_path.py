@@ -6,7 +6,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Case, Floats, Ints, Lane, RoadMap, Rollout, frozen
-from deepmf_sumo.geometry import angles, frames, polylines, road
+from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 
 BEHIND_M: Final = 100.0
@@ -58,7 +58,7 @@ class AvPath:
         courses = np.arctan2(*np.diff(ahead, axis=0).T[::-1])
         headings = np.concatenate([heading, courses])
         whole = np.concatenate([position, ahead[1:]])
-        first, last = angles.unit(headings[0]), angles.unit(headings[-1])
+        first, last = frames.unit(headings[0]), frames.unit(headings[-1])
         whole = np.concatenate([whole[:1] - BEHIND_M * first, whole, whole[-1:] + AHEAD_M * last])
         headings = np.unwrap(np.concatenate([headings[:1], headings, headings[-1:]]))
         along = polylines.arc_lengths(whole) - BEHIND_M
@@ -120,7 +120,7 @@ def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | No
         return None
     line = polylines.resample(line_m, 1.0)
     foot = polylines.project(line, position_m)
-    turn = abs(float(angles.difference(foot.heading_rad, heading_rad)))
+    turn = abs(float(frames.difference(foot.heading_rad, heading_rad)))
     if foot.distance_m > _BESIDE_M or turn > _TURNED_RAD:
         return None
     return line[polylines.arc_lengths(line) > foot.along_m]
@@ -176,7 +176,7 @@ def _drawn(lane: Lane) -> bool:
 def _turn(lane: Lane) -> float:
     """Radians between a lane's first and last direction."""
     first, last = lane.centre_m[1] - lane.centre_m[0], lane.centre_m[-1] - lane.centre_m[-2]
-    return float(angles.difference(np.arctan2(*last[::-1]), np.arctan2(*first[::-1])))
+    return float(frames.difference(np.arctan2(*last[::-1]), np.arctan2(*first[::-1])))
 
 
 def stays_on_road(
@@ -217,8 +217,8 @@ def keeps_lane(
     on_it = road.covering(pieces, position_m[None])[0]
     if ground_of(road_map).has_levels:
         on_it &= road.at_height(pieces, position_m[None], np.array([z_m]))[0]
-    aligned = np.abs(angles.difference(pieces.heading_rad, heading_rad)) < _ALIGNED_RAD
-    normal = angles.unit(pieces.heading_rad + np.pi / 2)
+    aligned = np.abs(frames.difference(pieces.heading_rad, heading_rad)) < _ALIGNED_RAD
+    normal = frames.unit(pieces.heading_rad + np.pi / 2)
     left = np.abs(((position_m - pieces.start_m) * normal).sum(-1))
     within = left + width_m / 2 <= pieces.reach_m - road.MARGIN_M + BORDER_M
     return bool((on_it & aligned & within).any())

@@ -13,9 +13,8 @@ from deepmf_sumo.avoidability.av_path import AvPath, route_ahead
 from deepmf_sumo.avoidability.manoeuvres import GRID, Driven
 from deepmf_sumo.avoidability.reference_drivers import Approach
 from deepmf_sumo.datatypes import Bools, Case, Contact, Floats, Ints, Rollout
-from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import clear, off_level
-from deepmf_sumo.geometry.touching import touching
 
 AFTER_S: Final = 4.0
 """No other contact may happen for this time after the contact: a car has stopped by then."""
@@ -108,7 +107,7 @@ def _opponent_motion(rollout: Rollout, row: int, first: int, last: int) -> tuple
     if missing > 0:
         step_m = np.hypot(*(position[-1] - position[-2]))
         ahead = step_m * np.arange(1, missing + 1)[:, None]
-        position = np.concatenate([position, position[-1] + ahead * angles.unit(heading[-1])])
+        position = np.concatenate([position, position[-1] + ahead * frames.unit(heading[-1])])
         heading = np.concatenate([heading, np.full(missing, heading[-1])])
     return position[: last - first + 1], heading[: last - first + 1]
 
@@ -245,10 +244,10 @@ def hit_by(driven: Driven, others: ThirdParties, av_size_m: Floats) -> Bools:
         size, where = others.size_m[other], others.position_m[other]
         seen = int(others.valid[other].argmax())
         offset, course = where[seen] - driven.centre_m[:, seen], driven.heading_rad[:, seen]
-        ahead = (offset * angles.unit(course)).sum(-1) > -av_size_m[0] / 2
+        ahead = (offset * frames.unit(course)).sum(-1) > -av_size_m[0] / 2
         rows = np.flatnonzero(~hit & (ahead | ~straight))
         steps = np.flatnonzero(inside[other] & others.valid[other])
-        overlaps = touching(
+        overlaps = boxes.touching(
             driven.centre_m[np.ix_(rows, steps)],
             driven.heading_rad[np.ix_(rows, steps)],
             av_size_m,

@@ -28,7 +28,7 @@ from deepmf_sumo.avoidability.encounter import (
 )
 from deepmf_sumo.avoidability.reference_drivers import MODELS, Approach
 from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Floats, Rollout
-from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.slow import STANDING_MPS
 
 Grade = Literal["A", "B", "C", "D"]
@@ -177,10 +177,10 @@ def collision_class(rollout: Rollout, contact: Contact) -> Collision:
     their_box = others[:, :2], others[:, 2], other_m
     touch = int(boxes.overlap(pose[:, :2], pose[:, 2], size_m, *their_box).argmax())
     x, y = others[touch, :2] - pose[touch, :2]
-    aside = angles.difference(float(np.arctan2(y, x)), float(pose[touch, 2]))
+    aside = frames.difference(float(np.arctan2(y, x)), float(pose[touch, 2]))
     if abs(float(aside)) >= np.pi - BEHIND_RAD:
         return "active_rear"
-    bumper = pose[:, :2] + size_m[0] / 2 * angles.unit(pose[:, 2])
+    bumper = pose[:, :2] + size_m[0] / 2 * frames.unit(pose[:, 2])
     front = boxes.overlap(bumper, pose[:, 2], np.array([_BUMPER_M, size_m[1]]), *their_box)
     return "active_front" if front.any() else "active_lateral"
 
@@ -194,7 +194,7 @@ def _during_step(
     """
     tracks, before = rollout.tracks, max(contact.step - 1, 0)
     row = tracks.row(agent_id)
-    turn = angles.difference(end[2], tracks.heading_rad[row, before])
+    turn = frames.difference(end[2], tracks.heading_rad[row, before])
     moved = np.append(end[:2] - tracks.position_m[row, before], turn)
     return end - _PARTS_LEFT[:, None] * moved, tracks.size_m[row, :2]
 

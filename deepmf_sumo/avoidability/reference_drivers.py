@@ -23,9 +23,8 @@ import numpy as np
 
 from deepmf_sumo.avoidability.av_path import AvPath
 from deepmf_sumo.datatypes import Bools, Floats, frozen
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.slow import STANDING_MPS
-from deepmf_sumo.geometry.touching import touching
 
 JERK_MPS3: Final = 12.65
 DELAY_S: Final = 0.75
@@ -84,12 +83,12 @@ class Approach:
         """Motions (N, K, 2), (N, K), K > 1, with a pose every ``dt_s``, the first being now."""
         position, heading = np.asarray(position_m, float), np.asarray(heading_rad, float)
         foot = path.project(position)
-        turn = angles.difference(heading, foot.heading_rad)
+        turn = frames.difference(heading, foot.heading_rad)
         cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
         half_along = (size_m[0] * cos + size_m[1] * sin) / 2
         reach = (size_m[0] * sin + size_m[1] * cos + av_size_m[1]) / 2
         velocity = _velocities(position, dt_s)
-        left_mps = (velocity * angles.unit(foot.heading_rad + np.pi / 2)).sum(-1)
+        left_mps = (velocity * frames.unit(foot.heading_rad + np.pi / 2)).sum(-1)
         parallel = np.cos(turn) > _PARALLEL
         far = np.abs(foot.left_m)
         enters, leaves = _crossing_times(foot.left_m, left_mps, reach, parallel)
@@ -101,7 +100,7 @@ class Approach:
             dt_s=dt_s,
             rear_m=foot.along_m - half_along,
             front_m=foot.along_m + half_along,
-            along_mps=(velocity * angles.unit(foot.heading_rad)).sum(-1),
+            along_mps=(velocity * frames.unit(foot.heading_rad)).sum(-1),
             aside_mps=-np.sign(foot.left_m) * left_mps,
             clearance_m=far - reach,
             enters_s=enters,
@@ -416,7 +415,7 @@ def drive(
 
 def overlaps(approach: Approach, centre_m: Floats, heading_rad: Floats) -> Bools:
     """(N, K) overlap of AV boxes (N, K, 2), (N, K) and the opponent's; either N may be 1."""
-    return touching(
+    return boxes.touching(
         centre_m,
         heading_rad,
         approach.av_size_m,

@@ -20,7 +20,7 @@ from deepmf_sumo.datatypes import (
     Rollout,
     Tracks,
 )
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 
 TRACK_COLUMNS: Final = (
     "step,time_s,id,kind,role,driver,x_m,y_m,heading_rad,speed_mps,length_m,width_m,z_m"
@@ -102,7 +102,7 @@ def read_rollout(folder: Path, contacts: Sequence[Contact], ended: str) -> Rollo
             position_m=np.stack([dense("x_m"), dense("y_m")], axis=-1),
             z_m=dense("z_m") if "z_m" in table else np.zeros(shape),  # older results have none
             heading_rad=heading,
-            velocity_mps=speed[..., None] * angles.unit(heading),
+            velocity_mps=speed[..., None] * frames.unit(heading),
             valid=valid,
         ),
         driver=driver,

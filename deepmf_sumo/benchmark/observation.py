@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import Case, Floats, Rollout, View
 from deepmf_sumo.datatypes.scene import HISTORY_STEPS
-from deepmf_sumo.geometry import angles, frames, polylines
+from deepmf_sumo.geometry import frames, polylines
 
 Array = NDArray[np.float32]
 
@@ -63,7 +63,7 @@ class Observer:
         tracks = view.history
         local = frames.to_local(tracks.position_m[:, -1], origin, heading)
         velocity = frames.to_local(tracks.velocity_mps[:, -1], np.zeros(2), heading)
-        turned = angles.wrap(tracks.heading_rad[:, -1] - heading)
+        turned = frames.wrap(tracks.heading_rad[:, -1] - heading)
         table = np.column_stack(
             [np.ones(len(local)), local, turned, velocity, tracks.size_m[:, :2]]
         )

@@ -28,7 +28,7 @@ import numpy as np
 from deepmf_sumo.datatypes import DT_S, AgentId, Bools, Floats, Forecast, Futures, Ints, Plan, View
 from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.deepmf.tracking import Limits, Tracked
-from deepmf_sumo.geometry import angles, boxes, impact
+from deepmf_sumo.geometry import boxes, frames, impact
 from deepmf_sumo.geometry.ground import Ground, clear, ground_of
 
 Origin = Literal["mode", "goal", "aim", "tail", "stop"]
@@ -85,7 +85,7 @@ def tail(plan: Plan, view: View, limits: Limits, steps: int) -> References | Non
     if begin < 0 or len(left) < 2:
         return None
     beyond = np.arange(1, steps - len(left) + 1)[:, None] * view.dt_s * plan.speed_mps[-1]
-    more = left[-1] + beyond * angles.unit(plan.heading_rad[-1])
+    more = left[-1] + beyond * frames.unit(plan.heading_rad[-1])
     rest = np.concatenate([left, more])[None, :steps]
     return References.of("tail", rest, limits.rows(1))
 

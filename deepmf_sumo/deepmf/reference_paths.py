@@ -24,7 +24,7 @@ import numpy as np
 from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.deepmf.candidates import Levels, collisions, impact_sectors
 from deepmf_sumo.deepmf.tracking import Limits, Start, joined
-from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 
 _PATHS = 12
@@ -53,7 +53,7 @@ class OwnPath:
     def of(cls, points_m: Floats, heading_rad: float) -> "OwnPath":
         """A path from points (P, 2), P >= 1, that goes on in a direction."""
         predicted = float(polylines.arc_lengths(points_m)[-1])
-        points = np.concatenate([points_m, [points_m[-1] + _BEYOND_M * angles.unit(heading_rad)]])
+        points = np.concatenate([points_m, [points_m[-1] + _BEYOND_M * frames.unit(heading_rad)]])
         rows = np.unique([*range(0, len(points), _COARSE), len(points) - 2, len(points) - 1])
         coarse, along = points[rows], polylines.arc_lengths(points)[rows]
         ahead = np.diff(coarse, axis=0)
@@ -268,7 +268,7 @@ def _goal_references(goals: _Goals, paths: list[OwnPath], start: Start, steps: i
     for path in np.unique(goals.path):
         rows = goals.path == path
         where, heading = polylines.points_at(paths[path].points_m, driven[rows])
-        reference[rows] = where + shift[rows][..., None] * angles.unit(heading + np.pi / 2)
+        reference[rows] = where + shift[rows][..., None] * frames.unit(heading + np.pi / 2)
     return reference
 
 
@@ -346,7 +346,7 @@ def _aims(
     feet = [path.project(position)[1] for path in paths]
     path = np.stack([foot.distance_m for foot in feet]).argmin(axis=0)
     course = np.stack([foot.heading_rad for foot in feet])[path, np.arange(len(path))]
-    offset = _contact_offsets(angles.wrap(course - heading), sizes_m, sector)
+    offset = _contact_offsets(frames.wrap(course - heading), sizes_m, sector)
     cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
     x = offset[..., 0] * cos - offset[..., 1] * sin
     y = offset[..., 0] * sin + offset[..., 1] * cos
@@ -355,7 +355,7 @@ def _aims(
     along, left, reached = _projected(paths, path[of_pose], aim)
     rows = np.flatnonzero(reached & (along > 0.5))
     pose = of_pose[rows]
-    av_speed = ((position - before) * angles.unit(course)).sum(-1)[pose] / DT_S
+    av_speed = ((position - before) * frames.unit(course)).sum(-1)[pose] / DT_S
     chance = np.repeat(np.log(np.maximum(av.probability, 1e-6)), len(when))[pose] / 2
     step = np.tile(when, len(av.probability))[pose]
     return _timed(path[pose], along[rows], left[rows], step, av_speed, chance, start)
@@ -491,7 +491,7 @@ def _references(aims: _Aims, paths: list[OwnPath], start: Start, steps: int) -> 
     for path in np.unique(aims.path):
         rows = aims.path == path
         where, heading = polylines.points_at(paths[path].points_m, driven[rows])
-        reference[rows] = where + shift[rows][..., None] * angles.unit(heading + np.pi / 2)
+        reference[rows] = where + shift[rows][..., None] * frames.unit(heading + np.pi / 2)
     return reference
 
 

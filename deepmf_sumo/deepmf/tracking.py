@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Ints, View
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 
 Complexes = NDArray[np.complex128]
 
@@ -199,10 +199,10 @@ class Start:
         row = tracks.row(agent_id)
         heading = float(tracks.heading_rad[row, -1])
         velocity = tracks.velocity_mps[row, -1]
-        speed = max(0.0, float(velocity @ angles.unit(heading)))
+        speed = max(0.0, float(velocity @ frames.unit(heading)))
         course = heading
         if speed > _COURSE_MPS:
-            slip = float(angles.difference(np.arctan2(velocity[1], velocity[0]), heading))
+            slip = float(frames.difference(np.arctan2(velocity[1], velocity[0]), heading))
             course += float(np.clip(slip, -_COURSE_SLIP, _COURSE_SLIP))
         return cls(
             position_m=tracks.position_m[row, -1],
@@ -229,7 +229,7 @@ def joined(reference_m: Floats, start: Start) -> Floats:
     The move fades out over 1.5 s.
     """
     reference = np.asarray(reference_m, float)
-    expected = start.position_m + start.speed_mps * DT_S * angles.unit(start.course_rad)
+    expected = start.position_m + start.speed_mps * DT_S * frames.unit(start.course_rad)
     share = np.clip(np.arange(reference.shape[1]) / _JOIN_STEPS, 0.0, 1.0)
     fade = 1.0 - share * share * (3.0 - 2.0 * share)
     moved: Floats = reference + (expected - reference[:, :1]) * fade[:, None]
@@ -255,7 +255,7 @@ def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
     position = np.stack([place.real, place.imag], -1)
     bent = np.hypot(*np.moveaxis(position - reference, -1, 0)).max(axis=1)
     return Tracked(
-        position_m=position, heading_rad=angles.wrap(heading), speed_mps=speed, bent_m=bent
+        position_m=position, heading_rad=frames.wrap(heading), speed_mps=speed, bent_m=bent
     )
 
 

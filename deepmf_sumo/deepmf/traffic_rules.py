@@ -47,7 +47,7 @@ from deepmf_sumo.deepmf.lane_assignment import (
 )
 from deepmf_sumo.deepmf.reference_paths import own_paths
 from deepmf_sumo.deepmf.tracking import Limits, Start
-from deepmf_sumo.geometry import angles, boxes, frames, polylines
+from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear
 
 RED: Final = frozenset({SignalState.STOP, SignalState.ARROW_STOP})
@@ -80,7 +80,7 @@ class Line(NamedTuple):
 
     def crossed(self, driven: Driven) -> Bools:
         """(N) futures whose front comes over it; those that stand before a sign may."""
-        front = driven.position_m + angles.unit(driven.heading_rad) * driven.size_m[0] / 2
+        front = driven.position_m + frames.unit(driven.heading_rad) * driven.size_m[0] / 2
         local = frames.to_local(front, self.point_m, self.heading_rad)
         ahead, left = local[..., 0], local[..., 1]
         over = (ahead > OVER_M) & (np.abs(left) <= width_m(self.lane))
@@ -99,7 +99,7 @@ class Line(NamedTuple):
     def before_m(self, driven: Driven) -> float:
         """How far the front is before the line now; negative beyond it."""
         start = driven.start
-        front = start.position_m + angles.unit(start.heading_rad) * driven.size_m[0] / 2
+        front = start.position_m + frames.unit(start.heading_rad) * driven.size_m[0] / 2
         ahead, left = frames.to_local(front, self.point_m, self.heading_rad)
         return -float(ahead) if ahead > 0 else float(np.hypot(ahead, left))
 

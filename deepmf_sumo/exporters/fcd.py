@@ -17,7 +17,7 @@ import shapely
 
 from deepmf_sumo.datatypes import Bools, Case, RoadMap, Rollout, Tracks
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.geometry import boxes, sumo_frame
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.plugins import Settings as PluginSettings
 
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
@@ -114,7 +114,7 @@ def _on_lane(tracks: Tracks, road: RoadMap) -> Bools:
         return on_lane
     tree = shapely.STRtree([shapely.LineString(line) for line in lines])
     row, step = np.nonzero(tracks.valid)
-    front, _ = sumo_frame.to_sumo(
+    front, _ = frames.to_sumo(
         tracks.position_m[row, step], tracks.heading_rad[row, step], tracks.size_m[row, 0]
     )
     reach = _ON_LANE_M + tracks.size_m[row, 1] / 2
@@ -173,9 +173,7 @@ def _shapes(rollout: Rollout, replayed: Bools) -> str:
 
 def _fcd(rollout: Rollout, present: Bools) -> str:
     tracks = rollout.tracks
-    front, angle = sumo_frame.to_sumo(
-        tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0]
-    )
+    front, angle = frames.to_sumo(tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0])
     begun = [f'        <vehicle id={quoteattr(agent)} x="' for agent in tracks.ids]
     # Lists, for formatting numbers of numpy takes several times as long.
     values = np.concatenate(

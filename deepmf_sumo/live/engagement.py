@@ -19,7 +19,7 @@ from deepmf_sumo.datatypes import (
     TurnRules,
     View,
 )
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.live.connection import LiveApi
 from deepmf_sumo.live.observer import Observer, Sighting
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
@@ -262,11 +262,11 @@ class Engagement:
 
 def _between(start: Pose, end: Pose, share: float) -> Pose:
     """A pose on the way, for simulations with shorter steps than ours."""
-    turn = float(angles.difference(end.heading_rad, start.heading_rad))
+    turn = float(frames.difference(end.heading_rad, start.heading_rad))
     return Pose(
         x_m=start.x_m + share * (end.x_m - start.x_m),
         y_m=start.y_m + share * (end.y_m - start.y_m),
-        heading_rad=float(angles.wrap(start.heading_rad + share * turn)),
+        heading_rad=float(frames.wrap(start.heading_rad + share * turn)),
         speed_mps=start.speed_mps + share * (end.speed_mps - start.speed_mps),
         course_rad=end.course_rad,
     )

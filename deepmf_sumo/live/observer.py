@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, AgentKind, Driver, Floats
-from deepmf_sumo.geometry import angles, sumo_frame
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.live.connection import LiveApi
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 
@@ -103,7 +103,7 @@ class Observer:
         """Where a vehicle of a sighting is."""
         state = sighting.vehicles[agent]
         length = self._body(agent, person=False).size_m[0]
-        centre, heading = sumo_frame.from_sumo(state[POSITION][:2], state[ANGLE], length)
+        centre, heading = frames.from_sumo(state[POSITION][:2], state[ANGLE], length)
         return Pose(
             x_m=float(centre[0]),
             y_m=float(centre[1]),
@@ -142,14 +142,14 @@ class Observer:
         table = np.array(
             [(*states[name][POSITION], states[name][ANGLE], states[name][SPEED]) for name in ids]
         ).reshape(-1, 5)
-        centre, heading = sumo_frame.from_sumo(table[:, :2], table[:, 3], self.sizes_m(ids)[:, 0])
+        centre, heading = frames.from_sumo(table[:, :2], table[:, 3], self.sizes_m(ids)[:, 0])
         speed = np.maximum(table[:, 4:], 0.0)
         frame = Frame(
             ids=ids,
             position_m=centre,
             z_m=table[:, 2],
             heading_rad=heading,
-            velocity_mps=speed * angles.unit(heading),
+            velocity_mps=speed * frames.unit(heading),
             driver=np.full(len(ids), int(Driver.SUMO), np.uint8),
         )
         shown = {

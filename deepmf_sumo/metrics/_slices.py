@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Driver, Floats, Rollout
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.metrics import NotMeasurable
 
@@ -153,7 +153,7 @@ def accelerations(position_m: Floats, heading_rad: Floats, dt_s: float) -> Accel
         np.arctan2(velocity[:, 1], velocity[:, 0]),
         np.asarray(heading_rad, float)[SPAN:-SPAN],
     )
-    ahead = angles.unit(course)
+    ahead = frames.unit(course)
     along = (second * ahead).sum(-1)
     across = ahead[:, 0] * second[:, 1] - ahead[:, 1] * second[:, 0]
     return Accelerations(along, across)
@@ -179,7 +179,7 @@ def steering(position_m: Floats, heading_rad: Floats, dt_s: float) -> Steering:
     return Steering(
         speed_mps=distance / (2 * SPAN * dt_s),
         distance_m=distance,
-        turn_rad=np.abs(angles.difference(heading[2 * SPAN :], heading[: -2 * SPAN])),
+        turn_rad=np.abs(frames.difference(heading[2 * SPAN :], heading[: -2 * SPAN])),
         sideways=np.abs(np.sin(course - heading[SPAN:-SPAN])),
     )
 

@@ -9,7 +9,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Contact, Floats, Rollout
-from deepmf_sumo.geometry import angles, frames, polylines, road
+from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric
 from deepmf_sumo.metrics.avoidability import judgement
 from deepmf_sumo.metrics.driving import feasible
@@ -104,7 +104,7 @@ def pdof(episode: Episode) -> float:
     if np.hypot(x, y) < _LEAST_MPS:
         raise NotMeasurable("AV and opponent touched without relative speed")
     force = float(np.arctan2(y, x))
-    return float(angles.difference(force, tracks.heading_rad[av, step]))
+    return float(frames.difference(force, tracks.heading_rad[av, step]))
 
 
 @metric("1", better="lower")
@@ -166,7 +166,7 @@ def accident_type_of(rollout: Rollout) -> AccidentType:
     collision; in opposite directions it is head-on. Impacts of sides are sideswipes.
     """
     contact = _slices.collision(rollout)
-    turn = abs(float(angles.difference(contact.pose_second[2], contact.pose_first[2])))
+    turn = abs(float(frames.difference(contact.pose_second[2], contact.pose_first[2])))
     ahead, of_ends = _last_offset(rollout, contact)
     if min(turn, np.pi - turn) > (_PARALLEL_ENDS_RAD if of_ends else _PARALLEL_SIDES_RAD):
         return "t_bone"
@@ -212,6 +212,6 @@ def _path(rollout: Rollout, row: int, step: int) -> Floats:
     tracks = rollout.tracks
     steps = np.flatnonzero(tracks.valid[row, :step])
     driven, heading = tracks.position_m[row, steps], tracks.heading_rad[row, steps]
-    reach = _STRAIGHT_M * angles.unit(heading[[0, -1]])
+    reach = _STRAIGHT_M * frames.unit(heading[[0, -1]])
     path: Floats = np.concatenate([driven[:1] - reach[:1], driven, driven[-1:] + reach[1:]])
     return path

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, Bools, Floats, Ints, Rollout, Tracks
-from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import CLEARANCE_M, clear, distance_m
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 
@@ -95,7 +95,7 @@ def braking_to_stay_behind(a: Moving, b: Moving, slowing_mps2: Floats, ttc_s: Fl
     if not some.any():
         return needed
     first, other = a.at(some), b.at(some)
-    ahead = angles.unit(first.heading_rad)
+    ahead = frames.unit(first.heading_rad)
     moved_b = _braked_distance(other.velocity_mps, slowing_mps2[some], _TIMES_S)
     offset = (other.position_m - first.position_m)[:, None] + moved_b
     # moving a by s along its heading is moving b by -s: enter and leave are in metres
@@ -137,7 +137,7 @@ def _overlapping(a: Moving, b: Moving, offset: Floats, rate: Floats) -> tuple[Fl
         heading + turn for heading in (a.heading_rad, b.heading_rad) for turn in (0, np.pi / 2)
     ]
     for heading in turned:
-        line = angles.unit(heading)
+        line = frames.unit(heading)
         reach = _half(line, a.heading_rad, a.size_m) + _half(line, b.heading_rad, b.size_m)
         line, reach = (_spread(part, len(shape)) for part in (line, reach[:, None]))
         first, last = _within((offset * line).sum(-1), (rate * line).sum(-1), reach[..., 0])
@@ -174,8 +174,8 @@ def _spread(values: Floats, axes: int) -> Floats:
 
 def _half(axis: Floats, heading: Floats, size: Floats) -> Floats:
     """(K) half the extent of boxes on axes (K, 2)."""
-    along = np.abs((axis * angles.unit(heading)).sum(-1))
-    across = np.abs((axis * angles.unit(heading + np.pi / 2)).sum(-1))
+    along = np.abs((axis * frames.unit(heading)).sum(-1))
+    across = np.abs((axis * frames.unit(heading + np.pi / 2)).sum(-1))
     half: Floats = (size[0] * along + size[1] * across) / 2
     return half
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Case, Floats, Rollout, SignalState
-from deepmf_sumo.geometry import angles, frames, polylines, road
+from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.geometry.road import WIDTH_M
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 
@@ -166,7 +166,7 @@ def _crossing(rollout: Rollout, row: int, line: StopLine) -> Bools:
     """(T) steps at whose end the middle of the front bumper is beyond the line, and was not."""
     tracks = rollout.tracks
     heading = tracks.heading_rad[row]
-    front = tracks.position_m[row] + angles.unit(heading) * tracks.size_m[row, 0] / 2
+    front = tracks.position_m[row] + frames.unit(heading) * tracks.size_m[row, 0] / 2
     ahead, left = frames.to_local(front, line.point_m, line.heading_rad).T
     over = (ahead[:-1] <= 0) & (ahead[1:] > 0) & (np.abs(left[1:]) <= line.half_m)
     along = np.cos(heading[1:] - line.heading_rad) > _SAME_WAY

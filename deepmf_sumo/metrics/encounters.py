@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, Rollout
-from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import CLEARANCE_M, clear
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric
 
@@ -225,7 +225,7 @@ def _came(first: Trip, second: Trip) -> Bools:
 def _path(trip: Trip, beyond_m: float = _BEYOND_M) -> Floats:
     """(P, 2) where a vehicle drove, and straight on at both ends."""
     path = trip.position_m[::_PATH_STEPS]
-    start, end = (angles.unit(trip.heading_rad[row]) for row in (0, -1))
+    start, end = (frames.unit(trip.heading_rad[row]) for row in (0, -1))
     path = np.concatenate([path[:1] - beyond_m * start, path, path[-1:] + beyond_m * end])
     moved: Floats = path[np.concatenate([[True], np.hypot(*np.diff(path, axis=0).T) > _STANDING_M])]
     return moved

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Floats, Lane, RoadMap, Scene, StopSign
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.network import lane_graph
 from deepmf_sumo.network.lane_graph import LaneGraph
 from deepmf_sumo.network.layout import Group, Layout
@@ -240,9 +240,9 @@ def ghost_path(scene: Scene) -> Floats:
     for position in positions[1:]:
         if np.hypot(*(position - path[-1])) >= SPACING_M:
             path.append(position)
-    before = path[0] - BEHIND_M * angles.unit(headings[0])
+    before = path[0] - BEHIND_M * frames.unit(headings[0])
     way = np.array([before, *path])
-    ahead = angles.unit(headings[-1]) if len(path) == 1 else lane_graph.end_direction(way)
+    ahead = frames.unit(headings[-1]) if len(path) == 1 else lane_graph.end_direction(way)
     return np.vstack([way, way[-1] + AHEAD_M * ahead])
 
 

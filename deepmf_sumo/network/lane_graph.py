@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from deepmf_sumo.datatypes import Floats, Lane, RoadMap
-from deepmf_sumo.geometry import angles, polylines
+from deepmf_sumo.geometry import frames, polylines
 
 OVERPASS_M: Final = 2.5
 """Lanes farther apart in height are a road and its overpass."""
@@ -275,7 +275,7 @@ def _no_join(shapes: dict[str, Floats], first: str, second: str) -> str:
     leaving = end_direction(shapes[first][:, :2])
     entering = -end_direction(shapes[second][::-1, :2])
     courses = np.array([leaving, gap, entering])
-    turns = angles.wrap(np.diff(np.arctan2(courses[:, 1], courses[:, 0])))
+    turns = frames.wrap(np.diff(np.arctan2(courses[:, 1], courses[:, 0])))
     if np.abs(turns).sum() > SHARPEST_TURN_RAD:
         return f"their ends are {width:.1f} m apart and face away from each other"
     return ""

@@ -19,7 +19,7 @@ import numpy as np
 import shapely
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SumoNet
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 from deepmf_sumo.network.lane_graph import simplified
 from deepmf_sumo.network.sumo_net import NetFile, NetLink, read_once
@@ -156,7 +156,7 @@ class LaneIndex:
         square = np.maximum((delta**2).sum(axis=1), 1e-12)
         share = np.clip((offset * delta).sum(axis=1) / square, 0.0, 1.0)
         distance = np.hypot(*(offset - share[:, None] * delta).T)
-        turn = np.abs(angles.difference(heading_rad[place], self._heading[segment]))
+        turn = np.abs(frames.difference(heading_rad[place], self._heading[segment]))
         cost = distance**2 + HEADING_WEIGHT_M2 * turn**2
         lane = self._owner[segment]
         order = np.lexsort((cost, lane, place))

@@ -6,7 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Case, Command, Floats, Tracks, VehicleModel, View
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.plugins import Settings as PluginSettings
 
 DRIVER: Final = "human"
@@ -56,7 +56,7 @@ def _poses(tracks: Tracks, row: int, now: int) -> Floats:
     valid, heading = tracks.valid[row, now:], tracks.heading_rad[row, now:]
     velocity = tracks.velocity_mps[row, now:]
     speed = np.hypot(*velocity.T)
-    backwards = (velocity * angles.unit(heading)).sum(-1) < 0  # it rolls
+    backwards = (velocity * frames.unit(heading)).sum(-1) < 0  # it rolls
     speed = np.where(valid, np.where(backwards, -speed, speed), 0.0)
     known = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
     poses = np.column_stack([tracks.position_m[row, now:], heading])[known]

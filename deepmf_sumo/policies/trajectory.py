@@ -15,7 +15,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import AgentId, Floats, Plan, View
 from deepmf_sumo.deepmf.opponent import named
 from deepmf_sumo.errors import PluginError, RunError
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 
 _COLUMNS = ("step", "x_m", "y_m", "heading_rad")
 _DAMAGED = (
@@ -96,7 +96,7 @@ class Trajectory:
             agent_id=self._agent,
             first_step=view.step + 1,
             position_m=poses[:, :2],
-            heading_rad=angles.wrap(poses[:, 2]),
+            heading_rad=frames.wrap(poses[:, 2]),
             speed_mps=np.hypot(*moved.T) / view.dt_s,
         )
 

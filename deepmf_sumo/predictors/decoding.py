@@ -22,7 +22,7 @@ from torch import Tensor
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors import anchors
 from deepmf_sumo.predictors.densetnt import Goals
 from deepmf_sumo.predictors.features import Features
@@ -209,14 +209,14 @@ def to_scene(pose: Pose, position: Tensor, heading: Tensor) -> tuple[Floats, Flo
     """Positions (..., 2) and headings (...) of the pose's frame in the scene's."""
     return (
         frames.to_scene(position.double().numpy(), pose.position_m, pose.heading_rad),
-        angles.wrap(heading.double().numpy() + pose.heading_rad),
+        frames.wrap(heading.double().numpy() + pose.heading_rad),
     )
 
 
 def to_pose(pose: Pose, futures: Futures) -> tuple[Tensor, Tensor]:
     """Positions (1, K, F, 2) and headings (1, K, F) of futures in the pose's frame."""
     local = frames.to_local(futures.position_m, pose.position_m, pose.heading_rad)
-    heading = angles.wrap(futures.heading_rad - pose.heading_rad)
+    heading = frames.wrap(futures.heading_rad - pose.heading_rad)
     return _tensor(local)[None], _tensor(heading)[None]
 
 

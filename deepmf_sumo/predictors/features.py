@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, Bools, Floats, Ints, View
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.lanes import RoadIndex, road_index
@@ -96,10 +96,10 @@ def agent_arrays(
     states = np.zeros((size, HISTORY_STEPS, 7))
     info = np.zeros((size, 8))
     count = len(rows)
-    turn = angles.wrap(tracks.heading_rad[rows] - heading_rad)
+    turn = frames.wrap(tracks.heading_rad[rows] - heading_rad)
     valid = tracks.valid[rows][..., None]
     states[:count, :, 0:2] = frames.to_local(tracks.position_m[rows], origin_m, heading_rad)
-    states[:count, :, 2:4] = angles.unit(turn)
+    states[:count, :, 2:4] = frames.unit(turn)
     states[:count, :, 4:6] = frames.rotate(tracks.velocity_mps[rows], -heading_rad)
     states[:count] *= valid
     states[:count, :, 6] = valid[..., 0]
@@ -115,7 +115,7 @@ def lane_arrays(
 ) -> tuple[Floats, Floats]:
     """(size, 10, 2) and (size, 10): the pieces nearest to a point two seconds ahead."""
     pieces, info = np.zeros((size, 10, 2)), np.zeros((size, 10))
-    focus = origin_m + 2 * speed_mps * angles.unit(heading_rad)
+    focus = origin_m + 2 * speed_mps * frames.unit(heading_rad)
     square = ((index.piece_m[:, 5] - focus) ** 2).sum(-1)
     rows = np.argsort(square, kind="stable")[:size]
     count = len(rows)
@@ -180,7 +180,7 @@ def _motion(view: View, row: int) -> Floats:
     speed = tracks.speed_mps[row]
     back = int(np.flatnonzero(valid)[max(-6, -int(valid.sum()))])
     seconds = max((HISTORY_STEPS - 1 - back) * view.dt_s, view.dt_s)
-    turn = angles.difference(tracks.heading_rad[row, -1], tracks.heading_rad[row, back])
+    turn = frames.difference(tracks.heading_rad[row, -1], tracks.heading_rad[row, back])
     is_av = float(tracks.ids[row] == view.av_id)
     gain = (speed[-1] - speed[back]) / seconds
     return np.array([speed[-1], gain, float(turn) / seconds, *tracks.size_m[row, :2], is_av])

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, Bools, Floats, Ints, View
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 
 MOTION: Final = 34
 """Columns of `motion_columns`."""
@@ -61,12 +61,12 @@ def motion_of(view: View, rows: Ints) -> Motion:
     seconds = np.maximum((HISTORY_STEPS - 1 - back) * view.dt_s, view.dt_s)
     speed = tracks.speed_mps[rows]
     each = np.arange(len(rows))
-    turned = angles.difference(tracks.heading_rad[rows, -1], tracks.heading_rad[rows, back])
+    turned = frames.difference(tracks.heading_rad[rows, -1], tracks.heading_rad[rows, back])
     apart = tracks.position_m[rows, -1] - tracks.position_m[rows, first]
     return Motion(
         position_m=frames.to_local(tracks.position_m[rows, -1], origin, heading),
         velocity_mps=frames.rotate(tracks.velocity_mps[rows, -1], -heading),
-        heading_rad=angles.wrap(tracks.heading_rad[rows, -1] - heading),
+        heading_rad=frames.wrap(tracks.heading_rad[rows, -1] - heading),
         speed_mps=speed[:, -1],
         gain_mps2=np.clip(
             (speed[:, -1] - speed[each, back]) / seconds, -_MOST_GAIN_MPS2, _MOST_GAIN_MPS2
@@ -125,11 +125,11 @@ def _ways(motion: Motion, gain_mps2: Floats, yaw_rps: Floats) -> Floats:
     course = motion.heading_rad[:, None] + yaw_rps[:, None] * np.minimum(time, 4.0)
     moves = motion.speed_mps > STILL_MPS
     drift = np.arctan2(motion.velocity_mps[:, 1], motion.velocity_mps[:, 0])
-    slip = np.where(moves, angles.difference(drift, motion.heading_rad), 0.0)
+    slip = np.where(moves, frames.difference(drift, motion.heading_rad), 0.0)
     step = 0.5 * (speed[:, 1:] + speed[:, :-1]) * np.diff(time)
     middle = 0.5 * (course[:, 1:] + course[:, :-1]) + slip[:, None]
     ways = np.zeros((len(speed), len(_TIMES_S), 2))
-    ways[:, 1:] = np.cumsum(step[..., None] * angles.unit(middle), axis=1)
+    ways[:, 1:] = np.cumsum(step[..., None] * frames.unit(middle), axis=1)
     placed: Floats = ways + motion.position_m[:, None]
     return placed
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SignalState, View
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import clear, on_nearest_level
 from deepmf_sumo.predictors.kinematics import Motion
 from deepmf_sumo.predictors.lanes import RoadIndex, first_signal, lane_sequences, road_index
@@ -214,7 +214,7 @@ def _pairs(
     offset = position_m[vehicle] - index.segment_start_m[segment]
     share = np.clip((offset * direction).sum(-1), 0.0, index.segment_length_m[segment])
     away = offset - share[:, None] * direction
-    ahead = angles.unit(heading_rad)[vehicle]
+    ahead = frames.unit(heading_rad)[vehicle]
     cross = direction[:, 0] * ahead[:, 1] - direction[:, 1] * ahead[:, 0]
     return _Pairs(
         vehicle,
@@ -402,7 +402,7 @@ def _place_on_ego(routes: Routes, node: Floats, direction: Floats, motion: Motio
     along, left, cos, sin = _feet_on_routes(node[mine], direction[mine], position)  # (E, C)
     best = np.abs(left).argmin(0)
     each = np.arange(len(position))
-    unit = angles.unit(motion.heading_rad[1:])
+    unit = frames.unit(motion.heading_rad[1:])
     along, left = along[best, each], left[best, each]
     out[:, 0] = np.minimum(np.abs(left) / 5, _FAR)
     out[:, 1] = np.clip(along / 50, -1, _FAR)

@@ -27,7 +27,7 @@ from deepmf_sumo.datatypes import (
     frozen,
 )
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.readers._recording import Recording, RecordingTracks, quoted
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
@@ -332,7 +332,7 @@ def _finished(raw: RecordingTracks, now: int, av_id: str, repairs: list[str]) ->
         size_m=sizes,
         position_m=position[..., :2],
         z_m=position[..., 2],
-        heading_rad=np.where(valid, angles.wrap(np.where(valid, raw.heading_rad[rows], 0.0)), 0.0),
+        heading_rad=np.where(valid, frames.wrap(np.where(valid, raw.heading_rad[rows], 0.0)), 0.0),
         velocity_mps=np.where(valid[..., None], raw.velocity_mps[rows], 0.0),
         valid=valid,
     )

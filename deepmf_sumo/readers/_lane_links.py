@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from deepmf_sumo.datatypes import Floats, Ints, Lane, Neighbour
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 
 HEIGHT_GAP_M: Final = 1.5
 END_GAP_M: Final = 0.3
@@ -87,7 +87,7 @@ def connections(lanes: Sequence[Lane]) -> list[tuple[str, str]]:
     away = start[None] - end[:, None]
     heading_in = np.array([_heading(lane.centre_m, at_end=True) for lane in usable])
     heading_out = np.array([_heading(lane.centre_m, at_end=False) for lane in usable])
-    turn = angles.difference(heading_out[None], heading_in[:, None])
+    turn = frames.difference(heading_out[None], heading_in[:, None])
     bike = np.array([lane.kind == "bike" for lane in usable])
     follows = (
         (np.hypot(away[..., 0], away[..., 1]) <= END_GAP_M)
@@ -162,7 +162,7 @@ def _pairs(points: _LanePoints, bike: list[bool]) -> tuple[Ints, Ints, Floats]:
     geometry = np.asarray(shapely.points(points.xy))
     own, other = shapely.STRtree(geometry).query(geometry, predicate="dwithin", distance=FARTHEST_M)
     is_bike = np.array(bike)
-    turn = angles.difference(points.heading[own], points.heading[other])
+    turn = frames.difference(points.heading[own], points.heading[other])
     fits = (
         (points.lane[own] != points.lane[other])
         & (is_bike[points.lane[own]] == is_bike[points.lane[other]])
@@ -171,7 +171,7 @@ def _pairs(points: _LanePoints, bike: list[bool]) -> tuple[Ints, Ints, Floats]:
     )
     own, other = own[fits], other[fits]
     away = points.xy[other] - points.xy[own]
-    ahead = angles.unit(points.heading[own])
+    ahead = frames.unit(points.heading[own])
     along = np.abs((away * ahead).sum(-1))
     left = ahead[:, 0] * away[:, 1] - ahead[:, 1] * away[:, 0]
     order = np.lexsort((along, points.lane[other], own))

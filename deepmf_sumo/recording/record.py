@@ -29,7 +29,7 @@ from deepmf_sumo.datatypes import (
     frozen,
 )
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.geometry import angles, boxes, polylines, sumo_frame
+from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import distance_m
 from deepmf_sumo.network.excerpt import Excerpts
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
@@ -54,16 +54,16 @@ def smooth(tracks: Tracks) -> Tracks:
     A track ends where SUMO teleports its vehicle.
     """
     half = tracks.size_m[:, None, :1] / 2
-    front = tracks.position_m + half * angles.unit(tracks.heading_rad)
+    front = tracks.position_m + half * frames.unit(tracks.heading_rad)
     valid = _until_jump(front, tracks.valid)
     heading = np.zeros_like(tracks.heading_rad)
     position = np.zeros_like(tracks.position_m)
     velocity = np.zeros_like(tracks.velocity_mps)
     for row in range(tracks.agents):
         for run in _runs(valid[row]):
-            heading[row, run] = angles.wrap(_mean(np.unwrap(tracks.heading_rad[row, run])))
+            heading[row, run] = frames.wrap(_mean(np.unwrap(tracks.heading_rad[row, run])))
             bumper = np.stack([_mean(axis) for axis in front[row, run].T], axis=-1)
-            position[row, run] = bumper - half[row] * angles.unit(heading[row, run])
+            position[row, run] = bumper - half[row] * frames.unit(heading[row, run])
             # one step alone has no difference; then SUMO's speed stands
             if run.stop - run.start > 1:
                 velocity[row, run] = np.gradient(position[row, run], DT_S, axis=0)
@@ -169,7 +169,7 @@ def _cast(
 def _eventfulness(tracks: Tracks, now: int) -> Floats:
     """(A) from 1 for who drives on evenly, up to 7 for who turns and brakes or starts."""
     heading = tracks.heading_rad[:, now::10]
-    turned = np.abs(angles.difference(heading[:, 1:], heading[:, :-1])).sum(axis=1)
+    turned = np.abs(frames.difference(heading[:, 1:], heading[:, :-1])).sum(axis=1)
     speed = np.where(tracks.valid, tracks.speed_mps, np.nan)[:, now:]
     known = tracks.valid[:, now:].any(axis=1)
     change = np.zeros(tracks.agents)
@@ -231,13 +231,13 @@ def _comfortable(lane: Lane) -> float:
     """The speed at which the lane's tightest bend costs the comfortable sideways acceleration."""
     step = np.diff(polylines.resample(lane.centre_m, _SPACING_M), axis=0)
     heading = np.arctan2(step[:, 1], step[:, 0])
-    if abs(float(angles.difference(heading[-1], heading[0]))) < _CURVE_RAD and lane.interpolating:
+    if abs(float(frames.difference(heading[-1], heading[0]))) < _CURVE_RAD and lane.interpolating:
         return np.inf
     spacing_m = float(np.hypot(step[:, 0], step[:, 1]).mean())
     over = min(round(_WINDOW_M / _SPACING_M), len(heading) - 1)
     if over < 1:
         return np.inf
-    turned = float(np.abs(angles.difference(heading[over:], heading[:-over])).max())
+    turned = float(np.abs(frames.difference(heading[over:], heading[:-over])).max())
     radius_m = over * spacing_m / max(turned, 1e-6)
     return max(_SLOWEST_MPS, float(np.sqrt(COMFORTABLE_MPS2 * radius_m)))
 
@@ -414,7 +414,7 @@ def _tracks(window: list[_Moment], body: Callable[[AgentId], Body]) -> Tracks:
         valid[rows, step] = True
     bodies = [body(agent) for agent in ids]
     size = np.array([one.size_m for one in bodies]).reshape(-1, 3)
-    centre, heading = sumo_frame.from_sumo(state[..., :2], state[..., 2], size[:, None, 0])
+    centre, heading = frames.from_sumo(state[..., :2], state[..., 2], size[:, None, 0])
     raw = Tracks(
         ids=tuple(ids),
         kinds=tuple(one.kind for one in bodies),
@@ -422,7 +422,7 @@ def _tracks(window: list[_Moment], body: Callable[[AgentId], Body]) -> Tracks:
         position_m=centre,
         z_m=state[..., 4],
         heading_rad=heading,
-        velocity_mps=state[..., 3:4] * angles.unit(heading),
+        velocity_mps=state[..., 3:4] * frames.unit(heading),
         valid=valid,
     )
     return smooth(raw)

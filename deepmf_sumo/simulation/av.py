@@ -15,7 +15,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.geometry import angles, polylines, sumo_frame
+from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -180,7 +180,7 @@ class ShownMotion:
 
     def advance(self, pose: Pose) -> Pose:
         """What to show for the pose that SUMO has after a step; to be called once a step."""
-        ahead = angles.unit(np.array(pose.heading_rad)) * self._length_m
+        ahead = frames.unit(np.array(pose.heading_rad)) * self._length_m
         front = np.array([pose.x_m, pose.y_m]) + ahead / 2
         lane = self._lane()
         now = _State(lane, front, front - ahead, pose.speed_mps)
@@ -227,7 +227,7 @@ class ShownMotion:
             front += change.share * across
             rear += change.share * across * change.rear_over
         heading = float(np.arctan2(*(front - rear)[::-1]))
-        centre = front - self._length_m / 2 * angles.unit(np.array(heading))
+        centre = front - self._length_m / 2 * frames.unit(np.array(heading))
         return replace(pose, x_m=float(centre[0]), y_m=float(centre[1]), heading_rad=heading)
 
     def _across(self, origin: str, target: str, at_m: Floats) -> Floats:
@@ -396,7 +396,7 @@ def move(api: SumoApi, vehicle_id: str, pose: Pose, length_m: float, match_m: fl
 
     ``match_m``: SUMO takes the vehicle as one of a lane if its front is at most so far from it.
     """
-    front, angle = sumo_frame.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
+    front, angle = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
     api.vehicle.moveToXY(
         vehicle_id, "", -1, float(front[0]), float(front[1]), float(angle), _EXACT, match_m
     )
@@ -406,7 +406,7 @@ def read_pose(api: SumoApi, vehicle_id: str, length_m: float) -> Pose:
     """Box centre of a vehicle."""
     vehicle = api.vehicle
     x_m, y_m, z_m = vehicle.getPosition3D(vehicle_id)
-    centre, heading = sumo_frame.from_sumo((x_m, y_m), vehicle.getAngle(vehicle_id), length_m)
+    centre, heading = frames.from_sumo((x_m, y_m), vehicle.getAngle(vehicle_id), length_m)
     return Pose(
         x_m=float(centre[0]),
         y_m=float(centre[1]),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, AgentKind, Bytes, Driver, Floats
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +62,7 @@ class Frame:
             pose.heading_rad if pose.course_rad is None else pose.course_rad
             for pose, _ in poses.values()
         ]
-        velocity = table[:, 3:4] * angles.unit(np.array(course))
+        velocity = table[:, 3:4] * frames.unit(np.array(course))
         return Frame(
             ids=ids,
             position_m=table[:, :2],

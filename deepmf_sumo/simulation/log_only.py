@@ -28,7 +28,7 @@ from deepmf_sumo.datatypes import (
     View,
     frozen,
 )
-from deepmf_sumo.geometry import angles, boxes
+from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import clear, ground_of
 from deepmf_sumo.planners.base import FixedPlanner
 from deepmf_sumo.policies.base import Policy
@@ -174,7 +174,7 @@ class _World:
         state[steps, 2] = self._ground.follow(way[None], state[before : before + 1, 2])[0, 1:]
         state[steps, :2] = poses[:, :2]
         state[steps, 3] = poses[:, 2]
-        state[steps, 4:] = poses[:, 3:] * angles.unit(course_rad)
+        state[steps, 4:] = poses[:, 3:] * frames.unit(course_rad)
         self._driver[row, steps] = driver
 
     def _first_overlaps(self, steps: Ints) -> list[int]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Case, Floats, Scene, Tracks
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.geometry import polylines, sumo_frame
+from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.network.matching import edge_route, lane_sequence, match
 
 _STANDS_M = 1.0
@@ -61,9 +61,7 @@ def log_of(case: Case) -> Log:
     ]
     rows = tuple(row for row in vehicles if not stands[row] or blocking[row])
     routes = {row: _route(case, row) for row in (av, *rows) if row == av or not stands[row]}
-    front, angle = sumo_frame.to_sumo(
-        tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0]
-    )
+    front, angle = frames.to_sumo(tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0])
     return Log(
         rows=rows,
         stands=stands,

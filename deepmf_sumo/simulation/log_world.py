@@ -21,7 +21,7 @@ from deepmf_sumo.datatypes import (
     Tracks,
     VehicleModel,
 )
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.simulation.av import Av, ShownMotion, move, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
@@ -408,10 +408,10 @@ class RecordedStage:
         start, pose = logged_pose(self._tracks, self._av_row, self._now), self._av.pose
         ahead_m = (start.speed_mps + pose.speed_mps) / 2 * DT_S
         expected = np.array([start.x_m, start.y_m])
-        expected = expected + ahead_m * angles.unit(np.array(start.heading_rad))
+        expected = expected + ahead_m * frames.unit(np.array(start.heading_rad))
         left, forward = np.sin(pose.heading_rad), np.cos(pose.heading_rad)
         aside = abs(float((pose.y_m - expected[1]) * forward - (pose.x_m - expected[0]) * left))
-        turn = abs(float(angles.difference(pose.heading_rad, start.heading_rad)))
+        turn = abs(float(frames.difference(pose.heading_rad, start.heading_rad)))
         if aside > _ALIGNED_M or turn > _ALIGNED_RAD:
             detail = (
                 f"onto its lane by SUMO: {aside:.2f} m sideways, {np.degrees(turn):.0f} degrees"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, AgentKind, Driver, SignalLink, Signals, SignalState
-from deepmf_sumo.geometry import sumo_frame
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.simulation.frame import Body, Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -27,7 +27,7 @@ class TrafficReader:
         states = self.states()
         table = np.array(list(states.values())).reshape(-1, 5)
         lengths = np.array([self._bodies[name].size_m[0] for name in states])
-        centres, headings = sumo_frame.from_sumo(table[:, :2], table[:, 2], lengths)
+        centres, headings = frames.from_sumo(table[:, :2], table[:, 2], lengths)
         rows = zip(states, centres.tolist(), headings.tolist(), table[:, 3:].tolist(), strict=True)
         return {
             name: (Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed, z_m=z), Driver.SUMO)

@@ -35,7 +35,7 @@ _NO_PORT: Final = ("--remote-port", "0")
 class SumoApi(Protocol):
     """The domains of TraCI that are used, under TraCI's own names.
 
-    Positions are front bumpers, angles degrees clockwise from north (`geometry.sumo_frame`). Most
+    Positions are front bumpers, angles degrees clockwise from north (`geometry.frames`). Most
     calls on a vehicle that is not inserted yet end the process: ask ``vehicle.getIDList`` first.
     """
 

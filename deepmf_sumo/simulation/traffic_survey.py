@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import DT_S, Bools, Floats
-from deepmf_sumo.geometry import sumo_frame
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
 
@@ -175,7 +175,7 @@ class _Notes:
     ) -> Sightings:
         numbers = np.array(self.numbers).reshape(-1, 7)
         rows = np.array(self.rows).reshape(-1, 4)
-        centre, _ = sumo_frame.from_sumo(numbers[:, 1:3], numbers[:, 3], numbers[:, 4])
+        centre, _ = frames.from_sumo(numbers[:, 1:3], numbers[:, 3], numbers[:, 4])
         return Sightings(
             begin_s=begin,
             until_s=until,

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Event, Floats, Lane, RoadMap
-from deepmf_sumo.geometry import angles, boxes, polylines, sumo_frame
+from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear, off_level
 from deepmf_sumo.simulation.av import LaneChangeEnd, move
 from deepmf_sumo.simulation.frame import Frame, Pose
@@ -106,13 +106,13 @@ class Places:
         if lane is None:
             return 0.0
         along = polylines.project(lane.centre_m, np.array([pose.x_m, pose.y_m])).heading_rad
-        return abs(float(angles.difference(along, pose.heading_rad)))
+        return abs(float(frames.difference(along, pose.heading_rad)))
 
     def _candidates(
         self, frame: Frame, me: int, length_m: float, route: Collection[str]
     ) -> _Candidates:
         heading = float(frame.heading_rad[me])
-        front = frame.position_m[me] + length_m / 2 * angles.unit(np.array(heading))
+        front = frame.position_m[me] + length_m / 2 * frames.unit(np.array(heading))
         near = ((self._low <= front + _REACH_M) & (self._high >= front - _REACH_M)).all(axis=1)
         points, headings, costs, lanes = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)], []
         heights = [np.zeros(0)]
@@ -131,7 +131,7 @@ class Places:
             lanes += [lane] * len(along)
         point, direction, z = (np.concatenate(one) for one in (points, headings, heights))
         moved = np.hypot(*(point - front).T)
-        turned = np.abs(angles.difference(direction, heading))
+        turned = np.abs(frames.difference(direction, heading))
         cost = np.concatenate(costs) + moved + _TURN_COSTS_M * turned
         cost[(moved > _REACH_M) | (turned > _LARGEST_TURN_RAD)] = np.inf
         cost[off_level(self._road, front, float(frame.z_m[me]), point, z)] = np.inf
@@ -170,7 +170,7 @@ def _free(
     front, heading, speed, z_m = poses
     others = np.arange(len(frame.ids)) != me
     ahead = speed[:, None] * _SECONDS - size_m[me, 0] / 2
-    mine = front[:, None] + ahead[..., None] * angles.unit(heading)[:, None]
+    mine = front[:, None] + ahead[..., None] * frames.unit(heading)[:, None]
     theirs = frame.position_m[others, None] + _SECONDS[:, None] * frame.velocity_mps[others, None]
     hit = boxes.overlap(
         mine[:, None],
@@ -329,7 +329,7 @@ class Takeover:
 
     def _put(self, step: int, taken: _Taken, place: Place) -> None:
         edge, _, lane = place.lane_id.rpartition("_")
-        angle = float(sumo_frame.sumo_angle(place.heading_rad))
+        angle = float(frames.sumo_angle(place.heading_rad))
         x, y = place.front_m
         self._api.vehicle.moveToXY(taken.agent, edge, int(lane), x, y, angle, _EXACT, _MATCH_M)
         self._moved = taken, place.speed_mps

@@ -10,7 +10,7 @@ from rollout_doubles import case_of, contact_of, rollout_of, straight
 from deepmf_sumo.adversaries._controls import Bicycle, Knots
 from deepmf_sumo.adversaries._episodes import Motion, Scouted
 from deepmf_sumo.adversaries._search import SearchSettings, Weights, cost_of
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics.driving import feasible
 
 AV = (40.0, 0.0, 0.0, 10.0)
@@ -35,7 +35,7 @@ def bend(speed, radius):
     turn = speed * (np.arange(91) - 10) * 0.1 / radius
     x = radius * np.sin(turn) + rear * (np.cos(turn) - 1)
     y = radius * (1 - np.cos(turn)) + rear * np.sin(turn)
-    return np.stack([x, y, angles.wrap(turn)], -1)
+    return np.stack([x, y, frames.wrap(turn)], -1)
 
 
 def bicycle_of(poses, valid=None, measured=None):
@@ -79,7 +79,7 @@ class TestUnchanged:
     def test_the_reference_is_driven(self, poses):
         driven = drive(bicycle_of(poses))
         assert np.hypot(*(driven.position_m[0] - poses[11:, :2]).T).max() < 0.6
-        assert np.abs(angles.difference(driven.heading_rad[0], poses[11:, 2])).max() < 0.05
+        assert np.abs(frames.difference(driven.heading_rad[0], poses[11:, 2])).max() < 0.05
 
     def test_noise_of_a_recording_does_not_turn_the_wheel(self):
         poses = straight(0, 0, 8)
@@ -143,7 +143,7 @@ class TestChanged:
         change = (driven.speed_mps - before) / 0.1
         assert change.min() >= -SETTINGS.brake_mps2 - 1e-6
         assert change.max() <= SETTINGS.accel_mps2 + 1e-6
-        turn = angles.difference(driven.heading_rad[:, 1:], driven.heading_rad[:, :-1]) / 0.1
+        turn = frames.difference(driven.heading_rad[:, 1:], driven.heading_rad[:, :-1]) / 0.1
         fastest = np.maximum(driven.speed_mps[:, 1:], driven.speed_mps[:, :-1])
         assert (np.abs(turn) * fastest).max() <= SETTINGS.lateral_mps2 + 1e-6
         first = driven.position_m[:, 0] - [speed * 0.1, 0.0]

@@ -19,7 +19,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import sumo
 
-from deepmf_sumo.geometry import boxes, sumo_frame
+from deepmf_sumo.geometry import boxes, frames
 
 BIN = Path(sumo.SUMO_HOME) / "bin"
 TOOLS = Path(sumo.SUMO_HOME) / "tools"
@@ -163,7 +163,7 @@ def overlaps(fcd: Path, without: set[str]) -> set[tuple[str, str]]:
             continue
         rows = [row for row in moment if row.get("id") not in without | {"ego"}]
         table = np.array([[float(row.get(key)) for key in ("x", "y", "angle")] for row in rows])
-        centre, heading = sumo_frame.from_sumo(table[:, :2], table[:, 2], _CAR_M[0])
+        centre, heading = frames.from_sumo(table[:, :2], table[:, 2], _CAR_M[0])
         size = np.broadcast_to(_CAR_M, (len(rows), 2))
         hit = boxes.overlap(
             centre[:, None], heading[:, None], size[:, None], centre[None], heading[None],

@@ -6,7 +6,7 @@ from predictor_doubles import STEPS, fan, view_of
 
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.deepmf.tracking import Limits, Start, joined, track
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 
 DEFAULT = Limits(accel=3.0, brake=4.0, lateral=3.0)
 
@@ -23,7 +23,7 @@ def start(speed=10.0, heading=0.0, course=None):
 
 def straight(begin, speed):
     along = speed * STEPS
-    return begin.position_m + along[:, None] * angles.unit(begin.heading_rad)
+    return begin.position_m + along[:, None] * frames.unit(begin.heading_rad)
 
 
 def accelerations(tracked, begin):
@@ -36,7 +36,7 @@ def accelerations(tracked, begin):
     )
     step = np.diff(position, axis=1)
     course = np.arctan2(step[..., 1], step[..., 0])
-    turn = np.abs(angles.difference(course[:, 1:], course[:, :-1]))
+    turn = np.abs(frames.difference(course[:, 1:], course[:, :-1]))
     length = np.hypot(step[..., 0], step[..., 1])
     turn[(length[:, 1:] < 1e-6) | (length[:, :-1] < 1e-6)] = 0.0
     return np.diff(speed, axis=1) / DT_S, turn, length
@@ -94,11 +94,11 @@ def test_curves_within_the_limits_are_followed_and_wild_ones_bent():
     tracked = track(position, begin, DEFAULT.rows(len(position)))
     steps = np.diff(position, axis=1)
     speed = np.hypot(steps[..., 0], steps[..., 1]) / DT_S
-    turn = np.abs(angles.difference(heading[:, 1:], heading[:, :-1])) / DT_S
+    turn = np.abs(frames.difference(heading[:, 1:], heading[:, :-1])) / DT_S
     easy = (turn * speed).max(1) < 2.2
     assert 20 < easy.sum() < len(easy)
     assert tracked.bent_m[easy].max() < 0.6
-    off = np.abs(angles.difference(tracked.heading_rad, heading))[easy]
+    off = np.abs(frames.difference(tracked.heading_rad, heading))[easy]
     assert np.median(off) < 0.03
     hard = (turn * speed).max(1) > 6.0
     assert (tracked.bent_m[hard] > 2.0).all()

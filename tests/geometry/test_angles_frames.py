@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 
 finite = st.floats(-1e4, 1e4)
 angle = st.floats(-np.pi, np.pi)
@@ -13,18 +13,18 @@ angle = st.floats(-np.pi, np.pi)
 
 @given(finite)
 def test_wrap_keeps_the_direction_and_the_range(value):
-    wrapped = float(angles.wrap(value))
+    wrapped = float(frames.wrap(value))
     assert -np.pi < wrapped <= np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(value), abs=1e-8)
     assert np.sin(wrapped) == pytest.approx(np.sin(value), abs=1e-8)
 
 
 def test_wrap_takes_pi_and_not_minus_pi():
-    assert float(angles.wrap(-np.pi)) == pytest.approx(np.pi)
+    assert float(frames.wrap(-np.pi)) == pytest.approx(np.pi)
 
 
 def test_difference_is_the_short_way_round():
-    assert float(angles.difference(np.radians(-170), np.radians(170))) == pytest.approx(
+    assert float(frames.difference(np.radians(-170), np.radians(170))) == pytest.approx(
         np.radians(20)
     )
 

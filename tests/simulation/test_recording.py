@@ -9,7 +9,7 @@ import sumo
 from click.testing import CliRunner
 
 from deepmf_sumo.cli.record import command
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.readers import npz
 from deepmf_sumo.recording.record import Recording, record
 
@@ -70,7 +70,7 @@ def test_motion_is_smooth_and_consistent(scenes):
         assert np.abs(way / 0.1 - mean)[both].max() < 0.6
         driving = tracks.valid & (tracks.speed_mps > 3.0)
         course = np.arctan2(tracks.velocity_mps[..., 1], tracks.velocity_mps[..., 0])
-        slip = np.abs(angles.difference(course, tracks.heading_rad))[driving]
+        slip = np.abs(frames.difference(course, tracks.heading_rad))[driving]
         assert np.percentile(slip, 99) < 0.2
 
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.network.generated.layout import Edge, Layout, Node
 
 _ARMS: Final = (3, 4, 5)
@@ -38,7 +38,7 @@ def _ring(layout: Layout, place: str, radius_m: float, speed_mps: float) -> None
     arms = sorted(bearing, key=lambda arm: bearing[arm])
     at = {arm: f"{place}.{arm}" for arm in arms}
     for arm in arms:
-        x, y = centre + radius_m * angles.unit(bearing[arm])
+        x, y = centre + radius_m * frames.unit(bearing[arm])
         layout.nodes[at[arm]] = Node(position_m=(float(x), float(y)))
     wide = _shorten_arms(layout, place, at)
     ring = []
@@ -51,7 +51,7 @@ def _ring(layout: Layout, place: str, radius_m: float, speed_mps: float) -> None
             lanes=wide,
             speed_mps=speed_mps,
             priority=_PRIORITY,
-            shape_m=centre + radius_m * angles.unit(bearing[arm] + np.linspace(0.0, turn, 9)),
+            shape_m=centre + radius_m * frames.unit(bearing[arm] + np.linspace(0.0, turn, 9)),
         )
     layout.roundabouts.append(([at[arm] for arm in arms], ring))
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, View
-from deepmf_sumo.geometry import angles, boxes, polylines
+from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import off_level
 
 _SPACING_M = 1.0
@@ -41,7 +41,7 @@ def nearest_in_corridor(view: View, path_m: Floats, margin_m: float) -> Leader |
     row = int(gap.argmin())
     if not np.isfinite(gap[row]):
         return None
-    along = angles.unit(float(heading[row]))
+    along = frames.unit(float(heading[row]))
     return Leader(
         agent_id=tracks.ids[row],
         gap_m=float(gap[row]),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, AgentId, Floats, Ints, Tracks, View
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.paths import INFO, NODE_SPACING_M, path_set
 
@@ -84,7 +84,7 @@ def graph_of(view: View, ids: Sequence[AgentId]) -> Graph:
     found["kind"][:count, 2] = 1.0
     found["motion"][:count] = _motions(tracks, rows, view.dt_s)
     found["pose"][:count, :2] = frames.to_local(position, position[0], float(heading[0]))
-    found["pose"][:count, 2] = angles.wrap(heading - heading[0])
+    found["pose"][:count, 2] = frames.wrap(heading - heading[0])
     for number in range(count):
         speed = float(found["motion"][number, 0])
         paths = path_set(
@@ -132,6 +132,6 @@ def _motions(tracks: Tracks, rows: Ints, dt_s: float) -> Floats:
         back = int(seen[max(-1 - _SMOOTHING_STEPS, -len(seen))])
         seconds = max((HISTORY_STEPS - 1 - back) * dt_s, dt_s)
         speed = tracks.speed_mps[row, [back, -1]]
-        turn = angles.difference(tracks.heading_rad[row, -1], tracks.heading_rad[row, back])
+        turn = frames.difference(tracks.heading_rad[row, -1], tracks.heading_rad[row, back])
         found[number] = speed[1], (speed[1] - speed[0]) / seconds, float(turn) / seconds
     return found

@@ -8,7 +8,7 @@ import shapely
 from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import Floats, Lane, RoadMap
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 
 ELEMENTS: Final = (
     "junction",
@@ -90,7 +90,7 @@ def _lane_at(road: RoadMap, place_m: Floats, heading_rad: float) -> tuple[Lane |
         along = lines[number].project(point)
         ends = shapely.line_interpolate_point(lines[number], [max(0.0, along - 1.0), along + 1.0])
         way = np.diff(shapely.get_coordinates(ends), axis=0)[0]
-        turned = abs(float(angles.difference(np.arctan2(way[1], way[0]), heading_rad)))
+        turned = abs(float(frames.difference(np.arctan2(way[1], way[0]), heading_rad)))
         found.append((turned > _TURNED_RAD, float(apart[number]), number))
     if not found:
         return None, 0.0

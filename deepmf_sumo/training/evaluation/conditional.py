@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastModes, Role, Target
 from deepmf_sumo.training.evaluation.marginal import Marginals
@@ -315,7 +315,7 @@ def begun_at(view: View, agent_id: AgentId, moved: Floats) -> Futures:
     return Futures(
         agent_id=agent_id,
         position_m=frames.to_scene(moved[None, :, :2], origin, heading),
-        heading_rad=angles.wrap(moved[None, :, 2] + heading),
+        heading_rad=frames.wrap(moved[None, :, 2] + heading),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Floats, Forecast
-from deepmf_sumo.geometry import angles, frames, polylines
+from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.paths import path_set
@@ -189,4 +189,4 @@ def _yaw_rate(target: Target) -> float:
     back = int(seen[max(-_TURN_STEPS - 1, -len(seen))])
     heading = tracks.heading_rad[target.row]
     seconds = max((tracks.steps - 1 - back) * target.view.dt_s, target.view.dt_s)
-    return float(angles.difference(heading[-1], heading[back])) / seconds
+    return float(frames.difference(heading[-1], heading[back])) / seconds

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import FUTURE_STEPS, ROLLOUT, SIMULATED, Floats, Scene, View
-from deepmf_sumo.geometry import angles
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.features import MEANING, features
 from deepmf_sumo.training.samples import windows
@@ -89,7 +89,7 @@ def _driven(view: View, future: windows.Future) -> Floats:
     heading = view.history.heading_rad[row, -1:]
     return distance_driven(
         np.concatenate([start, future.position_m]),
-        angles.wrap(np.concatenate([heading, future.heading_rad])),
+        frames.wrap(np.concatenate([heading, future.heading_rad])),
     )
 
 

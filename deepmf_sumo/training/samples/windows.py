@@ -19,7 +19,7 @@ from deepmf_sumo.datatypes import (
     Tracks,
     View,
 )
-from deepmf_sumo.geometry import angles, frames
+from deepmf_sumo.geometry import frames
 
 MIN_FUTURE_STEPS: Final = 30
 """A target is known for at least 3 s."""
@@ -153,7 +153,7 @@ def local_future(view: View, agent_id: AgentId, future: Future) -> Floats:
     row = view.history.row(agent_id)
     origin, heading = view.history.position_m[row, -1], float(view.history.heading_rad[row, -1])
     local = frames.to_local(future.position_m, origin, heading)
-    turn = angles.wrap(future.heading_rad - heading)
+    turn = frames.wrap(future.heading_rad - heading)
     return np.concatenate([local, turn[:, None]], axis=1)
 
 
@@ -196,7 +196,7 @@ def _filled(scene: Scene, future: Future, step: int) -> Future:
     return Future(
         agent_id=future.agent_id,
         position_m=position,
-        heading_rad=angles.wrap(heading),
+        heading_rad=frames.wrap(heading),
         valid=valid,
     )
 
