@@ -25,7 +25,7 @@ from deepmf_sumo.benchmark.logs import logged
 from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import Case, VehicleModel
 from deepmf_sumo.errors import DeepmfError, PlannerError
-from deepmf_sumo.planners import checked
+from deepmf_sumo.planners import _checked
 from deepmf_sumo.planners.remote import reaper
 from deepmf_sumo.spec import FromNetwork
 
@@ -132,7 +132,7 @@ def _copied(work: Callable[[], None]) -> None:
     except BlockingIOError:
         said = b""
     os.close(ours)
-    blamed = checked.at_work()
+    blamed = _checked.at_work()
     if not said and blamed:
         raise PlannerError(f"the planner ended its process ({_ending(status)}; see log.txt).")
     if not said:

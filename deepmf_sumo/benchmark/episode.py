@@ -32,8 +32,8 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.errors import DeepmfError, PlannerError, ReaderError, RunError, UsageError
 from deepmf_sumo.metrics import measure
+from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
-from deepmf_sumo.planners.checked import blamed
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.readers import RecordRef, npz
 from deepmf_sumo.spec import FromNetwork

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, Case, Floats, Rollout, View
+from deepmf_sumo.planners._checked import Guard
 from deepmf_sumo.planners.base import FixedPlanner, Planner
-from deepmf_sumo.planners.checked import Guard
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation import log_only, world
 from deepmf_sumo.simulation.attack_schedule import Turns

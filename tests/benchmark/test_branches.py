@@ -126,12 +126,12 @@ def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_
     used = tmp_path / "used"
     watched = COUNTED.replace(
         "planned =",
-        "from deepmf_sumo.simulation import traffic\n"
-        "taken, begun = [], traffic.running\n"
+        "from deepmf_sumo.simulation import sumo_config\n"
+        "taken, begun = [], sumo_config.running\n"
         "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
         f"    open({str(used)!r}, 'a').write('held ' if runs_already else 'anew ')\n"
         "    return begun(arguments, backend, runs_already=runs_already)\n"
-        "traffic.running = noted\nplanned =",
+        "sumo_config.running = noted\nplanned =",
     )
     command = [
         sys.executable,

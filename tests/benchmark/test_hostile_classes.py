@@ -18,7 +18,7 @@ PLANNERS = """
 import os, signal, sys, time
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Command
-from deepmf_sumo.planners.remote import guard
+from deepmf_sumo.planners import _checked
 
 class Odd(BaseException): pass
 
@@ -81,12 +81,12 @@ class Leaves(_Planner):
     def go_wrong(self):
         os.chdir("/")
         os.environ["LEFT_BEHIND"] = "1"
-        guard.patched = True
+        _checked.patched = True
         _Planner.left = True
 
 class Looks(_Planner):
     def go_wrong(self):
-        left = [os.getcwd() == "/", "LEFT_BEHIND" in os.environ, hasattr(guard, "patched")]
+        left = [os.getcwd() == "/", "LEFT_BEHIND" in os.environ, hasattr(_checked, "patched")]
         left.append(hasattr(_Planner, "left"))
         if any(left): raise RuntimeError(f"the run before left something: {left}")
 """

@@ -10,7 +10,7 @@ from tiny_network import build
 
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.errors import PlannerError
-from deepmf_sumo.planners.checked import Guard, check
+from deepmf_sumo.planners._checked import Guard, check
 from deepmf_sumo.simulation import network_case, simulate
 
 
