@@ -104,7 +104,7 @@ def test_a_run_that_ends_as_the_interrupt_comes_is_kept(tiny, tmp_path):
 
     def interrupt(progress):
         while progress.done == 1:
-            if len(list((tmp_path / "out").glob("runs/*/result.json"))) == 2:
+            if len(list((tmp_path / "out").glob("runs/[!.]*/result.json"))) == 2:
                 raise KeyboardInterrupt
             time.sleep(0.01)
 
