@@ -1,25 +1,22 @@
 """Gradient descents of `art`: the perturbed future and the perturbed history.
 
-ART on the opponent's history: what the marginal predictor is made to see of its last second.
+**The history**: what the marginal predictor is given as the opponent's last second. The present
+stays as it is, for the simulation cannot undo it: position, heading and velocity now, and with them
+the frame, the paths and the lanes. What depends on the past is rebuilt in torch, so that gradients
+reach it: the vehicle's own vectors, its acceleration and its yaw rate. The image, which shows the
+box a second ago on a grid of metres, stays constant during the descent; what is predicted in the
+end is predicted from the perturbed history, image and all.
 
-The present stays as it is, for the simulation cannot undo it: position, heading and velocity now,
-and with them the frame, the paths and the lanes. What depends on the past is rebuilt in torch, so
-that gradients reach it: the vehicle's own vectors, its acceleration and its yaw rate. The image,
-which shows the box a second ago on a grid of metres, stays constant during the descent; what is
-predicted in the end is predicted from the perturbed history, image and all.
+**The descent**: Adam, then the perturbation is shrunk until it is within the bounds. Source: Zhang
+et al., On Adversarial Robustness of Trajectory Prediction for Autonomous Vehicles, CVPR 2022. There
+a perturbation has one free vector a point at 2 Hz, is bounded in length, and is shrunk in steps of
+a hundredth until speed, acceleration and jerk are those of real vehicles. Here its points are at 2
+Hz too and what lies between them is smooth, since free points at 10 Hz are nothing but jitter; and
+what nears the bounds costs, so that shrinking is seldom needed.
 
-Bounded perturbation of a trajectory by gradient: Adam, then shrunk until within the bounds.
-
-Source: Zhang et al., On Adversarial Robustness of Trajectory Prediction for Autonomous Vehicles,
-CVPR 2022. There a perturbation has one free vector a point at 2 Hz, is bounded in length, and is
-shrunk in steps of a hundredth until speed, acceleration and jerk are those of real vehicles. Here
-its points are at 2 Hz too and what lies between them is smooth, since free points at 10 Hz are
-nothing but jitter; and what nears the bounds costs, so that shrinking is seldom needed.
-
-ART on the opponent's future: its un-attacked way, bent into the AV's.
-
-The points of the perturbation are accelerations at 2 Hz, integrated twice: what changes at one time
-carries on, so that a gradient at the contact moves all of the way there.
+**The future**: the opponent's unattacked path, bent into the AV's. The points of the perturbation
+are accelerations at 2 Hz, integrated twice: what changes at one time carries on, so that a gradient
+at the contact moves all of the way there.
 """
 
 import time

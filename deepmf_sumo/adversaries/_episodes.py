@@ -10,7 +10,8 @@ from pydantic import Field
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import AgentId, Bools, Budget, Case, Floats, Plan, Rollout, View, frozen
-from deepmf_sumo.deepmf import opponent as opponent_module
+from deepmf_sumo.deepmf.opponent import SCORED
+from deepmf_sumo.deepmf.opponent import choose as choose_opponent
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.predictors.base import OpponentPredictor
 
@@ -225,13 +226,13 @@ class OpponentChoice:
 
     def of(self, case: Case) -> Choose:
         """What chooses in a case. Loads the network where it is needed, which takes a while."""
-        if self._predictor is None and self._how in opponent_module.SCORED:
+        if self._predictor is None and self._how in SCORED:
             # Brings torch along, which checking a spec's settings must not.
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._predictor = cached_predictors(self._weights).opponent
 
         def choose(view: View, rng: np.random.Generator) -> AgentId | None:
-            return opponent_module.choose(view, self._how, self._predictor, case.partner_id, rng)[0]
+            return choose_opponent(view, self._how, self._predictor, case.partner_id, rng)[0]
 
         return choose

@@ -32,8 +32,8 @@ from deepmf_sumo.adversaries._open_loop import (
 )
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Budget, Case, Plan, PlanReason, View
-from deepmf_sumo.deepmf import candidates as candidates_module
-from deepmf_sumo.deepmf.candidates import Candidates, References, footprint
+from deepmf_sumo.deepmf.candidates import Candidates, References, footprint, ranked
+from deepmf_sumo.deepmf.candidates import weights as candidate_weights
 from deepmf_sumo.deepmf.generation import DensePredictor
 from deepmf_sumo.deepmf.reference_paths import goal_paths
 from deepmf_sumo.deepmf.tracking import Start, track
@@ -124,8 +124,8 @@ class CAT:
             parts.append(References.of("goal", paths.reference_m, paths.limits))
         references = References.joined(parts)
         tracked = track(references.position_m, start, references.limits)
-        probability = candidates_module.weights(modes, tracked.position_m[count:], marginal, view)
-        return candidates_module.ranked(references, tracked, probability, modes)
+        probability = candidate_weights(modes, tracked.position_m[count:], marginal, view)
+        return ranked(references, tracked, probability, modes)
 
 
 def _plan(view: View, own: Candidates, last: Answers, scored: Scored) -> Plan:

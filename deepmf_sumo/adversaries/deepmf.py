@@ -4,9 +4,9 @@ import numpy as np
 
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case
-from deepmf_sumo.deepmf import policy as policy_module
-
-Settings = policy_module.Settings
+from deepmf_sumo.deepmf.policy import Predictors
+from deepmf_sumo.deepmf.policy import build as build_policy
+from deepmf_sumo.deepmf.settings import Settings
 
 
 class DeepMF:
@@ -15,7 +15,7 @@ class DeepMF:
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
         self._weights = weights
-        self._predictors: policy_module.Predictors | None = None
+        self._predictors: Predictors | None = None
 
     def attack(
         self,
@@ -30,9 +30,7 @@ class DeepMF:
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._predictors = cached_predictors(self._weights)
-        policy = policy_module.build(
-            self._settings, self._predictors, case.partner_id, case.av_driver
-        )
+        policy = build_policy(self._settings, self._predictors, case.partner_id, case.av_driver)
         rollout = simulate(policy)
         return Attack(rollout=rollout, simulations=1, generation_s=policy.seconds)
 

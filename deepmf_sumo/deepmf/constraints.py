@@ -1,9 +1,8 @@
 """Pairs of candidates and reactions, and what narrows the choice: sector, fair, lawful.
 
-What a user wishes of an attack: which side of the AV it hits, and that it can be avoided.
-
-Wishes narrow the colliding pairs that count. Where no pair is left the plan goes on without the
-wish, or without an attack, and says so: see `choose`.
+A user may wish which side of the AV is hit, and that the contact can be avoided. Wishes narrow the
+colliding pairs that count. Where no pair is left the plan goes on without the wish, or without an
+attack, and says so: see `choose`.
 """
 
 from collections.abc import Callable, Sequence

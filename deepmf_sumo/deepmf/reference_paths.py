@@ -1,19 +1,17 @@
 """Paths for candidates: along the opponent's lanes, to the AV's futures, to a side of the AV.
 
-Candidates that meet the AV on a wanted side.
+**To a side of the AV.** An aim is a pose of the opponent beside a predicted pose of the AV, such
+that the two boxes touch in the wanted sector. As for goals, the opponent gets there along the
+nearest of its own ways, with a smooth lateral shift; but the shift may begin late, and two
+accelerations, each for half of the time, let it arrive at another speed than the AV's: from behind
+faster, from ahead slower. Of all that the limits allow, those are kept that first touch the
+predicted AV in the wanted sector.
 
-An aim is a pose of the opponent beside a predicted pose of the AV, such that the two boxes touch in
-the wanted sector. As for goals, the opponent gets there along the nearest of its own ways, with a
-smooth lateral shift; but the shift may begin late, and two accelerations, each for half of the
-time, let it arrive at another speed than the AV's: from behind faster, from ahead slower. Of all
-that the limits allow, those are kept that first touch the predicted AV in the wanted sector.
-
-Candidates that meet the AV where it is predicted to be.
-
-Marginal modes follow the road; few of them cross the AV's way at the right moment. A goal is a
-predicted position of the AV at some time, or a point a little off it. The opponent reaches it
-along the path of that own mode which passes nearest, with a smooth lateral shift and with the one
-constant acceleration that arrives in time (or brakes to a stop there, and waits).
+**To where the AV is predicted.** Marginal modes follow the road; few of them cross the AV's way at
+the right moment. A goal is a predicted position of the AV at some time, or a point a little off it.
+The opponent reaches it along the path of that own mode which passes nearest, with a smooth lateral
+shift and with the one constant acceleration that arrives in time (or brakes to a stop there, and
+waits).
 """
 
 from dataclasses import dataclass, replace
