@@ -92,35 +92,41 @@ def fan(view, agent_id, modes):
 
 
 @dataclass
+class FanPrediction:
+    """A fan for one agent, without condition or with any."""
+
+    view: View
+    agent_id: str
+    calls: list = field(default_factory=list)
+
+    def modes(self, count):
+        self.calls.append((self.agent_id, count))
+        position, heading, probability = fan(self.view, self.agent_id, count)
+        return Forecast(
+            futures=Futures(agent_id=self.agent_id, position_m=position, heading_rad=heading),
+            probability=probability,
+        )
+
+    def given(self, futures, modes):
+        return [self.modes(modes)] * (1 if futures is None else len(futures.position_m))
+
+    def log_density(self, position_m):
+        """A mixture of Gaussians round the fan's positions at 2, 4, 6, 8 s."""
+        position, _, probability = fan(self.view, self.agent_id, 32)
+        offset = position_m[:, None, 19::20] - position[None, :, 19::20]
+        spread = np.array([1.0, 2.0, 3.0, 4.0])[:, None]
+        log = -((offset / spread) ** 2).sum((-1, -2)) / 2 - 2 * np.log(spread).sum()
+        return np.logaddexp.reduce(log + np.log(probability), axis=1)
+
+
+@dataclass
 class FanPredictor:
     """A fan of constant accelerations and curvatures for any agent; also the conditional one."""
 
     calls: list = field(default_factory=list)
 
-    def predict(self, view, agent_ids, modes):
-        forecasts = []
-        for agent_id in agent_ids:
-            self.calls.append((agent_id, modes))
-            position, heading, probability = fan(view, agent_id, modes)
-            forecasts.append(
-                Forecast(
-                    futures=Futures(agent_id=agent_id, position_m=position, heading_rad=heading),
-                    probability=probability,
-                )
-            )
-        return forecasts
-
-    def react(self, view, agent_id, given, modes, *, planner=False):
-        (forecast,) = self.predict(view, [agent_id], modes)
-        return [forecast] * (1 if given is None else len(given.position_m))
-
-    def log_density(self, view, agent_id, position_m):
-        """A mixture of Gaussians round the fan's positions at 2, 4, 6, 8 s."""
-        position, _, probability = fan(view, agent_id, 32)
-        offset = position_m[:, None, 19::20] - position[None, :, 19::20]
-        spread = np.array([1.0, 2.0, 3.0, 4.0])[:, None]
-        log = -((offset / spread) ** 2).sum((-1, -2)) / 2 - 2 * np.log(spread).sum()
-        return np.logaddexp.reduce(log + np.log(probability), axis=1)
+    def predict(self, view, agent_id, *, planner=False):
+        return FanPrediction(view, agent_id, self.calls)
 
 
 @dataclass

@@ -48,8 +48,9 @@ from deepmf_sumo.datatypes import (
     Trial,
     View,
 )
-from deepmf_sumo.deepmf.candidates import Levels, collisions, footprint
+from deepmf_sumo.deepmf.candidates import collisions
 from deepmf_sumo.deepmf.settings import LIMITS
+from deepmf_sumo.deepmf.situation import Levels, footprint
 from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import distance_m

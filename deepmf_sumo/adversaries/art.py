@@ -33,7 +33,7 @@ from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, Scouted
 from deepmf_sumo.adversaries._open_loop import Aimed, AimedSettings, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
-from deepmf_sumo.deepmf.candidates import footprint
+from deepmf_sumo.deepmf.situation import footprint
 from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.predictors.base import MOST_MODES
 
@@ -148,7 +148,7 @@ class ART:
         )
         past = art_gradients.Past(view, agent_id, marginal.net)
         forecasts = [
-            marginal.predict(past.view(offset), [agent_id], chosen.modes)[0]
+            marginal.predict(past.view(offset), agent_id).modes(chosen.modes)
             for offset in found.offset_m
         ]
         return np.stack([forecast.futures.position_m[0] for forecast in forecasts]), found

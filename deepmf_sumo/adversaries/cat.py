@@ -31,13 +31,13 @@ from deepmf_sumo.adversaries._open_loop import (
     attack_in_rounds,
 )
 from deepmf_sumo.adversaries.base import Simulate
-from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Budget, Case, Plan, PlanReason, View
-from deepmf_sumo.deepmf.candidates import Candidates, References, footprint, ranked
+from deepmf_sumo.datatypes import Attack, Budget, Case, Plan, PlanReason, View
+from deepmf_sumo.deepmf.candidates import Candidates, References, ranked
 from deepmf_sumo.deepmf.candidates import weights as candidate_weights
-from deepmf_sumo.deepmf.generation import DensePredictor
-from deepmf_sumo.deepmf.reference_paths import goal_paths
-from deepmf_sumo.deepmf.tracking import Start, track
-from deepmf_sumo.predictors.base import MOST_MODES
+from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
+from deepmf_sumo.deepmf.situation import Situation
+from deepmf_sumo.deepmf.tracking import track
+from deepmf_sumo.predictors.base import MOST_MODES, MarginalPredictor
 
 FORESIGHT = "the AV's un-attacked motion"
 
@@ -66,7 +66,7 @@ class CAT:
         self._settings = settings
         self._weights = weights
         self._opponent = OpponentChoice(settings.opponent, weights)
-        self._marginal: DensePredictor | None = None
+        self._marginal: MarginalPredictor | None = None
 
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
@@ -85,7 +85,9 @@ class CAT:
         choose, rounds = self._opponent.of(case), self._settings.rounds
         return attack_in_rounds(case, simulate, choose, aim, rounds, budget)
 
-    def _aim(self, scouted: Scouted, rollouts: Sequence[Motion], marginal: DensePredictor) -> Aimed:
+    def _aim(
+        self, scouted: Scouted, rollouts: Sequence[Motion], marginal: MarginalPredictor
+    ) -> Aimed:
         """The best candidate, and why."""
         view = scouted.view
         last = Answers.of(view, rollouts[-self._settings.memory :])
@@ -103,28 +105,21 @@ class CAT:
         return Aimed(plan=_plan(view, own, last, scored), parameters=parameters)
 
     def _candidates(
-        self, view: View, opponent_id: str, last: Answers, marginal: DensePredictor
+        self, view: View, opponent_id: str, last: Answers, marginal: MarginalPredictor
     ) -> Candidates:
         """Predicted and made candidates of the opponent, drivable, likeliest first."""
         settings, limits = self._settings, self._settings.limits
-        start = Start.of(view, opponent_id)
-        (modes,) = marginal.predict(view, [opponent_id], settings.candidates)
+        situation = Situation.of(view, opponent_id, limits, unattacked=last.forecast)
+        prediction = marginal.predict(view, opponent_id)
+        modes = prediction.modes(settings.candidates)
         count = len(modes.probability)
         parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
         if settings.goal_candidates:
-            paths = goal_paths(
-                modes,
-                last.forecast,
-                start,
-                footprint(view, view.av_id),
-                limits,
-                min(FUTURE_STEPS, view.steps_left),
-                settings.goal_candidates,
-            )
-            parts.append(References.of("goal", paths.reference_m, paths.limits))
+            paths = own_paths(modes, situation.start)
+            parts.append(goal_paths(situation, paths, settings.goal_candidates))
         references = References.joined(parts)
-        tracked = track(references.position_m, start, references.limits)
-        probability = candidate_weights(modes, tracked.position_m[count:], marginal, view)
+        tracked = track(references.position_m, situation.start, references.limits)
+        probability = candidate_weights(modes, tracked.position_m[count:], prediction)
         return ranked(references, tracked, probability, modes)
 
 

@@ -159,10 +159,9 @@ def _reason(reason: PlanReason) -> dict[str, NDArray[Any]]:
     if reason.wanted_sector is not None and reason.sector is not None:
         arrays["wanted_sector"] = np.array(reason.wanted_sector)
         arrays["sector"] = reason.sector
-    if reason.lawful is not None:
-        arrays["candidate_lawful"] = reason.lawful
-    if reason.fair is not None:
-        arrays["candidate_fair"] = reason.fair
+    for name, allowed in reason.allowed.items():
+        if allowed.ndim == 1:
+            arrays[f"candidate_{name}"] = allowed
     if reason.unmet:
         arrays["unmet"] = np.array(reason.unmet)
     if reactions:

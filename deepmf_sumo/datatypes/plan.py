@@ -87,9 +87,9 @@ class PlanReason:
         wanted_sector: the AV's sector to hit, 0..7; None: any.
         sector: (N1, N2) sector in which a pair first overlaps, -1 if it does not; None if
             none is wanted.
-        fair: (N1) a competent driver could avoid the candidate; None if this was not computed.
-        lawful: (N1) the candidate breaks no traffic rule; None if this was not computed.
-        unmet: constraints that no candidate meets: ``sector``, ``fair``, ``lawful``.
+        allowed: by name of the constraint what it allows: (N1) candidates if an attack requires it
+            (``fair``, ``lawful``), (N1, N2) pairs if it is a preference (``sector``).
+        unmet: names of the constraints that no candidate meets.
     """
 
     scores: OpponentScores | None
@@ -106,9 +106,18 @@ class PlanReason:
     origin: tuple[str, ...] = ()
     wanted_sector: int | None = None
     sector: Ints | None = None
-    fair: Bools | None = None
-    lawful: Bools | None = None
+    allowed: dict[str, Bools] = field(default_factory=dict)
     unmet: tuple[str, ...] = ()
+
+    @property
+    def fair(self) -> Bools | None:
+        """(N1) a competent driver could avoid the candidate; None if this was not computed."""
+        return self.allowed.get("fair")
+
+    @property
+    def lawful(self) -> Bools | None:
+        """(N1) the candidate breaks no traffic rule; None if this was not computed."""
+        return self.allowed.get("lawful")
 
     @property
     def collision_mass(self) -> Floats:
@@ -119,10 +128,10 @@ class PlanReason:
 
     @property
     def wished_mass(self) -> Floats:
-        """(N1) the same; 0 for candidates that violate a required fairness or lawfulness."""
+        """(N1) the same; 0 for candidates that violate a required constraint."""
         mass = self.collision_mass
-        for wish in (self.fair, self.lawful):
-            mass = mass if wish is None else mass * wish
+        for allowed in self.allowed.values():
+            mass = mass * allowed if allowed.ndim == 1 else mass
         return mass
 
 

@@ -1,66 +1,64 @@
-"""Candidates of the opponent with their weights, and where they collide with the AV.
+"""Candidates of the opponent with their weights, and their collisions with the AV.
 
-The opponent's N1 candidates: marginal modes, ways to goals, the rest of the last plan.
+The opponent's N1 candidates: marginal modes, paths to goals, the rest of the last plan.
 
-Probabilities. A marginal mode j keeps the mass P_j that the predictor gave it. For a made candidate
-g only a density f_g = exp(log_density(Y_g)) is known. It is taken to stand for as much of the space
-of futures as the modes do on average, with V the P-weighted geometric mean of P_j / f_j:
+Probabilities. A marginal mode j keeps the probability P_j of the predictor. For any other candidate
+g only a density f_g = exp(log_density(Y_g)) is known. It is assumed to cover as large a part of the
+space of futures as the modes do on average, with V the P-weighted geometric mean of P_j / f_j:
 
     log w_j = log P_j        log w_g = min(log f_g + log V, max_j log P_j)        P = softmax(log w)
 
-so that no made candidate is likelier than the likeliest mode, and candidates that the predictor
-thinks unlikely remain so.
+so that no other candidate is more likely than the most likely mode, and candidates that the
+predictor considers unlikely remain so.
 
 Comfort. The predictor knows where vehicles go better than how hard they accelerate on the way, and
-of the many candidates that meet the AV some do so by driving harder than others. With a_j(t) the
+of many candidates that meet the AV some do so by harder driving than others. With a_j(t) the
 acceleration along candidate j and the weight c (`settings.Settings.comfort`; 0 as published):
 
     P'_j  ~  P_j exp(-c mean over the first 3 s of a_j(t)^2)
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal, Protocol
+from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, AgentId, Bools, Floats, Forecast, Futures, Ints, Plan, View
+from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.deepmf.opponent import softmax
-from deepmf_sumo.deepmf.tracking import Limits, Tracked
+from deepmf_sumo.deepmf.scoring import Pairs
+from deepmf_sumo.deepmf.situation import Levels, Situation
+from deepmf_sumo.deepmf.tracking import Tracked
 from deepmf_sumo.geometry import boxes, frames, impact
-from deepmf_sumo.geometry.ground import Ground, clear, ground_of
+from deepmf_sumo.predictors.base import Prediction
 
-Origin = Literal["mode", "goal", "aim", "tail", "stop"]
-
-_LEAST = 1e-12  # probabilities below are rounding
-_COMFORT_STEPS = 30  # 3 s; most of what comes after is planned anew before it is driven
-
-
-class Density(Protocol):
-    """Log-density of given futures under a marginal prediction."""
-
-    def log_density(self, view: View, agent_id: AgentId, position_m: Floats) -> Floats:
-        """(K) of futures (K, F, 2)."""
-        ...
+NO_SECTOR: Final = -1
+"""Sector of a pair that does not collide."""
+_LEAST = 1e-12  # probabilities below are rounding errors
+_COMFORT_STEPS = 30  # 3 s; most of what follows is planned again before it is driven
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class References:
-    """What is to be tracked: positions (K, F, 2), limits (K, 3), where each comes from (K)."""
+    """Paths to track: positions (K, F, 2), limits (K, 3), and the origin of each (K)."""
 
     position_m: Floats
     limits: Floats
-    origin: tuple[Origin, ...]
+    origin: tuple[str, ...]
 
     @classmethod
-    def of(cls, origin: Origin, position_m: Floats, limits: Floats) -> "References":
-        """References that come from one place."""
+    def of(cls, origin: str, position_m: Floats, limits: Floats) -> "References":
+        """References of one origin."""
         return cls(position_m=position_m, limits=limits, origin=(origin,) * len(position_m))
 
     @classmethod
+    def none(cls, steps: int) -> "References":
+        """No references."""
+        return cls(position_m=np.empty((0, steps, 2)), limits=np.empty((0, 3)), origin=())
+
+    @classmethod
     def joined(cls, parts: Sequence["References"]) -> "References":
-        """All parts after one another."""
+        """All parts in sequence."""
         return cls(
             position_m=np.concatenate([part.position_m for part in parts]),
             limits=np.concatenate([part.limits for part in parts]),
@@ -75,31 +73,33 @@ class Candidates:
     forecast: Forecast
     speed_mps: Floats
     bent_m: Floats
-    origin: tuple[Origin, ...]
+    origin: tuple[str, ...]
 
 
-def tail(plan: Plan, view: View, limits: Limits, steps: int) -> References | None:
-    """What is left of the last plan, continued straight at its last speed; None if nothing is."""
-    begin = view.step + 1 - plan.first_step
-    left = plan.position_m[begin:]
-    if begin < 0 or len(left) < 2:
-        return None
+def tail(situation: Situation, steps: int) -> list[References]:
+    """The rest of the last plan, continued straight at its last speed; empty if there is none."""
+    plan, view = situation.last, situation.view
+    if plan is None:
+        return []
+    first = view.step + 1 - plan.first_step
+    left = plan.position_m[first:]
+    if first < 0 or len(left) < 2:
+        return []
     beyond = np.arange(1, steps - len(left) + 1)[:, None] * view.dt_s * plan.speed_mps[-1]
     more = left[-1] + beyond * frames.unit(plan.heading_rad[-1])
     rest = np.concatenate([left, more])[None, :steps]
-    return References.of("tail", rest, limits.rows(1))
+    return [References.of("tail", rest, situation.limits.rows(1))]
 
 
-def weights(modes: Forecast, made_m: Floats, density: Density, view: View) -> Floats:
-    """(N1) joint probabilities of the modes and of made candidates (K, F, 2) after them."""
-    if len(made_m) == 0:
+def weights(modes: Forecast, others_m: Floats, prediction: Prediction) -> Floats:
+    """(N1) joint probabilities of the modes and of the candidates (K, F, 2) after them."""
+    if len(others_m) == 0:
         return modes.probability
-    futures = np.concatenate([modes.futures.position_m, made_m])
-    log_density = density.log_density(view, modes.futures.agent_id, futures)
+    log_density = prediction.log_density(np.concatenate([modes.futures.position_m, others_m]))
     mass = np.log(np.maximum(modes.probability, _LEAST))
-    own, made = log_density[: len(mass)], log_density[len(mass) :]
+    own, other = log_density[: len(mass)], log_density[len(mass) :]
     volume = float((modes.probability * (mass - own)).sum() / modes.probability.sum())
-    return softmax(np.concatenate([mass, np.minimum(made + volume, mass.max())]))
+    return softmax(np.concatenate([mass, np.minimum(other + volume, mass.max())]))
 
 
 def comfortable(
@@ -138,7 +138,7 @@ def ranked(
 def of_use(own: Candidates, mass: Floats, count: int) -> Candidates:
     """At most ``count`` of them, likeliest first: the largest ``mass`` (N1), then the likeliest.
 
-    Their probabilities are those that they have among each other.
+    Their probabilities are normalised among each other.
     """
     rows = np.sort(np.argsort(-mass, kind="stable")[:count])
     futures, probability = own.forecast.futures, own.forecast.probability[rows]
@@ -158,59 +158,6 @@ def of_use(own: Candidates, mass: Floats, count: int) -> Candidates:
     )
 
 
-NO_SECTOR: Final = -1
-
-
-def footprint(view: View, agent_id: AgentId) -> Floats:
-    """(2) length and width of an agent."""
-    size: Floats = view.history.size_m[view.history.row(agent_id), :2]
-    return size
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Levels:
-    """An opponent and the AV now, (3) x, y, z each, on a road that passes over itself."""
-
-    ground: Ground
-    opponent: Floats
-    av: Floats
-
-    @classmethod
-    def of(cls, view: View, opponent_id: AgentId) -> "Levels | None":
-        """None where the road passes nowhere over itself, and heights decide nothing."""
-        ground, tracks = ground_of(view.road), view.history
-        if not ground.has_levels:
-            return None
-        rows = [tracks.row(opponent_id), tracks.row(view.av_id)]
-        now = np.column_stack([tracks.position_m[rows, -1], tracks.z_m[rows, -1]])
-        return cls(ground=ground, opponent=now[0], av=now[1])
-
-    def opponent_z_m(self, futures_m: Floats) -> Floats:
-        """(N, F) heights of futures (N, F, 2) of the opponent, which follow the road."""
-        return self._along(futures_m, self.opponent)
-
-    def av_z_m(self, futures_m: Floats) -> Floats:
-        """(N, F) heights of futures (N, F, 2) of the AV."""
-        return self._along(futures_m, self.av)
-
-    def clear(self, own_m: Floats, av_m: Floats, at: tuple[Ints, Ints, Ints]) -> Bools:
-        """(K) whether candidates (N, F, 2) and reactions (N, M, F, 2) pass over each other.
-
-        ``at``: K rows, modes and steps.
-        """
-        row, mode, step = at
-        mine, own = np.unique(row, return_inverse=True)
-        theirs, other = np.unique(row * av_m.shape[1] + mode, return_inverse=True)
-        reactions = av_m[np.divmod(theirs, av_m.shape[1])]
-        own_z, other_z = self.opponent_z_m(own_m[mine]), self.av_z_m(reactions)
-        return clear(own_z[own, step], other_z[other, step])
-
-    def _along(self, futures_m: Floats, now: Floats) -> Floats:
-        begin = np.broadcast_to(now[:2], (len(futures_m), 1, 2))
-        paths = np.concatenate([begin, futures_m], axis=1)
-        return self.ground.follow(paths, np.full(len(paths), now[2]))[:, 1:]
-
-
 def collisions(
     candidates: Futures,
     reactions: Sequence[Forecast],
@@ -221,14 +168,14 @@ def collisions(
 ) -> tuple[Bools, Floats]:
     """(N1, N2) overlap of the oriented boxes at the same time, and (N1, N2) its first step.
 
-    Every step (10 Hz) of the first ``horizon`` is tested; where there is no overlap the step is F,
-    the length of the futures. Sizes are (2): length, width. Pairs of poses whose centres are
-    farther apart than the half diagonals reach are not tested: they cannot overlap. ``levels`` says
-    which of them pass over each other.
+    Every step (10 Hz) of the first ``horizon`` is tested; without overlap the step is F, the length
+    of the futures. Sizes are (2): length, width. Poses whose centres are farther apart than the
+    half diagonals reach are not tested: they cannot overlap. ``levels``: heights, if some of them
+    may pass over each other.
     """
     own, other = candidates.position_m, _stacked([each.futures.position_m for each in reactions])
     other_heading = _stacked([each.futures.heading_rad for each in reactions])
-    # each axis by itself: numpy is slow at sums over the two of them
+    # Each axis by itself: numpy is slow at sums over an axis of length two.
     x, y = (own[:, None, :horizon, axis] - other[:, :, :horizon, axis] for axis in range(2))
     reach = (np.hypot(*opponent_size_m) + np.hypot(*av_size_m)) / 2
     near = np.nonzero(x * x + y * y < reach**2)
@@ -250,7 +197,7 @@ def collisions(
 
 
 def _stacked(arrays: Sequence[Floats]) -> Floats:
-    """(N, ...); the same array for all is not copied."""
+    """(N, ...) without a copy if all arrays are the same."""
     if all(each is arrays[0] for each in arrays):
         return np.broadcast_to(arrays[0], (len(arrays), *arrays[0].shape))
     return np.stack(arrays)
@@ -303,21 +250,34 @@ def delta_v(
     return change
 
 
-class Stopwatch:
-    """Wall time by part."""
+def pairs(
+    situation: Situation,
+    own: Candidates,
+    reactions: Sequence[Forecast],
+    *,
+    sectors: bool = False,
+    severity: bool = False,
+) -> Pairs:
+    """How N1 candidates and the AV's reactions to each of them collide within the horizon.
 
-    def __init__(self) -> None:
-        self._since = time.perf_counter()
-        self.milliseconds: dict[str, float] = {}
+    ``sectors`` and ``severity`` say whether these are needed: they take time.
+    """
+    futures, sizes = own.forecast.futures, (situation.size_m, situation.av_size_m)
+    collides, step = collisions(futures, reactions, *sizes, situation.horizon, situation.levels)
+    return Pairs(
+        probability=own.forecast.probability,
+        reaction_probability=np.stack([reaction.probability for reaction in reactions]),
+        collides=collides,
+        collision_step=step,
+        sector=impact_sectors(futures, reactions, *sizes, step) if sectors else None,
+        severity=delta_v(futures, reactions, *sizes, step) if severity else None,
+    )
 
-    def lap(self, part: str) -> None:
-        """Add the time since the last lap to a part."""
-        now = time.perf_counter()
-        spent = 1000 * (now - self._since)
-        self.milliseconds[part] = self.milliseconds.get(part, 0.0) + spent
-        self._since = now
 
-    @property
-    def seconds(self) -> float:
-        """Sum of all laps."""
-        return sum(self.milliseconds.values()) / 1000
+def shortlisted(situation: Situation, own: Candidates, count: int) -> Candidates:
+    """At most ``count``: those most likely to meet the unattacked AV, then the likeliest."""
+    alone = situation.unattacked
+    if alone is None or len(own.origin) <= count:
+        return own
+    met = pairs(situation, own, [alone] * len(own.origin))
+    return of_use(own, met.collides @ alone.probability, count)

@@ -1,221 +1,251 @@
-"""Pairs of candidates and reactions, and what narrows the choice: sector, fair, lawful.
+"""Constraints on the choice: the side of the AV that is hit, fair attacks, lawful attacks.
 
-A user may wish which side of the AV is hit, and that the contact can be avoided. Wishes narrow the
-colliding pairs that count. Where no pair is left the plan goes on without the wish, or without an
-attack, and says so: see `choose`.
+A constraint says which candidates, or which pairs of candidate and reaction, it allows; `choose`
+narrows the choice to these, and says so if nothing is left. To add one, write a class here and list
+it in `CONSTRAINTS`; ``adversary: {name: deepmf, constraints: [its_name]}`` then asks for it.
+`CONTRIBUTING.md` shows one.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final, Literal, Protocol
 
 import numpy as np
 
 from deepmf_sumo.avoidability.av_path import State
 from deepmf_sumo.avoidability.grading import avoidable
-from deepmf_sumo.datatypes import (
-    FUTURE_STEPS,
-    AgentId,
-    Bools,
-    Floats,
-    Forecast,
-    Futures,
-    Ints,
-    View,
-)
+from deepmf_sumo.datatypes import AgentId, Bools, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
-from deepmf_sumo.deepmf.candidates import (
-    Candidates,
-    Levels,
-    Stopwatch,
-    collisions,
-    delta_v,
-    footprint,
-    impact_sectors,
-)
-from deepmf_sumo.deepmf.scoring import Balance, Choice, Rule
+from deepmf_sumo.deepmf.candidates import Candidates, References
+from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
+from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
-from deepmf_sumo.deepmf.traffic_rules import Law
+from deepmf_sumo.deepmf.situation import Situation
+from deepmf_sumo.deepmf.traffic_rules import Law, stops
 from deepmf_sumo.geometry import polylines
 
-_REFUSALS = 12  # a candidate that is verified costs some milliseconds
-ANY_SECTOR: Final = ", any sector"
-"""What the rule ends with where no pair touches the AV in the wanted sector."""
+Scope = Literal["driven", "attack", "preferred"]
+_REFUSALS = 12  # verifying a candidate takes some milliseconds
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pairs:
-    """N1 candidates with P_j and N2 reactions each with P_jk, and how they collide.
+class Constraint(Protocol):
+    """What the opponent may do. There is one object per attack, so that it may keep a state.
 
     Attributes:
-        probability: (N1). reaction_probability, collides, collision_step: (N1, N2).
-        sector: (N1, N2) in which the AV is hit; None where no sector is wanted.
-        fair: (N1) a competent driver could avoid the candidate; None where that is not asked for.
-        lawful: (N1) the candidate breaks no rule of the road; None where that is not asked for.
-        severity: (N1, N2) delta-v of the AV; None where nothing depends on it.
+        name: in the settings and in `PlanReason`.
+        scope: what is not allowed: ``driven``: the candidate is driven only if all are forbidden;
+            ``attack``: it does not count as an attack, and is not driven where it would collide;
+            ``preferred``: its pairs count only if no others do.
+        keeps_plan: the rest of the last plan is a candidate for the next one.
     """
 
-    probability: Floats
-    reaction_probability: Floats
-    collides: Bools
-    collision_step: Floats
-    sector: Ints | None = None
-    fair: Bools | None = None
-    lawful: Bools | None = None
-    severity: Floats | None = None
+    name: ClassVar[str]
+    scope: ClassVar[Scope]
+    keeps_plan: bool = False
 
-    def among(self, rows: Ints) -> "Pairs":
-        """Only these candidates (K), all of them lawful."""
-        return Pairs(
-            probability=self.probability[rows],
-            reaction_probability=self.reaction_probability[rows],
-            collides=self.collides[rows],
-            collision_step=self.collision_step[rows],
-            sector=None if self.sector is None else self.sector[rows],
-            fair=None if self.fair is None else self.fair[rows],
-            severity=None if self.severity is None else self.severity[rows],
-        )
+    def __init__(self, settings: Settings) -> None: ...
+
+    def references(self, situation: Situation, paths: list[OwnPath]) -> list[References]:
+        """Further candidates, without which few would be allowed; ``paths``: the opponent's own."""
+        return []
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        """(N1) allowed candidates; of scope ``preferred`` (N1, N2) allowed pairs."""
+        ...
+
+    def confirmed(
+        self, situation: Situation, own: Candidates, reaction: Forecast, pairs: Pairs, row: int
+    ) -> bool:
+        """Whether the chosen candidate is allowed on a closer look, which is too slow for all."""
+        return True
+
+    def decided(self, attacks: bool) -> None:
+        """The choice is made; ``attacks``: its candidate is allowed and collides."""
 
 
-Decision = tuple[Pairs, Choice, tuple[str, ...]]
-"""The pairs with what was found unfair on the way, the choice, the wishes that are unmet."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Mask:
+    """What a constraint allows: (N1) candidates, or (N1, N2) pairs."""
+
+    name: str
+    scope: Scope
+    allowed: Bools
+
+    def among(self, rows: Ints) -> "Mask":
+        """Only these candidates (K)."""
+        return replace(self, allowed=self.allowed[rows])
 
 
 def decide(
     pairs: Pairs,
-    rule: Rule | Balance,
-    likelihood_weight: float,
-    wanted_sector: int | None,
-    verify: Callable[[int], bool],
-    rng: np.random.Generator | None = None,
-) -> Decision:
-    """`choose`, until the chosen one is fair on a closer look: ``verify`` of its row.
+    masks: Sequence[Mask],
+    objective: Objective,
+    confirmed: Callable[[int, int], bool],
+) -> tuple[Choice, list[Mask]]:
+    """`choose`, until all constraints confirm the choice: ``confirmed(number of the mask, row)``.
 
-    After 12 refusals nothing is fair. Without the wish nothing is verified.
+    A refused candidate is no longer allowed; after 12 refusals none is. Returns the masks without
+    the refused candidates, too.
     """
-    choice, unmet = choose(pairs, rule, likelihood_weight, wanted_sector, rng)
-    refused = 0
-    given_up = {"fair", "lawful"}
-    while pairs.fair is not None and not given_up & {*unmet} and not verify(choice.index):
-        refused += 1
-        others = np.arange(len(pairs.fair)) != choice.index
-        pairs = replace(pairs, fair=pairs.fair & others & (refused < _REFUSALS))
-        choice, unmet = choose(pairs, rule, likelihood_weight, wanted_sector, rng)
-    return pairs, choice, unmet
+    masks, refusals = list(masks), 0
+    while True:
+        choice = choose(pairs, masks, objective)
+        refused = next((n for n in _binding(masks, choice) if not confirmed(n, choice.index)), None)
+        if refused is None:
+            return choice, masks
+        refusals += 1
+        left = np.arange(len(pairs.probability)) != choice.index
+        allowed = masks[refused].allowed & left & (refusals < _REFUSALS)
+        masks[refused] = replace(masks[refused], allowed=allowed)
 
 
-def choose(
-    pairs: Pairs,
-    rule: Rule | Balance,
-    likelihood_weight: float,
-    wanted_sector: int | None,
-    rng: np.random.Generator | None = None,
-) -> tuple[Choice, tuple[str, ...]]:
-    """The choice by the pairs that count, and the wishes that no candidate meets.
+def _binding(masks: Sequence[Mask], choice: Choice) -> list[int]:
+    """Masks that a choice has to obey; none if an attack was given up."""
+    required = [number for number, mask in enumerate(masks) if mask.scope != "preferred"]
+    given_up = {masks[number].name for number in required} & {*choice.unmet}
+    return [] if given_up else required
 
-    - Of the pairs that hit the wanted sector those count first whose candidate hits it more likely
-      than other sectors, for a contact elsewhere ends the attack.
-    - No pair hits the wanted sector: all sectors count; the rule ends with ``, any sector``.
-    - Pairs collide, but no lawful or no fair ones: no attack (`scoring.harmless`), rule
-      ``nothing lawful`` or ``nothing fair``. What is unlawful is driven only where nothing is
-      lawful.
+
+def choose(pairs: Pairs, masks: Sequence[Mask], objective: Objective) -> Choice:
+    """The choice by the pairs that count; ``unmet`` names the constraints that are given up.
+
+    - ``driven``: the choice is among the allowed candidates, or among all if there are none.
+    - ``attack``: the pairs of other candidates do not count, and such candidates are not chosen if
+      they collide.
+    - Pairs collide, but none that these allow: no attack (`scoring.harmless`), rule
+      ``nothing <name>``.
+    - ``preferred``: allowed pairs count, and first those of candidates that collide mostly in
+      allowed ones, because any contact ends the attack. If there are none the constraint is given
+      up; the rule then ends with ``, any <name>``.
     """
-    if pairs.lawful is not None:
-        return _choose_lawful(pairs, pairs.lawful, rule, likelihood_weight, wanted_sector, rng)
+    for number, mask in enumerate(masks):
+        if mask.scope == "driven":
+            return _among_allowed(pairs, mask, [*masks[:number], *masks[number + 1 :]], objective)
     counted, barred, unmet = pairs.collides, None, []
-    if pairs.fair is not None:
-        counted = counted & pairs.fair[:, None]
-        barred = pairs.collides.any(axis=1) & ~pairs.fair
-        if pairs.collides.any() and not counted.any():
-            return _harmless(pairs), ("fair",)
-    if pairs.sector is not None:
-        there = counted & (pairs.sector == wanted_sector)
-        unmet = [] if there.any() else ["sector"]
-        counted = _mostly(there, pairs) if there.any() else counted
-    choice = scoring.choose(
-        pairs.probability,
-        pairs.reaction_probability,
-        pairs.collides,
-        pairs.collision_step,
-        rule,
-        likelihood_weight,
-        counted=counted,
-        barred=barred,
-        severity=pairs.severity,
-        rng=rng,
-    )
-    if unmet and counted.any():
-        choice = replace(choice, rule=choice.rule + ANY_SECTOR)
-    return choice, tuple(unmet)
+    for mask in masks:
+        if mask.scope == "attack":
+            counted = counted & mask.allowed[:, None]
+            bars = pairs.collides.any(axis=1) & ~mask.allowed
+            barred = bars if barred is None else barred | bars
+            if pairs.collides.any() and not counted.any():
+                return _given_up(pairs, mask)
+    for mask in masks:
+        if mask.scope == "preferred":
+            there = counted & mask.allowed
+            if there.any():
+                counted = _mostly(there, pairs)
+            else:
+                unmet.append(mask.name)
+    choice = scoring.choose(pairs, objective, counted=counted, barred=barred)
+    suffix = "".join(f", any {name}" for name in unmet) if counted.any() else ""
+    return replace(choice, rule=choice.rule + suffix, unmet=tuple(unmet))
 
 
-def _choose_lawful(
-    pairs: Pairs,
-    lawful: Bools,
-    rule: Rule | Balance,
-    likelihood_weight: float,
-    wanted_sector: int | None,
-    rng: np.random.Generator | None,
-) -> tuple[Choice, tuple[str, ...]]:
-    """The choice among the lawful candidates alone."""
-    rows = np.flatnonzero(lawful)
-    left = pairs.among(rows) if len(rows) else replace(pairs, lawful=None)
-    meets = bool(len(rows)) and bool(left.collides.any())
-    if meets or not pairs.collides.any():
-        choice, unmet = choose(left, rule, likelihood_weight, wanted_sector, rng)
-    else:
-        choice, unmet = replace(_harmless(left), rule="nothing lawful"), ("lawful",)
-    return (choice.among(rows, len(lawful)) if len(rows) else choice), unmet
+def _among_allowed(pairs: Pairs, mask: Mask, rest: list[Mask], objective: Objective) -> Choice:
+    """The choice among the allowed candidates alone."""
+    rows, count = np.flatnonzero(mask.allowed), len(mask.allowed)
+    if not len(rows):
+        none = pairs.collides.any()
+        return _given_up(pairs, mask) if none else choose(pairs, rest, objective)
+    left = pairs.among(rows)
+    if pairs.collides.any() and not left.collides.any():
+        return _given_up(left, mask).of_all(rows, count)
+    return choose(left, [one.among(rows) for one in rest], objective).of_all(rows, count)
+
+
+def _given_up(pairs: Pairs, mask: Mask) -> Choice:
+    return replace(scoring.harmless(pairs, f"nothing {mask.name}"), unmet=(mask.name,))
 
 
 def _mostly(there: Bools, pairs: Pairs) -> Bools:
-    """Pairs ``there`` of candidates that collide there rather than elsewhere; all if none does."""
-    mass = (pairs.reaction_probability * pairs.collides).sum(axis=1)
-    rather = 2 * (pairs.reaction_probability * there).sum(axis=1) > mass
-    narrowed: Bools = there & rather[:, None]
+    """Pairs ``there`` of candidates that collide mostly there; all of ``there`` if none does."""
+    rather = 2 * (pairs.reaction_probability * there).sum(axis=1) > pairs.mass
+    narrowed = there & rather[:, None]
     return narrowed if narrowed.any() else there
 
 
-def _harmless(pairs: Pairs) -> Choice:
-    return scoring.harmless(
-        pairs.probability, pairs.reaction_probability, pairs.collides, pairs.collision_step
-    )
+class Lawful(Constraint):
+    """The candidate breaks no traffic rule (`traffic_rules`)."""
+
+    name = "lawful"
+    scope = "driven"
+
+    def __init__(self, settings: Settings) -> None:
+        self._law = Law()
+
+    def references(self, situation: Situation, paths: list[OwnPath]) -> list[References]:
+        return [stops(situation, paths)]
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        return self._law.lawful(situation, own, pairs.collision_step)
 
 
-def fair_candidates(view: View, futures: Futures, av: Forecast) -> Bools:
-    """(N1) futures of the opponent that a reference driver in the AV's place avoids from here on.
+class Fair(Constraint):
+    """A competent driver in the AV's place could avoid the candidate (`avoidability.grading`).
 
-    Until that driver reacts, the AV does the likeliest of its predicted futures ``av``.
+    What was avoidable when the attack started remains so until it ends.
     """
+
+    name = "fair"
+    scope = "attack"
+
+    def __init__(self, settings: Settings) -> None:
+        self.keeps_plan = False
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        assert situation.unattacked is not None
+        futures = own.forecast.futures
+        return self._kept(own) | fair_candidates(situation, futures, situation.unattacked)
+
+    def confirmed(
+        self, situation: Situation, own: Candidates, reaction: Forecast, pairs: Pairs, row: int
+    ) -> bool:
+        """Whether it is fair also if the AV follows the likeliest future that it collides with."""
+        hits = pairs.collides[row]
+        if self._kept(own)[row] or not hits.any():
+            return True
+        futures = own.forecast.futures
+        one = Futures(
+            agent_id=futures.agent_id,
+            position_m=futures.position_m[row : row + 1],
+            heading_rad=futures.heading_rad[row : row + 1],
+        )
+        hit = Forecast(futures=reaction.futures, probability=reaction.probability * hits)
+        return bool(fair_candidates(situation, one, hit)[0])
+
+    def decided(self, attacks: bool) -> None:
+        self.keeps_plan = attacks
+
+    def _kept(self, own: Candidates) -> Bools:
+        """(N1) the rest of a fair attack."""
+        return np.array([origin == "tail" for origin in own.origin]) & self.keeps_plan
+
+
+def fair_candidates(situation: Situation, futures: Futures, av: Forecast) -> Bools:
+    """(N1) futures of the opponent that a reference driver in the AV's place avoids from now on.
+
+    Until that driver reacts, the AV follows the likeliest of its predicted futures ``av``.
+    """
+    view = situation.view
     now = _state(view, view.av_id)
     ahead = av.futures.position_m[int(np.argmax(av.probability))]
     return avoidable(
         now,
-        footprint(view, view.av_id),
+        situation.av_size_m,
         ahead,
-        _state(view, futures.agent_id),
-        footprint(view, futures.agent_id),
+        _state(view, situation.opponent_id),
+        situation.size_m,
         futures.position_m,
         futures.heading_rad,
         view.dt_s,
         av_along_m=polylines.arc_lengths(np.concatenate([now.position_m[None], ahead])),
     )
-
-
-def verified(view: View, row: int, futures: Futures, reaction: Forecast, hits: Bools) -> bool:
-    """Whether candidate ``row`` is fair also where the AV does the likeliest of what it hits.
-
-    ``hits`` (N2) are the modes of its ``reaction`` that it collides with; without any it is fair.
-    """
-    if not hits.any():
-        return True
-    one = Futures(
-        agent_id=futures.agent_id,
-        position_m=futures.position_m[row : row + 1],
-        heading_rad=futures.heading_rad[row : row + 1],
-    )
-    hit = Forecast(futures=reaction.futures, probability=reaction.probability * hits)
-    return bool(fair_candidates(view, one, hit)[0])
 
 
 def _state(view: View, agent_id: AgentId) -> State:
@@ -227,56 +257,31 @@ def _state(view: View, agent_id: AgentId) -> State:
     )
 
 
-def pairs(
-    view: View,
-    own: Candidates,
-    reactions: Sequence[Forecast],
-    alone: Forecast | None,
-    settings: Settings,
-    committed: bool,
-    law: Law | None,
-    watch: Stopwatch,
-) -> Pairs:
-    """How candidates and reactions collide within the time left, and what the settings ask of it.
+class Sector(Constraint):
+    """The AV is first hit in the wanted sector."""
 
-    Args:
-        view: the present.
-        own: N1 candidates of the opponent.
-        reactions: N1 forecasts of the AV, one for each candidate, of N2 futures each.
-        alone: the AV's futures if nobody attacks; needed with ``settings.fair`` and ``lawful``.
-        settings: of the policy.
-        committed: whether the tail of the last plan was fair when it was chosen.
-        law: with ``settings.lawful``, what the opponent owes since earlier plans.
-        watch: its laps are ``collision``, ``fair`` and ``lawful``.
-    """
-    futures = own.forecast.futures
-    sizes = footprint(view, futures.agent_id), footprint(view, view.av_id)
-    horizon = min(FUTURE_STEPS, view.steps_left)
-    levels = Levels.of(view, futures.agent_id)
-    collides, step = collisions(futures, reactions, *sizes, horizon, levels)
-    sector = fair = severity = lawful = None
-    if settings.wanted_sector is not None:
-        sector = impact_sectors(futures, reactions, *sizes, step)
-    if settings.aggressiveness is not None:
-        severity = delta_v(futures, reactions, *sizes, step)
-    watch.lap("collision")
-    if settings.fair:
-        assert alone is not None
-        # What was avoidable when the opponent set out stays so while it goes through with it.
-        kept = np.array([origin == "tail" for origin in own.origin]) & committed
-        fair = kept | fair_candidates(view, futures, alone)
-        watch.lap("fair")
-    if law is not None:
-        assert alone is not None
-        lawful = law.lawful(view, futures, own.speed_mps, alone, step)
-        watch.lap("lawful")
-    return Pairs(
-        probability=own.forecast.probability,
-        reaction_probability=np.stack([reaction.probability for reaction in reactions]),
-        collides=collides,
-        collision_step=step,
-        sector=sector,
-        fair=fair,
-        lawful=lawful,
-        severity=severity,
-    )
+    name = "sector"
+    scope = "preferred"
+    keeps_plan = True
+
+    def __init__(self, settings: Settings) -> None:
+        self._sector, self._count = settings.wanted_sector, settings.goal_candidates
+
+    def references(self, situation: Situation, paths: list[OwnPath]) -> list[References]:
+        assert self._sector is not None
+        return [aimed_paths(situation, paths, self._sector, self._count)]
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        assert pairs.sector is not None
+        return pairs.sector == self._sector
+
+
+CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (Sector, Lawful, Fair)
+"""All constraints; their candidates are added in this order."""
+
+
+def made(settings: Settings) -> tuple[Constraint, ...]:
+    """The constraints that the settings ask for, for one attack."""
+    return tuple(one(settings) for one in CONSTRAINTS if one.name in settings.constrained)

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints, Lane, RoadMap, View
-from deepmf_sumo.deepmf.candidates import Levels, footprint
+from deepmf_sumo.datatypes import DT_S, Bools, Floats, Ints, Lane, RoadMap
+from deepmf_sumo.deepmf.candidates import Candidates
+from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.geometry import boxes, polylines
 from deepmf_sumo.geometry.ground import clear, ground_of, on_nearest_level
@@ -24,7 +25,7 @@ _SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ways:
+class LaneAssignment:
     """Futures (N) at S times on L lanes.
 
     Attributes:
@@ -52,7 +53,7 @@ class Ways:
         futures: tuple[Floats, Floats],
         reach_m: float,
         z_m: float = 0.0,
-    ) -> "Ways":
+    ) -> "LaneAssignment":
         """Of a pose now, (2) and heading, and futures: positions (N, S, 2), headings (N, S).
 
         Where roads cross the lanes now are those of the level nearest to the height ``z_m``.
@@ -210,7 +211,7 @@ _LIKELY = 0.1  # the AV's futures that are at least so likely have to be left al
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Driven:
+class LaneFutures:
     """N futures of an opponent at S times, every 0.2 s, up to the end of the case.
 
     Attributes:
@@ -226,7 +227,7 @@ class Driven:
     speed_mps: Floats
     size_m: Floats
     start: Start
-    ways: Ways
+    ways: LaneAssignment
     av_position_m: Floats
     av_heading_rad: Floats
     av_size_m: Floats
@@ -235,18 +236,20 @@ class Driven:
     z_now_m: float
 
     @classmethod
-    def of(cls, view: View, futures: Futures, speed_mps: Floats, alone: Forecast) -> "Driven":
-        """Of futures with their speeds (N, F), and the AV's futures if nobody attacks."""
-        start = Start.of(view, futures.agent_id)
-        left = max(view.steps_left, EVERY_STEPS)  # in the last step of a case one time is looked at
-        steps = slice(EVERY_STEPS - 1, min(left, speed_mps.shape[1]), EVERY_STEPS)
+    def of(cls, situation: Situation, own: Candidates) -> "LaneFutures":
+        """Of N candidates; the situation needs the unattacked AV."""
+        view, start, alone = situation.view, situation.start, situation.unattacked
+        futures, levels = own.forecast.futures, situation.levels
+        assert alone is not None
+        left = max(view.steps_left, EVERY_STEPS)  # at least one time, even in the case's last step
+        steps = slice(EVERY_STEPS - 1, min(left, own.speed_mps.shape[1]), EVERY_STEPS)
         position, heading = futures.position_m[:, steps], futures.heading_rad[:, steps]
         along = np.hypot(*np.moveaxis(position - start.position_m, -1, 0))
         reach_m = float(along.max(initial=0.0)) + _REACH_M
         now = start.position_m, start.heading_rad
         likely = alone.probability >= min(_LIKELY, float(alone.probability.max()))
         every = slice(EVERY_STEPS - 1, None, EVERY_STEPS)
-        av_m, levels = alone.futures.position_m[likely], Levels.of(view, futures.agent_id)
+        av_m = alone.futures.position_m[likely]
         z_m, av_z_m, z_now_m = np.zeros(heading.shape), np.zeros(av_m[:, every].shape[:2]), 0.0
         if levels is not None:
             z_m = levels.opponent_z_m(futures.position_m)[:, steps]
@@ -254,13 +257,13 @@ class Driven:
         return cls(
             position_m=position,
             heading_rad=heading,
-            speed_mps=speed_mps[:, steps],
-            size_m=footprint(view, futures.agent_id),
+            speed_mps=own.speed_mps[:, steps],
+            size_m=situation.size_m,
             start=start,
-            ways=Ways.of(view.road, now, (position, heading), reach_m, z_now_m),
+            ways=LaneAssignment.of(view.road, now, (position, heading), reach_m, z_now_m),
             av_position_m=av_m[:, every],
             av_heading_rad=alone.futures.heading_rad[likely, every],
-            av_size_m=footprint(view, view.av_id),
+            av_size_m=situation.av_size_m,
             z_m=z_m,
             av_z_m=av_z_m,
             z_now_m=z_now_m,

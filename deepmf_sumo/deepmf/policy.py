@@ -1,31 +1,41 @@
 """DeepMF: attacks by factorised prediction, re-planned in closed loop (Algorithm 1 of the paper).
 
 At 0, T, 2T, ...: the largest of P(Y_OV | X) * sum over Y_AV of P(Y_AV | Y_OV, X) * Coll(Y_OV, Y_AV)
-among candidates Y_OV.
+among candidates Y_OV. `DeepMF._plan` is the whole of it: generate candidates, predict the AV's
+reactions, collide all pairs, apply the constraints, choose.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from deepmf_sumo.datatypes import (
+    FUTURE_STEPS,
     AgentId,
     AvDriver,
     Forecast,
-    Futures,
     OpponentScores,
     Plan,
     PlanReason,
     View,
 )
-from deepmf_sumo.deepmf import constraints, scoring
-from deepmf_sumo.deepmf.candidates import Candidates, Stopwatch
-from deepmf_sumo.deepmf.generation import DensePredictor, propose, shortlisted
+from deepmf_sumo.deepmf import candidates, constraints, scoring
+from deepmf_sumo.deepmf.candidates import Candidates, References
+from deepmf_sumo.deepmf.constraints import Constraint, Mask
 from deepmf_sumo.deepmf.opponent import choose, highest
-from deepmf_sumo.deepmf.scoring import Choice
+from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
+from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
-from deepmf_sumo.deepmf.traffic_rules import Law
-from deepmf_sumo.predictors.base import ConditionalPredictor, OpponentPredictor
+from deepmf_sumo.deepmf.situation import Situation, Stopwatch
+from deepmf_sumo.deepmf.tracking import track
+from deepmf_sumo.predictors.base import (
+    ConditionalPrediction,
+    ConditionalPredictor,
+    MarginalPredictor,
+    OpponentPredictor,
+)
 
 __all__ = ["DeepMF", "Predictors", "Settings", "build"]
 
@@ -39,7 +49,7 @@ class Predictors(Protocol):
         ...
 
     @property
-    def marginal(self) -> DensePredictor:
+    def marginal(self) -> MarginalPredictor:
         """The opponent's futures: phi_M."""
         ...
 
@@ -47,6 +57,28 @@ class Predictors(Protocol):
     def conditional(self) -> ConditionalPredictor:
         """The AV's futures given the opponent's: phi_C."""
         ...
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Attack:
+    """An opponent, and what is kept from one plan to the next.
+
+    Attributes:
+        last: the last plan. ready: it was made while the opponent was chosen, and not driven yet.
+    """
+
+    opponent_id: AgentId
+    constraints: tuple[Constraint, ...]
+    last: Plan | None = None
+    ready: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Av:
+    """The AV's prediction at one moment, and its futures if nobody attacks (None: not needed)."""
+
+    prediction: ConditionalPrediction
+    unattacked: Forecast | None
 
 
 class DeepMF:
@@ -62,14 +94,10 @@ class DeepMF:
         self._settings = settings
         self._predictors = predictors
         self._partner_id = partner_id
-        self._av_driver = settings.av_driver or av_driver
-        self._rng: np.random.Generator | None = None
-        self._opponent_id: AgentId | None = None
+        self._planner = (settings.av_driver or av_driver) == "planner"
+        self._objective = Objective()
         self._scores: OpponentScores | None = None
-        self._last: Plan | None = None
-        self._first: Plan | None = None  # made while the opponent was chosen
-        self._committed = False  # the last plan attacks, and was fair when it was chosen
-        self._law: Law | None = None  # with the wish for lawful attacks
+        self._attack: _Attack | None = None
         self.seconds = 0.0
 
     @property
@@ -80,148 +108,154 @@ class DeepMF:
     def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
         """Choose the opponent once, before the first plan.
 
-        Raises RunError where the settings name an opponent that is not there.
+        Raises RunError if the settings name an opponent that is not in the view.
         """
-        watch = Stopwatch()
-        self._rng = rng
-        self._first = None
-        self._begin()
-        self._opponent_id, self._scores = choose(
-            view, self._settings.opponent, self._predictors.opponent, self._partner_id, rng
+        settings, watch = self._settings, Stopwatch()
+        self._objective = Objective(
+            rule=settings.choice_rule, likelihood_weight=settings.likelihood_weight, rng=rng
+        )
+        self._attack = None
+        chosen, self._scores = choose(
+            view, settings.opponent, self._predictors.opponent, self._partner_id, rng
         )
         watch.lap("opponent")
         self.seconds += watch.seconds
-        if self._settings.tried > 1 and self._scores and self._scores.ids:
-            self._opponent_id = self._most_promising(view, self._scores)
-        return self._opponent_id
-
-    def _most_promising(self, view: View, scores: OpponentScores) -> AgentId:
-        """The highest score among those that meet the AV at least 95 % as likely as the best."""
-        settings, firsts = self._settings, {}
-        tried = highest(scores, settings.opponent, settings.tried)
-        for self._opponent_id in tried:
-            self._begin()
-            firsts[self._opponent_id] = self._plan(view), self._committed, self._law
-        mass = {agent_id: _most_mass(plan) for agent_id, (plan, *_) in firsts.items()}
-        enough = scoring.MASS_SHARE * max(mass.values())
-        best = next(agent_id for agent_id in firsts if mass[agent_id] >= enough)
-        self._first, self._committed, self._law = firsts[best]
-        return best
-
-    def _begin(self) -> None:
-        """Nothing is planned yet."""
-        self._last, self._committed = None, False
-        self._law = Law() if self._settings.lawful else None
+        if chosen is None:
+            return None
+        if settings.tried > 1 and self._scores:
+            tried = highest(self._scores, settings.opponent, settings.tried)
+            self._attack = self._most_promising(view, [self._new_attack(one) for one in tried])
+        else:
+            self._attack = self._new_attack(chosen)
+        return self._attack.opponent_id
 
     def plan(self, view: View) -> Plan | None:
-        """The opponent's next 8 s; None where the opponent or the AV is gone."""
-        if self._opponent_id not in view.history.ids or view.av_id not in view.history.ids:
+        """The opponent's next 8 s; None if the opponent or the AV is not in the view."""
+        attack, present = self._attack, view.history.ids
+        if attack is None or attack.opponent_id not in present or view.av_id not in present:
             return None
-        if self._first is not None:
-            self._last, self._first = self._first, None
-            return self._last
-        self._last = self._plan(view)
-        return self._last
+        if not attack.ready:
+            watch = Stopwatch()
+            attack.last = self._plan(view, attack, self._predict_av(view, watch), watch)
+        attack.ready = False
+        return attack.last
 
-    def _plan(self, view: View) -> Plan:
+    def _new_attack(self, opponent_id: AgentId) -> _Attack:
+        return _Attack(opponent_id=opponent_id, constraints=constraints.made(self._settings))
+
+    def _most_promising(self, view: View, attacks: Sequence[_Attack]) -> _Attack:
+        """The first of the attacks that meet the AV at least 95 % as likely as the best."""
         watch = Stopwatch()
-        alone = self._alone(view, watch)
-        own = self._proposed(view, alone, watch)
+        av, mass = self._predict_av(view, watch), {}
+        for attack in attacks:
+            attack.last, attack.ready = self._plan(view, attack, av, watch), True
+            mass[attack.opponent_id] = _most_mass(attack.last)
+            watch = Stopwatch()
+        enough = scoring.MASS_SHARE * max(mass.values())
+        return next(attack for attack in attacks if mass[attack.opponent_id] >= enough)
+
+    def _predict_av(self, view: View, watch: Stopwatch) -> _Av:
+        """What is predicted of the AV without knowing the opponent's plan."""
+        settings, conditional = self._settings, self._predictors.conditional
+        prediction = conditional.predict(view, view.av_id, planner=self._planner)
+        needed = settings.goal_candidates or settings.constrained
+        unattacked = prediction.given(None, settings.reactions)[0] if needed else None
+        watch.lap("conditional")
+        return _Av(prediction, unattacked)
+
+    def _plan(self, view: View, attack: _Attack, av: _Av, watch: Stopwatch) -> Plan:
+        """The plan for one opponent from now on."""
+        situation = Situation.of(
+            view, attack.opponent_id, self._settings.limits, av.unattacked, attack.last
+        )
+        own = self._generate(situation, attack.constraints, watch)
+        reactions = self._reactions(av, own)
+        watch.lap("conditional")
+        pairs = candidates.pairs(
+            situation,
+            own,
+            reactions,
+            sectors="sector" in self._settings.constrained,
+            severity=self._settings.aggressiveness is not None,
+        )
         watch.lap("collision")
-        reactions = self._reactions(view, own)
-        watch.lap("conditional")
-        plan = self._select(view, own, reactions, alone, watch)
+        choice, masks = self._choose(situation, attack, own, reactions, pairs, watch)
+        watch.lap("select")
         self.seconds += watch.seconds
-        return plan
+        reason = self._reason(own, reactions, pairs, choice, masks, watch)
+        return _planned(situation, own, choice, reason)
 
-    def _alone(self, view: View, watch: Stopwatch) -> Forecast | None:
-        """The AV's futures if nobody attacks; None where nothing needs them."""
-        settings = self._settings
-        if not (settings.goal_candidates or settings.fair or settings.lawful):
-            return None
-        (av,) = self._react(view, None)
-        watch.lap("conditional")
-        return av
+    def _generate(
+        self, situation: Situation, attack_constraints: Sequence[Constraint], watch: Stopwatch
+    ) -> Candidates:
+        """Drivable candidates of the opponent, with P(OV), to which reactions are predicted."""
+        settings, limits, start = self._settings, situation.limits, situation.start
+        prediction = self._predictors.marginal.predict(situation.view, situation.opponent_id)
+        modes = prediction.modes(settings.candidates)
+        count = len(modes.probability)
+        parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
+        watch.lap("marginal")
+        paths = own_paths(modes, start) if situation.unattacked else []
+        parts.append(goal_paths(situation, paths, settings.goal_candidates))
+        for constraint in attack_constraints:
+            parts += constraint.references(situation, paths)
+        if settings.keep_tail or any(one.keeps_plan for one in attack_constraints):
+            parts += candidates.tail(situation, FUTURE_STEPS)
+        watch.lap("goals")
+        references = References.joined(parts)
+        tracked = track(references.position_m, start, references.limits)
+        watch.lap("track")
+        probability = candidates.weights(modes, tracked.position_m[count:], prediction)
+        watch.lap("marginal")
+        if settings.comfort > 0.0:
+            speeds = tracked.speed_mps, start.speed_mps
+            dt_s = situation.view.dt_s
+            probability = candidates.comfortable(probability, *speeds, dt_s, settings.comfort)
+        own = candidates.ranked(references, tracked, probability, modes)
+        if settings.most_candidates is not None:
+            own = candidates.shortlisted(situation, own, settings.most_candidates)
+        watch.lap("collision")
+        return own
 
-    def _proposed(self, view: View, alone: Forecast | None, watch: Stopwatch) -> Candidates:
-        """Candidates of the opponent that reactions are predicted to."""
-        settings = self._settings
-        assert self._opponent_id is not None
-        kept = settings.keep_tail or self._committed or settings.wanted_sector is not None
-        last = self._last if kept else None
-        marginal = self._predictors.marginal
-        own = propose(view, self._opponent_id, marginal, alone, last, settings, watch)
-        return shortlisted(view, own, alone, settings)
-
-    def _reactions(self, view: View, own: Candidates) -> list[Forecast]:
+    def _reactions(self, av: _Av, own: Candidates) -> list[Forecast]:
         """The AV's futures under each candidate; without condition the same ones under all."""
         if self._settings.conditional:
-            return self._react(view, own.forecast.futures)
-        return self._react(view, None) * len(own.forecast.probability)
-
-    def _react(self, view: View, given: Futures | None) -> list[Forecast]:
-        return self._predictors.conditional.react(
-            view,
-            view.av_id,
-            given,
-            self._settings.reactions,
-            planner=self._av_driver == "planner",
-        )
-
-    def _select(
-        self,
-        view: View,
-        own: Candidates,
-        reactions: list[Forecast],
-        alone: Forecast | None,
-        watch: Stopwatch,
-    ) -> Plan:
-        """Collide all pairs within the time that is left, choose, and say why."""
-        futures = own.forecast.futures
-        pairs = constraints.pairs(
-            view, own, reactions, alone, self._settings, self._committed, self._law, watch
-        )
-        pairs, choice, unmet = self._choose(view, own, reactions, pairs)
-        self._committed = pairs.fair is not None and bool(
-            (pairs.fair & pairs.collides.any(axis=1))[choice.index]
-        )
-        watch.lap("select")
-        return Plan(
-            agent_id=futures.agent_id,
-            first_step=view.step + 1,
-            position_m=futures.position_m[choice.index],
-            heading_rad=futures.heading_rad[choice.index],
-            speed_mps=own.speed_mps[choice.index],
-            reason=self._reason(own, reactions, pairs, choice, unmet, watch),
-        )
+            return av.prediction.given(own.forecast.futures, self._settings.reactions)
+        alone = av.unattacked or av.prediction.given(None, self._settings.reactions)[0]
+        return [alone] * len(own.forecast.probability)
 
     def _choose(
-        self, view: View, own: Candidates, reactions: list[Forecast], pairs: constraints.Pairs
-    ) -> constraints.Decision:
-        """The choice; with ``fair`` the first that is fair also against what it collides with."""
-        settings, futures = self._settings, own.forecast.futures
+        self,
+        situation: Situation,
+        attack: _Attack,
+        own: Candidates,
+        reactions: Sequence[Forecast],
+        pairs: Pairs,
+        watch: Stopwatch,
+    ) -> tuple[Choice, list[Mask]]:
+        """The choice under the constraints, and what these allow."""
+        masks = []
+        for one in attack.constraints:
+            allowed = one.allowed(situation, own, reactions, pairs)
+            masks.append(Mask(one.name, one.scope, allowed))
+            watch.lap(one.name)
 
-        def verify(row: int) -> bool:
-            kept = self._committed and own.origin[row] == "tail"
-            hits = pairs.collides[row]
-            return kept or constraints.verified(view, row, futures, reactions[row], hits)
+        def confirmed(number: int, row: int) -> bool:
+            one = attack.constraints[number]
+            return one.confirmed(situation, own, reactions[row], pairs, row)
 
-        return constraints.decide(
-            pairs,
-            settings.choice_rule,
-            settings.likelihood_weight,
-            settings.wanted_sector,
-            verify,
-            self._rng,
-        )
+        choice, masks = constraints.decide(pairs, masks, self._objective, confirmed)
+        for one, mask in zip(attack.constraints, masks, strict=True):
+            one.decided(bool((mask.allowed[choice.index] & pairs.collides[choice.index]).any()))
+        return choice, masks
 
     def _reason(
         self,
         own: Candidates,
         reactions: list[Forecast],
-        pairs: constraints.Pairs,
+        pairs: Pairs,
         choice: Choice,
-        unmet: tuple[str, ...],
+        masks: Sequence[Mask],
         watch: Stopwatch,
     ) -> PlanReason:
         return PlanReason(
@@ -239,10 +273,21 @@ class DeepMF:
             origin=own.origin,
             wanted_sector=self._settings.wanted_sector,
             sector=pairs.sector,
-            fair=pairs.fair,
-            lawful=pairs.lawful,
-            unmet=unmet,
+            allowed={mask.name: mask.allowed for mask in masks},
+            unmet=choice.unmet,
         )
+
+
+def _planned(situation: Situation, own: Candidates, choice: Choice, reason: PlanReason) -> Plan:
+    futures = own.forecast.futures
+    return Plan(
+        agent_id=futures.agent_id,
+        first_step=situation.view.step + 1,
+        position_m=futures.position_m[choice.index],
+        heading_rad=futures.heading_rad[choice.index],
+        speed_mps=own.speed_mps[choice.index],
+        reason=reason,
+    )
 
 
 def _most_mass(plan: Plan) -> float:
@@ -256,5 +301,5 @@ def build(
     partner_id: AgentId | None = None,
     av_driver: AvDriver = "planner",
 ) -> DeepMF:
-    """The policy; ``partner_id`` is what ``opponent: labelled`` attacks."""
+    """The policy; ``partner_id`` is the opponent of ``opponent: labelled``."""
     return DeepMF(settings, predictors, partner_id, av_driver)

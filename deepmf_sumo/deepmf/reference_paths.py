@@ -1,17 +1,16 @@
 """Paths for candidates: along the opponent's lanes, to the AV's futures, to a side of the AV.
 
-**To a side of the AV.** An aim is a pose of the opponent beside a predicted pose of the AV, such
-that the two boxes touch in the wanted sector. As for goals, the opponent gets there along the
-nearest of its own ways, with a smooth lateral shift; but the shift may begin late, and two
-accelerations, each for half of the time, let it arrive at another speed than the AV's: from behind
-faster, from ahead slower. Of all that the limits allow, those are kept that first touch the
-predicted AV in the wanted sector.
+**To a predicted position of the AV.** Marginal modes follow the road; few of them cross the AV's
+path at the right moment. A goal is a predicted position of the AV at some time, or a point close to
+it. The opponent reaches it along the nearest path of its own modes, with a smooth lateral shift and
+the constant acceleration that arrives in time (or brakes to a stop there, and waits).
 
-**To where the AV is predicted.** Marginal modes follow the road; few of them cross the AV's way at
-the right moment. A goal is a predicted position of the AV at some time, or a point a little off it.
-The opponent reaches it along the path of that own mode which passes nearest, with a smooth lateral
-shift and with the one constant acceleration that arrives in time (or brakes to a stop there, and
-waits).
+**To a side of the AV.** An aim is a pose of the opponent beside a predicted pose of the AV, such
+that the two boxes touch in the wanted sector. As for goals, the opponent follows the nearest of its
+own paths with a smooth lateral shift; but the shift may start late, and two accelerations, each for
+half of the time, let it arrive at a speed that differs from the AV's: faster from behind, slower
+from ahead. Of all aims within the limits, those that first touch the predicted AV in the wanted
+sector are kept.
 """
 
 from dataclasses import dataclass, replace
@@ -19,26 +18,27 @@ from typing import Any
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints
-from deepmf_sumo.deepmf.candidates import Levels, collisions, impact_sectors
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Bools, Floats, Forecast, Futures, Ints
+from deepmf_sumo.deepmf.candidates import References, collisions, impact_sectors
+from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, joined
 from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 
 _PATHS = 12
-_SAME_PATH_M = 0.7  # a mode that ends this near another's path drives on it
+_SAME_PATH_M = 0.7  # a mode that ends this close to another's path follows it
 _BEYOND_M = 60.0
-_COARSE = 8  # every eighth point (0.8 s) is enough to find the nearest place on a path
+_COARSE = 8  # every eighth point (0.8 s) is enough to find the nearest point of a path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnPath:
-    """One of the opponent's own ways, continued straight for 60 m.
+    """One of the opponent's predicted paths, continued straight for 60 m.
 
     Attributes:
         points_m: (P, 2). predicted_m: length without the continuation.
         coarse_m: (Q, 2) every eighth of the points; coarse_along_m: (Q) where they are on the path.
-        sharpest: (Q) largest curvature on the way to them.
+        sharpest: (Q) largest curvature up to them.
     """
 
     points_m: Floats
@@ -49,7 +49,7 @@ class OwnPath:
 
     @classmethod
     def of(cls, points_m: Floats, heading_rad: float) -> "OwnPath":
-        """A path from points (P, 2), P >= 1, that goes on in a direction."""
+        """A path from points (P, 2), P >= 1, continued in a direction."""
         predicted = float(polylines.arc_lengths(points_m)[-1])
         points = np.concatenate([points_m, [points_m[-1] + _BEYOND_M * frames.unit(heading_rad)]])
         rows = np.unique([*range(0, len(points), _COARSE), len(points) - 2, len(points) - 1])
@@ -73,14 +73,13 @@ class OwnPath:
         return np.interp(foot.along_m, coarse_length, self.coarse_along_m), foot
 
     def curvature(self, along_m: Floats) -> Floats:
-        """Sharpest curvature on the way to arc lengths (...)."""
+        """Largest curvature up to arc lengths (...)."""
         vertex = np.searchsorted(self.coarse_along_m, along_m, side="right") - 1
-        worst: Floats = self.sharpest[np.maximum(vertex, 0)]
-        return worst
+        return self.sharpest[np.maximum(vertex, 0)]
 
 
 def own_paths(own: Forecast, start: Start) -> list[OwnPath]:
-    """The modes' distinct paths, likeliest first; modes on the same path give its longest."""
+    """The distinct paths of the modes, likeliest first; of modes on one path the longest."""
     points = [
         _moving(np.concatenate([start.position_m[None], mode]))
         for mode in joined(own.futures.position_m, start)
@@ -104,30 +103,20 @@ def own_paths(own: Forecast, start: Start) -> list[OwnPath]:
 
 def _thinned(points: Floats) -> Floats:
     """Every fourth point and the last."""
-    some: Floats = points[np.unique([*range(0, len(points), _COARSE // 2), len(points) - 1])]
-    return some
+    return points[np.unique([*range(0, len(points), _COARSE // 2), len(points) - 1])]
 
 
 def _moving(points: Floats) -> Floats:
     """Points without those that repeat their predecessor."""
     moved = np.hypot(*np.diff(points, axis=0).T) > 0.2
-    kept: Floats = points[np.concatenate([[True], moved])]
-    return kept
+    return points[np.concatenate([[True], moved])]
 
 
 _FIRST_GOAL_STEP, _GOAL_EVERY_STEPS = 7, 6  # goals at 0.8, 1.4, 2.0 ... s
 _BEYOND_COST = 0.2  # a metre past the end of a predicted path, in metres of lateral shift
-_WIDEST_GOAL_M = 8.0  # two lanes: farther sideways the path is no longer the road's
+_WIDEST_GOAL_M = 8.0  # two lanes: beyond that the path no longer follows the road
 _STEEPEST_GOAL = 0.3  # lateral shift per metre driven: a mean angle of 17 degrees
 _LENGTH_SHARE, _WIDTH_SHARE = 0.35, 0.4
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GoalPaths:
-    """K references (K, F, 2) that reach goals, and the limits (K, 3) to track each with."""
-
-    reference_m: Floats
-    limits: Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,35 +136,26 @@ class _Goals:
         return _Goals(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
-def goal_paths(
-    own: Forecast,
-    av: Forecast,
-    start: Start,
-    av_size_m: Floats,
-    limits: Limits,
-    horizon: int,
-    count: int,
-) -> GoalPaths:
-    """At most ``count`` references to goals around the AV's modes, most plausible first.
+def goal_paths(situation: Situation, paths: list[OwnPath], count: int) -> References:
+    """At most ``count`` references to goals around the unattacked AV, the most plausible first.
 
-    ``own`` are the opponent's predicted modes, ``av`` the AV's. Goals that need more than the
-    limits are dropped; those within the mild limits are tracked with these.
+    ``paths`` are the opponent's own. Goals that need more than the limits are dropped; those within
+    the mild limits are tracked with these.
     """
-    steps = own.futures.position_m.shape[1]
-    when = np.arange(_FIRST_GOAL_STEP, min(horizon, steps), _GOAL_EVERY_STEPS)
-    empty = GoalPaths(reference_m=np.empty((0, steps, 2)), limits=np.empty((0, 3)))
-    if count == 0 or len(when) == 0:
-        return empty
-    paths = own_paths(own, start)
-    goals = _chosen(_reachable_goals(_goals(paths, av, when, av_size_m), start, limits), count)
+    start, limits, av = situation.start, situation.limits, situation.unattacked
+    when = np.arange(_FIRST_GOAL_STEP, min(situation.horizon, FUTURE_STEPS), _GOAL_EVERY_STEPS)
+    if av is None or count == 0 or len(when) == 0:
+        return References.none(FUTURE_STEPS)
+    every = _goals(paths, av, when, situation.av_size_m)
+    goals = _chosen(_reachable_goals(every, start, limits), count)
     if len(goals.path) == 0:
-        return empty
+        return References.none(FUTURE_STEPS)
     mild = limits.mild()
     calm = (
         (goals.accel <= mild.accel) & (-goals.accel <= mild.brake) & (goals.lateral <= mild.lateral)
     )
     rows = np.where(calm[:, None], mild.rows(len(calm)), limits.rows(len(calm)))
-    return GoalPaths(reference_m=_goal_references(goals, paths, start, steps), limits=rows)
+    return References.of("goal", _goal_references(goals, paths, start, FUTURE_STEPS), rows)
 
 
 def _goals(paths: list[OwnPath], av: Forecast, when: Ints, av_size_m: Floats) -> _Goals:
@@ -194,7 +174,7 @@ def _goals(paths: list[OwnPath], av: Forecast, when: Ints, av_size_m: Floats) ->
     path = cost.argmin(axis=0)
     pick = path, np.arange(len(path))
     curvature = np.stack([path.curvature(row) for path, row in zip(paths, along, strict=True)])
-    # Feet before the start or past the end are no lateral shift: they cannot be reached sideways.
+    # Goals before the start or past the end of a path cannot be reached by a lateral shift.
     sideways = np.abs(np.abs(left[pick]) - distance[pick]) < 0.1
     length, width = _LENGTH_SHARE * av_size_m[0], _WIDTH_SHARE * av_size_m[1]
     spots = np.array([[0, 0], [length, 0], [-length, 0], [0, width], [0, -width]], dtype=float)
@@ -251,7 +231,7 @@ def _chosen(goals: _Goals, count: int) -> _Goals:
 
 
 def _goal_references(goals: _Goals, paths: list[OwnPath], start: Start, steps: int) -> Floats:
-    """(K, F, 2) positions of the opponent on its way to each goal and beyond."""
+    """(K, F, 2) positions of the opponent on the path to each goal and beyond."""
     reference = np.empty((len(goals.path), steps, 2))
     accel, along = goals.accel[:, None], goals.along_m[:, None]
     arrival = (goals.step[:, None] + 1) * DT_S
@@ -271,13 +251,17 @@ def _goal_references(goals: _Goals, paths: list[OwnPath], start: Start, steps: i
 
 
 _FIRST_STEP, _EVERY_STEPS = 4, 5  # aims at 0.5, 1.0, 1.5 ... s
-_ASIDE_RAD = (0.0, 0.2, -0.2)  # points of contact off the middle of the sector
-_DEEP_M = (0.15, 1.0)  # boxes that only touch do not overlap yet
-_FASTER_MPS = (-3.0, 0.0, 3.0)  # arrival speeds beside that of a constant acceleration
-_SHIFT_FROM = (0.0, 0.5)  # share of the way before the lateral shift
+_ASIDE_RAD = (0.0, 0.2, -0.2)  # contact points beside the middle of the sector
+_DEEP_M = (0.15, 1.0)  # boxes that merely touch do not overlap yet
+_FASTER_MPS = (
+    -3.0,
+    0.0,
+    3.0,
+)  # arrival speeds relative to the AV's
+_SHIFT_FROM = (0.0, 0.5)  # share of the path before the lateral shift
 _SHIFT_PEAK = 5.77  # largest second derivative of the quintic step 10u^3 - 15u^4 + 6u^5
 _WIDEST_M, _STEEPEST = 8.0, 0.35
-_TRIED = 400  # aims that are driven against the prediction
+_TRIED = 400  # aims that are tested against the prediction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -297,36 +281,25 @@ class _Aims:
         return _Aims(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
-def aimed_paths(
-    own: Forecast,
-    av: Forecast,
-    start: Start,
-    sizes_m: tuple[Floats, Floats],
-    sector: int,
-    limits: Limits,
-    horizon: int,
-    count: int,
-    levels: Levels | None = None,
-) -> GoalPaths:
-    """At most ``count`` references that first touch the predicted AV in ``sector``, best first.
+def aimed_paths(situation: Situation, paths: list[OwnPath], sector: int, count: int) -> References:
+    """At most ``count`` references that first touch the unattacked AV in ``sector``, best first.
 
-    ``sizes_m`` are (2) length and width of the opponent and of the AV. Best are those that touch
-    most of the AV's predicted mass, then those with the least effort.
+    ``paths`` are the opponent's own. Best are those that touch most of the AV's predicted mass,
+    then those with the least effort.
     """
-    steps = own.futures.position_m.shape[1]
-    when = np.arange(_FIRST_STEP, min(horizon, steps), _EVERY_STEPS)
-    none = GoalPaths(reference_m=np.empty((0, steps, 2)), limits=np.empty((0, 3)))
-    if count == 0 or len(when) == 0:
-        return none
-    paths = own_paths(own, start)
+    start, limits, av = situation.start, situation.limits, situation.unattacked
+    when = np.arange(_FIRST_STEP, min(situation.horizon, FUTURE_STEPS), _EVERY_STEPS)
+    if av is None or count == 0 or len(when) == 0:
+        return References.none(FUTURE_STEPS)
+    sizes_m = situation.size_m, situation.av_size_m
     aims = _reachable(_aims(paths, av, when, sizes_m, sector, start), paths, start, limits)
     if len(aims.path) == 0:
-        return none
-    reference = _references(aims, paths, start, steps)
-    mass = _wanted_mass(reference, start, av, sizes_m, sector, horizon, levels)
+        return References.none(FUTURE_STEPS)
+    reference = _references(aims, paths, start, FUTURE_STEPS)
+    mass = _wanted_mass(situation, av, reference, sector)
     order = np.lexsort((aims.effort, -np.round(mass, 1)))
     best = order[mass[order] > 0][:count]
-    return GoalPaths(reference_m=reference[best], limits=limits.rows(len(best)))
+    return References.of("aim", reference[best], limits.rows(len(best)))
 
 
 def _aims(
@@ -407,7 +380,7 @@ def _timed(
     chance: Floats,
     start: Start,
 ) -> _Aims:
-    """Every aim with each arrival speed and each beginning of the shift."""
+    """Every aim with each arrival speed and each start of the shift."""
     seconds = (step + 1) * DT_S
     lack = along - start.speed_mps * seconds
     steady = start.speed_mps + 2 * lack / seconds
@@ -434,7 +407,7 @@ def _timed(
 
 
 def _reachable(aims: _Aims, paths: list[OwnPath], start: Start, limits: Limits) -> _Aims:
-    """The best aims within the limits; of those within a metre in the same way only the best."""
+    """The best aims within the limits; of aims within a metre and otherwise alike only the best."""
     seconds = (aims.step + 1) * DT_S
     halfway = start.speed_mps + aims.accel * seconds / 2
     arrival = halfway + aims.then_accel * seconds / 2
@@ -471,7 +444,7 @@ def _reachable(aims: _Aims, paths: list[OwnPath], start: Start, limits: Limits) 
 
 
 def _references(aims: _Aims, paths: list[OwnPath], start: Start, steps: int) -> Floats:
-    """(K, F, 2) positions of the opponent on its way to each aim and beyond."""
+    """(K, F, 2) positions of the opponent on the path to each aim and beyond."""
     arrival = (aims.step[:, None] + 1) * DT_S
     seconds = (np.arange(steps) + 1) * DT_S
     first = np.minimum(seconds, arrival / 2)
@@ -493,24 +466,17 @@ def _references(aims: _Aims, paths: list[OwnPath], start: Start, steps: int) -> 
     return reference
 
 
-def _wanted_mass(
-    reference: Floats,
-    start: Start,
-    av: Forecast,
-    sizes_m: tuple[Floats, Floats],
-    sector: int,
-    horizon: int,
-    levels: Levels | None,
-) -> Floats:
+def _wanted_mass(situation: Situation, av: Forecast, reference: Floats, sector: int) -> Floats:
     """(K) mass of the AV's modes that each reference first touches in the sector."""
     futures = Futures(
-        agent_id="", position_m=reference, heading_rad=_headings(reference, start.heading_rad)
+        agent_id=situation.opponent_id,
+        position_m=reference,
+        heading_rad=_headings(reference, situation.start.heading_rad),
     )
-    each = [av] * len(reference)
-    _, step = collisions(futures, each, *sizes_m, horizon, levels)
+    each, sizes_m = [av] * len(reference), (situation.size_m, situation.av_size_m)
+    _, step = collisions(futures, each, *sizes_m, situation.horizon, situation.levels)
     found = impact_sectors(futures, each, *sizes_m, step)
-    mass: Floats = ((found == sector) * av.probability).sum(axis=1)
-    return mass
+    return ((found == sector) * av.probability).sum(axis=1)
 
 
 def _headings(reference: Floats, heading_rad: float) -> Floats:
@@ -521,5 +487,4 @@ def _headings(reference: Floats, heading_rad: float) -> Floats:
     last = np.maximum.accumulate(np.where(going, np.arange(going.shape[1]), -1), axis=1)
     course = np.arctan2(moved[..., 1], moved[..., 0])
     held = np.take_along_axis(course, np.maximum(last, 0), axis=1)
-    heading: Floats = np.where(last >= 0, held, heading_rad)
-    return heading
+    return np.where(last >= 0, held, heading_rad)

@@ -1,4 +1,4 @@
-"""Which candidate the opponent drives.
+"""The choice among candidates.
 
 With P_j = P(Y_j^OV), P_jk = P(Y_k^AV | Y_j^OV) and the likelihood weight w:
 
@@ -6,11 +6,11 @@ With P_j = P(Y_j^OV), P_jk = P(Y_k^AV | Y_j^OV) and the likelihood weight w:
 - ``pair`` (the paper's text): the colliding pair with the largest P_j^w * P_jk.
 - ``likeliest``: among the candidates with at least 95 % of the largest collision mass
   sum_k P_jk Coll_jk, the likeliest.
-- ``drawn``: any candidate, drawn with a chance that grows with its collision mass; no attack to
+- ``drawn``: a random candidate, with a chance that grows with its collision mass; not an attack to
   report, but attacks of all kinds to learn the AV's reactions from.
 - a `Balance` (``aggressiveness``) in place of a rule: see there.
 - no pair collides: the pair with the largest P_j * P_jk (the paper's text), rule ``fallback``.
-- steering leaves only some of the colliding pairs: sums and maxima run over these alone.
+- constraints exclude some of the colliding pairs: sums and maxima run over the others alone.
 
 Equal values: the earlier collision, then the larger P_j, then the lower index.
 """
@@ -25,9 +25,9 @@ from deepmf_sumo.datatypes import Bools, Floats, Ints
 Rule = Literal["expected", "pair", "likeliest", "drawn"]
 
 MASS_SHARE: Final = 0.95
-"""Of the largest collision mass: what has at least so much is as good."""
-_DRAWN_ANYWAY = 0.05  # added to the collision mass: candidates that miss are of use, too
-_EQUAL = 1e-9  # relative: closer values differ by rounding alone
+"""Candidates with at least this share of the largest collision mass count as equally good."""
+_DRAWN_ANYWAY = 0.05  # added to the collision mass: candidates that miss are useful, too
+_EQUAL = 1e-9  # relative: smaller differences are rounding errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,86 +45,122 @@ class Balance:
 
     @classmethod
     def at(cls, aggressiveness: float) -> Self:
-        """0: the likeliest, whatever comes of it; 0.5: the rule ``likeliest``; 1: the severest."""
+        """0: the likeliest, even if it misses; 0.5: the rule ``likeliest``; 1: the severest."""
         return cls(
             mass_share=MASS_SHARE * min(1.0, 2 * aggressiveness),
             severity_share=max(0.0, 2 * aggressiveness - 1.0),
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Objective:
+    """How a candidate is chosen; ``drawn`` needs the generator."""
+
+    rule: Rule | Balance = "expected"
+    likelihood_weight: float = 1.0
+    rng: np.random.Generator | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pairs:
+    """N1 candidates with P_j and N2 reactions each with P_jk, and how they collide.
+
+    Attributes:
+        probability: (N1). reaction_probability, collides, collision_step: (N1, N2), the last two as
+            from `candidates.collisions`.
+        sector: (N1, N2) in which the AV is hit; None if no sector is wanted.
+        severity: (N1, N2) delta-v of the AV; None if nothing depends on it.
+    """
+
+    probability: Floats
+    reaction_probability: Floats
+    collides: Bools
+    collision_step: Floats
+    sector: Ints | None = None
+    severity: Floats | None = None
+
+    def among(self, rows: Ints) -> "Pairs":
+        """Only these candidates (K)."""
+        return Pairs(
+            probability=self.probability[rows],
+            reaction_probability=self.reaction_probability[rows],
+            collides=self.collides[rows],
+            collision_step=self.collision_step[rows],
+            sector=None if self.sector is None else self.sector[rows],
+            severity=None if self.severity is None else self.severity[rows],
+        )
+
+    @property
+    def mass(self) -> Floats:
+        """(N1) probability that the AV collides with each candidate."""
+        return (self.reaction_probability * self.collides).sum(axis=1)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """The chosen candidate, the rule that chose it, and (N1) values of the rule and of Eq. 5."""
+    """The chosen candidate, the rule that chose it, and (N1) values of the rule and of Eq. 5.
+
+    ``unmet``: names of the constraints that were given up.
+    """
 
     index: int
     rule: str
     value: Floats
     product: Floats
+    unmet: tuple[str, ...] = ()
 
-    def among(self, rows: Ints, count: int) -> "Choice":
-        """Of all ``count`` candidates, where it was made among those in ``rows`` (K)."""
+    def of_all(self, rows: Ints, count: int) -> "Choice":
+        """The same choice with indices of all ``count`` candidates; it was made among ``rows``."""
         value, product = np.zeros(count), np.zeros(count)
         value[rows], product[rows] = self.value, self.product
         return replace(self, index=int(rows[self.index]), value=value, product=product)
 
 
 def choose(
-    probability: Floats,
-    reaction_probability: Floats,
-    collides: Bools,
-    collision_step: Floats,
-    rule: Rule | Balance,
-    likelihood_weight: float = 1.0,
+    pairs: Pairs,
+    objective: Objective,
     *,
     counted: Bools | None = None,
     barred: Bools | None = None,
-    severity: Floats | None = None,
-    rng: np.random.Generator | None = None,
 ) -> Choice:
-    """Choose among N1 candidates with P_j (N1) and P_jk (N1, N2).
+    """Choose among N1 candidates.
 
-    ``collides`` and ``collision_step`` (N1, N2) are as from `candidates.collisions`; of the
-    colliding pairs those ``counted`` (N1, N2) are wanted, by default all; candidates ``barred``
-    (N1) are not taken. A `Balance` needs the ``severity`` (N1, N2) of collisions, ``drawn`` a
-    generator.
+    Of the colliding pairs those ``counted`` (N1, N2) are wanted, by default all; candidates
+    ``barred`` (N1) are not chosen. A `Balance` needs ``pairs.severity``.
     """
-    counted = collides if counted is None else counted
-    colliding = reaction_probability * counted
+    rule, probability = objective.rule, pairs.probability
+    counted = pairs.collides if counted is None else counted
+    colliding = pairs.reaction_probability * counted
     mass = colliding.sum(axis=1)
-    product = probability * (reaction_probability * collides).sum(axis=1)
     if rule == "drawn":
-        assert rng is not None
-        value, used = _drawn(mass, barred, rng), "drawn"
-    elif counted.any():
-        used = "aggressiveness" if isinstance(rule, Balance) else str(rule)
-        if isinstance(rule, Balance):
-            value = _balanced(rule, probability, colliding, mass, severity)
-        else:
-            value = _value(rule, probability, probability**likelihood_weight, colliding, mass)
+        assert objective.rng is not None
+        value, used = _drawn(mass, barred, objective.rng), "drawn"
+    elif not counted.any():
+        value, used = probability * pairs.reaction_probability.max(axis=1), "fallback"
+    elif isinstance(rule, Balance):
+        value = _balanced(rule, probability, colliding, mass, pairs.severity)
+        used = "aggressiveness"
     else:
-        value = probability * reaction_probability.max(axis=1)
-        used = "fallback"
+        weighted = probability**objective.likelihood_weight
+        value, used = _value(rule, probability, weighted, colliding, mass), str(rule)
     if barred is not None:
         value = np.where(barred, 0.0, value)
-    first_step = (
-        collision_step if counted is collides else np.where(counted, collision_step, np.inf)
-    )
+    step = pairs.collision_step
+    first_step = step if counted is pairs.collides else np.where(counted, step, np.inf)
     index = _best(value, first_step.min(axis=1), probability)
-    return Choice(index=index, rule=used, value=value, product=product)
+    return Choice(index=index, rule=used, value=value, product=probability * pairs.mass)
 
 
-def harmless(
-    probability: Floats, reaction_probability: Floats, collides: Bools, collision_step: Floats
-) -> Choice:
-    """The likeliest candidate that meets the AV in no reaction; else the one that does least."""
-    mass = (reaction_probability * collides).sum(axis=1)
-    value = np.where(mass <= mass.min() + _EQUAL, probability, 0.0)
-    index = _best(value, -collision_step.min(axis=1), probability)
-    return Choice(index=index, rule="nothing fair", value=value, product=probability * mass)
+def harmless(pairs: Pairs, rule: str) -> Choice:
+    """The likeliest candidate that meets the AV in no reaction; else that with the least mass."""
+    mass = pairs.mass
+    value = np.where(mass <= mass.min() + _EQUAL, pairs.probability, 0.0)
+    index = _best(value, -pairs.collision_step.min(axis=1), pairs.probability)
+    return Choice(index=index, rule=rule, value=value, product=pairs.probability * mass)
 
 
 def _drawn(mass: Floats, barred: Bools | None, rng: np.random.Generator) -> Floats:
-    """(N1) 1 for the candidate that was drawn among those that are not barred, else 0."""
+    """(N1) 1 for the candidate drawn among those that are not barred, else 0."""
     chance = mass + _DRAWN_ANYWAY
     if barred is not None:
         chance = np.where(barred, 0.0, chance)
@@ -136,14 +172,11 @@ def _drawn(mass: Floats, barred: Bools | None, rng: np.random.Generator) -> Floa
 def _value(
     rule: Rule, probability: Floats, weighted: Floats, colliding: Floats, mass: Floats
 ) -> Floats:
-    value: Floats
     if rule == "expected":
-        value = weighted * mass
-    elif rule == "pair":
-        value = weighted * colliding.max(axis=1)
-    else:
-        value = np.where(mass >= MASS_SHARE * mass.max(), probability, 0.0)
-    return value
+        return weighted * mass
+    if rule == "pair":
+        return weighted * colliding.max(axis=1)
+    return np.where(mass >= MASS_SHARE * mass.max(), probability, 0.0)
 
 
 def _balanced(
@@ -154,8 +187,7 @@ def _balanced(
         assert severity is not None
         expected = (colliding * severity).sum(axis=1) / np.maximum(mass, _EQUAL)
         value = value * expected**balance.severity_share
-    chosen: Floats = np.where(mass >= balance.mass_share * mass.max(), value, 0.0)
-    return chosen
+    return np.where(mass >= balance.mass_share * mass.max(), value, 0.0)
 
 
 def _best(value: Floats, first_step: Floats, probability: Floats) -> int:

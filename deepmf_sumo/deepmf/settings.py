@@ -1,14 +1,21 @@
 """How DeepMF attacks: the keys of ``adversary: {name: deepmf, ...}``."""
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import DT_S, AvDriver
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.scoring import Balance, Rule
 from deepmf_sumo.deepmf.tracking import Limits
+from deepmf_sumo.errors import nearest
 from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.predictors.base import MOST_MODES
 from deepmf_sumo.spec import VERSIONS
@@ -17,9 +24,9 @@ SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
 ]
 LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
-"""Of what an opponent drives, where the settings say nothing: the same for all aimed methods."""
+"""Default limits of what an opponent drives: the same for all aimed methods."""
 _RANKED = frozenset({"argmax", "partner"})
-"""Opponents that a score puts in an order."""
+"""Choices of the opponent that rank vehicles by a score."""
 _TRIED = 3
 _COMFORT = 1.0
 
@@ -27,8 +34,8 @@ _COMFORT = 1.0
 class Settings(plugins.Settings):
     """How DeepMF attacks.
 
-    The paper's own form is ``tried_opponents: 1, goal_candidates: 0, reactions: 6``; by default it
-    is given more to choose from, at the same cost.
+    The paper's own form is ``tried_opponents: 1, goal_candidates: 0, reactions: 6``; the defaults
+    give it more to choose from, at the same cost.
 
     Attributes:
         version: the paper's name of a period: G (one plan), S4, S2, S1.
@@ -36,39 +43,40 @@ class Settings(plugins.Settings):
         opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
             trained on labelled partners; ``labelled``: the partner that the recording names; else
             the id of a vehicle.
-        tried_opponents: a first plan is made for so many vehicles with the highest scores; of those
-            that have a candidate with at least 95 % of the largest collision mass the highest score
-            attacks, for a vehicle that interacts need not be one that can reach the AV. 1 as
-            published. More go with ``argmax`` and ``partner`` alone; null is 3 with these, else 1.
+        tried_opponents: number of top-scored vehicles to make a first plan for. The highest-scored
+            one whose best candidate has at least 95 % of the largest collision mass attacks: a
+            vehicle that interacts with the AV need not be able to reach it. 1 as published; more
+            only with ``argmax`` and ``partner``. Null: 3 with these, else 1.
         rule: see `deepmf.scoring`.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
         comfort_weight: P(OV) falls with the mean square acceleration, see
-            `deepmf.candidates`, s4/m2. Null: 1 where the likeliest of what serves is wanted
-            (``likeliest``, ``aggressiveness``), 0, as published, in the paper's product.
+            `deepmf.candidates`, s4/m2. Null: 1 for the choices of the likeliest (``likeliest``,
+            ``aggressiveness``), 0, as published, in the paper's product.
         candidates: modes of the opponent (N1).
-        goal_candidates: at most so many ways to goals around the AV's predicted positions besides
-            (0 as published).
-        shortlist: the AV's reactions are predicted to at most so many candidates: those most likely
-            to meet its futures if nobody attacks, then the likeliest. Null: to all, as with
-            ``sector``, ``fair`` and ``lawful``, which may leave few.
+        goal_candidates: maximum number of further candidates that end near the AV's predicted
+            positions (0 as published).
+        shortlist: maximum number of candidates to which the AV's reactions are predicted: those
+            most likely to meet the unattacked AV, then the likeliest. Null: all, as always with
+            constraints, which may leave few.
         reactions: modes of the AV (N2); 6 as published.
         av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
-            null takes what the AV's planner is (``human`` for ``replay``).
-        conditional: False predicts the AV as if it knew nothing of the opponent's future, by the
-            same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to see what that is worth.
+            null follows the AV's planner (``human`` for ``replay``).
+        conditional: False predicts the AV as if it knew nothing of the opponent's future, with the
+            same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to measure its effect.
         accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
         keep_tail: the rest of the last plan is a candidate too.
         sector: the side of the AV to hit: 0 (front) to 7, counter-clockwise in steps of 45 degrees,
             or a name of `geometry.impact.SECTORS`. Only pairs that first touch there count;
-            ways are made that lead there. Null: any side.
-        aggressiveness: from 0 (the likeliest future, whatever comes of it) to 1 (the most
+            candidates that do so are added. Null: any side.
+        aggressiveness: from 0 (the likeliest future, even if it misses) to 1 (the most
             dangerous), in place of ``rule`` and ``likelihood_weight``: see
             `deepmf.scoring.Balance`. 0.5 is the rule ``likeliest``; the limits are
             multiplied by 2^(aggressiveness - 0.5). Null: the rule decides.
         fair: only candidates that a competent driver in the AV's place could avoid
-            (`avoidability.grading`), when they are chosen first; without one nobody is attacked.
-        lawful: only candidates that break no rule of the road (`deepmf.traffic_rules`); without
-            one that meets the AV nobody is attacked.
+            (`avoidability.grading`) at the time of the choice; if there are none, no attack.
+        lawful: only candidates that break no traffic rule (`deepmf.traffic_rules`); if none of
+            them meets the AV, no attack.
+        constraints: names of further constraints, see `deepmf.constraints`.
     """
 
     version: Literal["G", "S4", "S2", "S1"] | None = None
@@ -92,10 +100,11 @@ class Settings(plugins.Settings):
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
     fair: bool = False
     lawful: bool = False
+    constraints: tuple[str, ...] = Field(default=(), strict=False)
 
     @property
     def takes_turns(self) -> bool:
-        """Whether one opponent can follow another in an episode: scores choose, no name does."""
+        """Whether one opponent can follow another in an episode: they are chosen by score."""
         return self.opponent in SCORED
 
     @model_validator(mode="after")
@@ -104,7 +113,7 @@ class Settings(plugins.Settings):
         if both and self.period_s != VERSIONS[str(self.version)]:
             raise ValueError(f"version {self.version} and period_s {self.period_s} disagree")
         if self.period_s is not None and abs(self.period_s / DT_S % 1 - 0.5) < 0.499:
-            raise ValueError(f"period_s {self.period_s} is no multiple of {DT_S} s")
+            raise ValueError(f"period_s {self.period_s} is not a multiple of {DT_S} s")
         return self
 
     @model_validator(mode="after")
@@ -123,6 +132,35 @@ class Settings(plugins.Settings):
             )
         return self
 
+    @field_validator("constraints")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        # Constraints are made from settings, so these cannot import them before.
+        from deepmf_sumo.deepmf.constraints import CONSTRAINTS
+
+        known = [one.name for one in CONSTRAINTS if one.name != "sector"]
+        for name in names:
+            if name not in known:
+                raise ValueError(
+                    f"there is no constraint '{name}'.{nearest(name, known)}"
+                    f" Known: {', '.join(known)}"
+                )
+        return names
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Results name further constraints only if there are any."""
+        values: dict[str, Any] = handler(self)
+        if not self.constraints:
+            del values["constraints"]
+        return values
+
+    @property
+    def constrained(self) -> frozenset[str]:
+        """Names of the constraints on the choice."""
+        own = {"lawful": self.lawful, "fair": self.fair, "sector": self.sector is not None}
+        return frozenset({*(name for name, wanted in own.items() if wanted), *self.constraints})
+
     @property
     def period_steps(self) -> int | None:
         """Steps between plans; None plans once."""
@@ -131,14 +169,13 @@ class Settings(plugins.Settings):
 
     @property
     def tried(self) -> int:
-        """Opponents that a first plan is made for."""
+        """Number of opponents to make a first plan for."""
         return self.tried_opponents or (_TRIED if self.opponent in _RANKED else 1)
 
     @property
     def most_candidates(self) -> int | None:
-        """Of which the AV's reactions are predicted; None for all."""
-        steered = self.wanted_sector is not None or self.fair or self.lawful
-        return None if steered else self.shortlist
+        """Maximum number of candidates to which the AV's reactions are predicted; None: all."""
+        return None if self.constrained else self.shortlist
 
     @property
     def comfort(self) -> float:
@@ -160,10 +197,10 @@ class Settings(plugins.Settings):
 
     @property
     def choice_rule(self) -> Rule | Balance:
-        """What chooses among the candidates."""
+        """The rule by which a candidate is chosen."""
         return self.rule if self.aggressiveness is None else Balance.at(self.aggressiveness)
 
     @property
     def wanted_sector(self) -> int | None:
-        """0..7; None where any will do."""
+        """0..7; None for any."""
         return SECTORS.index(self.sector) if isinstance(self.sector, str) else self.sector

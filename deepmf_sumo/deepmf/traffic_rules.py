@@ -25,28 +25,27 @@ import numpy as np
 
 from deepmf_sumo.datatypes import (
     DT_S,
+    FUTURE_STEPS,
     AgentId,
     Bools,
     Floats,
-    Forecast,
-    Futures,
     Lane,
     SignalState,
     View,
 )
-from deepmf_sumo.deepmf.candidates import References
+from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.lane_assignment import (
     EVERY_STEPS,
     OFF,
     PACE_S,
-    Driven,
-    Ways,
+    LaneAssignment,
+    LaneFutures,
     lanes_at,
     on_lane,
     width_m,
 )
-from deepmf_sumo.deepmf.reference_paths import own_paths
-from deepmf_sumo.deepmf.tracking import Limits, Start
+from deepmf_sumo.deepmf.reference_paths import OwnPath
+from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear
 
@@ -78,7 +77,7 @@ class Line(NamedTuple):
     sign: bool
     brake_mps2: float
 
-    def crossed(self, driven: Driven) -> Bools:
+    def crossed(self, driven: LaneFutures) -> Bools:
         """(N) futures whose front comes over it; those that stand before a sign may."""
         front = driven.position_m + frames.unit(driven.heading_rad) * driven.size_m[0] / 2
         local = frames.to_local(front, self.point_m, self.heading_rad)
@@ -92,11 +91,11 @@ class Line(NamedTuple):
         stands = np.asarray((waiting & (driven.speed_mps < _STOP_MPS)).any(axis=1))
         return crossed & ~stands
 
-    def stood(self, driven: Driven, slowest_mps: float) -> bool:
+    def stood(self, driven: LaneFutures, slowest_mps: float) -> bool:
         """Whether who was so slow just now stood before the sign; at lights that does not count."""
         return self.sign and self.before_m(driven) < _STOP_ZONE_M and slowest_mps < _STOP_MPS
 
-    def before_m(self, driven: Driven) -> float:
+    def before_m(self, driven: LaneFutures) -> float:
         """How far the front is before the line now; negative beyond it."""
         start = driven.start
         front = start.position_m + frames.unit(start.heading_rad) * driven.size_m[0] / 2
@@ -104,7 +103,7 @@ class Line(NamedTuple):
         return -float(ahead) if ahead > 0 else float(np.hypot(ahead, left))
 
 
-def stop_lines(view: View, ways: Ways) -> list[Line]:
+def stop_lines(view: View, ways: LaneAssignment) -> list[Line]:
     """Lines where one has to stop now on the lanes ahead: at lights, and of stop signs.
 
     A light's line is where the lane behind it begins.
@@ -124,13 +123,13 @@ def stop_lines(view: View, ways: Ways) -> list[Line]:
     return lines
 
 
-def stops(modes: Forecast, start: Start, limits: Limits) -> References:
-    """Ways to stop along each of the opponent's own paths, gently to firmly."""
-    steps = modes.futures.position_m.shape[1]
-    seconds = (np.arange(steps) + 1) * DT_S
+def stops(situation: Situation, paths: list[OwnPath]) -> References:
+    """References that stop along each of the opponent's own paths, gently to firmly."""
+    start, limits = situation.start, situation.limits
+    seconds = (np.arange(FUTURE_STEPS) + 1) * DT_S
     brakes = [one for one in _STOPS_MPS2 if one < limits.brake] + [limits.brake]
     found = []
-    for path in own_paths(modes, start):
+    for path in paths:
         for brake in brakes:
             busy = np.minimum(seconds, start.speed_mps / brake)
             driven = start.speed_mps * busy - brake * busy**2 / 2
@@ -148,13 +147,13 @@ _SAME_WAY = 0.7  # cosine: within 45 degrees
 _SLOWING_S = 0.4
 
 
-def off_lanes(driven: Driven) -> Bools:
+def off_lanes(driven: LaneFutures) -> Bools:
     """Somewhere on none of the lanes that lead on from its own."""
     off: Bools = np.asarray((driven.ways.nearest == OFF).any(axis=1))
     return off
 
 
-def speeds(driven: Driven) -> Bools:
+def speeds(driven: LaneFutures) -> Bools:
     """Faster than the lane allows, and than now."""
     limits = np.array([lane.speed_limit_mps or np.inf for lane in driven.ways.lanes])
     allowed = np.maximum(_FASTER * limits[driven.ways.nearest], driven.start.speed_mps)
@@ -162,7 +161,7 @@ def speeds(driven: Driven) -> Bools:
     return too_fast
 
 
-def takes_way(view: View, driven: Driven) -> Bools:
+def takes_way(view: View, driven: LaneFutures) -> Bools:
     """On a link that gives way to the AV's, in front of the AV; not where the AV's light is red."""
     takes = np.zeros(len(driven.position_m), bool)
     for row, lane in enumerate(driven.ways.lanes):
@@ -178,7 +177,7 @@ def takes_way(view: View, driven: Driven) -> Bools:
     return takes
 
 
-def through(view: View, driven: Driven) -> Bools:
+def through(view: View, driven: LaneFutures) -> Bools:
     """(L) lanes inside a junction at whose end nobody has to be waited for.
 
     None where the map tells no right of way: there anybody may have to be waited for.
@@ -193,7 +192,7 @@ def through(view: View, driven: Driven) -> Bools:
     return np.array(free, bool)
 
 
-def blocks(driven: Driven, free: Bools, so_far_mps: float) -> Bools:
+def blocks(driven: LaneFutures, free: Bools, so_far_mps: float) -> Bools:
     """Slows down to less than half inside a junction that it could be through.
 
     ``free``: as of `through`; ``so_far_mps``: its highest speed there until now.
@@ -205,7 +204,7 @@ def blocks(driven: Driven, free: Bools, so_far_mps: float) -> Bools:
     return broken
 
 
-def cuts_in(driven: Driven, collision_step: Floats) -> Bools:
+def cuts_in(driven: LaneFutures, collision_step: Floats) -> Bools:
     """Leaves its lane right before the AV, or is out of it where it touches the AV."""
     ways = driven.ways
     rows = np.flatnonzero(ways.straight)
@@ -221,7 +220,7 @@ def cuts_in(driven: Driven, collision_step: Floats) -> Bools:
     return broken
 
 
-def hinders(view: View, driven: Driven, collides: Bools, halts: bool) -> Bools:
+def hinders(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bools:
     """Comes too near to the AV ahead in its lane, or brakes before the AV without a cause.
 
     ``collides`` (N): the future touches the AV in one of its reactions; ``halts``: a line makes the
@@ -244,7 +243,7 @@ def hinders(view: View, driven: Driven, collides: Bools, halts: bool) -> Bools:
     return broken
 
 
-def _follows(view: View, driven: Driven) -> bool:
+def _follows(view: View, driven: LaneFutures) -> bool:
     """Whether the AV is ahead in the opponent's lane, or one that it leads to."""
     row = view.history.row(view.av_id)
     position = view.history.position_m[row, -1]
@@ -256,7 +255,7 @@ def _follows(view: View, driven: Driven) -> bool:
     return bool(shared) and frames.to_local(position, start.position_m, start.heading_rad)[0] > 0
 
 
-def _leads(driven: Driven) -> bool:
+def _leads(driven: LaneFutures) -> bool:
     """Whether the AV goes, behind, where the opponent is now."""
     start = driven.start
     hit = boxes.overlap(
@@ -273,52 +272,42 @@ def _leads(driven: Driven) -> bool:
 
 @dataclass(slots=True)
 class Law:
-    """Remembers who could have stopped at a line: until its light lets go, that is owed.
+    """The traffic rules for one attack, with what earlier plans saw of the opponent.
 
-    Without that memory an opponent could approach a red light until it is too late to stop. And who
-    stood before a sign: it may drive on, also where a plan is made before it is over the line. And
-    how fast an opponent came into a junction: else it could halve its speed with each plan.
+    It remembers at which lines the opponent was still able to stop: it must stop there until the
+    light turns green, or it could approach a red light until it is too late. It remembers that the
+    opponent stood before a sign: it may drive on, even if a plan is made before it is over the
+    line. And it remembers how fast the opponent came into a junction: else each plan could halve
+    its speed.
     """
 
     _owed: set[tuple[AgentId, str]] = field(default_factory=set)
     _stood: set[tuple[AgentId, str]] = field(default_factory=set)
     _inside_mps: dict[AgentId, float] = field(default_factory=dict)
 
-    def lawful(
-        self,
-        view: View,
-        futures: Futures,
-        speed_mps: Floats,
-        alone: Forecast,
-        collision_step: Floats,
-    ) -> Bools:
-        """(N) futures that break no rule.
+    def lawful(self, situation: Situation, own: Candidates, collision_step: Floats) -> Bools:
+        """(N) candidates that break no rule; the situation needs the unattacked AV.
 
-        Args:
-            view: the present.
-            futures: N of the opponent, as it would drive them.
-            speed_mps: (N, F) of them.
-            alone: the AV's futures if nobody attacks.
-            collision_step: (N, M) at which each first touches the AV in each of its M reactions; F
-                where it does not.
+        ``collision_step`` (N, M): first touch of each candidate and each of M reactions; F without.
         """
-        driven = Driven.of(view, futures, speed_mps, alone)
+        view, agent_id = situation.view, situation.opponent_id
+        driven = LaneFutures.of(situation, own)
         if not driven.ways.begins.any():
-            return np.ones(len(futures.position_m), bool)
+            return np.ones(len(own.speed_mps), bool)
         self._forget(view)
-        touches = np.asarray((collision_step < speed_mps.shape[1]).any(axis=1))
-        halts, over_line = self._lines(view, futures.agent_id, driven)
+        touches = (collision_step < own.speed_mps.shape[1]).any(axis=1)
+        halts, over_line = self._lines(view, agent_id, driven)
         return ~(
             over_line
             | off_lanes(driven)
             | speeds(driven)
             | takes_way(view, driven)
             | cuts_in(driven, collision_step)
-            | self._blocks(view, futures.agent_id, driven)
+            | self._blocks(view, agent_id, driven)
             | hinders(view, driven, touches, halts)
         )
 
-    def _lines(self, view: View, agent_id: AgentId, driven: Driven) -> tuple[bool, Bools]:
+    def _lines(self, view: View, agent_id: AgentId, driven: LaneFutures) -> tuple[bool, Bools]:
         """Whether a line makes the opponent stop, and (N) futures that drive over one."""
         over, halts = np.zeros(len(driven.position_m), bool), False
         row = view.history.row(agent_id)
@@ -337,7 +326,7 @@ class Law:
                     over |= line.crossed(driven)
         return halts, over
 
-    def _blocks(self, view: View, agent_id: AgentId, driven: Driven) -> Bools:
+    def _blocks(self, view: View, agent_id: AgentId, driven: LaneFutures) -> Bools:
         """(N) futures that slow down inside a junction without a cause."""
         free = through(view, driven)
         fastest = 0.0

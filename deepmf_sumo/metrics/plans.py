@@ -59,11 +59,7 @@ def unmet_wishes(episode: Episode) -> float:
     """Share of the plans in which no candidate hits the wanted sector, or none that meets the AV is
     fair, or lawful.
     """
-    wished = [
-        reason
-        for reason in _reasons(episode.rollout)
-        if any(wish is not None for wish in (reason.wanted_sector, reason.fair, reason.lawful))
-    ]
+    wished = [reason for reason in _reasons(episode.rollout) if reason.allowed]
     if not wished:
         raise NotMeasurable("the attack has no wishes, or nothing was planned")
     return sum(bool(reason.unmet) for reason in wished) / len(wished)

@@ -1,12 +1,15 @@
-"""What a predictor is: view -> forecast."""
+"""What a predictor is: view -> prediction.
 
-from collections.abc import Sequence
+A prediction contains everything that the networks compute of a view. Callers that ask several
+questions about one moment keep it and pass it on; predictors themselves keep nothing.
+"""
+
 from typing import Final, Protocol
 
-from deepmf_sumo.datatypes import AgentId, Forecast, Futures, OpponentScores, View
+from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, OpponentScores, View
 
 MOST_MODES: Final = 96
-"""Of one forecast. A vehicle far from all lanes has five paths, with 24 goals each by default."""
+"""In one forecast: a vehicle far from all lanes has five paths with 24 goals each by default."""
 
 
 class OpponentPredictor(Protocol):
@@ -17,28 +20,39 @@ class OpponentPredictor(Protocol):
         ...
 
 
-class MarginalPredictor(Protocol):
-    """phi_M(X): futures of agents (paper, section IV-C1)."""
+class Prediction(Protocol):
+    """Where an agent may go from one moment on: computed once, then queried."""
 
-    def predict(self, view: View, agent_ids: Sequence[AgentId], modes: int) -> list[Forecast]:
-        """One forecast per agent, ``modes`` futures of 80 steps each."""
+    def modes(self, count: int) -> Forecast:
+        """The forecast with ``count`` futures of 80 steps each, most likely first."""
+        ...
+
+    def log_density(self, position_m: Floats) -> Floats:
+        """(K) log density of futures (K, 80, 2); comparable within this prediction."""
+        ...
+
+
+class MarginalPredictor(Protocol):
+    """phi_M(X): futures of an agent (paper, section IV-C1)."""
+
+    def predict(self, view: View, agent_id: AgentId) -> Prediction:
+        """The prediction for an agent of the view."""
+        ...
+
+
+class ConditionalPrediction(Protocol):
+    """Where an agent may go from one moment on, as a function of another agent's future."""
+
+    def given(self, futures: Futures | None, modes: int) -> list[Forecast]:
+        """One forecast for each given future of the other agent; one without condition for None."""
         ...
 
 
 class ConditionalPredictor(Protocol):
     """phi_C(X, Y_OV): futures of an agent given another's future (paper, section IV-C2)."""
 
-    def react(
-        self,
-        view: View,
-        agent_id: AgentId,
-        given: Futures | None,
-        modes: int,
-        *,
-        planner: bool = False,
-    ) -> list[Forecast]:
-        """One forecast of ``agent_id`` per given future of the other agent; one for None.
-
-        ``planner`` says that an automated planner drives the agent, and not a person.
-        """
+    def predict(
+        self, view: View, agent_id: AgentId, *, planner: bool = False
+    ) -> ConditionalPrediction:
+        """The prediction for an agent; ``planner``: an automated planner drives it."""
         ...

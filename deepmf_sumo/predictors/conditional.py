@@ -13,21 +13,58 @@ from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.marginal import Marginal
 
 _SHORTLIST = 64
-"""Goals of each reaction that may become modes: half of the time of choosing among all."""
+"""Goals of each reaction that may become modes: this halves the time to choose them."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Known:
-    """What does not depend on the given futures.
+@dataclass(frozen=True, slots=True, eq=False)
+class ConditionalPrediction:
+    """One agent at one moment: what does not depend on the given futures.
 
     Attributes:
-        encoding: of the scene. gain: what is added to the logits.
-        alone: goals under no future, without the gain, where that was computed from them.
+        encoding: of the scene. gain: added to the logits (see `decoding.gain`).
+        alone: goals without condition and without the gain, if the gain was computed from them.
+        temperature: of the probabilities.
     """
 
+    pose: Pose
+    net: DenseTNT
     encoding: Encoding
-    gain: Tensor | float = 0.0
-    alone: Goals | None = None
+    gain: Tensor | float
+    alone: Goals | None
+    temperature: float
+
+    @torch.inference_mode()
+    def given(
+        self, futures: Futures | None, modes: int, *, chosen_at: int | None = None
+    ) -> list[Forecast]:
+        """One forecast for each given future (K, 80, 2) of the other agent.
+
+        For None the one forecast without condition. Modes are chosen to cover where the agent may
+        be at 8 s, or at the step ``chosen_at`` (0 to 79).
+        """
+        return decoding.forecasts(
+            self._goals(futures),
+            self.pose,
+            modes,
+            self.temperature,
+            shortlist=_SHORTLIST,
+            chosen_at=chosen_at,
+        )
+
+    @torch.inference_mode()
+    def end_density(self, futures: Futures | None, ends_m: Floats, kernel_m: float) -> Floats:
+        """(Q) under the first given future, see `decoding.end_density`."""
+        return decoding.end_density(self._goals(futures), self.pose, ends_m, kernel_m)
+
+    def _goals(self, futures: Futures | None) -> Goals:
+        if futures is None:
+            goals = self.alone or self.net.decode(self.encoding, None)
+        else:
+            position, heading = decoding.to_pose(self.pose, futures)
+            there = torch.ones(1, position.shape[1])
+            future = conditioning.encode(position, heading, there, self.net.preset)
+            goals = self.net.decode(self.encoding, future)
+        return replace(goals, logits=goals.logits + self.gain)
 
 
 class Conditional:
@@ -36,9 +73,9 @@ class Conditional:
     Args:
         net: made with ``conditional=True``, in evaluation mode.
         temperature: of the probabilities.
-        marginal: what it knows of people counts too, see `second_opinion`. It has not seen
-            planners drive, so of them it is not asked.
-        share: weight of what ``marginal`` knows.
+        marginal: prior for human drivers (product of experts, see `decoding.gain`). Not used for
+            planners, which it was not trained on.
+        share: weight of the prior.
     """
 
     def __init__(
@@ -53,72 +90,23 @@ class Conditional:
         self.temperature = temperature
         self.marginal = marginal
         self.share = share
-        self._last: tuple[View, tuple[AgentId, bool], _Known] | None = None
 
     @torch.inference_mode()
-    def react(
-        self,
-        view: View,
-        agent_id: AgentId,
-        given: Futures | None,
-        modes: int,
-        *,
-        planner: bool = False,
-        chosen_at: int | None = None,
-    ) -> list[Forecast]:
-        """One forecast of ``agent_id`` per given future (K, 80, 2) of the other agent.
+    def predict(
+        self, view: View, agent_id: AgentId, *, planner: bool = False
+    ) -> ConditionalPrediction:
+        """The prediction for an agent. Raises KeyError if it is not in view.
 
-        With ``given=None`` the one forecast without condition. ``planner``: an automated planner
-        drives the agent. Modes are chosen to cover where it may be at 8 s, or at the step
-        ``chosen_at`` (0 to 79). Raises KeyError for an agent that is not in view.
+        ``planner``: an automated planner drives the agent.
         """
         pose = decoding.pose_of(view, agent_id)
-        return decoding.forecasts(
-            self._goals(view, pose, given, planner),
-            pose,
-            modes,
-            self.temperature,
-            shortlist=_SHORTLIST,
-            chosen_at=chosen_at,
-        )
-
-    @torch.inference_mode()
-    def end_density(
-        self,
-        view: View,
-        agent_id: AgentId,
-        given: Futures | None,
-        ends_m: Floats,
-        kernel_m: float,
-        *,
-        planner: bool = False,
-    ) -> Floats:
-        """(Q) under the first given future, see `decoding.end_density`."""
-        pose = decoding.pose_of(view, agent_id)
-        return decoding.end_density(self._goals(view, pose, given, planner), pose, ends_m, kernel_m)
-
-    def _goals(self, view: View, pose: Pose, given: Futures | None, planner: bool) -> Goals:
-        future = None
-        if given is not None:
-            position, heading = decoding.to_pose(pose, given)
-            there = torch.ones(1, position.shape[1])
-            future = conditioning.encode(position, heading, there, self.net.preset)
-        known = self._known(view, pose.agent_id, planner)
-        goals = known.alone if future is None else None
-        goals = goals or self.net.decode(known.encoding, future)
-        return replace(goals, logits=goals.logits + known.gain)
-
-    def _known(self, view: View, agent_id: AgentId, planner: bool) -> _Known:
-        """Of the last view it is kept, since a plan asks more than once."""
-        asked = (agent_id, planner)
-        if self._last is None or self._last[0] is not view or self._last[1] != asked:
-            arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
-            encoding = self.net.encode(decoding.as_batch(arrays))
-            known = _Known(encoding)
-            if self.marginal is not None and not planner:
-                images = self.marginal.net.preset.raster  # of sizes of its own
-                others = self.marginal.goals(view, agent_id, None if images else arrays)
-                alone = self.net.decode(encoding)
-                known = _Known(encoding, self.share * decoding.gain(alone, others), alone)
-            self._last = (view, asked, known)
-        return self._last[2]
+        arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
+        encoding = self.net.encode(decoding.as_batch(arrays))
+        gain: Tensor | float = 0.0
+        alone = None
+        if self.marginal is not None and not planner:
+            images = self.marginal.net.preset.raster  # of its own size
+            prior = self.marginal.predict(view, agent_id, None if images else arrays)
+            alone = self.net.decode(encoding)
+            gain = self.share * decoding.gain(alone, prior.members)
+        return ConditionalPrediction(pose, self.net, encoding, gain, alone, self.temperature)

@@ -16,6 +16,7 @@ from torch import Tensor
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.predictors import decoding
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
+from deepmf_sumo.predictors.decoding import Pose
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import Features, features
 
@@ -70,12 +71,59 @@ _SHORTLIST: Final = 256
 """Goals that may become modes: of one network seldom fewer than all, of two half of the time."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Known:
-    """Goals of an agent: of each member, and pooled."""
+@dataclass(frozen=True, slots=True, eq=False)
+class MarginalPrediction:
+    """All goals of one agent at one moment.
 
+    Attributes:
+        nets: the members. members: goals of each of them. whole: the goals of all, pooled.
+        temperature: of the probabilities.
+    """
+
+    pose: Pose
+    nets: tuple[DenseTNT, ...]
     members: list[Goals]
     whole: Goals
+    temperature: float
+
+    @torch.inference_mode()
+    def modes(self, count: int, *, chosen_at: int | None = None) -> Forecast:
+        """``count`` futures of 80 steps each, most likely first.
+
+        They are chosen to cover where the agent may be at 8 s, or at the step ``chosen_at`` (0 to
+        79).
+        """
+        (found,) = decoding.forecasts(
+            self.whole,
+            self.pose,
+            count,
+            self.temperature,
+            shortlist=_SHORTLIST,
+            chosen_at=chosen_at,
+        )
+        return found
+
+    @torch.inference_mode()
+    def end_density(self, ends_m: Floats, kernel_m: float) -> Floats:
+        """(Q) see `decoding.end_density`."""
+        return decoding.end_density(self.whole, self.pose, ends_m, kernel_m)
+
+    @torch.inference_mode()
+    def log_density(self, position_m: Floats) -> Floats:
+        """(K) log density of given trajectories (K, 80, 2) of the scene's frame.
+
+        The mixture of all goals at the temperature, with the trained kernels (Laplace, wider the
+        later) at 1, 2, 4, 6, 8 s. It is comparable within one prediction.
+        """
+        given = Futures(
+            agent_id=self.pose.agent_id,
+            position_m=position_m,
+            heading_rad=position_m[..., 0] * 0.0,
+        )
+        local = decoding.to_pose(self.pose, given)[0][:, :, list(KNOT_STEPS)]  # (1, K, 5, 2)
+        valid = torch.ones(1, local.shape[1], len(KNOT_STEPS))
+        density = log_density(self.nets, self.members, self.temperature, local, valid)[0]
+        return density.double().numpy()
 
 
 class Marginal:
@@ -91,7 +139,6 @@ class Marginal:
     def __init__(self, nets: Sequence[DenseTNT], temperature: float) -> None:
         self.nets = tuple(net.eval() for net in nets)
         self.temperature = temperature
-        self._last: tuple[View, dict[AgentId, _Known]] | None = None
 
     @property
     def net(self) -> DenseTNT:
@@ -99,87 +146,16 @@ class Marginal:
         return self.nets[0]
 
     @torch.inference_mode()
-    def predict(self, view: View, agent_ids: Sequence[AgentId], modes: int) -> list[Forecast]:
-        """One forecast per agent, ``modes`` futures of 80 steps each, likeliest first.
+    def predict(
+        self, view: View, agent_id: AgentId, arrays: Features | None = None
+    ) -> MarginalPrediction:
+        """The prediction for an agent. Raises KeyError if it is not in view.
 
-        Raises KeyError for an agent that is not in view.
-        """
-        return [self.predict_each(view, agent_id, (modes,))[0] for agent_id in agent_ids]
-
-    @torch.inference_mode()
-    def predict_each(
-        self,
-        view: View,
-        agent_id: AgentId,
-        modes: Sequence[int],
-        *,
-        chosen_at: int | None = None,
-    ) -> list[Forecast]:
-        """Forecasts of one agent with different numbers of modes, from one pass.
-
-        Modes are chosen to cover where it may be at 8 s, or at the step ``chosen_at`` (0 to 79).
-        """
-        pose, goals = decoding.pose_of(view, agent_id), self._goals(view, agent_id).whole
-        return [
-            decoding.forecasts(
-                goals,
-                pose,
-                count,
-                self.temperature,
-                shortlist=_SHORTLIST,
-                chosen_at=chosen_at,
-            )[0]
-            for count in modes
-        ]
-
-    @torch.inference_mode()
-    def goals(self, view: View, agent_id: AgentId, arrays: Features | None = None) -> list[Goals]:
-        """All goals of an agent, of each member. Raises KeyError if it is not in view.
-
-        ``arrays`` are its features, where another network has had them made already.
-        """
-        return self._goals(view, agent_id, arrays).members
-
-    @torch.inference_mode()
-    def end_density(self, view: View, agent_id: AgentId, ends_m: Floats, kernel_m: float) -> Floats:
-        """(Q) see `decoding.end_density`."""
-        pose = decoding.pose_of(view, agent_id)
-        return decoding.end_density(self._goals(view, agent_id).whole, pose, ends_m, kernel_m)
-
-    @torch.inference_mode()
-    def log_density(self, view: View, agent_id: AgentId, position_m: Floats) -> Floats:
-        """(K) log density of given trajectories (K, 80, 2) of the scene's frame.
-
-        The mixture of all goals at the temperature, with the trained kernels (Laplace, wider the
-        later) at 1, 2, 4, 6, 8 s. It is comparable between trajectories of one agent and view.
+        ``arrays`` are its features, if they have been computed for another network.
         """
         pose = decoding.pose_of(view, agent_id)
-        given = Futures(
-            agent_id=agent_id, position_m=position_m, heading_rad=position_m[..., 0] * 0.0
-        )
-        local = decoding.to_pose(pose, given)[0][:, :, list(KNOT_STEPS)]  # (1, K, 5, 2)
-        density: Floats = (
-            log_density(
-                self.nets,
-                self._goals(view, agent_id).members,
-                self.temperature,
-                local,
-                torch.ones(1, local.shape[1], len(KNOT_STEPS)),
-            )[0]
-            .double()
-            .numpy()
-        )
-        return density
-
-    def _goals(self, view: View, agent_id: AgentId, arrays: Features | None = None) -> _Known:
-        """Goals of an agent; those of the last view are kept, since a plan asks more than once."""
-        if self._last is None or self._last[0] is not view:
-            self._last = (view, {})
-        known = self._last[1]
-        if agent_id not in known:
-            if arrays is None:
-                arrays, _ = features(view, agent_id, self.net.preset)
-            batch = decoding.as_batch(arrays)
-            members = [net(batch) for net in self.nets]
-            known[agent_id] = _Known(members, pooled(members))
-        return known[agent_id]
+        if arrays is None:
+            arrays, _ = features(view, agent_id, self.net.preset)
+        batch = decoding.as_batch(arrays)
+        members = [net(batch) for net in self.nets]
+        return MarginalPrediction(pose, self.nets, members, pooled(members), self.temperature)

@@ -1,14 +1,25 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from predictor_doubles import FanPredictor, view_of
 
 from deepmf_sumo.datatypes import Forecast, Futures, Plan
 from deepmf_sumo.deepmf import candidates
-from deepmf_sumo.deepmf.reference_paths import goal_paths
+from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
+from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, track
 
 LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
-SIZE = np.array([4.8, 2.0])
+
+
+def goals(view, count, own=None):
+    """References to goals, and the AV that they lead to."""
+    predictor = FanPredictor()
+    own = own or predictor.predict(view, "b").modes(32)
+    av = predictor.predict(view, "av").modes(32)
+    situation = Situation.of(view, "b", LIMITS, unattacked=av)
+    return goal_paths(situation, own_paths(own, situation.start), count), av
 
 
 class Listed:
@@ -17,7 +28,7 @@ class Listed:
     def __init__(self, values):
         self.values = np.array(values)
 
-    def log_density(self, view, agent_id, position_m):
+    def log_density(self, position_m):
         assert len(position_m) == len(self.values)
         return self.values
 
@@ -28,18 +39,16 @@ def two_modes(probability):
 
 
 def test_made_candidates_share_the_probability_by_density():
-    view = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)})
     modes = two_modes([0.75, 0.25])
     # Modes with P = 3 f: a cell of volume 3; the made ones have densities f = .05 and 10.
     density = Listed(np.log([0.25, 0.25 / 3, 0.05, 10.0]))
-    shares = candidates.weights(modes, np.zeros((2, 80, 2)), density, view)
+    shares = candidates.weights(modes, np.zeros((2, 80, 2)), density)
     weight = np.array([0.75, 0.25, 0.15, 0.75])  # the last one no likelier than the likeliest mode
     np.testing.assert_allclose(shares, weight / weight.sum())
 
 
 def test_without_made_candidates_the_prediction_is_kept():
-    view = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)})
-    shares = candidates.weights(two_modes([0.6, 0.4]), np.zeros((0, 80, 2)), Listed([]), view)
+    shares = candidates.weights(two_modes([0.6, 0.4]), np.zeros((0, 80, 2)), Listed([]))
     np.testing.assert_array_equal(shares, [0.6, 0.4])
 
 
@@ -65,11 +74,12 @@ def test_tail_is_the_rest_of_the_plan_and_its_straight_continuation():
         heading_rad=np.zeros(80),
         speed_mps=np.full(80, 10.0),
     )
-    rest = candidates.tail(plan, view, LIMITS, 80)
+    (rest,) = candidates.tail(Situation.of(view, "b", LIMITS, last=plan), 80)
     assert rest.origin == ("tail",)
     np.testing.assert_allclose(rest.position_m[0, :, 0], np.arange(10.0, 90.0))
     late = view_of({"av": (0, 0, 0, 1.0), "b": (20, 0, 0, 8.0)}, step=95)
-    assert candidates.tail(plan, late, LIMITS, 80) is None
+    assert candidates.tail(Situation.of(late, "b", LIMITS, last=plan), 80) == []
+    assert candidates.tail(Situation.of(view, "b", LIMITS), 80) == []
 
 
 @pytest.mark.parametrize(
@@ -78,13 +88,10 @@ def test_tail_is_the_rest_of_the_plan_and_its_straight_continuation():
 )
 def test_goals_lead_to_the_predicted_av(other):
     view = view_of({"av": (0, 0, 0, 10.0), "b": other})
-    predictor = FanPredictor()
-    own, av = predictor.predict(view, ["b", "av"], 32)
-    begin = Start.of(view, "b")
-    paths = goal_paths(own, av, begin, SIZE, LIMITS, 80, 32)
+    paths, av = goals(view, 32)
     assert 8 <= len(paths.limits) <= 32
     assert (paths.limits <= LIMITS.rows(1)).all()
-    tracked = track(paths.reference_m, begin, paths.limits)
+    tracked = track(paths.position_m, Start.of(view, "b"), paths.limits)
     away = np.linalg.norm(tracked.position_m[:, None] - av.futures.position_m[None], axis=-1)
     # Most drivable ways pass within half a metre of where the AV is predicted at the same time.
     assert np.mean(away.min(axis=(1, 2)) < 0.5) > 0.8
@@ -93,18 +100,16 @@ def test_goals_lead_to_the_predicted_av(other):
 
 def test_goals_stay_within_horizon_and_count():
     view = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
-    own, av = FanPredictor().predict(view, ["b", "av"], 32)
-    begin = Start.of(view, "b")
-    assert len(goal_paths(own, av, begin, SIZE, LIMITS, 80, 5).limits) == 5
-    assert len(goal_paths(own, av, begin, SIZE, LIMITS, 80, 0).limits) == 0
-    assert len(goal_paths(own, av, begin, SIZE, LIMITS, 3, 32).limits) == 0
-    assert goal_paths(own, av, begin, SIZE, LIMITS, 3, 32).reference_m.shape == (0, 80, 2)
+    assert len(goals(view, 5)[0].limits) == 5
+    assert len(goals(view, 0)[0].limits) == 0
+    late = replace(view, steps_left=3)
+    assert len(goals(late, 32)[0].limits) == 0
+    assert goals(late, 32)[0].position_m.shape == (0, 80, 2)
 
 
 def test_an_av_out_of_reach_gives_no_goals():
     view = view_of({"av": (0, 0, 0, 10.0), "b": (600, 300, 0, 12.0)})
-    own, av = FanPredictor().predict(view, ["b", "av"], 32)
-    assert len(goal_paths(own, av, Start.of(view, "b"), SIZE, LIMITS, 80, 32).limits) == 0
+    assert len(goals(view, 32)[0].limits) == 0
 
 
 @pytest.mark.parametrize("moved", [0.0, 0.3, 0.5, 1.0, 3.0])
@@ -118,6 +123,5 @@ def test_modes_that_hardly_move_are_paths_too(moved):
         ),
         probability=np.array([0.5, 0.5]),
     )
-    (av,) = FanPredictor().predict(view, ["av"], 6)
-    paths = goal_paths(own, av, Start.of(view, "b"), SIZE, LIMITS, 80, 32)
-    assert np.isfinite(paths.reference_m).all()
+    paths, _ = goals(view, 32, own)
+    assert np.isfinite(paths.position_m).all()

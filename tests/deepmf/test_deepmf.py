@@ -184,7 +184,9 @@ def test_reactions_are_predicted_to_what_meets_the_av():
     np.testing.assert_array_equal(first_plan().position_m, first_plan(shortlist=None).position_m)
 
 
-@pytest.mark.parametrize("wish", [{"sector": "rear"}, {"fair": True}, {"lawful": True}])
+@pytest.mark.parametrize(
+    "wish", [{"sector": "rear"}, {"fair": True}, {"lawful": True}, {"constraints": ["fair"]}]
+)
 def test_wishes_are_looked_for_among_all(wish):
     assert len(first_plan(shortlist=3, **wish).reason.reactions) > 32
 
@@ -241,7 +243,7 @@ def test_published_algorithm_without_goals():
     plan = first_plan(goal_candidates=0)
     reason = plan.reason
     assert set(reason.origin) == {"mode"}
-    (modes,) = Doubles().marginal.predict(view_of(AGENTS), ["near"], 32)
+    modes = Doubles().marginal.predict(view_of(AGENTS), "near").modes(32)
     np.testing.assert_array_equal(
         np.sort(reason.candidates.probability), np.sort(modes.probability)
     )

@@ -7,10 +7,14 @@ import pytest
 from predictor_doubles import view_of
 
 from deepmf_sumo.datatypes import Forecast, Futures, Lane, Neighbour, RoadMap, SignalState, StopSign
-from deepmf_sumo.deepmf.tracking import Limits, Start
+from deepmf_sumo.deepmf.candidates import Candidates
+from deepmf_sumo.deepmf.reference_paths import own_paths
+from deepmf_sumo.deepmf.situation import Situation
+from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
 
 SECONDS = np.arange(1, 81) * 0.1
+LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
 
 
 def lane(name, points, **more):
@@ -57,9 +61,14 @@ def drive(agent_id, x, y, speed, heading=0.0, across=None):
 
 def is_lawful(view, future, av, speed, law=None, collides=None):
     alone = Forecast(futures=av, probability=np.ones(1))
-    speeds = np.broadcast_to(speed, (1, 80)).astype(float)
+    own = Candidates(
+        forecast=Forecast(futures=future, probability=np.ones(1)),
+        speed_mps=np.broadcast_to(speed, (1, 80)).astype(float),
+        bent_m=np.zeros(1),
+        origin=("mode",),
+    )
     step = np.array([[collides or 80.0, 80.0]])
-    judged = (law or Law()).lawful(view, future, speeds, alone, step)
+    judged = (law or Law()).lawful(Situation.of(view, "b", LIMITS, alone), own, step)
     assert judged.shape == (1,)
     return bool(judged[0])
 
@@ -238,7 +247,8 @@ def test_futures_are_judged_in_the_last_steps_of_a_case(left):
 def test_ways_to_stop_stand_in_the_end():
     modes = Forecast(futures=drive("b", 0, 0, 12.0), probability=np.ones(1))
     view = view_of({"av": (0, -90, 0, 1.0), "b": (0, 0, 0, 12.0)})
-    found = stops(modes, Start.of(view, "b"), Limits(accel=3.0, brake=4.0, lateral=3.0))
+    situation = Situation.of(view, "b", LIMITS)
+    found = stops(situation, own_paths(modes, situation.start))
     assert set(found.origin) == {"stop"}
     last = np.diff(found.position_m[:, -20:], axis=1)
     standing = np.abs(last).max(axis=(1, 2)) < 1e-6

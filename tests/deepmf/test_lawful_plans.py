@@ -1,14 +1,13 @@
 """Plans with the wish that the opponent breaks no rule of the road."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from predictor_doubles import Doubles, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import constraints, policy
-from deepmf_sumo.deepmf.constraints import Pairs
+from deepmf_sumo.deepmf.constraints import Mask
+from deepmf_sumo.deepmf.scoring import Objective, Pairs
 
 BESIDE = {"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}
 BEHIND = {"av": (0, 0, 0, 10.0), "b": (-12, 0, 0, 12.0)}
@@ -22,51 +21,49 @@ def plan_of(agents, **values):
     return made.plan(view)
 
 
-def pairs(lawful, collides=(True, True, False), fair=None):
+def choice(lawful, collides=(True, True, False), fair=None, rule="expected"):
     hits = np.array(collides)[:, None]
-    return Pairs(
+    pairs = Pairs(
         probability=np.array([0.5, 0.3, 0.2]),
         reaction_probability=np.ones((3, 1)),
         collides=hits,
         collision_step=np.where(hits, 20.0, 80.0),
-        lawful=np.array(lawful),
-        fair=None if fair is None else np.array(fair),
     )
-
-
-def choice(found, rule="expected"):
-    return constraints.choose(found, rule, 1.0, None)
+    masks = [Mask("lawful", "driven", np.array(lawful))]
+    masks += [] if fair is None else [Mask("fair", "attack", np.array(fair))]
+    chosen = constraints.choose(pairs, masks, Objective(rule))
+    return chosen, chosen.unmet
 
 
 @pytest.mark.parametrize("rule", ["expected", "pair", "likeliest"])
 def test_the_best_of_the_lawful_is_chosen(rule):
-    chosen, unmet = choice(pairs([False, True, True]), rule)
+    chosen, unmet = choice([False, True, True], rule=rule)
     assert (chosen.index, chosen.rule, unmet) == (1, rule, ())
     assert len(chosen.value) == len(chosen.product) == 3
     assert chosen.value[0] == 0.0
 
 
 def test_where_only_breaking_a_rule_meets_the_av_nobody_is_attacked():
-    chosen, unmet = choice(pairs([False, False, True]))
+    chosen, unmet = choice([False, False, True])
     assert (chosen.index, chosen.rule, unmet) == (2, "nothing lawful", ("lawful",))
 
 
 def test_where_nobody_can_be_met_the_likeliest_lawful_one_is_driven():
-    chosen, unmet = choice(pairs([False, True, True], collides=(False, False, False)))
+    chosen, unmet = choice([False, True, True], collides=(False, False, False))
     assert (chosen.index, chosen.rule, unmet) == (1, "fallback", ())
 
 
 def test_where_nothing_is_lawful_what_does_least_is_driven():
-    chosen, unmet = choice(pairs([False, False, False]))
+    chosen, unmet = choice([False, False, False])
     assert (chosen.index, unmet) == (2, ("lawful",))
-    chosen, unmet = choice(pairs([False] * 3, collides=(False, False, False)))
+    chosen, unmet = choice([False] * 3, collides=(False, False, False))
     assert (chosen.index, unmet) == (0, ())
 
 
 def test_a_lawful_attack_can_be_asked_to_be_fair_too():
-    chosen, unmet = choice(pairs([True, True, True], fair=[False, True, True]))
+    chosen, unmet = choice([True, True, True], fair=[False, True, True])
     assert (chosen.index, unmet) == (1, ())
-    chosen, unmet = choice(pairs([True, False, True], fair=[False, True, True]))
+    chosen, unmet = choice([True, False, True], fair=[False, True, True])
     assert (chosen.index, unmet) == (2, ("fair",))
 
 
@@ -114,4 +111,4 @@ def replace_opponent(settings, name):
 def test_lawful_is_yes_or_no():
     with pytest.raises(Exception, match="lawful"):
         plugins.settings("policies", "deepmf", {"lawful": "mostly"})
-    assert replace(pairs([True] * 3), lawful=None).lawful is None
+    assert plan_of(BESIDE).reason.lawful is None

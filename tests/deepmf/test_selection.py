@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.deepmf.scoring import choose
+from deepmf_sumo.deepmf import scoring
+from deepmf_sumo.deepmf.scoring import Objective, Pairs
 
 # Two candidates: the first with three reactions of .3 that all collide (and .1 that does not), the
 # second with one of .9 that does.
@@ -9,6 +10,16 @@ P = np.array([0.3, 0.25])
 REACTION = np.array([[0.3, 0.3, 0.3, 0.1], [0.9, 0.05, 0.03, 0.02]])
 COLLIDES = np.array([[True, True, True, False], [True, False, False, False]])
 STEP = np.where(COLLIDES, 20.0, 80.0)
+
+
+def choose(probability, reaction, collides, step, rule, weight=1.0, *, barred=None, rng=None):
+    pairs = Pairs(
+        probability=probability,
+        reaction_probability=reaction,
+        collides=collides,
+        collision_step=step,
+    )
+    return scoring.choose(pairs, Objective(rule, weight, rng), barred=barred)
 
 
 def test_the_published_rules_disagree_where_collision_mass_is_spread():

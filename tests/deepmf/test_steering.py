@@ -1,5 +1,7 @@
 """Wanted sector, fairness and aggressiveness of DeepMF; and that without them nothing changes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,10 +11,11 @@ from predictor_doubles import Doubles, FanPredictor, view_of
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import constraints, scoring
 from deepmf_sumo.deepmf.candidates import NO_SECTOR, collisions, delta_v, impact_sectors
-from deepmf_sumo.deepmf.constraints import Pairs
+from deepmf_sumo.deepmf.constraints import Mask
 from deepmf_sumo.deepmf.policy import build
-from deepmf_sumo.deepmf.reference_paths import aimed_paths
-from deepmf_sumo.deepmf.scoring import Balance
+from deepmf_sumo.deepmf.reference_paths import aimed_paths, own_paths
+from deepmf_sumo.deepmf.scoring import Balance, Objective, Pairs
+from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, track
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.geometry import impact
@@ -113,65 +116,72 @@ PAIRS = Pairs(
 
 
 def pairs(**more):
-    names = Pairs.__slots__
-    return Pairs(**{name: getattr(PAIRS, name) for name in names} | more)
+    return replace(PAIRS, **more)
+
+
+def choose(rule="expected", found=PAIRS, sector=None, wanted=None, fair=None):
+    """The choice, and what is unmet, with sectors of the pairs and fair candidates."""
+    masks = [] if sector is None else [Mask("sector", "preferred", sector == wanted)]
+    masks += [] if fair is None else [Mask("fair", "attack", fair)]
+    choice = constraints.choose(found, masks, Objective(rule))
+    return choice, choice.unmet
 
 
 def test_only_pairs_of_the_wanted_sector_count():
     sector = np.where(COLLIDES, [[0, 4], [4, 0], [4, 6]], NO_SECTOR)
-    wanted = pairs(sector=sector)
-    assert constraints.choose(PAIRS, "expected", 1.0, None)[0].index == 0
-    rear, unmet = constraints.choose(wanted, "expected", 1.0, 4)
+    assert choose()[0].index == 0
+    rear, unmet = choose("expected", sector=sector, wanted=4)
     # The first candidate would hit the front more likely than the rear.
     np.testing.assert_allclose(rear.value, [0.0, 0.3 * 0.6, 0.0])
     np.testing.assert_allclose(rear.product, [0.5, 0.3 * 0.6, 0.2 * 0.4])
     assert (rear.index, rear.rule, unmet) == (1, "expected", ())
-    first = pairs(sector=np.where(COLLIDES, [[0, 4], [0, 0], [0, 6]], NO_SECTOR))
-    assert constraints.choose(first, "expected", 1.0, 4)[0].index == 0
-    right, unmet = constraints.choose(wanted, "likeliest", 1.0, 6)
+    first = np.where(COLLIDES, [[0, 4], [0, 0], [0, 6]], NO_SECTOR)
+    assert choose(sector=first, wanted=4)[0].index == 0
+    right, unmet = choose("likeliest", sector=sector, wanted=6)
     assert (right.index, right.rule, unmet) == (2, "likeliest", ())
 
 
 def test_a_sector_that_nobody_reaches_is_given_up_and_named():
     sector = np.where(COLLIDES, 0, NO_SECTOR)
-    choice, unmet = constraints.choose(pairs(sector=sector), "expected", 1.0, 2)
+    choice, unmet = choose(sector=sector, wanted=2)
     assert (choice.index, choice.rule, unmet) == (0, "expected, any sector", ("sector",))
-    never = pairs(collides=np.zeros_like(COLLIDES), sector=np.full((3, 2), NO_SECTOR))
-    choice, unmet = constraints.choose(never, "expected", 1.0, 2)
+    never = pairs(collides=np.zeros_like(COLLIDES))
+    choice, unmet = choose(found=never, sector=np.full((3, 2), NO_SECTOR), wanted=2)
     assert (choice.rule, unmet) == ("fallback", ("sector",))
 
 
 @pytest.mark.parametrize("rule", ["expected", "pair", "likeliest", Balance.at(0), Balance.at(0.8)])
 def test_unfair_candidates_are_not_driven(rule):
-    fair = pairs(fair=np.array([False, False, True]), severity=COLLIDES * 5.0)
-    choice, unmet = constraints.choose(fair, rule, 1.0, None)
+    fair = np.array([False, False, True])
+    choice, unmet = choose(rule, pairs(severity=COLLIDES * 5.0), fair=fair)
     assert (choice.index, unmet) == (2, ())
 
 
 def test_where_nothing_is_fair_nobody_is_attacked():
     never = np.zeros(3, dtype=bool)
-    choice, unmet = constraints.choose(pairs(fair=never), "expected", 1.0, None)
+    choice, unmet = choose(fair=never)
     # Everything collides with something: the candidate that collides least.
     assert (choice.index, choice.rule, unmet) == (2, "nothing fair", ("fair",))
     collides = np.array([[True, True], [False, False], [False, False]])
-    choice, _ = constraints.choose(pairs(fair=never, collides=collides), "expected", 1.0, None)
+    choice, _ = choose(found=pairs(collides=collides), fair=never)
     assert choice.index == 1
 
 
 def test_an_unfair_choice_is_refused_until_one_is_verified():
-    every = pairs(fair=np.ones(3, dtype=bool))
+    every = [Mask("fair", "attack", np.ones(3, dtype=bool))]
     asked = []
 
-    def verify(row):
+    def confirmed(number, row):
         asked.append(row)
         return row == 2
 
-    found, choice, unmet = constraints.decide(every, "expected", 1.0, None, verify)
-    assert (asked, choice.index, unmet) == ([0, 1, 2], 2, ())
-    assert found.fair.tolist() == [False, False, True]
-    _, choice, unmet = constraints.decide(every, "expected", 1.0, None, lambda row: False)
-    assert (choice.rule, unmet) == ("nothing fair", ("fair",))
-    assert constraints.decide(PAIRS, "expected", 1.0, None, lambda row: False)[1].index == 0
+    choice, found = constraints.decide(PAIRS, every, Objective(), confirmed)
+    assert (asked, choice.index, choice.unmet) == ([0, 1, 2], 2, ())
+    assert found[0].allowed.tolist() == [False, False, True]
+    choice, _ = constraints.decide(PAIRS, every, Objective(), lambda number, row: False)
+    assert (choice.rule, choice.unmet) == ("nothing fair", ("fair",))
+    choice, _ = constraints.decide(PAIRS, [], Objective(), lambda number, row: False)
+    assert choice.index == 0
 
 
 @given(some.integers(0, 2**32 - 1))
@@ -186,12 +196,14 @@ def test_more_aggressive_is_never_likelier_nor_milder(seed):
     mass = (reaction * collides).sum(1)
     expected = (reaction * severity).sum(1) / np.maximum(mass, 1e-9)
     levels = np.linspace(0, 1, 11)
-    rows = [
-        scoring.choose(
-            probability, reaction, collides, step, Balance.at(level), severity=severity
-        ).index
-        for level in levels
-    ]
+    found = Pairs(
+        probability=probability,
+        reaction_probability=reaction,
+        collides=collides,
+        collision_step=step,
+        severity=severity,
+    )
+    rows = [scoring.choose(found, Objective(Balance.at(level))).index for level in levels]
     assert probability[rows[0]] == probability.max()
     assert (np.diff(probability[rows]) <= 1e-9).all()
     assert (np.diff(mass[rows][levels <= 0.5]) >= -1e-9).all()
@@ -218,7 +230,7 @@ def test_aggressiveness_bounds_what_is_driven():
 
 def test_sectors_of_pairs_are_those_of_the_first_overlap():
     view = view_of(AGENTS)
-    own, av = FanPredictor().predict(view, ["near", "av"], 32)
+    own, av = (FanPredictor().predict(view, name).modes(32) for name in ("near", "av"))
     reactions = [av] * 32
     collides, step = collisions(own.futures, reactions, CAR, CAR, 80)
     found = impact_sectors(own.futures, reactions, CAR, CAR, step)
@@ -254,14 +266,20 @@ PLACES = {
 }
 
 
+def aimed(view, sector, count, opponent="b"):
+    """References to a side of the AV, and the futures of the two."""
+    own, av = (FanPredictor().predict(view, name).modes(32) for name in (opponent, "av"))
+    situation = Situation.of(view, opponent, LIMITS, unattacked=av)
+    return aimed_paths(situation, own_paths(own, situation.start), sector, count), own, av
+
+
 @pytest.mark.parametrize("name", impact.SECTORS)
 def test_ways_are_made_to_every_side(name):
     view = view_of({"av": (0, 0, 0, 10.0), "b": PLACES[name]})
-    own, av = FanPredictor().predict(view, ["b", "av"], 32)
-    begin, sector = Start.of(view, "b"), impact.SECTORS.index(name)
-    paths = aimed_paths(own, av, begin, (CAR, CAR), sector, LIMITS, 80, 16)
+    sector = impact.SECTORS.index(name)
+    paths, own, av = aimed(view, sector, 16)
     assert 4 <= len(paths.limits) <= 16
-    tracked = track(paths.reference_m, begin, paths.limits)
+    tracked = track(paths.position_m, Start.of(view, "b"), paths.limits)
     futures = type(own.futures)(
         agent_id="b", position_m=tracked.position_m, heading_rad=tracked.heading_rad
     )
@@ -274,14 +292,11 @@ def test_ways_are_made_to_every_side(name):
 
 def test_nothing_is_aimed_without_time_or_reach():
     view = view_of(AGENTS)
-    own, av = FanPredictor().predict(view, ["near", "av"], 32)
-    begin = Start.of(view, "near")
-    assert len(aimed_paths(own, av, begin, (CAR, CAR), 0, LIMITS, 3, 16).limits) == 0
-    assert len(aimed_paths(own, av, begin, (CAR, CAR), 0, LIMITS, 80, 0).limits) == 0
+    assert len(aimed(replace(view, steps_left=3), 0, 16, "near")[0].limits) == 0
+    assert len(aimed(view, 0, 0, "near")[0].limits) == 0
     away = view_of({"av": (0, 0, 0, 10.0), "b": (600, 300, 0, 12.0)})
-    own, av = FanPredictor().predict(away, ["b", "av"], 32)
-    none = aimed_paths(own, av, Start.of(away, "b"), (CAR, CAR), 0, LIMITS, 80, 16)
-    assert none.reference_m.shape == (0, 80, 2)
+    none = aimed(away, 0, 16)[0]
+    assert none.position_m.shape == (0, 80, 2)
 
 
 @pytest.mark.parametrize("name", ["rear", "left", "front_left"])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from predictor_doubles import Doubles, FanPredictor, view_of
+from predictor_doubles import Doubles, FanPrediction, FanPredictor, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.policy import build
@@ -15,9 +15,17 @@ AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0)}
 class Heard(FanPredictor):
     given: list = field(default_factory=list)
 
-    def react(self, view, agent_id, given, modes, **asked):
-        self.given.append(given)
-        return super().react(view, agent_id, given, modes, **asked)
+    def predict(self, view, agent_id, *, planner=False):
+        return HeardPrediction(view, agent_id, self.calls, self.given)
+
+
+@dataclass
+class HeardPrediction(FanPrediction):
+    conditions: list = field(default_factory=list)
+
+    def given(self, futures, modes):
+        self.conditions.append(futures)
+        return super().given(futures, modes)
 
 
 def plan_and_conditions(**values):

@@ -37,7 +37,7 @@ def crossing_partner():
 
 def answer(net, recorded, *, planner=True):
     seen = replace(view(), av_recorded_steps=recorded)
-    return net.react(seen, "av", crossing_partner(), MODES, planner=planner)[0]
+    return net.predict(seen, "av", planner=planner).given(crossing_partner(), MODES)[0]
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def test_all_members_are_loaded_and_listed(folder):
     for net, seed in zip(found.nets, (1, 2), strict=True):
         assert not net.training
         assert torch.allclose(net.score.weight, member(seed).score.weight, atol=1e-3)
-    assert found.predict(view(), ["av"], 32)[0].probability.sum() == pytest.approx(1.0)
+    assert found.predict(view(), "av").modes(32).probability.sum() == pytest.approx(1.0)
     names = ["opponent", "marginal", "marginal-2", "conditional"]
     assert weights.listed(folder) == names
     page = (folder / "card.md").read_text(encoding="utf-8")

@@ -51,7 +51,7 @@ def test_modes_are_goals_of_either_member(nets):
         )[0][0]
         for goals in members
     ]
-    modes = Marginal(nets, 1.0).predict(view(), ["av"], 16)[0].futures.position_m
+    modes = Marginal(nets, 1.0).predict(view(), "av").modes(16).futures.position_m
     found = [
         {k for k, one in enumerate(modes) if np.abs(own - one).max((1, 2)).min() < 1e-4}
         for own in everything
@@ -62,36 +62,37 @@ def test_modes_are_goals_of_either_member(nets):
 
 
 def test_densities_are_those_of_the_mixture_with_each_members_kernels(nets):
-    modes = Marginal(nets, 1.0).predict(view(), ["av"], 16)[0].futures.position_m
+    modes = Marginal(nets, 1.0).predict(view(), "av").modes(16).futures.position_m
     both, *alone = (Marginal(each, 1.0) for each in (nets, nets[:1], nets[1:]))
-    one, other = (each.log_density(view(), "av", modes) for each in alone)
+    one, other = (each.predict(view(), "av").log_density(modes) for each in alone)
     expected = np.logaddexp(one, other) - np.log(2)
-    assert both.log_density(view(), "av", modes) == pytest.approx(expected, abs=1e-4)
+    assert both.predict(view(), "av").log_density(modes) == pytest.approx(expected, abs=1e-4)
     ends = modes[:, -1]
-    one, other = (each.end_density(view(), "av", ends, 2.0) for each in alone)
+    one, other = (each.predict(view(), "av").end_density(ends, 2.0) for each in alone)
     expected = np.logaddexp(one, other) - np.log(2)
-    assert both.end_density(view(), "av", ends, 2.0) == pytest.approx(expected, abs=1e-4)
+    assert both.predict(view(), "av").end_density(ends, 2.0) == pytest.approx(expected, abs=1e-4)
 
 
 def test_the_temperature_is_that_of_all_goals_together(nets):
     """A member that is sure loses share where the mixture is warmed."""
-    modes = Marginal(nets, 1.0).predict(view(), ["av"], 16)[0].futures.position_m
-    warm = Marginal(nets, 3.0).log_density(view(), "av", modes)
+    modes = Marginal(nets, 1.0).predict(view(), "av").modes(16).futures.position_m
+    warm = Marginal(nets, 3.0).predict(view(), "av").log_density(modes)
     share, members = [], goals_of(nets)
     for goals in members:
         probability = goals.logits.flatten().double().softmax(-1) / 2
         share.append((probability ** (1 / 3.0)).sum())
     share = [float(one / sum(share)) for one in share]
     assert abs(share[0] - share[1]) > 0.01
-    alone = [Marginal([net], 3.0).log_density(view(), "av", modes) for net in nets]
+    alone = [Marginal([net], 3.0).predict(view(), "av").log_density(modes) for net in nets]
     expected = np.logaddexp(alone[0] + np.log(share[0]), alone[1] + np.log(share[1]))
     assert warm == pytest.approx(expected, abs=1e-3)
 
 
 def test_a_member_twice_is_that_member(nets):
-    modes = Marginal(nets[:1], 1.4).predict(view(), ["av"], 6)[0].futures.position_m
+    modes = Marginal(nets[:1], 1.4).predict(view(), "av").modes(6).futures.position_m
     once, twice = (
-        Marginal(each, 1.4).log_density(view(), "av", modes) for each in (nets[:1], nets[:1] * 2)
+        Marginal(each, 1.4).predict(view(), "av").log_density(modes)
+        for each in (nets[:1], nets[:1] * 2)
     )
     assert twice == pytest.approx(once, abs=1e-4)
 
@@ -104,8 +105,8 @@ def test_features_are_computed_once_for_all(nets, monkeypatch):
         return features(seen, agent_id, preset)
 
     monkeypatch.setattr(marginal, "features", counted)
-    both, seen = Marginal(nets, 1.0), view()
-    (modes,) = both.predict(seen, ["av"], 6)
-    both.log_density(seen, "av", modes.futures.position_m)
+    both = Marginal(nets, 1.0)
+    prediction = both.predict(view(), "av")
+    prediction.log_density(prediction.modes(6).futures.position_m)
     assert asked == ["av"]
     assert both.net is nets[0]

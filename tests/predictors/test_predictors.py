@@ -31,7 +31,7 @@ def southern(shift=0.0):
 
 
 def test_forecasts_have_the_promised_form(predictors):
-    found = predictors.marginal.predict(view(), ["av", "south"], 32)
+    found = [predictors.marginal.predict(view(), name).modes(32) for name in ("av", "south")]
     assert [each.futures.agent_id for each in found] == ["av", "south"]
     for each in found:
         assert each.futures.position_m.shape == (32, 80, 2)
@@ -41,7 +41,7 @@ def test_forecasts_have_the_promised_form(predictors):
 
 
 def test_futures_begin_at_the_pose_and_are_smooth(predictors):
-    futures = predictors.marginal.predict(view(), ["av"], 16)[0].futures
+    futures = predictors.marginal.predict(view(), "av").modes(16).futures
     first = futures.position_m[:, 0] - [-50.0, 0.0]
     assert np.abs(first - [1.0, 0.0]).max() < 0.5
     step = np.linalg.norm(np.diff(futures.position_m, axis=1), axis=-1)
@@ -50,8 +50,8 @@ def test_futures_begin_at_the_pose_and_are_smooth(predictors):
 
 
 def test_forecasts_turn_with_the_scene(predictors):
-    plain = predictors.marginal.predict(view(), ["av"], 6)[0].futures.position_m
-    turned = predictors.marginal.predict(view(scene(turn=0.7)), ["av"], 6)[0].futures.position_m
+    plain = predictors.marginal.predict(view(), "av").modes(6).futures.position_m
+    turned = predictors.marginal.predict(view(scene(turn=0.7)), "av").modes(6).futures.position_m
     rotation = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
     assert turned == pytest.approx(plain @ rotation, abs=0.05)
 
@@ -68,7 +68,8 @@ def test_modes_spread_wider_where_the_temperature_says_that_tails_are_likelier(o
     def spread(temperature):
         ends = (
             Marginal([opinionated], temperature)
-            .predict(view(), ["av"], 6)[0]
+            .predict(view(), "av")
+            .modes(6)
             .futures.position_m[:, -1]
         )
         return np.linalg.norm(ends[:, None] - ends, axis=-1).mean()
@@ -85,7 +86,7 @@ def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated)
     all_m = decoding.to_scene(pose, *(each.detach() for each in every))[0][0, :, 29]
 
     def expected_error(chosen_at):
-        [found] = marginal.predict_each(view(), "av", (6,), chosen_at=chosen_at)
+        found = marginal.predict(view(), "av").modes(6, chosen_at=chosen_at)
         apart = np.linalg.norm(all_m[:, None] - found.futures.position_m[:, 29], axis=-1)
         return float(apart.min(1) @ probability.detach().numpy())
 
@@ -93,14 +94,16 @@ def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated)
 
 
 def test_prediction_is_repeatable(predictors):
-    first, second = (predictors.marginal.predict(view(), ["av"], 6)[0] for _ in range(2))
+    first, second = (predictors.marginal.predict(view(), "av").modes(6) for _ in range(2))
     assert np.array_equal(first.futures.position_m, second.futures.position_m)
     assert np.array_equal(first.probability, second.probability)
 
 
 def test_density_is_higher_near_the_modes(predictors):
-    modes = predictors.marginal.predict(view(), ["av"], 6)[0].futures.position_m
-    density = predictors.marginal.log_density(view(), "av", np.concatenate([modes, modes + 40.0]))
+    modes = predictors.marginal.predict(view(), "av").modes(6).futures.position_m
+    density = predictors.marginal.predict(view(), "av").log_density(
+        np.concatenate([modes, modes + 40.0])
+    )
     assert density.shape == (12,)
     assert density[:6].min() > density[6:].max()
 
@@ -112,9 +115,9 @@ def test_one_forecast_per_given_future(predictors):
         position_m=np.repeat(given.position_m, 3, 0) + np.arange(3)[:, None, None],
         heading_rad=np.repeat(given.heading_rad, 3, 0),
     )
-    found = predictors.conditional.react(view(), "av", many, 6)
+    found = predictors.conditional.predict(view(), "av").given(many, 6)
     assert len(found) == 3
-    alone = predictors.conditional.react(view(), "av", given, 6)[0]
+    alone = predictors.conditional.predict(view(), "av").given(given, 6)[0]
     assert alone.futures.position_m == pytest.approx(found[0].futures.position_m, abs=1e-3)
     assert alone.probability == pytest.approx(found[0].probability, abs=1e-4)
 
@@ -178,12 +181,12 @@ def test_there_may_be_nobody_to_attack(predictors):
     alone = view()
     alone = replace(alone, history=alone.history.select([0]))
     assert predictors.opponent.score(alone).ids == ()
-    assert predictors.marginal.predict(alone, ["av"], 6)[0].probability.sum() == pytest.approx(1.0)
+    assert predictors.marginal.predict(alone, "av").modes(6).probability.sum() == pytest.approx(1.0)
 
 
 def test_an_agent_that_is_not_there_is_an_error(predictors):
     with pytest.raises(KeyError, match="nobody"):
-        predictors.marginal.predict(view(), ["nobody"], 6)
+        predictors.marginal.predict(view(), "nobody")
 
 
 def test_the_image_shows_what_is_where():

@@ -78,8 +78,8 @@ def test_of_people_the_marginal_network_is_asked_and_of_planners_not(nets):
         Conditional(nets[1], 1.0, marginal=Marginal([nets[0]], 1.0)),
     )
     for planner in (False, True):
-        before = alone.react(view(), "av", None, 6, planner=planner)[0]
-        after = told.react(view(), "av", None, 6, planner=planner)[0]
+        before = alone.predict(view(), "av", planner=planner).given(None, 6)[0]
+        after = told.predict(view(), "av", planner=planner).given(None, 6)[0]
         assert np.allclose(shares(before), shares(after), atol=1e-6) == planner
 
 
@@ -87,11 +87,11 @@ def test_with_all_the_weight_and_nothing_given_it_is_nearer_to_the_marginal_netw
     marginal, now = Marginal([nets[0]], 1.0), view()
     row = now.history.row("av")
     ahead = now.history.position_m[row, -1] + np.array([[30.0, 0.0], [60.0, 0.0], [90.0, 0.0]])
-    expected = marginal.end_density(now, "av", ahead, 4.0)
+    expected = marginal.predict(now, "av").end_density(ahead, 4.0)
 
     def off(share):
         told = Conditional(nets[1], 1.0, marginal=marginal, share=share)
-        return np.abs(told.end_density(now, "av", None, ahead, 4.0) - expected).mean()
+        return np.abs(told.predict(now, "av").end_density(None, ahead, 4.0) - expected).mean()
 
     assert off(1.0) < 0.7 * off(0.0)
 
@@ -104,17 +104,19 @@ def test_the_opinion_is_one_for_all_given_futures(nets):
         agent_id="other", position_m=np.stack([there, there + 50.0]), heading_rad=np.zeros((2, 80))
     )
     told = Conditional(nets[1], 1.0, marginal=Marginal([nets[0]], 1.0))
-    both = told.react(now, "av", given, 6)
+    both = told.predict(now, "av").given(given, 6)
     second = Futures(
         agent_id="other", position_m=given.position_m[1:], heading_rad=given.heading_rad[1:]
     )
-    (alone,) = told.react(now, "av", second, 6)
+    (alone,) = told.predict(now, "av").given(second, 6)
     assert np.allclose(both[1].probability, alone.probability, atol=1e-5)
 
 
 def test_features_are_made_once_where_the_marginal_network_sees_no_image(nets, monkeypatch):
     blind = weights.random(replace(SMALL, raster=False), 0).marginal
-    expected = Conditional(nets[1], 1.0, marginal=blind).react(view(), "av", None, 6)[0]
+    expected = Conditional(nets[1], 1.0, marginal=blind).predict(view(), "av").given(None, 6)[0]
     monkeypatch.setattr(marginal_module, "features", None)  # nobody calls it
     found = Conditional(nets[1], 1.0, marginal=Marginal(blind.nets, 1.0))
-    assert np.array_equal(found.react(view(), "av", None, 6)[0].probability, expected.probability)
+    assert np.array_equal(
+        found.predict(view(), "av").given(None, 6)[0].probability, expected.probability
+    )

@@ -29,7 +29,9 @@ def test_what_is_written_is_loaded(folder):
     found = weights.load(folder)
     made = weights.random(LIGHT, 1)
     ends = view().history.position_m[:, -1]
-    one, other = (each.marginal.end_density(view(), "av", ends, 2.0) for each in (found, made))
+    one, other = (
+        each.marginal.predict(view(), "av").end_density(ends, 2.0) for each in (found, made)
+    )
     assert one == pytest.approx(other, rel=1e-3)
     assert (folder / "conditional.safetensors").stat().st_size < 1_000_000
     assert found.marginal.temperature == 1.3

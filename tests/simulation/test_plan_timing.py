@@ -1,11 +1,13 @@
 """What a plan says of each step is what happens at that step, and what views show of it."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, FanPredictor
+from predictor_doubles import Doubles, FanPrediction, FanPredictor
 from simulated_worlds import LANE_M, NOW, case_of, scene_of, straight_motion, straight_road
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, Forecast, Futures, Plan
+from deepmf_sumo.datatypes import FUTURE_STEPS, Forecast, Futures, Plan, Tracks
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.planners import replay
 from deepmf_sumo.simulation import simulate
@@ -18,16 +20,24 @@ class KnowsTheLog(FanPredictor):
         super().__init__()
         self.tracks = tracks
 
-    def react(self, view, agent_id, given, modes, *, planner=False):
-        row = self.tracks.row(agent_id)
-        steps = np.minimum(view.step + 1 + np.arange(FUTURE_STEPS), self.tracks.steps - 1)
-        futures = Futures(
-            agent_id=agent_id,
+    def predict(self, view, agent_id, *, planner=False):
+        return Logged(view, agent_id, tracks=self.tracks)
+
+
+@dataclass
+class Logged(FanPrediction):
+    tracks: Tracks | None = None
+
+    def given(self, futures, modes):
+        row = self.tracks.row(self.agent_id)
+        steps = np.minimum(self.view.step + 1 + np.arange(FUTURE_STEPS), self.tracks.steps - 1)
+        known = Futures(
+            agent_id=self.agent_id,
             position_m=self.tracks.position_m[row, steps][None],
             heading_rad=self.tracks.heading_rad[row, steps][None],
         )
-        forecast = Forecast(futures=futures, probability=np.ones(1))
-        return [forecast] * (1 if given is None else len(given.position_m))
+        forecast = Forecast(futures=known, probability=np.ones(1))
+        return [forecast] * (1 if futures is None else len(futures.position_m))
 
 
 class Watched:

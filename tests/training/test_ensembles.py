@@ -200,4 +200,4 @@ def test_the_mixture_predicts(trained):
     found = weights.load(trained.folder).marginal
     assert len(found.nets) == 2
     assert found.temperature == card(trained)["temperature"]
-    assert found.predict(view(), ["av"], 16)[0].futures.position_m.shape == (16, 80, 2)
+    assert found.predict(view(), "av").modes(16).futures.position_m.shape == (16, 80, 2)

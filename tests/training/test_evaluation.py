@@ -66,14 +66,21 @@ class Opponent:
 
 @dataclass
 class Marginal:
+    """Its own prediction: ``view`` and ``agent_id`` are those that it was made for."""
+
     temperature: float = 2.0
+    view: object = None
+    agent_id: str = ""
     off_m = 2.0
 
-    def predict_each(self, view, agent_id, modes, *, chosen_at=79):
-        off_m = self.off_m * (1 + chosen_at) / 80  # who is asked for sooner knows better
-        return [forecast(view, agent_id, count, off_m, self.temperature) for count in modes]
+    def predict(self, view, agent_id):
+        return replace(self, view=view, agent_id=agent_id)
 
-    def end_density(self, view, agent_id, ends_m, kernel_m):
+    def modes(self, count, *, chosen_at=79):
+        off_m = self.off_m * (1 + chosen_at) / 80  # nearer horizons are predicted better
+        return forecast(self.view, self.agent_id, count, off_m, self.temperature)
+
+    def end_density(self, ends_m, kernel_m):
         return density(self.off_m)
 
 
@@ -81,26 +88,31 @@ class Marginal:
 class Conditional:
     """Right given the truth; off by how far the given end is from the truth; 3 m given nothing.
 
-    Who asks for sooner hears chances of temperature 1.
+    For nearer horizons the probabilities have temperature 1.
     """
 
     temperature: float = 2.0
+    view: object = None
+    agent_id: str = ""
 
-    def react(self, view, agent_id, given, modes, *, planner=False, chosen_at=None):
-        futures = [None] if given is None else given.position_m
+    def predict(self, view, agent_id, *, planner=False):
+        return replace(self, view=view, agent_id=agent_id)
+
+    def given(self, futures, modes, *, chosen_at=None):
+        count = 1 if futures is None else len(futures.position_m)
         temperature = self.temperature if chosen_at in (None, 79) else 1.0
         return [
-            forecast(view, agent_id, modes, self._off(view, given, row), temperature)
-            for row in range(len(futures))
+            forecast(self.view, self.agent_id, modes, self._off(futures, row), temperature)
+            for row in range(count)
         ]
 
-    def end_density(self, view, agent_id, given, ends_m, kernel_m, *, planner=False):
-        return density(self._off(view, given, 0))
+    def end_density(self, futures, ends_m, kernel_m):
+        return density(self._off(futures, 0))
 
-    def _off(self, view, given, row):
+    def _off(self, given, row):
         if given is None:
             return 3.0
-        apart = given.position_m[row, -1] - truth(view, given.agent_id)[-1]
+        apart = given.position_m[row, -1] - truth(self.view, given.agent_id)[-1]
         return float(np.hypot(*apart))
 
 

@@ -2,15 +2,15 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.predictors.conditional import Conditional
+from deepmf_sumo.predictors.conditional import Conditional, ConditionalPrediction
 from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastModes, Role, Target
 from deepmf_sumo.training.evaluation.marginal import Marginals
 from deepmf_sumo.training.evaluation.measures import (
@@ -162,29 +162,28 @@ class ConditionalFigures:
         asked: dict[str, Futures | None] = {NOTHING: None, TRUE: true}
         if shuffled is not None:
             asked[SHUFFLED] = shuffled
-        found = {MARGINAL: pair.marginals.forecasts, **self._react(conditional, target, asked)}
+        prediction = conditional.predict(target.view, target.agent_id, planner=target.planner)
+        found = {MARGINAL: pair.marginals.forecasts, **self._react(prediction, asked)}
         logs = {MARGINAL: pair.marginals.log_likelihood}
         for condition, futures in asked.items():
-            logs[condition] = _log_likelihood(
-                conditional, target, futures, found[condition][max(self.modes)]
-            )
+            density = partial(prediction.end_density, futures)
+            logs[condition] = log_likelihoods(found[condition][max(self.modes)], future, density)
         for each in seen:
             for condition, forecasts in found.items():
                 for modes, forecast in forecasts.items():
                     each.add_modes(condition, modes, forecast.futures.position_m, future)
                 each.add_modes(condition, 1, forecasts[FEW].futures.position_m[:1], future)
                 each.add_log(condition, logs[condition])
-        warm = copy(conditional)  # shares the network; only the probabilities differ
-        warm.temperature = 1.0
-        self.informed.add(target, found[TRUE], _answers(warm, target, true, FEW)[0])
+        warm = replace(prediction, temperature=1.0)
+        self.informed.add(target, found[TRUE], warm.given(true, FEW)[0])
         for key, step in STEPS.items():
             if future.valid[step]:
-                (few,) = _answers(conditional, target, true, FEW, chosen_at=step)
+                (few,) = prediction.given(true, FEW, chosen_at=step)
                 self.calibrated_of_horizon.add(few, future, (key,))
         self.pairs += 1
 
     def _react(
-        self, conditional: Conditional, target: Target, asked: dict[str, Futures | None]
+        self, prediction: ConditionalPrediction, asked: dict[str, Futures | None]
     ) -> dict[str, dict[int, Forecast]]:
         """Forecasts by condition and number of modes; given futures go through at once."""
         given = {name: futures for name, futures in asked.items() if futures is not None}
@@ -192,8 +191,8 @@ class ConditionalFigures:
         together = given_both(first, more[0]) if more else first
         found: dict[str, dict[int, Forecast]] = {name: {} for name in asked}
         for modes in self.modes:
-            found[NOTHING][modes] = _answers(conditional, target, None, modes)[0]
-            answers = _answers(conditional, target, together, modes)
+            found[NOTHING][modes] = prediction.given(None, modes)[0]
+            answers = prediction.given(together, modes)
             for name, answer in zip(given, answers, strict=True):
                 found[name][modes] = answer
         return found
@@ -258,31 +257,6 @@ class ConditionalFigures:
             }
         found["most_probable_fde"] = both.most_probable(key)
         return found
-
-
-def _log_likelihood(
-    conditional: Conditional, target: Target, futures: Futures | None, forecast: Forecast
-) -> dict[str, float | None]:
-    view, agent_id = target.view, target.agent_id
-
-    def density(ends_m: Floats, kernel_m: float) -> Floats:
-        return conditional.end_density(
-            view, agent_id, futures, ends_m, kernel_m, planner=target.planner
-        )
-
-    return log_likelihoods(forecast, target.future, density)
-
-
-def _answers(
-    conditional: Conditional,
-    target: Target,
-    given: Futures | None,
-    modes: int,
-    chosen_at: int | None = None,
-) -> list[Forecast]:
-    return conditional.react(
-        target.view, target.agent_id, given, modes, planner=target.planner, chosen_at=chosen_at
-    )
 
 
 def given(future: Future) -> Futures:

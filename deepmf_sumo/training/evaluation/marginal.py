@@ -1,8 +1,7 @@
 """The marginal network: its modes, their likelihood, and baselines beside them."""
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Floats, Forecast
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.predictors.lanes import road_index
-from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.marginal import Marginal, MarginalPrediction
 from deepmf_sumo.predictors.paths import path_set
 from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastModes, Target, compare
 from deepmf_sumo.training.evaluation.measures import (
@@ -77,38 +76,29 @@ class MarginalFigures:
 
     def add(self, marginal: Marginal, target: Target) -> Marginals:
         """Add one target; returns its predictions for comparison."""
-        view, agent_id, future = target.view, target.agent_id, target.future
-        found = dict(
-            zip(self.modes, marginal.predict_each(view, agent_id, self.modes), strict=True)
-        )
-        warm = copy(marginal)  # shares the network; only the probabilities differ
-        warm.temperature = 1.0
-        self.chosen.add(target, found, warm.predict_each(view, agent_id, (FEW,))[0])
-        self._of_horizons(marginal, target)
+        prediction = marginal.predict(target.view, target.agent_id)
+        found = {modes: prediction.modes(modes) for modes in self.modes}
+        self.chosen.add(target, found, replace(prediction, temperature=1.0).modes(FEW))
+        self._of_horizons(prediction, target)
         self._baselines(target)
-        logs = log_likelihoods(
-            found[max(found)],
-            future,
-            lambda end, kernel: marginal.end_density(view, agent_id, end, kernel),
-        )
+        logs = log_likelihoods(found[max(found)], target.future, prediction.end_density)
         for key, value in logs.items():
             if value is not None:
                 self.log_likelihood[key].append(value)
         self.targets += 1
         return Marginals(forecasts=found, log_likelihood=logs)
 
-    def _of_horizons(self, marginal: Marginal, target: Target) -> None:
+    def _of_horizons(self, prediction: MarginalPrediction, target: Target) -> None:
         """Errors of modes chosen for each horizon; those for 8 s are too far apart at 3 s."""
         for key, step in STEPS.items():
             if not target.future.valid[step]:
                 continue
-            found = marginal.predict_each(target.view, target.agent_id, self.modes, chosen_at=step)
-            for modes, forecast in zip(self.modes, found, strict=True):
+            found = {modes: prediction.modes(modes, chosen_at=step) for modes in self.modes}
+            for modes, forecast in found.items():
                 off = forecast.futures.position_m[:, step] - target.future.position_m[step]
                 least = float(np.hypot(*off.T).min())
                 self.of_horizon.setdefault((key, modes), []).append(least)
-            few = found[self.modes.index(FEW)]
-            self.calibrated_of_horizon.add(few, target.future, (key,))
+            self.calibrated_of_horizon.add(found[FEW], target.future, (key,))
 
     def _baselines(self, target: Target) -> None:
         known = self.baselines

@@ -1,0 +1,131 @@
+"""What is known when a plan is made: the present, the opponent, and the AV's unattacked future."""
+
+import time
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from deepmf_sumo.datatypes import FUTURE_STEPS, AgentId, Bools, Floats, Forecast, Ints, Plan, View
+from deepmf_sumo.deepmf.tracking import Limits, Start
+from deepmf_sumo.geometry.ground import Ground, clear, ground_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Situation:
+    """An opponent and an AV at the moment of a plan.
+
+    Attributes:
+        view: the present and the last second.
+        opponent_id: the vehicle that attacks.
+        start: its state now.
+        size_m, av_size_m: (2) length and width of the opponent and of the AV.
+        limits: of what the opponent drives.
+        horizon: number of steps that count: of the futures, at most those that are left.
+        levels: heights of the two, if the road passes over itself; else None.
+        unattacked: the AV's futures if nobody attacks; None if nothing needs them.
+        last: the plan before this one, if there is one.
+    """
+
+    view: View
+    opponent_id: AgentId
+    start: Start
+    size_m: Floats
+    av_size_m: Floats
+    limits: Limits
+    horizon: int
+    levels: "Levels | None"
+    unattacked: Forecast | None
+    last: Plan | None
+
+    @classmethod
+    def of(
+        cls,
+        view: View,
+        opponent_id: AgentId,
+        limits: Limits,
+        unattacked: Forecast | None = None,
+        last: Plan | None = None,
+    ) -> Self:
+        """The situation in a view. Raises KeyError if opponent or AV are not in it."""
+        return cls(
+            view=view,
+            opponent_id=opponent_id,
+            start=Start.of(view, opponent_id),
+            size_m=footprint(view, opponent_id),
+            av_size_m=footprint(view, view.av_id),
+            limits=limits,
+            horizon=min(FUTURE_STEPS, view.steps_left),
+            levels=Levels.of(view, opponent_id),
+            unattacked=unattacked,
+            last=last,
+        )
+
+
+def footprint(view: View, agent_id: AgentId) -> Floats:
+    """(2) length and width of an agent."""
+    return view.history.size_m[view.history.row(agent_id), :2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Levels:
+    """Positions (3) x, y, z of opponent and AV now, on a road that passes over itself."""
+
+    ground: Ground
+    opponent: Floats
+    av: Floats
+
+    @classmethod
+    def of(cls, view: View, opponent_id: AgentId) -> "Levels | None":
+        """None if the road passes nowhere over itself: heights then decide nothing."""
+        ground, tracks = ground_of(view.road), view.history
+        if not ground.has_levels:
+            return None
+        rows = [tracks.row(opponent_id), tracks.row(view.av_id)]
+        now = np.column_stack([tracks.position_m[rows, -1], tracks.z_m[rows, -1]])
+        return cls(ground=ground, opponent=now[0], av=now[1])
+
+    def opponent_z_m(self, futures_m: Floats) -> Floats:
+        """(N, F) heights of futures (N, F, 2) of the opponent, which follow the road."""
+        return self._along(futures_m, self.opponent)
+
+    def av_z_m(self, futures_m: Floats) -> Floats:
+        """(N, F) heights of futures (N, F, 2) of the AV."""
+        return self._along(futures_m, self.av)
+
+    def clear(self, own_m: Floats, av_m: Floats, at: tuple[Ints, Ints, Ints]) -> Bools:
+        """(K) whether candidates (N, F, 2) and reactions (N, M, F, 2) pass over each other.
+
+        ``at``: K rows, modes and steps.
+        """
+        row, mode, step = at
+        mine, own = np.unique(row, return_inverse=True)
+        theirs, other = np.unique(row * av_m.shape[1] + mode, return_inverse=True)
+        reactions = av_m[np.divmod(theirs, av_m.shape[1])]
+        own_z, other_z = self.opponent_z_m(own_m[mine]), self.av_z_m(reactions)
+        return clear(own_z[own, step], other_z[other, step])
+
+    def _along(self, futures_m: Floats, now: Floats) -> Floats:
+        start = np.broadcast_to(now[:2], (len(futures_m), 1, 2))
+        paths = np.concatenate([start, futures_m], axis=1)
+        return self.ground.follow(paths, np.full(len(paths), now[2]))[:, 1:]
+
+
+class Stopwatch:
+    """Wall time by part."""
+
+    def __init__(self) -> None:
+        self._since = time.perf_counter()
+        self.milliseconds: dict[str, float] = {}
+
+    def lap(self, part: str) -> None:
+        """Add the time since the last lap to a part."""
+        now = time.perf_counter()
+        spent = 1000 * (now - self._since)
+        self.milliseconds[part] = self.milliseconds.get(part, 0.0) + spent
+        self._since = now
+
+    @property
+    def seconds(self) -> float:
+        """Sum of all laps."""
+        return sum(self.milliseconds.values()) / 1000

@@ -1,0 +1,66 @@
+"""A constraint that is not in the package: one class is enough for it."""
+
+import numpy as np
+import pytest
+from predictor_doubles import Doubles, view_of
+
+from deepmf_sumo import plugins
+from deepmf_sumo.benchmark import artifacts
+from deepmf_sumo.deepmf import constraints
+from deepmf_sumo.deepmf.constraints import Constraint
+from deepmf_sumo.deepmf.policy import build
+from deepmf_sumo.errors import PluginError
+
+AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
+
+
+class Late(Constraint):
+    name = "late"
+    scope = "attack"
+    step = 14
+
+    def allowed(self, situation, own, reactions, pairs):
+        return pairs.collision_step.min(axis=1) >= self.step
+
+
+@pytest.fixture
+def known(monkeypatch):
+    monkeypatch.setattr(constraints, "CONSTRAINTS", (*constraints.CONSTRAINTS, Late))
+
+
+def first_plan(**values):
+    made = build(plugins.settings("policies", "deepmf", values), Doubles())
+    view = view_of(AGENTS)
+    made.reset(view, np.random.default_rng(0))
+    return made.plan(view)
+
+
+def test_a_new_constraint_narrows_the_choice_and_is_recorded(known):
+    reason = first_plan(constraints=["late"], opponent="near").reason
+    hits = reason.collides[reason.chosen]
+    assert hits.any()
+    assert reason.collision_step[reason.chosen].min() >= Late.step
+    assert (reason.wished_mass[~reason.allowed["late"]] == 0.0).all()
+    assert not reason.allowed["late"].all()
+    assert "late" in reason.milliseconds
+    np.testing.assert_array_equal(
+        artifacts._reason(reason)["candidate_late"], reason.allowed["late"]
+    )
+
+
+def test_a_new_constraint_that_nothing_meets_is_named(known, monkeypatch):
+    monkeypatch.setattr(Late, "step", 1000)
+    reason = first_plan(constraints=["late"], opponent="near").reason
+    assert (reason.rule, reason.unmet) == ("nothing late", ("late",))
+
+
+def test_an_unknown_constraint_is_refused_with_the_nearest_name():
+    with pytest.raises(PluginError, match=r"no constraint .fare.*Did you mean .fair"):
+        plugins.settings("policies", "deepmf", {"constraints": ["fare"]})
+
+
+def test_results_name_further_constraints_only_if_there_are_any():
+    plain = plugins.settings("policies", "deepmf", {})
+    assert "constraints" not in plain.model_dump(mode="json")
+    fair = plugins.settings("policies", "deepmf", {"constraints": ["fair"]})
+    assert fair.model_dump(mode="json")["constraints"] == ["fair"]
