@@ -16,7 +16,7 @@ from deepmf_sumo.geometry.ground import clear, ground_of, on_nearest_level
 from deepmf_sumo.geometry.road import MARGIN_M, WIDTH_M
 
 EVERY_STEPS: Final = 2
-"""Futures are looked at every 0.2 s."""
+"""Futures are examined every 0.2 s."""
 OFF: Final = -1
 """On none of the lanes."""
 _SPACING_M = 4.0
@@ -126,7 +126,7 @@ def on_lane(
 
 
 def width_m(lane: Lane) -> float:
-    """Of a lane; 3.7 m where nobody says."""
+    """Width of a lane; 3.7 m if the source does not state it."""
     return lane.width_m or WIDTH_M
 
 
@@ -206,8 +206,8 @@ def _driven(lanes: tuple[Lane, ...], nearest: Ints) -> Bools:
 
 
 PACE_S = DT_S * EVERY_STEPS
-_REACH_M = 20.0  # lanes are looked for so far beyond what is driven
-_LIKELY = 0.1  # the AV's futures that are at least so likely have to be left alone
+_REACH_M = 20.0  # lanes are searched this far beyond what is driven
+_LIKELY = 0.1  # futures of the AV with at least this probability must not be obstructed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,10 +12,10 @@ A future is lawful if
 - behind the AV it neither touches it nor speeds up within 1 s of it; before it, where no line makes
   it stop and no turn slow down, it brakes by no more than 2 m/s2, and keeps half of its speed.
 
-Where the AV comes into the opponent's way none of this holds: that is what a lawful attack is.
-Lights are taken to stay as they are until the next plan. What the map does not tell restricts
-nothing: recordings know no right of way at junctions, and who begins off the lanes may drive
-anywhere. Others than the AV are not looked at.
+None of this applies where the AV enters the opponent's path: that is a lawful attack.
+Lights are assumed not to change until the next plan. What the map does not contain restricts
+nothing: recordings have no right of way at junctions, and a vehicle that starts off the lanes may
+drive anywhere. Only the AV is considered, not other vehicles.
 """
 
 from dataclasses import dataclass, field
@@ -52,7 +52,7 @@ from deepmf_sumo.geometry.ground import clear
 RED: Final = frozenset({SignalState.STOP, SignalState.ARROW_STOP})
 HALT: Final = RED | {SignalState.CAUTION, SignalState.ARROW_CAUTION}
 OVER_M: Final = 2.0
-"""A front that is so far beyond a line has crossed it, and did not just stop late."""
+"""A front farther than this beyond a line has crossed it, and did not merely stop late."""
 YELLOW_MPS2: Final = 3.0
 RED_MPS2: Final = 5.0
 """Somewhat more than SUMO's drivers brake with for a light that has long been red."""
@@ -67,8 +67,8 @@ class Line(NamedTuple):
 
     Attributes:
         lane: that it bounds. point_m: (2) on the lane. heading_rad: of the lane there.
-        sign: of a stop sign, else of a light.
-        brake_mps2: who can stop with so little braking has to.
+        sign: True for a stop sign, False for a light.
+        brake_mps2: a vehicle that can stop with at most this braking must stop.
     """
 
     lane: Lane
@@ -92,11 +92,11 @@ class Line(NamedTuple):
         return crossed & ~stands
 
     def stood(self, driven: LaneFutures, slowest_mps: float) -> bool:
-        """Whether who was so slow just now stood before the sign; at lights that does not count."""
+        """Whether a vehicle of this lowest recent speed stood at the sign; False at lights."""
         return self.sign and self.before_m(driven) < _STOP_ZONE_M and slowest_mps < _STOP_MPS
 
     def before_m(self, driven: LaneFutures) -> float:
-        """How far the front is before the line now; negative beyond it."""
+        """Distance of the front to the line now; negative beyond it."""
         start = driven.start
         front = start.position_m + frames.unit(start.heading_rad) * driven.size_m[0] / 2
         ahead, left = frames.to_local(front, self.point_m, self.heading_rad)
@@ -104,9 +104,9 @@ class Line(NamedTuple):
 
 
 def stop_lines(view: View, ways: LaneAssignment) -> list[Line]:
-    """Lines where one has to stop now on the lanes ahead: at lights, and of stop signs.
+    """Lines on the lanes ahead at which vehicles must stop now: at lights and stop signs.
 
-    A light's line is where the lane behind it begins.
+    The line of a light is the start of the lane behind it.
     """
     lines = []
     known = {lane.id: lane for lane in ways.lanes if len(lane.centre_m) > 1}
@@ -178,9 +178,9 @@ def takes_way(view: View, driven: LaneFutures) -> Bools:
 
 
 def through(view: View, driven: LaneFutures) -> Bools:
-    """(L) lanes inside a junction at whose end nobody has to be waited for.
+    """(L) lanes inside a junction whose end can be passed without giving way.
 
-    None where the map tells no right of way: there anybody may have to be waited for.
+    None if the map contains no right of way: any vehicle may then have priority.
     """
     lanes = view.road.lanes
     known = any(one.gives_way_to for one in lanes.values())
@@ -193,7 +193,7 @@ def through(view: View, driven: LaneFutures) -> Bools:
 
 
 def blocks(driven: LaneFutures, free: Bools, so_far_mps: float) -> Bools:
-    """Slows down to less than half inside a junction that it could be through.
+    """Slows down to less than half inside a junction that it could have passed.
 
     ``free``: as of `through`; ``so_far_mps``: its highest speed there until now.
     """
