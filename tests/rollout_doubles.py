@@ -1,19 +1,22 @@
 """Rollouts and cases made by hand: what metrics and adversaries are tested with."""
 
+from pathlib import Path
+
 import numpy as np
 from predictor_doubles import straight_road
 
 from deepmf_sumo.datatypes import (
     DT_S,
-    Case,
     Contact,
     Driver,
+    RecordedCase,
     Rollout,
     Scene,
     Signals,
     Source,
     SumoNet,
     Tracks,
+    TrafficCase,
 )
 
 
@@ -79,10 +82,16 @@ def contact_of(kind="av_opponent", step=40, first="av", second="b"):
     )
 
 
+def in_traffic(case):
+    """The same situation in SUMO's own traffic: there is no recording."""
+    return TrafficCase(
+        name=case.name, road=case.road, av_id=case.av_id, duration_steps=case.duration_steps,
+        seed=case.seed, config=Path("made.sumocfg"), start_s=0.0, net_file=Path("made.net.xml"),
+    )  # fmt: skip
+
+
 def case_of(paths=None, tmp="net.net.xml", partner_id=None):
     """A case whose recording holds the given paths."""
-    from pathlib import Path
-
     tracks = tracks_of(paths or {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)})
     road = straight_road()
     scene = Scene(
@@ -101,7 +110,7 @@ def case_of(paths=None, tmp="net.net.xml", partner_id=None):
         ),
         av_id="av",
     )
-    return Case(
+    return RecordedCase(
         name="made",
         road=road,
         av_id="av",

@@ -6,9 +6,9 @@ import numpy as np
 
 from deepmf_sumo import network
 from deepmf_sumo.datatypes import (
-    Case,
     Lane,
     Neighbour,
+    RecordedCase,
     RoadMap,
     Scene,
     Signals,
@@ -103,7 +103,7 @@ def scene_of(road, motions, kinds=None, valid=None, signals=None):
 
 
 def case_of(scene, folder: Path, traffic="log", steps=80):
-    return Case(
+    return RecordedCase(
         name=scene.name,
         road=scene.road,
         av_id=scene.av_id,

@@ -5,7 +5,17 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Case, Floats, Ints, Lane, RoadMap, Rollout, frozen
+from deepmf_sumo.datatypes import (
+    Bools,
+    Case,
+    Floats,
+    Ints,
+    Lane,
+    RecordedCase,
+    RoadMap,
+    Rollout,
+    frozen,
+)
 from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 
@@ -104,11 +114,10 @@ def route_ahead(rollout: Rollout, case: Case, step: int) -> Floats:
     """
     row = rollout.tracks.row(rollout.av_id)
     position, heading = rollout.tracks.position_m[row, step], rollout.tracks.heading_rad[row, step]
-    scene = case.scene
-    if scene is not None:
-        recorded = scene.tracks.row(scene.av_id)
-        there = scene.tracks.valid[recorded]
-        path = _rest(scene.tracks.position_m[recorded, there], position, float(heading))
+    if isinstance(case, RecordedCase):
+        recorded = case.scene.tracks
+        av = recorded.row(case.scene.av_id)
+        path = _rest(recorded.position_m[av, recorded.valid[av]], position, float(heading))
         if path is not None:
             return path
     return _along_lanes(case.road, position, float(heading), float(rollout.tracks.z_m[row, step]))

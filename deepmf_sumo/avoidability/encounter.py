@@ -12,7 +12,7 @@ import numpy as np
 from deepmf_sumo.avoidability.av_path import AvPath, route_ahead
 from deepmf_sumo.avoidability.manoeuvres import GRID, Driven
 from deepmf_sumo.avoidability.reference_drivers import Approach
-from deepmf_sumo.datatypes import Bools, Case, Contact, Floats, Ints, Rollout
+from deepmf_sumo.datatypes import Bools, Case, Contact, Floats, Ints, RecordedCase, Rollout, Tracks
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import clear, off_level
 
@@ -143,13 +143,14 @@ def _departure_m(rollout: Rollout, case: Case, opponent: int, steps: Ints) -> Fl
     """(K) distance from where the opponent would have been; 0 where that is unknown."""
     distance = np.zeros(len(steps))
     where = rollout.tracks.position_m[opponent, steps]
-    name, scene = rollout.tracks.ids[opponent], case.scene
-    if scene is not None and name in scene.tracks.ids:
-        row = scene.tracks.row(name)
+    name = rollout.tracks.ids[opponent]
+    if isinstance(case, RecordedCase) and name in case.scene.tracks.ids:
+        recorded = case.scene.tracks
+        row = recorded.row(name)
         # a rollout starts at the recording's first step, so that steps are the same in both
-        known = steps < scene.tracks.steps
-        known[known] = scene.tracks.valid[row, steps[known]]
-        expected = scene.tracks.position_m[row, steps[known]]
+        known = steps < recorded.steps
+        known[known] = recorded.valid[row, steps[known]]
+        expected = recorded.position_m[row, steps[known]]
     else:
         plan = rollout.plans[0] if rollout.plans else None
         if plan is None or plan.reason is None:
@@ -195,8 +196,8 @@ def third_parties_of(rollout: Rollout, case: Case, first: int, steps: int) -> Th
     heading[:, known:] = heading[:, known - 1 : known]
     valid[:, known:] = valid[:, known - 1 : known]
     found = ThirdParties(position, heading, valid, tracks.size_m[rows, :2])
-    if case.scene is not None and case.traffic == "log":
-        _as_recorded(found, [tracks.ids[row] for row in rows], case, first, known)
+    if isinstance(case, RecordedCase) and case.traffic == "log":
+        _as_recorded(found, [tracks.ids[row] for row in rows], case.scene.tracks, first, known)
     av = tracks.row(rollout.av_id)
     heights = np.repeat(tracks.z_m[rows, first + known - 1, None], steps, axis=1)
     heights[:, :known] = tracks.z_m[rows, shown]
@@ -210,10 +211,10 @@ def third_parties_of(rollout: Rollout, case: Case, first: int, steps: int) -> Th
     return found
 
 
-def _as_recorded(found: ThirdParties, ids: list[str], case: Case, first: int, known: int) -> None:
+def _as_recorded(
+    found: ThirdParties, ids: list[str], recorded: Tracks, first: int, known: int
+) -> None:
     """Replace constant velocities by the recorded poses, where there are some."""
-    assert case.scene is not None
-    recorded = case.scene.tracks
     begin, end = first + known, min(first + found.valid.shape[1], recorded.steps)
     if end <= begin:
         return

@@ -23,7 +23,7 @@ from deepmf_sumo import simulation
 from deepmf_sumo.benchmark import pool
 from deepmf_sumo.benchmark.logs import logged
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.datatypes import Case, VehicleModel
+from deepmf_sumo.datatypes import Case, TrafficCase, VehicleModel
 from deepmf_sumo.errors import DeepmfError, PlannerError
 from deepmf_sumo.planners import _checked
 from deepmf_sumo.planners.remote import reaper
@@ -98,8 +98,10 @@ def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
 def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:
     """Whether SUMO has come to the moment, and can be copied: it may have threads of its own."""
     with contextlib.suppress(DeepmfError), logged(Path(os.devnull)):  # the run itself will say it
-        simulation.hold(make_case(), model)
-        return _alone()
+        case = make_case()
+        if isinstance(case, TrafficCase):
+            simulation.hold(case, model)
+            return _alone()
     return False
 
 

@@ -25,6 +25,7 @@ from deepmf_sumo.datatypes import (
     Attack,
     Budget,
     Case,
+    RecordedCase,
     Rollout,
     Scene,
     SumoNet,
@@ -178,7 +179,7 @@ def make_case(task: Task, cache: Path) -> Case:
         )
     assert task.record is not None, "the plan finds the scenes of recordings"
     scene, net = _recorded(task.record, cache)
-    return Case(
+    return RecordedCase(
         name=task.run_id,
         road=scene.road,
         av_id=scene.av_id,

@@ -13,7 +13,15 @@ import numpy as np
 from deepmf_sumo import plugins, tables
 from deepmf_sumo.benchmark import turns
 from deepmf_sumo.benchmark.tasks import Label, Task
-from deepmf_sumo.datatypes import Attack, Case, Contact, ConversionReport, MetricValue, Rollout
+from deepmf_sumo.datatypes import (
+    Attack,
+    Case,
+    Contact,
+    ConversionReport,
+    MetricValue,
+    RecordedCase,
+    Rollout,
+)
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics import NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork
@@ -173,8 +181,8 @@ def finished(
             "trials": [asdict(trial) for trial in attack.trials],
             "out_of_time": attack.out_of_time,
         },
-        "conversion": _conversion(case.net.report if case.net else None),
-        "repairs": list(case.scene.repairs) if case.scene else [],
+        "conversion": _conversion(_report(case)),
+        "repairs": list(case.scene.repairs) if isinstance(case, RecordedCase) else [],
         "timings": _timings(attack, case, wall_s),
     }
     if by_turn is not None:
@@ -317,6 +325,10 @@ def _metric(value: MetricValue) -> Any:
     return {key: part for key, part in asdict(value).items() if key != "name"}
 
 
+def _report(case: Case) -> ConversionReport | None:
+    return case.net.report if isinstance(case, RecordedCase) else None
+
+
 def _conversion(report: ConversionReport | None) -> dict[str, Any] | None:
     if report is None:
         return None
@@ -327,7 +339,7 @@ def _timings(attack: Attack, case: Case, wall_s: float) -> dict[str, Any]:
     rollout = attack.rollout
     parts = [plan.reason.milliseconds for plan in rollout.plans if plan.reason]
     cycles = [float(sum(part.values())) for part in parts]
-    report = case.net.report if case.net else None
+    report = _report(case)
     return {
         "wall_s": wall_s,
         "generation_s": float(attack.generation_s),

@@ -4,7 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepmf_sumo.datatypes import ROLLOUT, Case, Rollout, Scene, Signals, Source, Tracks, frozen
+from deepmf_sumo.datatypes import (
+    ROLLOUT,
+    Case,
+    RecordedCase,
+    Rollout,
+    Scene,
+    Signals,
+    Source,
+    Tracks,
+    frozen,
+)
 
 
 def scene_of(rollout: Rollout, case: Case) -> Scene:
@@ -17,21 +27,21 @@ def scene_of(rollout: Rollout, case: Case) -> Scene:
     steps = max(rollout.tracks.steps, rollout.now + 1 + case.duration_steps)
     tracks = _with_plan(_padded(rollout.tracks, steps), rollout)
     interest = (rollout.av_id, rollout.opponent_id) if rollout.opponent_id else ()
-    recorded = case.scene
+    if isinstance(case, RecordedCase):
+        source = replace(case.scene.source, dataset=ROLLOUT)
+        signals = _continued(case.scene.signals, steps)
+    else:
+        source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
+        signals = _unknown(steps)
     return Scene(
         name=case.name,
-        source=Source(
-            dataset=ROLLOUT,
-            file=recorded.source.file if recorded else str(case.network and case.network.config),
-            record=recorded.source.record if recorded else 0,
-            sha256=recorded.source.sha256 if recorded else "",
-        ),
+        source=source,
         dt_s=rollout.dt_s,
         now=rollout.now,
         timestamps_s=frozen(np.arange(steps) * rollout.dt_s),
         tracks=tracks,
         road=case.road,
-        signals=_signals(recorded, steps),
+        signals=signals,
         av_id=rollout.av_id,
         interest=interest,
     )
@@ -72,19 +82,19 @@ def _with_plan(tracks: Tracks, rollout: Rollout) -> Tracks:
     )
 
 
-def _signals(recorded: Scene | None, steps: int) -> Signals:
-    if recorded is None:
-        return Signals(
-            lane_ids=(),
-            state=np.zeros((0, steps), np.uint8),
-            seen=np.zeros((0, steps), bool),
-            stop_m=np.zeros((0, 2)),
-        )
-    signals = recorded.signals
-    have = signals.seen.shape[1]
-    pad = [(0, 0), (0, max(0, steps - have))]
+def _continued(signals: Signals, steps: int) -> Signals:
+    pad = [(0, 0), (0, max(0, steps - signals.seen.shape[1]))]
     return replace(
         signals,
         state=np.pad(signals.state, pad)[:, :steps],
         seen=np.pad(signals.seen, pad)[:, :steps],
+    )
+
+
+def _unknown(steps: int) -> Signals:
+    return Signals(
+        lane_ids=(),
+        state=np.zeros((0, steps), np.uint8),
+        seen=np.zeros((0, steps), bool),
+        stop_m=np.zeros((0, 2)),
     )

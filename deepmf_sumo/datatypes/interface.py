@@ -80,26 +80,9 @@ Traffic = Literal["log", "sumo"]
 AvDriver = Literal["planner", "human"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkSource:
-    """A SUMO configuration with traffic, run by SUMO up to ``start_s``.
-
-    Attributes:
-        net: the network that the configuration names.
-        sumo_options: beside the configuration, as on SUMO's command line.
-    """
-
-    config: Path
-    start_s: float
-    net: Path | None = None
-    sumo_options: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Case:
+class _Situation:
     """One situation to attack.
-
-    Exactly one of ``scene`` (with ``net``) and ``network`` is given.
 
     Attributes:
         name: stable and unique in a batch: the run id.
@@ -116,20 +99,42 @@ class Case:
     road: RoadMap
     av_id: AgentId
     duration_steps: int
-    traffic: Traffic
     seed: int
-    scene: Scene | None = None
-    net: SumoNet | None = None
-    network: NetworkSource | None = None
     partner_id: AgentId | None = None
     av_driver: AvDriver = "planner"
     turns: TurnRules | None = None
 
-    def __post_init__(self) -> None:
-        if (self.scene is None) == (self.network is None):
-            raise ValueError("a case has either a scene or a network")
-        if (self.scene is None) != (self.net is None):
-            raise ValueError("a case with a scene has a converted net, and only such a case")
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedCase(_Situation):
+    """A situation of a recorded scene.
+
+    Attributes:
+        traffic: what drives the other agents: the log, or SUMO from now on.
+        scene: the recording. net: the SUMO network made of its road.
+    """
+
+    traffic: Traffic
+    scene: Scene
+    net: SumoNet
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrafficCase(_Situation):
+    """A situation in the traffic of a SUMO configuration, which SUMO runs up to ``start_s``.
+
+    Attributes:
+        net_file: the network that the configuration names.
+        sumo_options: beside the configuration, as on SUMO's command line.
+    """
+
+    config: Path
+    start_s: float
+    net_file: Path
+    sumo_options: tuple[str, ...] = ()
+
+
+Case = RecordedCase | TrafficCase
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -15,7 +15,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import shapely
 
-from deepmf_sumo.datatypes import Bools, Case, RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes import Bools, Case, RecordedCase, RoadMap, Rollout, Tracks
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.plugins import Settings as PluginSettings
@@ -54,16 +54,13 @@ def write(rollout: Rollout, case: Case, path: Path) -> None:
 
     ``sumo-gui -c path/replay.sumocfg`` shows the rollout; its time 0 is the first step of history.
 
-    Raises OutputError where the case's network or the folder cannot be used.
+    Raises OutputError where the network cannot be read or the folder cannot be written.
     """
-    net = case.net.file if case.net else case.network.net if case.network else None
-    if net is None:
-        raise OutputError(f"Case '{case.name}' does not say which network it is on; set its `net`.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
         try:
-            _fill(beside, rollout, case, net)
+            _fill(beside, rollout, case)
             beside.chmod(0o755)
             if path.exists():
                 shutil.rmtree(path)
@@ -74,7 +71,8 @@ def write(rollout: Rollout, case: Case, path: Path) -> None:
         raise OutputError(f"'{path}' cannot be written: {error}.") from None
 
 
-def _fill(folder: Path, rollout: Rollout, case: Case, net: Path) -> None:
+def _fill(folder: Path, rollout: Rollout, case: Case) -> None:
+    net = case.net.file if isinstance(case, RecordedCase) else case.net_file
     # a packed net stays packed, and SUMO tells by the name
     net_name = NET + ".gz" if net.suffix == ".gz" else NET
     shutil.copyfile(net, folder / net_name)
@@ -83,7 +81,7 @@ def _fill(folder: Path, rollout: Rollout, case: Case, net: Path) -> None:
     replayed = _from_first(on_lane) & tracks.valid
     replayed[[kind == "pedestrian" for kind in tracks.kinds]] = False
     additional = [TYPES, SHAPES]
-    if case.net is not None and case.net.additional is not None:
+    if isinstance(case, RecordedCase) and case.net.additional is not None:
         shutil.copyfile(case.net.additional, folder / "map.add.xml")
         additional.append("map.add.xml")
     (folder / TYPES).write_text(_types(rollout), "utf-8")

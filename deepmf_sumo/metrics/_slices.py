@@ -4,11 +4,20 @@ Accelerations and steering are differences over 0.2 s, so that noise of a centim
 1 m/s2.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Driver, Floats, Rollout
+from deepmf_sumo.datatypes import (
+    AgentId,
+    Bools,
+    Case,
+    Contact,
+    Driver,
+    Floats,
+    RecordedCase,
+    Rollout,
+)
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.metrics import NotMeasurable
@@ -91,7 +100,6 @@ def compared_stretches(rollout: Rollout, case: Case, *, beyond: bool) -> list[St
         raise NotMeasurable(NO_LOG)
     if not driven(rollout, row).any():
         raise NotMeasurable(NEVER_DRIVEN)
-    assert case.scene is not None
     last = rollout.now + case.duration_steps
     attack = planned_poses(rollout, row, last if beyond else rollout.tracks.steps - 1)
     recorded = case.scene.tracks
@@ -120,11 +128,11 @@ def planned_poses(rollout: Rollout, row: int, last: int) -> dict[int, Floats]:
     return found
 
 
-def is_recorded(case: Case, agent_id: AgentId) -> bool:
+def is_recorded(case: Case, agent_id: AgentId) -> TypeGuard[RecordedCase]:
     """Whether the recording has the agent after now, within the case's duration."""
-    scene = case.scene
-    if scene is None or agent_id not in scene.tracks.ids:
+    if not isinstance(case, RecordedCase) or agent_id not in case.scene.tracks.ids:
         return False
+    scene = case.scene
     steps = slice(scene.now + 1, scene.now + 1 + case.duration_steps)
     return bool(scene.tracks.valid[scene.tracks.row(agent_id), steps].any())
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Case, Floats, Rollout, SignalState
+from deepmf_sumo.datatypes import Bools, Case, Floats, RecordedCase, Rollout, SignalState
 from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.geometry.road import WIDTH_M
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
@@ -126,7 +126,7 @@ class StopLine(NamedTuple):
 
 def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
     """Of all lanes with lights: as recorded, or in a SUMO network where the lanes start."""
-    if case.scene is not None:
+    if isinstance(case, RecordedCase):
         signals = case.scene.signals
         points = dict(zip(signals.lane_ids, signals.stop_m, strict=True))
     else:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Floats, Rollout
+from deepmf_sumo.datatypes import Case, Floats, RecordedCase, Rollout
 from deepmf_sumo.geometry import polylines
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 
@@ -300,9 +300,10 @@ def av_ade(episode: Episode) -> float:
     """Mean distance of the AV's centre to that of its recording at the same time, over the
     simulated steps at which the recording has it.
     """
-    rollout, scene = episode.rollout, episode.case.scene
-    if scene is None:
+    rollout, case = episode.rollout, episode.case
+    if not isinstance(case, RecordedCase):
         raise NotMeasurable(_slices.NO_LOG)
+    scene = case.scene
     row, logged = rollout.tracks.row(rollout.av_id), scene.tracks.row(scene.av_id)
     count = min(rollout.tracks.steps - rollout.now, scene.tracks.steps - scene.now)
     here = slice(rollout.now + 1, rollout.now + count)

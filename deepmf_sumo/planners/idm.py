@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
+from deepmf_sumo.datatypes import Case, Command, RecordedCase, VehicleModel, View
 from deepmf_sumo.planners.perception import nearest_in_corridor
 from deepmf_sumo.plugins import Settings as PluginSettings
 
@@ -72,7 +72,7 @@ class IdmPlanner:
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
         """Which perception: on a lane of its own (the ghost edge) SUMO sees nobody."""
-        ghost = case.net is not None and case.net.ghost_edge is not None
+        ghost = isinstance(case, RecordedCase) and case.net.ghost_edge is not None
         self._corridor = ghost or self._settings.perception == "corridor"
 
     def act(self, view: View) -> Command:

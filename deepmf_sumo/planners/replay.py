@@ -4,7 +4,15 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, Floats, Tracks, VehicleModel, View
+from deepmf_sumo.datatypes import (
+    Case,
+    Command,
+    Floats,
+    RecordedCase,
+    Tracks,
+    VehicleModel,
+    View,
+)
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.plugins import Settings as PluginSettings
@@ -30,7 +38,7 @@ class ReplayPlanner:
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
         """Take the case's recording. Raises SimulationError where there is none."""
-        if case.scene is None:
+        if not isinstance(case, RecordedCase):
             raise SimulationError(
                 f"The planner 'replay' needs a recording, and case '{case.name}' is a SUMO "
                 "network; choose idm, sumo or constant_velocity."

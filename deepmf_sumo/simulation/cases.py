@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from deepmf_sumo.datatypes import AgentId, Case, NetworkSource, TurnRules
+from deepmf_sumo.datatypes import AgentId, TrafficCase, TurnRules
 from deepmf_sumo.network.sumo_road import road_once
 from deepmf_sumo.simulation.sumo_config import read_configuration
 
@@ -16,7 +16,7 @@ def network_case(
     name: str = "",
     sumo_options: tuple[str, ...] = (),
     turns: TurnRules | None = None,
-) -> Case:
+) -> TrafficCase:
     """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
 
     ``sumo_options``: beside the configuration, as on SUMO's command line. ``turns``: opponents
@@ -26,15 +26,15 @@ def network_case(
     there at the start shows only in the simulation.
     """
     configuration = read_configuration(config, sumo_options)
-    return Case(
+    return TrafficCase(
         name=name or f"{config.stem}-{av}-{start_s:g}s",
         road=road_once(configuration.net, configuration.additional),
         av_id=av,
         duration_steps=duration_steps,
-        traffic="sumo",
         seed=seed,
-        network=NetworkSource(
-            config=config, start_s=start_s, net=configuration.net, sumo_options=sumo_options
-        ),
+        config=config,
+        start_s=start_s,
+        net_file=configuration.net,
+        sumo_options=sumo_options,
         turns=turns,
     )

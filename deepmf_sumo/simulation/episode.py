@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Case, Floats, Rollout, View
+from deepmf_sumo.datatypes import DT_S, Case, Floats, RecordedCase, Rollout, View
 from deepmf_sumo.planners._checked import Guard
 from deepmf_sumo.planners.base import FixedPlanner, Planner
 from deepmf_sumo.policies.base import Policy
@@ -51,7 +51,8 @@ def simulate(
             and not gui
             and case.turns is None
             and isinstance(planner, FixedPlanner)
-            and log_only.suffices(case)
+            and isinstance(case, RecordedCase)
+            and case.traffic == "log"
         ):
             return log_only.episode(case, planner, policy, rng)
         with world.opened(case, guarded.model, backend or ("gui" if gui else "libsumo")) as stage:

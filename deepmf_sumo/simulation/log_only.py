@@ -17,10 +17,10 @@ from deepmf_sumo.datatypes import (
     DT_S,
     AgentId,
     Bytes,
-    Case,
     Driver,
     Floats,
     Ints,
+    RecordedCase,
     Rollout,
     Scene,
     Signals,
@@ -39,16 +39,10 @@ from deepmf_sumo.simulation.log_plan import check_route
 from deepmf_sumo.simulation.recorder import Recorder
 
 
-def suffices(case: Case) -> bool:
-    """Whether no traffic reacts to the opponent; if the AV does not either, SUMO is not needed."""
-    return case.scene is not None and case.traffic == "log"
-
-
 def episode(
-    case: Case, planner: FixedPlanner, policy: Policy | None, rng: np.random.Generator
+    case: RecordedCase, planner: FixedPlanner, policy: Policy | None, rng: np.random.Generator
 ) -> Rollout:
     """The episode. Raises SimulationError as the loop over SUMO does."""
-    assert case.scene is not None
     check_route(case)
     seconds: dict[str, float] = defaultdict(float)
     world = _World(case, case.scene, planner.fixed_poses(case.duration_steps))
@@ -107,7 +101,7 @@ class _World:
         av_poses: (K, 4) x, y, heading, speed of the AV after now.
     """
 
-    def __init__(self, case: Case, scene: Scene, av_poses: Floats) -> None:
+    def __init__(self, case: RecordedCase, scene: Scene, av_poses: Floats) -> None:
         self._case = case
         self.av_id = case.av_id
         self._tracks = scene.tracks

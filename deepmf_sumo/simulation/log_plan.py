@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Case, Floats, Scene, Tracks
+from deepmf_sumo.datatypes import Bools, Floats, RecordedCase, Scene, Tracks
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.network.matching import edge_route, lane_sequence, match
@@ -43,10 +43,8 @@ class Log:
 
 
 @lru_cache(maxsize=2)
-def log_of(case: Case) -> Log:
+def log_of(case: RecordedCase) -> Log:
     """The log of a case with a recording. Searches ask for the same case many times."""
-    assert case.scene is not None
-    assert case.net is not None
     tracks = case.scene.tracks
     av = tracks.row(case.av_id)
     stands = _stands(tracks)
@@ -73,12 +71,11 @@ def log_of(case: Case) -> Log:
     )
 
 
-def check_route(case: Case) -> None:
+def check_route(case: RecordedCase) -> None:
     """Raise SimulationError where the AV drives on no lane, so that SUMO could not drive it.
 
     Also asked where SUMO is not needed: all planners shall have the same scenes.
     """
-    assert case.scene is not None
     if not _av_route(case):
         raise SimulationError(
             f"The AV '{case.av_id}' of scene '{case.scene.name}' drives on no lane of the network, "
@@ -87,8 +84,7 @@ def check_route(case: Case) -> None:
 
 
 @lru_cache(maxsize=4)
-def _av_route(case: Case) -> tuple[str, ...]:
-    assert case.scene is not None
+def _av_route(case: RecordedCase) -> tuple[str, ...]:
     return _route(case, case.scene.tracks.row(case.av_id))
 
 
@@ -115,9 +111,8 @@ def _stands(tracks: Tracks) -> Bools:
     return stands
 
 
-def _blocking(case: Case, tracks: Tracks, stands: Bools, match_m: Floats) -> Bools:
+def _blocking(case: RecordedCase, tracks: Tracks, stands: Bools, match_m: Floats) -> Bools:
     """Standing agents near enough to a lane's centre to block a car there."""
-    assert case.net is not None
     blocking = np.zeros(tracks.agents, bool)
     rows = np.flatnonzero(stands & tracks.valid.any(axis=1))
     first = tracks.valid[rows].argmax(axis=1)
@@ -134,10 +129,8 @@ def _blocking(case: Case, tracks: Tracks, stands: Bools, match_m: Floats) -> Boo
     return blocking
 
 
-def _route(case: Case, row: int) -> tuple[str, ...]:
+def _route(case: RecordedCase, row: int) -> tuple[str, ...]:
     """Edges that an agent drives through in the recording and on beyond it; () off every lane."""
-    assert case.scene is not None
-    assert case.net is not None
     tracks = case.scene.tracks
     if tracks.ids[row] == case.av_id and case.net.ghost_edge is not None:
         return (case.net.ghost_edge,)

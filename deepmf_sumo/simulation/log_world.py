@@ -12,11 +12,11 @@ from deepmf_sumo.datatypes import (
     DT_S,
     AgentId,
     Bools,
-    Case,
     Command,
     Driver,
     Event,
     Floats,
+    RecordedCase,
     SignalState,
     Tracks,
     VehicleModel,
@@ -225,10 +225,9 @@ _FOLLOW_ROUTE = 513
 
 @contextmanager
 def opening(
-    case: Case, model: VehicleModel | None, backend: Backend
+    case: RecordedCase, model: VehicleModel | None, backend: Backend
 ) -> Iterator[tuple[SumoApi, Stage]]:
     """SUMO, and the stage of it."""
-    assert case.net is not None
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         types = write_types(Path(folder) / "types.add.xml", model)
         arguments = [
@@ -249,9 +248,7 @@ class RecordedStage:
     own perception does not see them, views do.
     """
 
-    def __init__(self, api: SumoApi, case: Case, model: VehicleModel | None) -> None:
-        assert case.scene is not None
-        assert case.net is not None
+    def __init__(self, api: SumoApi, case: RecordedCase, model: VehicleModel | None) -> None:
         self.events: list[Event] = []
         self._api = api
         self._case = case
@@ -356,7 +353,6 @@ class RecordedStage:
 
     def _start(self, model: VehicleModel | None) -> None:
         """Insert everybody where the recording has them now; the first step leaves them there."""
-        assert self._case.net is not None
         tracks, row, name = self._tracks, self._av_row, self._case.av_id
         check_route(self._case)
         route = self._log.routes[row]

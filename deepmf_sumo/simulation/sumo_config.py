@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 from xml.sax import SAXException
 
-from deepmf_sumo.datatypes import Case, VehicleModel
+from deepmf_sumo.datatypes import TrafficCase, VehicleModel
 from deepmf_sumo.errors import SimulationError, UsageError
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, Backend, SumoApi, running, write_types
 
@@ -273,18 +273,16 @@ def begun(traffic: Traffic, backend: Backend = "libsumo") -> Iterator[SumoApi]:
         yield api
 
 
-def hold(case: Case, model: VehicleModel | None) -> None:
+def hold(case: TrafficCase, model: VehicleModel | None) -> None:
     """Let SUMO pass through a network's traffic and stop shortly before the case's start.
 
     ``model`` is what the planner of the coming run asks for: SUMO that is held with another one
     is of no use to it, see `begun`. Raises SimulationError, and holds nothing then.
     """
     global _held  # noqa: PLW0603
-    assert case.network is not None
-    source = case.network
-    configuration = read_configuration(source.config, source.sumo_options)
+    configuration = read_configuration(case.config, case.sumo_options)
     traffic = Traffic(configuration=configuration, seed=case.seed, model=model)
-    until_s = source.start_s - _BEFORE_S
+    until_s = case.start_s - _BEFORE_S
     if not (_held and _held.traffic == traffic and _held.api.simulation.getTime() <= until_s):
         release()
         with ExitStack() as ending:

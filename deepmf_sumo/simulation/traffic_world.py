@@ -10,13 +10,12 @@ from deepmf_sumo.datatypes import (
     DT_S,
     HISTORY_STEPS,
     AgentId,
-    Case,
     Command,
     Driver,
     Event,
     Floats,
-    NetworkSource,
     SignalState,
+    TrafficCase,
     VehicleModel,
 )
 from deepmf_sumo.errors import SimulationError
@@ -36,12 +35,10 @@ _LOOK_FURTHER_S = 300.0
 
 @contextmanager
 def opening(
-    case: Case, model: VehicleModel | None, backend: Backend
+    case: TrafficCase, model: VehicleModel | None, backend: Backend
 ) -> Iterator[tuple[SumoApi, Stage]]:
     """SUMO, and the stage of it."""
-    assert case.network is not None
-    source = case.network
-    configuration = read_configuration(source.config, source.sumo_options)
+    configuration = read_configuration(case.config, case.sumo_options)
     traffic = Traffic(configuration=configuration, seed=case.seed, model=model)
     with begun(traffic, backend) as api:
         yield api, NetworkStage(api, case, configuration, model)
@@ -51,20 +48,23 @@ class NetworkStage:
     """SUMO drives everybody but the AV (as the planner says) and the opponent (where planned)."""
 
     def __init__(
-        self, api: SumoApi, case: Case, configuration: Configuration, model: VehicleModel | None
+        self,
+        api: SumoApi,
+        case: TrafficCase,
+        configuration: Configuration,
+        model: VehicleModel | None,
     ) -> None:
-        assert case.network is not None
         self.events: list[Event] = []
         self._api = api
         self._reader = TrafficReader(api)
         self._step = HISTORY_STEPS - 1
         self._ground = ground_of(case.road)
         self._note_step_length(configuration)
-        _check_start(case.network, configuration)
-        self._frames = self._run_to(case.network.start_s)
+        _check_start(case, configuration)
+        self._frames = self._run_to(case.start_s)
         self._frame = self._frames[-1]
         if case.av_id not in api.vehicle.getIDList():
-            raise SimulationError(_absent(api, case.av_id, case.network))
+            raise SimulationError(_absent(api, case))
         if model is not None:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
@@ -159,10 +159,10 @@ class NetworkStage:
             self.events.append(event)
 
 
-def _check_start(source: NetworkSource, configuration: Configuration) -> None:
-    if source.start_s < configuration.begin_s:
+def _check_start(case: TrafficCase, configuration: Configuration) -> None:
+    if case.start_s < configuration.begin_s:
         raise SimulationError(
-            f"source.start_s is {source.start_s:g}, but '{source.config}' begins at "
+            f"source.start_s is {case.start_s:g}, but '{case.config}' begins at "
             f"{configuration.begin_s:g} s; choose a later start, or let it begin earlier."
         )
 
@@ -179,7 +179,7 @@ def _set_model(api: SumoApi, av: AgentId) -> None:
     vehicle.setHeight(av, size[2])
 
 
-def _absent(api: SumoApi, av: AgentId, source: NetworkSource) -> str:
+def _absent(api: SumoApi, case: TrafficCase) -> str:
     """Why the AV is not there: the message of the error."""
     there = sorted(api.vehicle.getIDList())
     others = (
@@ -188,7 +188,7 @@ def _absent(api: SumoApi, av: AgentId, source: NetworkSource) -> str:
     begin = api.simulation.getTime()
     while api.simulation.getTime() < begin + _LOOK_FURTHER_S:
         api.simulationStep()
-        if av in api.simulation.getDepartedIDList():
+        if case.av_id in api.simulation.getDepartedIDList():
             when = f"departs at {api.simulation.getTime():.1f} s"
             break
         if api.simulation.getMinExpectedNumber() == 0:
@@ -197,6 +197,6 @@ def _absent(api: SumoApi, av: AgentId, source: NetworkSource) -> str:
     else:
         when = f"does not depart within {_LOOK_FURTHER_S:g} s after it"
     return (
-        f"Vehicle '{av}' is not there at {source.start_s:g} s in '{source.config}' and {when}; "
+        f"Vehicle '{case.av_id}' is not there at {case.start_s:g} s in '{case.config}' and {when}; "
         f"choose another start{others}."
     )

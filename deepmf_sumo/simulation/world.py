@@ -4,7 +4,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from deepmf_sumo.datatypes import AgentId, Case, Command, Event, Floats, SignalState, VehicleModel
+from deepmf_sumo.datatypes import (
+    AgentId,
+    Case,
+    Command,
+    Event,
+    Floats,
+    SignalState,
+    TrafficCase,
+    VehicleModel,
+)
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.sumo_api import Backend
 
@@ -47,7 +56,7 @@ class Stage(Protocol):
 def opened(case: Case, model: VehicleModel | None, backend: Backend) -> Iterator[Stage]:
     """The stage of a case, standing at its current step."""
     opening: Callable[..., Any]
-    if case.network is not None:
+    if isinstance(case, TrafficCase):
         from deepmf_sumo.simulation.traffic_world import opening
     else:
         from deepmf_sumo.simulation.log_world import opening

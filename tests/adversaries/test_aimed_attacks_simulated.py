@@ -11,7 +11,7 @@ from simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
 from simulated_worlds import case_of as recorded_case_of
 
 from deepmf_sumo import network, plugins, readers
-from deepmf_sumo.datatypes import Budget, Case, Driver
+from deepmf_sumo.datatypes import Budget, Driver, RecordedCase
 from deepmf_sumo.planners import idm, replay
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.simulation import network_case
@@ -62,7 +62,7 @@ def test_a_replayed_av_is_hit_where_it_was_aimed_at(name, tmp_path):
 
 def test_recorded_scenes_are_attacked_within_limits(womd, tmp_path):
     scene = next(islice(readers.scenes([womd / "val"]), 1, None))
-    case = Case(
+    case = RecordedCase(
         name=scene.name,
         road=scene.road,
         av_id=scene.av_id,

@@ -1,18 +1,17 @@
 """How a rollout becomes a question: onset, the opponent's motion, the AV's path."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from drawn_attacks import NO_ROAD, NOW, attack, cut_in
-from rollout_doubles import straight
+from rollout_doubles import in_traffic, straight
 
 from deepmf_sumo import readers
 from deepmf_sumo.avoidability import av_path, reference_drivers
 from deepmf_sumo.avoidability.av_path import route_ahead
 from deepmf_sumo.avoidability.encounter import AFTER_S, encounter_of
-from deepmf_sumo.datatypes import Forecast, Futures, NetworkSource, PlanReason, Scene
+from deepmf_sumo.datatypes import Forecast, Futures, PlanReason, Scene
 from deepmf_sumo.geometry import polylines
 
 
@@ -80,8 +79,7 @@ def test_in_sumo_traffic_the_likeliest_prediction_stands_in_for_the_recording():
     leaving[20:, 1] -= np.minimum(0.1 * np.arange(71), 3.5)
     leaving[20:, 0] -= 0.02 * np.arange(71) ** 2
     rollout, recorded = attack(straight(0, 0, 14), leaving)
-    source = NetworkSource(config=Path("made.sumocfg"), start_s=0.0)
-    case = replace(recorded, scene=None, net=None, network=source)
+    case = in_traffic(recorded)
     unknown = encounter_of(rollout, case).onset
     modes = np.stack([leaving[11:], straight(60, 3.5, 10)[11:]])
     plan = rollout.plans[0]

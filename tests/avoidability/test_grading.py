@@ -1,19 +1,17 @@
 """Grades and fault of drawn attacks."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from drawn_attacks import NO_ROAD, NOW, attack, cut_in
 from predictor_doubles import straight_road
-from rollout_doubles import straight
+from rollout_doubles import in_traffic, straight
 
 from deepmf_sumo.avoidability import grading
 from deepmf_sumo.avoidability.encounter import encounter_of
 from deepmf_sumo.avoidability.grading import GRADES, evasive_manoeuvres, judge
 from deepmf_sumo.avoidability.manoeuvres import GRID
-from deepmf_sumo.datatypes import NetworkSource
 
 
 def graded(*motions, **options):
@@ -111,8 +109,7 @@ def test_who_overlaps_the_av_from_the_start_does_not_stand_where_the_data_says()
 def test_sumo_traffic_goes_on_at_its_velocity_after_the_end():
     av, wall = straight(0, 0, 30), straight(49.8, 0, 0)
     rollout, recorded = attack(av, wall, others={"c": straight(75, 3.5, -1)})
-    source = NetworkSource(config=Path("made.sumocfg"), start_s=0.0)
-    case = replace(recorded, scene=None, net=None, network=source, traffic="sumo")
+    case = in_traffic(recorded)
     assert judge(rollout, case) == judge(rollout, recorded)
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmf_sumo import network, plugins, readers
-from deepmf_sumo.datatypes import Budget, Case, Scene
+from deepmf_sumo.datatypes import Budget, RecordedCase, Scene
 from deepmf_sumo.simulation import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -64,7 +64,7 @@ def fastest(command: list[str], tries: int = 5) -> float:
     return min(times)
 
 
-def conversion(count: int, folder: Path) -> list[Case]:
+def conversion(count: int, folder: Path) -> list[RecordedCase]:
     """Reading and conversion a scene, one process."""
     start = time.perf_counter()
     found = (scene for scene in readers.scenes([SCENES]) if isinstance(scene, Scene))
@@ -75,7 +75,7 @@ def conversion(count: int, folder: Path) -> list[Case]:
     built = (time.perf_counter() - start) / len(scenes)
     print(f"{len(scenes)} scenes: read {1000 * read:.0f} ms, converted {1000 * built:.0f} ms each")
     return [
-        Case(
+        RecordedCase(
             name=scene.name,
             road=scene.road,
             av_id=scene.av_id,
@@ -90,7 +90,7 @@ def conversion(count: int, folder: Path) -> list[Case]:
     ]
 
 
-def steps(cases: list[Case]) -> None:
+def steps(cases: list[RecordedCase]) -> None:
     """Milliseconds a simulated step, planner by planner, SUMO's start included and apart."""
     for name, values in (
         ("replay", {}),
@@ -114,7 +114,7 @@ def steps(cases: list[Case]) -> None:
         )
 
 
-def cycles(cases: list[Case], weights: str) -> None:
+def cycles(cases: list[RecordedCase], weights: str) -> None:
     """A replanning cycle by part, and the generation time of S1, one torch thread and two."""
     import torch
 
@@ -146,7 +146,7 @@ def cycles(cases: list[Case], weights: str) -> None:
         )
 
 
-def memory(cases: list[Case], episodes: int) -> None:
+def memory(cases: list[RecordedCase], episodes: int) -> None:
     """Growth of this process over episodes."""
     planner = plugins.load("planners", "idm")
     peak = []

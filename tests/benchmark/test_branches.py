@@ -25,7 +25,7 @@ class _Planner:
     def build(cls, settings): return cls(settings)
     def reset(self, case, rng):
         self.idm.reset(case, rng)
-        self.start_s = case.network.start_s
+        self.start_s = case.start_s
     def act(self, view):
         if self.start_s == 3.0: self.go_wrong()
         return self.idm.act(view)

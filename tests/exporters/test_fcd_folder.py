@@ -103,7 +103,7 @@ def test_writing_again_replaces_the_folder(exported):
 def case_of_folder(folder, rollout):
     """The case again: its net lies beside the exported folder."""
     from deepmf_sumo import network
-    from deepmf_sumo.datatypes import Case
+    from deepmf_sumo.datatypes import RecordedCase
 
     tracks = rollout.tracks
     motions = {
@@ -113,7 +113,7 @@ def case_of_folder(folder, rollout):
         for row, name in enumerate(tracks.ids)
     }
     scene = scene_of(straight_road(), motions, kinds={"walker": "pedestrian"})
-    return Case(
+    return RecordedCase(
         name="again",
         road=scene.road,
         av_id="av",

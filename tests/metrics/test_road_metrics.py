@@ -7,7 +7,7 @@ import pytest
 from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Case, Lane, NetworkSource, RoadMap, Signals, SignalState
+from deepmf_sumo.datatypes import Lane, RoadMap, Signals, SignalState, TrafficCase
 from deepmf_sumo.geometry.road import against_traffic, on_road
 
 AV = straight(0, -30, 10)
@@ -122,14 +122,15 @@ def test_red_at_the_moment_of_crossing_counts():
 
 def test_lights_of_a_network_are_those_of_the_rollout(tmp_path):
     road = RoadMap(lanes={"behind": lane("behind", [[30, 0], [60, 0]], width_m=3.2)})
-    case = Case(
+    case = TrafficCase(
         name="net",
         road=road,
         av_id="av",
         duration_steps=80,
-        traffic="sumo",
         seed=0,
-        network=NetworkSource(config=tmp_path / "x.sumocfg", start_s=0.0),
+        config=tmp_path / "x.sumocfg",
+        start_s=0.0,
+        net_file=tmp_path / "x.net.xml",
     )
     driven = rollout_of({"av": AV, "b": straight(10, 0, 10)})
     metric = plugins.load("metrics", "red_light")

@@ -8,7 +8,15 @@ import pytest
 import simulated_worlds as worlds
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.datatypes import Case, Command, SignalState, SumoNet, VehicleModel, View
+from deepmf_sumo.datatypes import (
+    Command,
+    RecordedCase,
+    SignalState,
+    SumoNet,
+    TrafficCase,
+    VehicleModel,
+    View,
+)
 from deepmf_sumo.errors import PlannerError
 from deepmf_sumo.planners.remote import http_client, protocol
 from deepmf_sumo.planners.remote.protocol import PROTOCOL, Reset, ViewMessage, schema
@@ -26,7 +34,7 @@ def scene():
 @pytest.fixture(scope="module")
 def case(scene, tmp_path_factory):
     net = SumoNet(file=tmp_path_factory.mktemp("net") / "none.net.xml")
-    return Case(
+    return RecordedCase(
         name="a case", road=scene.road, av_id="av", duration_steps=80, traffic="log", seed=7,
         scene=scene, net=net,
     )  # fmt: skip
@@ -78,7 +86,7 @@ def test_the_road_arrives_and_the_recording_does_not(case):
         assert (there.next, there.previous) == (lane.next, lane.previous)
         assert (there.kind, there.speed_limit_mps) == (lane.kind, lane.speed_limit_mps)
     assert heard.road.stop_signs[0].lane_ids == ("south",)
-    assert heard.scene is None
+    assert isinstance(heard, TrafficCase)
     assert b"walker" not in line
     assert protocol.read(http_client.reset_message(case, road=False)).road is None
 
@@ -86,9 +94,9 @@ def test_the_road_arrives_and_the_recording_does_not(case):
 def test_a_lane_of_its_own_is_told(case):
     from dataclasses import replace
 
-    assert case.net is not None
     alone = replace(case, net=replace(case.net, ghost_edge="ghost"))
     heard = protocol.case_of(protocol.read(http_client.reset_message(alone, road=False)))
+    assert isinstance(heard, RecordedCase)
     assert heard.net.ghost_edge is not None
     assert heard.scene.tracks.ids == ("av",)
 

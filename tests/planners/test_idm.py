@@ -1,10 +1,10 @@
 """The IDM planner's parameters, and its corridor."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rollout_doubles import case_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import RoadMap, SumoNet, Tracks, View
@@ -84,7 +84,7 @@ def test_corridor_follows_the_bend():
 def test_on_a_lane_of_its_own_where_sumo_sees_nobody_the_corridor_is_used(tmp_path):
     def command(ghost_edge):
         net = SumoNet(file=tmp_path / "a.net.xml", ghost_edge=ghost_edge)
-        case = SimpleNamespace(net=net)
+        case = replace(case_of(), net=net)
         planner = idm.build(idm.Settings(perception="lane"))
         planner.reset(case, np.random.default_rng(0))
         return planner.act(replace(view_of([(30.0, 0.0, 0.0, 7.0)]), av_path_m=STRAIGHT)).kind

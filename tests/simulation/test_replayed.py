@@ -18,7 +18,7 @@ from simulated_worlds import (
 )
 
 from deepmf_sumo import network, readers
-from deepmf_sumo.datatypes import Case, Plan
+from deepmf_sumo.datatypes import Plan, RecordedCase
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.planners import constant_velocity, replay
 from deepmf_sumo.simulation import log_only, simulate
@@ -148,7 +148,7 @@ def test_longer_than_the_recording(case, tmp_path):
 def test_recorded_scenes(womd, tmp_path):
     for name in readers.ids(womd / "val", tmp_path)[3:6]:
         scene = readers.scene(womd / "val", name, tmp_path)
-        case = Case(
+        case = RecordedCase(
             name=name,
             road=scene.road,
             av_id=scene.av_id,

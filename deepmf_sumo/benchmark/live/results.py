@@ -17,7 +17,7 @@ from deepmf_sumo.benchmark import artifacts, result
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.benchmark.tasks import Task
-from deepmf_sumo.datatypes import DT_S, Attack, Case, NetworkSource, RoadMap
+from deepmf_sumo.datatypes import DT_S, Attack, RoadMap, TrafficCase
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.live.session import Fought
 from deepmf_sumo.metrics import measure
@@ -108,14 +108,15 @@ class Results:
 
 def _finished(task: Task, fought: Fought, stage: Stage, begin: float) -> Result:
     rollout = replace(fought.rollout, turns=())  # an attack of its own
-    case = Case(
+    case = TrafficCase(
         name=task.run_id,
         road=stage.road,
         av_id=rollout.av_id,
         duration_steps=round(stage.longest_s / DT_S),
-        traffic="sumo",
         seed=task.spec.seed,
-        network=NetworkSource(config=stage.net, start_s=fought.begin_s, net=stage.net),
+        config=stage.net,
+        start_s=fought.begin_s,
+        net_file=stage.net,
     )
     spent = [sum(one.reason.milliseconds.values()) for one in rollout.plans if one.reason]
     attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from pydantic import Field
 
-from deepmf_sumo.datatypes import Case, Lane, Neighbour, Polyline, RoadMap, View
+from deepmf_sumo.datatypes import Case, Lane, Neighbour, Polyline, RecordedCase, RoadMap, View
 from deepmf_sumo.datatypes.scene import DT_S, HISTORY_STEPS
 from deepmf_sumo.errors import PlannerError
 from deepmf_sumo.planners.remote.protocol import LONGEST_BYTES, PROTOCOL
@@ -37,7 +37,7 @@ def reset_message(case: Case, *, road: bool) -> bytes:
             "av_id": case.av_id,
             "dt_s": DT_S,
             "steps": case.duration_steps,
-            "own_lane": case.net is not None and case.net.ghost_edge is not None,
+            "own_lane": isinstance(case, RecordedCase) and case.net.ghost_edge is not None,
             "road": _road(case.road) if road else None,
         }
     )

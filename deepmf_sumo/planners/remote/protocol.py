@@ -28,9 +28,9 @@ from deepmf_sumo.datatypes import (
     Command,
     Floats,
     Lane,
-    NetworkSource,
     Polygon,
     Polyline,
+    RecordedCase,
     RoadMap,
     Scene,
     Signals,
@@ -39,6 +39,7 @@ from deepmf_sumo.datatypes import (
     StopSign,
     SumoNet,
     Tracks,
+    TrafficCase,
     VehicleModel,
     View,
 )
@@ -262,17 +263,17 @@ def read(text: bytes) -> Reset | ViewMessage:
 
 def case_of(told: Reset) -> Case:
     """The case, without what planners are not told: recordings, networks, who drives the others."""
-    ghost = {"scene": _nobody(told), "net": SumoNet(file=_NOWHERE, ghost_edge="told")}
-    open_road = {"network": NetworkSource(config=_NOWHERE, start_s=0.0)}
-    return Case(
-        name=told.case,
-        road=_road(told.road),
-        av_id=told.av_id,
-        duration_steps=told.steps,
-        traffic="sumo",
-        seed=told.seed,
-        **(ghost if told.own_lane else open_road),
-    )
+    known: dict[str, Any] = {
+        "name": told.case,
+        "road": _road(told.road),
+        "av_id": told.av_id,
+        "duration_steps": told.steps,
+        "seed": told.seed,
+    }
+    if told.own_lane:
+        net = SumoNet(file=_NOWHERE, ghost_edge="told")
+        return RecordedCase(**known, traffic="sumo", scene=_nobody(told), net=net)
+    return TrafficCase(**known, config=_NOWHERE, start_s=0.0, net_file=_NOWHERE)
 
 
 def view_of(told: ViewMessage, road: RoadMap) -> View:
