@@ -5,11 +5,12 @@ from pathlib import Path
 
 from rich.table import Table
 
-from deepmf_sumo.benchmark.ablation import Row, cells, headings
+from deepmf_sumo.benchmark.ablation import Row as VariantRow
+from deepmf_sumo.benchmark.ablation import cells, headings
 from deepmf_sumo.cli.screen.console import escape, wide
 
 
-def show(notes: Sequence[str], rows: Sequence[Row], out: Path) -> None:
+def show(notes: Sequence[str], rows: Sequence[VariantRow], out: Path) -> None:
     """The table as in ``ablation.md``."""
     console = wide(240)
     for note in notes:

@@ -11,7 +11,8 @@ from deepmf_sumo.benchmark.quantities import COLUMNS
 from deepmf_sumo.benchmark.result import Result
 from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.report.table import counted
-from deepmf_sumo.report.tables.content import Row, read
+from deepmf_sumo.report.tables.content import Row as MethodRow
+from deepmf_sumo.report.tables.content import read
 
 _SHOWN: Final = {one.name: one.short for one in COLUMNS if one.short}
 
@@ -43,7 +44,7 @@ def show(out: Path, results: Sequence[Result], expected: int, made: Sequence[Pat
     console.print(escape(f"{out}: runs.csv, table.csv, differences.csv, {files}"), soft_wrap=True)
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: MethodRow) -> list[str]:
     rate = "-"
     if row["collision_rate"]:
         share, low, high = (

@@ -5,7 +5,8 @@ from typing import Final
 
 from rich.table import Table
 
-from deepmf_sumo.benchmark.risk import Row, worst
+from deepmf_sumo.benchmark.risk import Row as PlaceRow
+from deepmf_sumo.benchmark.risk import worst
 from deepmf_sumo.benchmark.risk.comparison import Compared
 from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.report.risk import Written, comparison
@@ -57,7 +58,7 @@ def _grid(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
     return grid
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: PlaceRow) -> tuple[str, ...]:
     risk = row.risk["hit"]
     speed = None if row.delta_v_mps is None else f"{row.delta_v_mps:.1f} m/s"
     return (

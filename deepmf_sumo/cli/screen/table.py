@@ -4,10 +4,9 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from deepmf_sumo.cli.screen.console import wide
+from deepmf_sumo.cli.screen.console import escape, wide
 from deepmf_sumo.report.side_by_side import Line, SideBySide
 
 _GAP: Final = 2
