@@ -4,14 +4,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deepmf_sumo.benchmark.live import Attacker
-    from deepmf_sumo.benchmark.results import Results
+    from deepmf_sumo.live.attacker import Attacker
+    from deepmf_sumo.results.results import Results
 
 __version__ = "0.1.0"
 __all__ = ["Attacker", "Results", "__version__"]
 
 
-_HOMES = {"Attacker": "deepmf_sumo.benchmark.live", "Results": "deepmf_sumo.benchmark.results"}
+_HOMES = {"Attacker": "deepmf_sumo.live", "Results": "deepmf_sumo.results.results"}
 
 
 def __getattr__(name: str) -> Any:

@@ -29,6 +29,7 @@ from deepmf_sumo.errors import OutputError
 
 if TYPE_CHECKING:  # `--help` does not load numpy
     from numpy.typing import NDArray
+from platformdirs import user_data_path
 
 GZIP: Final = b"\x1f\x8b"
 """The first bytes of a gzip file."""
@@ -239,7 +240,10 @@ class _Unpacked(io.RawIOBase):
         self._file.close()
 
 
-__all__ = [
-    "GZIP", "content", "gzipped", "inside", "npz", "opened", "pieces", "reason", "text", "unpacked",
-    "whole", "write", "write_json", "writing",
-]  # fmt: skip
+def cache_folder() -> Path:
+    """``$DEEPMF_SUMO_HOME/cache``, else ``cache`` in the user's data folder; may not exist yet.
+
+    On Linux that is ``~/.local/share/deepmf-sumo/cache``, or in ``$XDG_DATA_HOME``.
+    """
+    home = os.environ.get("DEEPMF_SUMO_HOME")
+    return (Path(home) if home else user_data_path("deepmf-sumo", appauthor=False)) / "cache"

@@ -2,7 +2,7 @@
 
 import json
 
-from deepmf_sumo.benchmark.gate.rows import Results, Row
+from deepmf_sumo.gate.rows import Results, Row
 
 
 def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):

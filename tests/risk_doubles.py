@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmf_sumo.benchmark.artifacts import TRACK_COLUMNS
-from deepmf_sumo.benchmark.tasks import slug
+from deepmf_sumo.results.artifacts import TRACK_COLUMNS
+from deepmf_sumo.tasks import slug
 
 NET = Path(__file__).resolve().parents[1] / "sumo_nets" / "four_way" / "four_way.net.xml"
 LEFT_IN = "w_in", "n_out"

@@ -44,8 +44,8 @@ def command(
     Writes ablation.csv and ablation.md after each variant. The same command resumes an interrupted
     study.
     """
-    from deepmf_sumo.benchmark import ablation
-    from deepmf_sumo.cli.screen.ablation import show
+    from deepmf_sumo import ablation
+    from deepmf_sumo.cli._screen import show_ablation
 
     plan = ablation.load(file, sets)
     options = ablation.Options(
@@ -61,6 +61,6 @@ def command(
         rows.append(row)
         notes = ablation.notes(plan, options.jobs, rows)
         ablation.write(out, notes, rows)
-    show(notes, rows, out)
+    show_ablation(notes, rows, out)
     failed = any(attacked.failed for row in rows for attacked in row.attacks)
     ctx.exit(3 if failed else 0)

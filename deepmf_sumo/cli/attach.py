@@ -77,9 +77,8 @@ def command(
     together. Ends when the vehicle leaves, at --until, after --attacks, or at Ctrl-C, and hands
     back whom it drives; a second Ctrl-C breaks off, which ends SUMO.
     """
-    from deepmf_sumo.benchmark import live
-    from deepmf_sumo.cli.screen.live import show, tell
-    from deepmf_sumo.cli.screen.stopping import leaving
+    from deepmf_sumo import live
+    from deepmf_sumo.cli._screen import leaving, show_session, tell_attack
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.session import Stay
 
@@ -89,6 +88,8 @@ def command(
     place = Port(number=port, host=host, order=order, wait_s=wait_s)
     stay = Stay(until_s=until_s, attacks=attacks, patience_s=patience)
     with leaving() as stopped:
-        done = live.attach(place, wish, stay, out, overwrite=overwrite, stopped=stopped, tell=tell)
-    show(done, av, out)
+        done = live.attach(
+            place, wish, stay, out, overwrite=overwrite, stopped=stopped, tell=tell_attack
+        )
+    show_session(done, av, out)
     ctx.exit(130 if done.end == "stopped" else 0)

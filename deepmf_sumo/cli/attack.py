@@ -8,7 +8,7 @@ from typing import Any, Final
 import click
 
 from deepmf_sumo.cli._parameters import FiniteRange
-from deepmf_sumo.cli.sweep import Sweep, end_of_runs, map_risk, options
+from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
 
 _AFTER: Final = "after --"
@@ -94,8 +94,8 @@ def command(
     result folder as `run` does, moments.csv and a risk map. Where nobody can be attacked it says
     why, and ends with 0. Of several CONFIGs each is attacked alike, all in one result folder.
     """
-    from deepmf_sumo.benchmark import moments
-    from deepmf_sumo.cli.screen.runs import progress
+    from deepmf_sumo import moments
+    from deepmf_sumo.cli._screen import progress
 
     batch = sweep.begin()
     if again is not None:
@@ -136,7 +136,7 @@ def _asked(
     **wanted: Any,
 ) -> _Asked:
     """Raises SimulationError or UsageError for what is known to be wrong without a simulation."""
-    from deepmf_sumo.benchmark import moments
+    from deepmf_sumo import moments
     from deepmf_sumo.simulation.sumo_config import read_configuration
     from deepmf_sumo.simulation.traffic_survey import Scouting
 
@@ -153,11 +153,11 @@ def _asked(
 
 def _found(asked: _Asked, timeout_s: float) -> Any:
     """The moments of a configuration; says how they were found."""
-    from deepmf_sumo.benchmark import moments
-    from deepmf_sumo.cli.screen.moments import announce
+    from deepmf_sumo import moments
+    from deepmf_sumo.cli._screen import announce_moments
 
     found = moments.find(asked.scouting, asked.wish, timeout_s)
-    announce(asked.configuration, found, asked.wish)
+    announce_moments(asked.configuration, found, asked.wish)
     return found.moments
 
 

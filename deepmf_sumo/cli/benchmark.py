@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from deepmf_sumo.cli.sweep import Sweep, execute, options, plan_options
+from deepmf_sumo.cli._sweep import Sweep, execute, options, plan_options
 
 
 @click.command(name="benchmark")

@@ -37,15 +37,15 @@ def command(
     the baseline; 2 a file is wrong; 3 no verdict: runs failed or are missing, too few say
     anything, or they cannot tell whether something is worse than the baseline.
     """
-    from deepmf_sumo.benchmark import gate
-    from deepmf_sumo.benchmark.gate import junit as junit_xml
-    from deepmf_sumo.benchmark.gate import summary as markdown
-    from deepmf_sumo.cli.screen import gate as screen
+    from deepmf_sumo import gate
+    from deepmf_sumo.cli import _screen as screen
+    from deepmf_sumo.gate import verdict as junit_xml
+    from deepmf_sumo.gate import verdict as markdown
 
     verdict = gate.check(out, gate.load(thresholds), baseline, write_baseline)
-    screen.show(verdict)
+    screen.show_verdict(verdict)
     if junit:
-        junit_xml.write(junit, verdict)
+        junit_xml.write_junit(junit, verdict)
     if summary:
-        markdown.write(summary, verdict)
+        markdown.write_summary(summary, verdict)
     ctx.exit(verdict.exit_code)

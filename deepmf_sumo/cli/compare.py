@@ -32,9 +32,9 @@ def command(
     A and B are folders of attack, run or benchmark, or hold such folders, e.g. one a seed. Runs of
     the same moment and seed are pairs.
     """
-    from deepmf_sumo.benchmark.risk import comparison
-    from deepmf_sumo.cli.screen import risk as screen
+    from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report.risk import comparison as files
+    from deepmf_sumo.risk import comparison
 
     wanted = quantities or comparison.COMPARED
     compared = comparison.compare(a, b, wanted, confidence)

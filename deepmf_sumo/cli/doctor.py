@@ -1,7 +1,17 @@
 """``deepmf-sumo doctor``: whether all that a run needs is there and fits together."""
 
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from importlib import metadata
+from pathlib import Path
+from typing import Final, Literal
 
 import click
 
@@ -23,23 +33,21 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     import deepmf_sumo
-    from deepmf_sumo.cli.health import machine, packages
-    from deepmf_sumo.cli.health.finding import Check, look
 
     click.echo(f"deepmf-sumo {deepmf_sumo.__version__}")
     checks: dict[str, Check] = {
-        "Python": packages.python,
-        "SUMO packages": packages.sumo_versions,
-        "libsumo": packages.libsumo,
-        "netconvert": packages.netconvert,
-        "sumo-gui": packages.sumo_gui,
-        "SUMO_HOME": packages.sumo_home,
-        "torch": packages.torch,
-        "libraries": packages.libraries,
-        "cores": machine.cores,
-        "memory": machine.memory,
-        **{f"weights {name}": partial(machine.weights, name) for name in weights},
-        "cache": machine.cache,
+        "Python": python,
+        "SUMO packages": sumo_versions,
+        "libsumo": libsumo,
+        "netconvert": netconvert,
+        "sumo-gui": sumo_gui,
+        "SUMO_HOME": sumo_home,
+        "torch": torch,
+        "libraries": libraries,
+        "cores": cores,
+        "memory": memory,
+        **{f"weights {name}": partial(weights_of_set, name) for name in weights},
+        "cache": cache,
     }
     states = []
     with ThreadPoolExecutor(max_workers=4) as pool:  # most of them wait for a process
@@ -49,3 +57,260 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
             text = " ".join(found.text.split())
             click.echo(f"{click.style(f'{mark:4}', fg=colour)} {found.name:14} {text}")
     ctx.exit(int("broken" in states))
+
+
+State = Literal["ok", "warning", "broken"]
+PROBE_S: Final = 120.0
+"""The first import of torch from a slow disk takes a minute."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One line of the report; ``warning``: something that not everybody needs does not work."""
+
+    name: str
+    state: State
+    text: str
+
+
+Check = Callable[[], Finding]
+
+
+def look(name: str, check: Check) -> Finding:
+    """The finding of a check; one that fails itself is a finding too."""
+    try:
+        return check()
+    except Exception as error:  # noqa: BLE001 - whatever is broken here is what is looked for
+        return Finding(name=name, state="broken", text=f"{type(error).__name__}: {error}")
+
+
+def probe(code: str) -> tuple[bool, str]:
+    """Run Python code in a process of its own; whether it went well, and its last line.
+
+    A wheel that does not fit ends its process, often by a signal and without a traceback.
+    """
+    return ended([sys.executable, "-c", code], PROBE_S)
+
+
+def ended(command: list[str], timeout_s: float) -> tuple[bool, str]:
+    """Run a program; whether it went well, and the last line that it wrote, else its end."""
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=timeout_s,
+            check=False, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return False, f"did not end within {timeout_s:g} s"
+    except OSError as error:
+        return False, f"{command[0]} cannot be started: {error.strerror}"
+    if done.returncode == 0:
+        return True, _last(done.stdout)
+    if done.returncode < 0:
+        return False, f"its process was ended by signal {-done.returncode}"
+    return False, _last(done.stderr) or f"exit code {done.returncode}"
+
+
+def _last(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else ""
+
+
+_MB: Final = 2**20
+_RUN_MB: Final = 1000
+"""A run with DeepMF's networks, and the process that leads it."""
+_CGROUP: Final = Path("/sys/fs/cgroup/memory.max")
+
+
+def cores() -> Finding:
+    """Cores that this process may use, for --jobs."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return Finding(name="cores", state="ok", text=f"{usable or 1}: --jobs {usable or 1}")
+
+
+def memory() -> Finding:
+    """Memory that is free, within the container's limit."""
+    free, limit = _free_mb(), _limit_mb()
+    if free is None:
+        return Finding(name="memory", state="ok", text="not known on this system")
+    usable = min(free, limit) if limit is not None else free
+    enough = usable >= _RUN_MB
+    told = f"{free:.0f} MB free" + (f", limit {limit:.0f} MB" if limit is not None else "")
+    need = f"; a run needs about {_RUN_MB} MB" if not enough else ""
+    return Finding(name="memory", state="ok" if enough else "warning", text=told + need)
+
+
+def weights_of_set(name: str) -> Finding:
+    """Whether a set of weights is there and fits the networks; which others there are."""
+    good, text = probe(
+        "import sys; from deepmf_sumo.errors import DeepmfError\n"
+        "from deepmf_sumo.predictors import weights\n"
+        f"try: folder = weights.load({name!r}).folder; lacking = weights.unchecked(folder)\n"
+        "except DeepmfError as error: sys.exit(' '.join(str(error).split()))\n"
+        "print(folder, *([f'({len(lacking)} cards without a digest of their tensors)']"
+        " if lacking else []))"
+    )
+    there = {file.parent.name for home in _homes() for file in home.glob("*/opponent.json")}
+    also = f"; also there: {', '.join(sorted(there - {name}))}" if there - {name} else ""
+    return Finding(name=f"weights {name}", state="ok" if good else "broken", text=text + also)
+
+
+def cache() -> Finding:
+    """Whether converted networks can be kept, how much is, and how much space is left."""
+    from deepmf_sumo.files import cache_folder
+
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        hint = "set DEEPMF_SUMO_HOME to a folder that can"
+        text = f"{folder} cannot be written ({error.strerror}); {hint}"
+        return Finding(name="cache", state="broken", text=text)
+    held = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / _MB
+    free = shutil.disk_usage(folder).free / _MB
+    text = f"{folder}, {held:.0f} MB in it, {free:.0f} MB left"
+    return Finding(name="cache", state="ok" if free >= 100 else "warning", text=text)
+
+
+def _homes() -> list[Path]:
+    """Where sets of weights are looked up by name."""
+    root = os.environ.get("DEEPMF_SUMO_HOME")
+    return [Path(".weights"), *([Path(root) / "weights"] if root else [])]
+
+
+def _free_mb() -> float | None:
+    try:
+        lines = Path("/proc/meminfo").read_text("ascii").splitlines()
+    except OSError:
+        return None
+    sizes = {line.partition(":")[0]: line.split()[1] for line in lines if line.endswith("kB")}
+    return float(sizes["MemAvailable"]) / 1024 if "MemAvailable" in sizes else None
+
+
+def _limit_mb() -> float | None:
+    """Of the container; None without one."""
+    try:
+        text = _CGROUP.read_text("ascii").strip()
+    except OSError:
+        return None
+    return None if text == "max" else int(text) / _MB
+
+
+OLDEST_PYTHON: Final = (3, 11)
+SUMO: Final = ("libsumo", "eclipse-sumo", "sumolib", "traci")
+"""They share file formats and a protocol: one version for all."""
+_LIBRARIES: Final = ("numpy", "pandas", "shapely", "pydantic", "safetensors", "matplotlib.pyplot")
+PROGRAM_S: Final = 60.0
+_PROGRAMS: Final = "import pathlib, sumo; print(pathlib.Path(sumo.SUMO_HOME))"
+
+
+def python() -> Finding:
+    """The interpreter."""
+    version = ".".join(map(str, sys.version_info[:3]))
+    fits = sys.version_info[:2] >= OLDEST_PYTHON
+    oldest = ".".join(map(str, OLDEST_PYTHON))
+    text = f"{version}, {sys.executable}" + ("" if fits else f"; {oldest} or newer is needed")
+    return Finding(name="Python", state="ok" if fits else "broken", text=text)
+
+
+def sumo_versions() -> Finding:
+    """Whether SUMO's four packages are there, in the one version that is asked for."""
+    found = {name: _installed(name) for name in SUMO}
+    wanted = _wanted()
+    told = ", ".join(f"{name} {version or 'missing'}" for name, version in found.items())
+    wrong = [name for name, version in found.items() if version is None or version != wanted[name]]
+    if not wrong:
+        return Finding(name="SUMO packages", state="ok", text=told)
+    asked = " ".join(f"{name}=={wanted[name]}" for name in wrong)
+    return Finding(
+        name="SUMO packages", state="broken", text=f"{told}; install them as: pip install {asked}"
+    )
+
+
+def libsumo() -> Finding:
+    """Whether SUMO's library can be loaded into Python."""
+    good, text = probe("import libsumo; print(libsumo.getVersion()[1])")
+    return Finding(name="libsumo", state="ok" if good else "broken", text=_tell(good, text))
+
+
+def netconvert() -> Finding:
+    """Whether SUMO's programs start; networks are built by one of them."""
+    return _program("netconvert", "broken", "networks cannot be built")
+
+
+def sumo_gui() -> Finding:
+    """Whether `--gui` can work: a program and a display."""
+    found = _program("sumo-gui", "warning", "--gui does not work")
+    if found.state != "ok" or sys.platform in {"win32", "darwin"}:
+        return found
+    display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    if display:
+        return Finding(name="sumo-gui", state="ok", text=f"{found.text}, display {display}")
+    text = "no display (DISPLAY is not set): --gui does not work, all else does"
+    return Finding(name="sumo-gui", state="warning", text=text)
+
+
+def sumo_home() -> Finding:
+    """Whether SUMO_HOME, which is not needed here, points to another SUMO."""
+    name = "SUMO_HOME"
+    named = os.environ.get(name)
+    if not named:
+        return Finding(name=name, state="ok", text="not set; the installed package is used")
+    good, own = probe(_PROGRAMS)
+    if good and Path(named).resolve() == Path(own).resolve():
+        return Finding(name=name, state="ok", text=named)
+    what = "another SUMO" if Path(named).is_dir() else "no folder"
+    return Finding(name=name, state="warning", text=f"{named} is {what}; here {own} is used")
+
+
+def torch() -> Finding:
+    """Whether the networks can be computed."""
+    good, text = probe(
+        "import torch; torch.ones(8, 8) @ torch.ones(8, 8);"
+        " there = torch.cuda.is_available();"
+        " gpu = torch.cuda.get_device_name() if there else 'no GPU (none needed)';"
+        " print(f'{torch.__version__}, {torch.get_num_threads()} threads, {gpu}')"
+    )
+    return Finding(name="torch", state="ok" if good else "broken", text=_tell(good, text))
+
+
+def libraries() -> Finding:
+    """Whether the other libraries can be loaded."""
+    good, text = probe(f"import {', '.join(_LIBRARIES)}")
+    if good:
+        names = [name.partition(".")[0] for name in _LIBRARIES]
+        text = ", ".join(f"{name} {_installed(name) or '?'}" for name in names)
+    return Finding(name="libraries", state="ok" if good else "broken", text=_tell(good, text))
+
+
+def _program(name: str, failed: State, consequence: str) -> Finding:
+    good, text = probe(_PROGRAMS)
+    if good:
+        file = f"{name}.exe" if sys.platform == "win32" else name
+        good, text = ended([str(Path(text) / "bin" / file), "--version"], PROGRAM_S)
+    if good:
+        return Finding(name=name, state="ok", text="starts")
+    return Finding(name=name, state=failed, text=f"{consequence}: {text}")
+
+
+def _tell(good: bool, text: str) -> str:
+    return text if good else f"cannot be loaded: {text}"
+
+
+def _wanted() -> dict[str, str]:
+    """The version of each of SUMO's packages that this program asks for; else libsumo's."""
+    try:
+        lines = metadata.requires("deepmf-sumo") or []
+    except metadata.PackageNotFoundError:  # run from its sources
+        lines = []
+    matches = [re.match(r"([\w.-]+)\s*==\s*([\w.]+)", line) for line in lines]
+    pinned = {match[1]: match[2] for match in matches if match}
+    return {name: pinned.get(name, _installed("libsumo") or "") for name in SUMO}
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -33,7 +33,7 @@ def command(
     Records that cannot be used are named and left out. Baselines without a network are shown
     beside the figures.
     """
-    from deepmf_sumo.cli.screen import evaluation as figures
+    from deepmf_sumo.cli import _evaluation
     from deepmf_sumo.training import evaluation
 
     found = evaluation.run(
@@ -45,4 +45,4 @@ def command(
         report=lambda line: click.echo(line, err=True),
         candidates=candidates,
     )
-    figures.show(found)
+    _evaluation.show(found)

@@ -12,7 +12,7 @@ def command(folder: Path) -> None:
 
     Existing files are never overwritten.
     """
-    from deepmf_sumo.benchmark.starter import lay_out
+    from deepmf_sumo.cli._starter import lay_out
 
     written = lay_out(folder)
     specs = sum(path.suffix == ".yaml" for path in written)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from deepmf_sumo.benchmark.result import Result
+    from deepmf_sumo.results.result import Result
 
 
 @click.command(name="merge")
@@ -28,13 +28,13 @@ def command(
 
     They are those of one command: run, attack, benchmark or reproduce.
     """
-    from deepmf_sumo.benchmark import batch
-    from deepmf_sumo.benchmark import shards as parts
-    from deepmf_sumo.benchmark.store import summary
+    from deepmf_sumo.cli import _screen as screen
+    from deepmf_sumo.cli._sweep import map_risk
     from deepmf_sumo.cli.main import INTERRUPTED
-    from deepmf_sumo.cli.screen import runs as screen
-    from deepmf_sumo.cli.sweep import map_risk
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.results.folder import summary
+    from deepmf_sumo.sweep import batch
+    from deepmf_sumo.sweep import shards as parts
 
     if parts.of_benchmark(shards[0]):
         results, missing = _benchmark(out, shards, figures=figures, overwrite=overwrite)
@@ -54,11 +54,11 @@ def command(
 def _benchmark(
     out: Path, shards: tuple[Path, ...], *, figures: bool, overwrite: bool
 ) -> "tuple[list[Result], list[str]]":
-    from deepmf_sumo.benchmark import study
-    from deepmf_sumo.cli.screen import benchmark as screen
+    from deepmf_sumo import plans
+    from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import benchmark as report
 
-    results, missing = study.merge(out, shards, overwrite=overwrite)
+    results, missing = plans.merge(out, shards, overwrite=overwrite)
     made = report.finish(out, figures=figures)
-    screen.show(out, results, len(results) + len(missing), made)
+    screen.show_study(out, results, len(results) + len(missing), made)
     return results, missing

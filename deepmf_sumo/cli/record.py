@@ -68,7 +68,7 @@ def command(
             raise click.UsageError(f"{flag} is {value:g}; it must be seconds, at least {least:g}.")
     if not configs and not kind:
         raise UsageError("There is nothing to record: give a .sumocfg, or --generate KIND.")
-    from deepmf_sumo.benchmark.recordings import Recorded, Wanted, record_all
+    from deepmf_sumo.recording.many import Recorded, Wanted, record_all
 
     wanted = Wanted(
         configs=configs,

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from deepmf_sumo.cli.sweep import Sweep, execute, options, plan_options
+from deepmf_sumo.cli._sweep import Sweep, execute, options, plan_options
 
 
 @click.command(name="reproduce")
@@ -31,7 +31,7 @@ def command(
     """
     import json
 
-    from deepmf_sumo.benchmark.starter import paper_plan
+    from deepmf_sumo.cli._starter import paper_plan
 
     over = [f"source.recording={json.dumps(str(scenes.resolve()))}"]
     over += [f"source.scenes={{first: {first}}}"] if first else []

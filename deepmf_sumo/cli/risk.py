@@ -23,13 +23,13 @@ def command(folders: tuple[Path, ...], out: Path | None, top: int, show: bool) -
     collision, delta-v. Written as CSV, SUMO edge data, polygons for sumo-gui, and a page. OUT may
     hold result folders, e.g. one a seed.
     """
-    from deepmf_sumo.benchmark import risk
-    from deepmf_sumo.cli.screen import risk as screen
+    from deepmf_sumo import risk
+    from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import risk as files
 
     place = out or folders[0] / "risk"
     title = ", ".join(folder.resolve().name for folder in folders)
     written = files.write(place, risk.read(folders), title)
-    screen.show(written, top)
+    screen.show_risk(written, top)
     if show:
         click.launch(str(written[0].folder / files.PAGE))

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from deepmf_sumo.cli._parameters import Seeds
-from deepmf_sumo.cli.sweep import Sweep, end_of_runs, options
+from deepmf_sumo.cli._sweep import Sweep, end_of_runs, options
 
 
 @click.command(name="run")
@@ -35,10 +35,10 @@ def command(
     sweep: Sweep,
 ) -> None:
     """Run every SPEC and write a result folder: tables, and a folder a run with its picture."""
-    from deepmf_sumo.benchmark import batch
-    from deepmf_sumo.cli.screen.runs import progress
+    from deepmf_sumo.cli._screen import progress
     from deepmf_sumo.errors import UsageError
     from deepmf_sumo.spec import load
+    from deepmf_sumo.sweep import batch
 
     wanted = sweep.begin(name_filter=name_filter, scenes=scenes)
     over = [*sets, *([f"seed={seed}"] if seed is not None else [])]

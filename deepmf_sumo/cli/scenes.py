@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deepmf_sumo import files
-from deepmf_sumo.cli.screen.console import escape, wide
+from deepmf_sumo.cli._screen import escape, wide
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.texts import cell
 

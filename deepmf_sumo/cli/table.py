@@ -23,13 +23,13 @@ def command(folders: tuple[Path, ...], everything: bool, csv_file: Path | None) 
     others have none.
     """
     from deepmf_sumo import files
-    from deepmf_sumo.cli.screen import table as screen
+    from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import comparison
-    from deepmf_sumo.report.side_by_side import side_by_side
+    from deepmf_sumo.report.comparison import side_by_side
 
     groups = comparison.groups(folders)
     if csv_file:
         table = comparison.compare(groups)
         with files.writing(csv_file):
             files.write(csv_file, table.to_csv(index=False, float_format="%.4g"))
-    screen.show(side_by_side(groups, everything=everything))
+    screen.show_results(side_by_side(groups, everything=everything))

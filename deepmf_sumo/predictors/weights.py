@@ -28,7 +28,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as tensors_of
 from torch import Tensor, nn
 
-from deepmf_sumo import files
+from deepmf_sumo import files as files_module
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.predictors.config import Preset
@@ -221,11 +221,11 @@ def read_card(folder: Path, network: str) -> dict[str, Any]:
     """The card of one network or `member`. Raises WeightsError where it is missing or no card."""
     file = folder / f"{network}.json"
     try:
-        card: dict[str, Any] = json.loads(files.content(file, _LARGEST_CARD))
+        card: dict[str, Any] = json.loads(files_module.content(file, _LARGEST_CARD))
     except FileNotFoundError:
         raise WeightsError(_missing(folder, file)) from None
     except OSError as error:
-        why = files.reason(error)
+        why = files_module.reason(error)
         raise WeightsError(f"{file} is not a card ({why}); {_again(folder, network)}.") from None
     except ValueError as error:
         why = f"{error}"[:200]
@@ -251,11 +251,11 @@ def tensors(folder: Path, network: str, digest: object = None) -> dict[str, Tens
     """
     file = folder / f"{network}.safetensors"
     try:
-        content = files.content(file, _LARGEST_TENSORS)
+        content = files_module.content(file, _LARGEST_TENSORS)
     except FileNotFoundError:
         raise WeightsError(_missing(folder, file)) from None
     except OSError as error:
-        why = files.reason(error)
+        why = files_module.reason(error)
         raise WeightsError(f"{file} is damaged ({why}); {_again(folder, network)}.") from None
     if digest is not None and digest != digest_of(content):
         raise WeightsError(

@@ -14,9 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, Rollout
-from deepmf_sumo.report.drawing.road import draw_road
-from deepmf_sumo.report.drawing.vehicles import draw_boxes
-from deepmf_sumo.report.drawing.window import Window, square
+from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 
 AV, OPPONENT, OTHER, CONTACT = "#1f5fbf", "#c1121f", "#8d99a6", "#000000"

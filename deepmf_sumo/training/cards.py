@@ -19,7 +19,7 @@ from deepmf_sumo.predictors.weights import (
     tensors,
     unchecked,
 )
-from deepmf_sumo.training import files
+from deepmf_sumo.training.fit import checkpoints
 
 LIMITS: Final[dict[Network, str]] = {
     "opponent": "Vehicles within 80 m of the AV. A score is the chance of the paper's pseudo-label,"
@@ -46,15 +46,15 @@ def write(folder: Path, network: str, net: nn.Module, card: dict[str, Any]) -> N
         for name, value in net.state_dict().items()
     }
     content = save(values)
-    files.write(folder / f"{network}.safetensors", content)
+    checkpoints.write(folder / f"{network}.safetensors", content)
     write_card(folder, network, card | {DIGEST: digest_of(content)})
 
 
 def write_card(folder: Path, network: str, card: dict[str, Any]) -> None:
     """Replace a network's card, and the page made of all cards."""
     full = {"format_version": FORMAT_VERSION, "deepmf_sumo": deepmf_sumo.__version__, **card}
-    files.write(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
-    files.write(folder / "card.md", _page(folder).encode())
+    checkpoints.write(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
+    checkpoints.write(folder / "card.md", _page(folder).encode())
 
 
 def add_digests(folder: Path) -> list[str]:

@@ -3,7 +3,7 @@
 Each OUT is a seed: a result folder of ``deepmf-sumo attack hazards.sumocfg``, or a folder of such.
 An attack belongs to the place where it started: its edges are named after it. The mean criticality
 of its attacks is drawn to the typical place of its kind as far as the data are thin (the package's
-``benchmark.risk.criticality``). Places are ranked by how far the lower end of the interval is above
+``risk.criticality``). Places are ranked by how far the lower end of the interval is above
 the typical one, as road authorities rank sites by reference populations: at a stop ways always
 cross, on a motorway never. Those that cannot be told from the typical one share one rank.
 """
@@ -20,9 +20,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.benchmark.risk import Attacked, read
-from deepmf_sumo.benchmark.risk.criticality import Drawn, drawn, ranks
 from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.risk.attacks import Attacked, read
+from deepmf_sumo.risk.criticality import Drawn, drawn, ranks
 
 KINDS: Final = ("merge", "signal", "left", "stop")
 FLAWED: Final = ("merge3", "signal6", "left1", "stop8")

@@ -12,9 +12,10 @@ import resource
 import tempfile
 from pathlib import Path
 
-from deepmf_sumo import spec
-from deepmf_sumo.benchmark import branches, compare, episode, tasks
-from deepmf_sumo.benchmark.tasks import Task
+from deepmf_sumo import spec, tasks
+from deepmf_sumo.plans import compare
+from deepmf_sumo.sweep import episode, fork
+from deepmf_sumo.tasks import Task
 
 
 def main() -> None:
@@ -24,15 +25,15 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     options = parser.parse_args()
     paths = sorted((options.out / "runs").glob("*/spec.yaml"))
-    planned = branches.in_order(tasks.plan([spec.load(path) for path in paths], options.out))
+    planned = fork.in_order(tasks.plan([spec.load(path) for path in paths], options.out))
     chosen = planned[:: max(len(planned) // options.runs, 1)][: options.runs]
     last_s = max(task.spec.source.start_s for task in chosen)
     print(f"{len(chosen)} runs up to {last_s:g} s, load {os.getloadavg()[0]:.1f}")
     with tempfile.TemporaryDirectory() as folder:
         alone, passing = (Path(folder) / name for name in ("alone", "passing"))
-        possible, branches._alone = branches._alone, lambda: False
+        possible, fork._alone = fork._alone, lambda: False
         before = seconds_a_run(chosen, alone)
-        branches._alone = possible
+        fork._alone = possible
         after = seconds_a_run(chosen, passing)
         assert compare.same(alone, passing), compare.differences(alone, passing)
     print(f"SUMO from the begin for each run: {before:.2f} s of processor a run")

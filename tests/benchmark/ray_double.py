@@ -1,4 +1,4 @@
-"""What `executors.cluster` uses of Ray, in this process, where actors can be lost on purpose."""
+"""What `sweep.ray_cluster` uses of Ray, in this process, where actors can be lost on purpose."""
 
 from types import SimpleNamespace
 

@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from deepmf_sumo.benchmark import ablation
+from deepmf_sumo import ablation
 from deepmf_sumo.errors import SpecError
 from deepmf_sumo.predictors.config import LIGHT
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.benchmark import ablation
-from deepmf_sumo.benchmark.ablation import study
+from deepmf_sumo import ablation
+from deepmf_sumo.ablation import study
 from deepmf_sumo.errors import OutputError
 
 PLAN = """version: 1

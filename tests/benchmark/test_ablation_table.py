@@ -4,8 +4,8 @@ import csv
 
 import pytest
 
-from deepmf_sumo.benchmark import ablation
-from deepmf_sumo.benchmark.ablation import table
+from deepmf_sumo import ablation
+from deepmf_sumo.ablation import study
 
 CARDS = {
     "opponent": {"weights": 1000, "hours": 0.5},
@@ -65,7 +65,7 @@ def row():
         ],
         "replay": [unfinished("skipped")],
     }
-    return table.row("half", "base", CARDS, EVALUATION, results)
+    return study.row("half", "base", CARDS, EVALUATION, results)
 
 
 def test_rates_are_of_the_runs_that_went_through(row):

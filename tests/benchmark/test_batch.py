@@ -7,9 +7,11 @@ import pytest
 import tiny_network
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch, compare, pool, result
 from deepmf_sumo.errors import OutputError, SpecError, UsageError
+from deepmf_sumo.plans import compare
 from deepmf_sumo.report.picture import draw
+from deepmf_sumo.results import result
+from deepmf_sumo.sweep import batch, workers
 
 ROOT = Path(__file__).resolve().parents[2]
 CUT_IN = ROOT / "scenarios" / "cut_in.yaml"
@@ -165,7 +167,7 @@ def test_broken_expectation(tiny, tmp_path):
 
 
 def test_refused_before_anything_runs(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(pool, "run", None)
+    monkeypatch.setattr(workers, "run", None)
     one = spec.load(tiny_network.spec(tiny, "one"))
     out = tmp_path / "out"
     with pytest.raises(SpecError, match="Two runs are called 'one--av-2s--0'"):

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 import tiny_network
 
-from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch, branches, compare, memory, pool, tasks
+from deepmf_sumo import spec, tasks
+from deepmf_sumo.plans import compare
+from deepmf_sumo.sweep import batch, fork, workers
 
 PLANNERS = """
 import os, signal, sys, threading, time
@@ -53,14 +54,15 @@ COUNTED = """
 import sys
 from pathlib import Path
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import branches, episode, tasks
+from deepmf_sumo import tasks
+from deepmf_sumo.sweep import episode, fork
 
-runs, copies, copied = Path(sys.argv[1]), [], branches._copied
-branches._copied = lambda work: (copies.append(1), copied(work))
+runs, copies, copied = Path(sys.argv[1]), [], fork._copied
+fork._copied = lambda work: (copies.append(1), copied(work))
 if "many threads" in sys.argv:  # as if SUMO had brought them
     sys.argv.remove("many threads")
-    held, tries = branches._held, []
-    branches._held = lambda *of: (tries.append(1), held(*of)) and False
+    held, tries = fork._held, []
+    fork._held = lambda *of: (tries.append(1), held(*of)) and False
 planned = tasks.plan([spec.load(Path(name)) for name in sys.argv[2:]], runs)
 work = episode.Episode(runs=runs, cache=runs / "cache")
 for task in planned:
@@ -91,7 +93,7 @@ def paths(tiny):
 def done(runs, paths, folder):
     """How many runs were done in copies, in a process of its own."""
     command = [sys.executable, "-c", COUNTED, str(runs), *map(str, paths)]
-    env = {**os.environ, **pool.SINGLE_THREAD}  # as a worker has it
+    env = {**os.environ, **workers.SINGLE_THREAD}  # as a worker has it
     found = subprocess.run(
         command, cwd=folder, env=env, capture_output=True, text=True, check=False
     )
@@ -140,7 +142,7 @@ def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_
         str(tmp_path / "runs"),
         *map(str, [*sumo, failing, *idm]),
     ]
-    env = {**os.environ, **pool.SINGLE_THREAD}
+    env = {**os.environ, **workers.SINGLE_THREAD}
     subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
     # the first of a passage runs by itself, the others from SUMO as it is held
     assert used.read_text().split() == [
@@ -219,8 +221,8 @@ def test_nobody_outlives_a_killed_sweep(tiny, paths, tmp_path):
     )
     one_done = tmp_path / "out" / "runs" / "at-2-0--tiny--0"
     wait_until(one_done.is_dir)
-    wait_until(lambda: len(list(memory._family(sweep.pid))) > 3)  # the worker and its copy
-    family = list(memory._family(sweep.pid))
+    wait_until(lambda: len(list(workers._family(sweep.pid))) > 3)  # the worker and its copy
+    family = list(workers._family(sweep.pid))
     sweep.kill()
     sweep.wait()
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))
@@ -240,4 +242,4 @@ def test_the_order_is_that_of_the_moments_within_a_passage(tiny, tmp_path):
         return tasks.plan([spec.load(path)], Path(tmp_path))[0]
 
     planned = [task("a", 5), task("b", 4, "sumo"), task("c", 3), task("d", 1, "sumo")]
-    assert [one.spec.name for one in branches.in_order(planned)] == ["c", "a", "d", "b"]
+    assert [one.spec.name for one in fork.in_order(planned)] == ["c", "a", "d", "b"]

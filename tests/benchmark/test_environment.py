@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import tiny_network
 
-from deepmf_sumo import spec
-from deepmf_sumo.benchmark import episode, tasks
+from deepmf_sumo import spec, tasks
 from deepmf_sumo.datatypes import Command, Driver
 from deepmf_sumo.errors import PlannerError, PluginError, UsageError
+from deepmf_sumo.sweep import episode
 
-MODULE = "deepmf_sumo.benchmark.environment"
+MODULE = "deepmf_sumo.gym"
 
 
 @pytest.fixture

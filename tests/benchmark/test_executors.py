@@ -12,11 +12,11 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from ray_double import Ray
 
-from deepmf_sumo.benchmark import executors
-from deepmf_sumo.benchmark.executors import Limits, base, cluster, place
-from deepmf_sumo.benchmark.executors.cluster import Cluster
-from deepmf_sumo.benchmark.inputs import Input, digest
 from deepmf_sumo.errors import PluginError, RunError, UsageError
+from deepmf_sumo.sweep import batch, ray_cluster
+from deepmf_sumo.sweep.inputs import Input, digest
+from deepmf_sumo.sweep.ray_cluster import Cluster
+from deepmf_sumo.sweep.workers import Limits, Local
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def use(monkeypatch):
 
     def use(ray, *inputs):
         monkeypatch.setitem(sys.modules, "ray", ray)
-        monkeypatch.setattr(cluster, "inputs_of", lambda _: inputs)
+        monkeypatch.setattr(ray_cluster, "inputs_of", lambda _: inputs)
         return ray
 
     return use
@@ -132,9 +132,9 @@ def test_a_machine_without_the_files_is_refused(runs, tmp_path, use):
 
 def test_another_version_is_refused(runs, use, monkeypatch):
     use(Ray())
-    monkeypatch.setattr(place.deepmf_sumo, "__version__", "0.0.1")
-    home = place.Home(version="9.9", folder=Path.cwd(), modules=(), environment={}, inputs=())
-    refused = place.Place(home, Writes(runs), Limits()).settle().refusal
+    monkeypatch.setattr(ray_cluster.deepmf_sumo, "__version__", "0.0.1")
+    home = ray_cluster.Home(version="9.9", folder=Path.cwd(), modules=(), environment={}, inputs=())
+    refused = ray_cluster.Place(home, Writes(runs), Limits()).settle().refusal
     assert refused.endswith("has deepmf-sumo 0.0.1, not 9.9")
 
 
@@ -147,7 +147,7 @@ def test_workers_that_never_start_are_not_tried_for_ever(runs, use):
 def test_no_machine_answers(runs, use, monkeypatch):
     ray = use(Ray())
     monkeypatch.setattr(ray, "wait", lambda calls, **_: ([], list(calls)))
-    monkeypatch.setattr(cluster, "START_LIMIT_S", -1.0)
+    monkeypatch.setattr(ray_cluster, "START_LIMIT_S", -1.0)
     with pytest.raises(RunError, match="No machine of the cluster has answered"):
         do(runs, tasks("a"), jobs=1)
 
@@ -182,24 +182,24 @@ def test_no_task_is_begun_after_the_last_minute(runs, use):
 
 
 def test_names_of_executors():
-    assert executors.chosen("local", 3) == base.Local(jobs=3)
-    assert executors.chosen() == base.Local(jobs=1)
-    assert executors.chosen("ray") == Cluster()
-    assert executors.chosen("ray://head:6000", 8) == Cluster(host="head", port=6000, jobs=8)
-    assert executors.chosen("ray://[fd00::2]").name == "ray://[fd00::2]:10001"
+    assert batch.executor_named("local", 3) == Local(jobs=3)
+    assert batch.executor_named() == Local(jobs=1)
+    assert batch.executor_named("ray") == Cluster()
+    assert batch.executor_named("ray://head:6000", 8) == Cluster(host="head", port=6000, jobs=8)
+    assert batch.executor_named("ray://[fd00::2]").name == "ray://[fd00::2]:10001"
     for wrong in ("ry", "ray:", "ray://", "ray://head:99999", "ray://a b", "local:2"):
         with pytest.raises(UsageError, match="must be local, ray, or ray://HOST:PORT"):
-            executors.chosen(wrong)
+            batch.executor_named(wrong)
 
 
 def test_without_ray_and_without_an_answer(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(PluginError, match=r"install deepmf-sumo\[cluster\]"):
-        executors.chosen("ray").check()
+        batch.executor_named("ray").check()
     monkeypatch.setitem(sys.modules, "ray", Ray())
-    executors.chosen("ray").check()
+    batch.executor_named("ray").check()
     with pytest.raises(UsageError, match=r"No Ray cluster answers at ray://127\.0\.0\.1:9 "):
-        executors.chosen("ray://127.0.0.1:9").check()
+        batch.executor_named("ray://127.0.0.1:9").check()
 
 
 class Shy(Ray):

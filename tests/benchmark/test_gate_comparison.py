@@ -4,9 +4,9 @@ import gate_doubles
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark.gate import comparison
-from deepmf_sumo.benchmark.gate.thresholds import Baseline
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.gate import comparison
+from deepmf_sumo.gate.thresholds import Baseline
 
 RATE = Baseline(quantities=("av_collision_rate",))
 

@@ -2,9 +2,9 @@ import gate_doubles
 import pytest
 from gate_doubles import row
 
-from deepmf_sumo.benchmark.gate import limits, thresholds
-from deepmf_sumo.benchmark.gate.rows import Row
 from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.gate import thresholds
+from deepmf_sumo.gate.rows import Row
 
 
 def load(tmp_path, text):
@@ -14,7 +14,7 @@ def load(tmp_path, text):
 
 
 def judge(tmp_path, text, rows):
-    found = limits.judge(load(tmp_path, text), rows)
+    found = thresholds.judge(load(tmp_path, text), rows)
     return {(one.group, one.limit): one for one in found}
 
 

@@ -3,8 +3,8 @@ import json
 import gate_doubles
 import pytest
 
-from deepmf_sumo.benchmark.gate import rows
 from deepmf_sumo.errors import OutputError, UsageError
+from deepmf_sumo.gate import rows
 
 
 def test_values_of_a_hit_and_of_none(tmp_path):

@@ -3,9 +3,10 @@ import xml.etree.ElementTree as ET
 import gate_doubles
 import pytest
 
-from deepmf_sumo.benchmark import gate
-from deepmf_sumo.benchmark.gate import junit, summary
+from deepmf_sumo import gate
 from deepmf_sumo.errors import OutputError, UsageError
+from deepmf_sumo.gate import verdict as verdict_module
+from deepmf_sumo.gate.verdict import write_junit
 
 
 def thresholds(tmp_path, text=""):
@@ -57,7 +58,7 @@ def test_no_run_that_says_anything_is_no_pass(tmp_path):
 
 def test_junit_of_a_broken_threshold(tmp_path, out):
     verdict = gate.check(out, thresholds(tmp_path, "max_av_collision_rate: 0.2"))
-    junit.write(tmp_path / "junit.xml", verdict)
+    write_junit(tmp_path / "junit.xml", verdict)
     found, counts = cases(tmp_path / "junit.xml")
     run = "made up / idm lane: "
     assert found[f"{run}a seed 0"] == {"failure": "has part in max_av_collision_rate of all runs"}
@@ -72,14 +73,14 @@ def test_junit_of_a_broken_threshold(tmp_path, out):
 def test_junit_of_failed_runs(tmp_path):
     runs = [gate_doubles.result(), gate_doubles.failed("b"), gate_doubles.failed("c", 0, "timeout")]
     out = gate_doubles.write_folder(tmp_path / "out", runs)
-    junit.write(tmp_path / "junit.xml", gate.check(out, thresholds(tmp_path)))
+    write_junit(tmp_path / "junit.xml", gate.check(out, thresholds(tmp_path)))
     found, counts = cases(tmp_path / "junit.xml")
     run = "made up / idm lane: "
     assert found[f"{run}b seed 0"] == {"error": "failed: SUMO refused"}
     assert found[f"{run}c seed 0"] == {"error": "timeout: SUMO refused"}
     assert counts == [5, 0, 3, 0]
     allowed = gate.check(out, thresholds(tmp_path, "max_failed_runs: 2"))
-    junit.write(tmp_path / "junit.xml", allowed)
+    write_junit(tmp_path / "junit.xml", allowed)
     found, counts = cases(tmp_path / "junit.xml")
     assert "allowed by max_failed_runs" in found[f"{run}b seed 0"]["skipped"]
     assert counts == [5, 0, 0, 2]
@@ -99,7 +100,7 @@ def test_red_in_junit_means_a_bad_exit_code(tmp_path):
         runs = [kinds[kind]("a", seed) for seed, kind in enumerate(picked)]
         out = gate_doubles.write_folder(tmp_path / f"out{number}", runs)
         verdict = gate.check(out, thresholds(tmp_path, bounds[number % 4]))
-        junit.write(tmp_path / "junit.xml", verdict)
+        write_junit(tmp_path / "junit.xml", verdict)
         _, (_, failures, errors, _) = cases(tmp_path / "junit.xml")
         assert (errors > 0) == (verdict.exit_code == 3), picked
         if not errors:
@@ -111,7 +112,7 @@ def test_a_case_has_one_verdict(tmp_path):
     broken = ["outcome is none, expected av_opponent"]
     runs = [gate_doubles.result(opponent=None, metrics={}, expectations_broken=broken)]
     out = gate_doubles.write_folder(tmp_path / "out", runs)
-    junit.write(tmp_path / "junit.xml", gate.check(out, thresholds(tmp_path, "min_judged_runs: 0")))
+    write_junit(tmp_path / "junit.xml", gate.check(out, thresholds(tmp_path, "min_judged_runs: 0")))
     found, counts = cases(tmp_path / "junit.xml")
     assert found["made up / idm lane: a seed 0"] == {"failure": broken[0]}
     assert counts == [3, 1, 0, 0]
@@ -120,7 +121,7 @@ def test_a_case_has_one_verdict(tmp_path):
 def test_text_that_xml_forbids(tmp_path):
     bad = gate_doubles.failed() | {"error": "a \x00 <null> & more"}
     out = gate_doubles.write_folder(tmp_path / "out", [bad])
-    junit.write(tmp_path / "junit.xml", gate.check(out, thresholds(tmp_path)))
+    write_junit(tmp_path / "junit.xml", gate.check(out, thresholds(tmp_path)))
     found, _ = cases(tmp_path / "junit.xml")
     assert "<null> & more" in found["made up / idm lane: a seed 0"]["error"]
 
@@ -138,7 +139,7 @@ def test_baseline_of_the_thresholds_and_of_the_command(tmp_path, out):
     assert verdict.exit_code == 1
     [finding] = verdict.findings()
     assert finding == ("all runs: impact_mps was 0 m/s and is 6 m/s: +6 (+6 to +6; 12 pairs)")
-    junit.write(tmp_path / "junit.xml", verdict)
+    write_junit(tmp_path / "junit.xml", verdict)
     found, _ = cases(tmp_path / "junit.xml")
     assert "failure" in found["baseline: all runs: impact_mps"]
     assert "baseline: all runs: min_gap_m" not in found
@@ -160,8 +161,8 @@ def test_a_baseline_that_can_never_alarm_is_no_verdict(tmp_path):
         assert verdict.exit_code == 3
         [finding] = verdict.findings()
         assert "1 spec can never show a change: at least 5 specs are needed" in finding
-        assert f"{finding}." in summary.text(verdict)
-        junit.write(tmp_path / "junit.xml", verdict)
+        assert f"{finding}." in verdict_module.text(verdict)
+        write_junit(tmp_path / "junit.xml", verdict)
         found, counts = cases(tmp_path / "junit.xml")
         assert "at least 5 specs" in found["baseline: all runs: impact_mps"]["error"]
         assert counts == [23, 0, 1, 0]
@@ -213,7 +214,7 @@ def test_another_attack_is_told(tmp_path, out):
 def test_summary(tmp_path, out):
     gate.check(out, thresholds(tmp_path), renewed=tmp_path / "b.json")
     limits = thresholds(tmp_path, "max_av_collision_rate: 0.2\nbaseline: b.json")
-    text = summary.text(gate.check(out, limits))
+    text = verdict_module.text(gate.check(out, limits))
     assert text.startswith("## deepmf-sumo: failed\n\n6 runs: 5 judged, 1 with nobody to attack\n")
     line = "| all runs | max_av_collision_rate | 0.2 | 0.4 (0.12 to 0.77) | 5 | **broken** |"
     assert line in text
@@ -227,12 +228,12 @@ def test_summary_is_added_and_long_lists_are_cut(tmp_path):
     verdict = gate.check(out, thresholds(tmp_path, "max_av_collision_rate: 0.2"))
     file = tmp_path / "page.md"
     file.write_text("before\n\n")
-    summary.write(file, verdict)
+    verdict_module.write_summary(file, verdict)
     text = file.read_text()
     assert text.startswith("before\n\n## deepmf-sumo: failed")
     assert text.count("- `made-up") == 20
     assert "- and 30 more" in text
     with pytest.raises(OutputError, match="cannot be written"):
-        summary.write(tmp_path / "no" / "page.md", verdict)
+        verdict_module.write_summary(tmp_path / "no" / "page.md", verdict)
     with pytest.raises(OutputError, match="cannot be written"):
-        junit.write(tmp_path / "no" / "junit.xml", verdict)
+        write_junit(tmp_path / "no" / "junit.xml", verdict)

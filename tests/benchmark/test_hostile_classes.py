@@ -12,7 +12,7 @@ import pytest
 import tiny_network
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch, memory
+from deepmf_sumo.sweep import batch, workers
 
 PLANNERS = """
 import os, signal, sys, time
@@ -147,7 +147,7 @@ def test_nothing_is_left_where_the_sweep_is_killed(tiny, tmp_path):
         stderr=subprocess.DEVNULL,
     )
     wait_until(lambda: len(left()) == 2)
-    family = list(memory._family(sweep.pid))
+    family = list(workers._family(sweep.pid))
     sweep.send_signal(signal.SIGKILL)
     sweep.wait()
     wait_until(lambda: not left() and not any(Path(f"/proc/{pid}").exists() for pid in family))
@@ -159,8 +159,8 @@ def test_folder_and_environment_are_as_before_where_a_planner_has_threads(tiny, 
     program = (
         "import os, sys, threading, time\n"
         "from pathlib import Path\n"
-        "from deepmf_sumo import spec\n"
-        "from deepmf_sumo.benchmark import episode, tasks\n"
+        "from deepmf_sumo import spec, tasks\n"
+        "from deepmf_sumo.sweep import episode\n"
         "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
         "runs = Path(sys.argv[1])\n"
         "[task] = tasks.plan([spec.load(Path(sys.argv[2]))], runs)\n"

@@ -7,7 +7,7 @@ import pytest
 import tiny_network
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch
+from deepmf_sumo.sweep import batch
 
 HOSTILE = Path(__file__).parents[1] / "planners" / "hostile_planner.py"
 

@@ -4,9 +4,8 @@ import shutil
 
 import tiny_network
 
-from deepmf_sumo import spec
-from deepmf_sumo.benchmark import tasks
-from deepmf_sumo.benchmark.inputs import fingerprinted
+from deepmf_sumo import spec, tasks
+from deepmf_sumo.sweep.inputs import fingerprinted
 
 
 def read(path, sets=()):

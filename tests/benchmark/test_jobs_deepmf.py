@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.benchmark import batch
-from deepmf_sumo.benchmark.compare import differences
+from deepmf_sumo.plans.compare import differences
 from deepmf_sumo.spec import load
+from deepmf_sumo.sweep import batch
 
 SPECS = Path(__file__).resolve().parents[2] / "scenarios"
 

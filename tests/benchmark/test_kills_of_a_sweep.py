@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import tiny_plan
 
-from deepmf_sumo.benchmark import compare
+from deepmf_sumo.plans import compare
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,10 @@ import sumo
 from live_policies import Keep
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import gate, risk
-from deepmf_sumo.benchmark.live import assembly, results
+from deepmf_sumo import gate, risk
 from deepmf_sumo.errors import OutputError, SpecError, UsageError
+from deepmf_sumo.live import attacker as attacker_module
+from deepmf_sumo.live import record
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.report import comparison
 
@@ -38,7 +39,7 @@ class Nobody:
 @pytest.fixture
 def policy(monkeypatch):
     nobody = Nobody()
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: nobody)
+    monkeypatch.setattr(attacker_module, "policy_of", lambda spec: nobody)
     return nobody
 
 
@@ -113,7 +114,7 @@ def test_deepmf_attacks_and_the_vehicle_is_sumos_again(started, tmp_path):
 def test_attacks_share_one_copy_of_the_network_and_a_new_session_begins_anew(
     started, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(attacker_module, "policy_of", lambda spec: Keep())
 
     started.simulationStep()
     for one in ("av", "leader"):
@@ -158,12 +159,12 @@ def test_an_earlier_session_is_deleted_only_where_that_is_asked_for(started, pol
 
 
 def test_an_attack_that_cannot_be_measured_is_a_row(started, tmp_path, monkeypatch):
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(attacker_module, "policy_of", lambda spec: Keep())
 
     def broken(rollout, case):
         raise ZeroDivisionError("of a metric")
 
-    monkeypatch.setattr(results, "measure", broken)
+    monkeypatch.setattr(record, "measure", broken)
     with deepmf_sumo.Attacker(started, av="av", duration_s=3.0, out=tmp_path / "live") as attacker:
         drive(started, attacker, 60)
     with (tmp_path / "live" / "runs.csv").open() as table:

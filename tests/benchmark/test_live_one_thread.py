@@ -4,8 +4,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from deepmf_sumo.benchmark.live import assembly
-from deepmf_sumo.benchmark.live.one_thread import OneThread
+from deepmf_sumo.live import attacker
+from deepmf_sumo.live.attacker import OneThread
 
 
 class Noting:
@@ -42,5 +42,5 @@ def test_choice_and_plans_are_made_with_one_thread():
 
 
 def test_live_attacks_have_such_a_policy():
-    spec = assembly.spec_of(assembly.Wish(av="ego"))
-    assert isinstance(assembly.policy_of(spec), OneThread)
+    spec = attacker.spec_of(attacker.Wish(av="ego"))
+    assert isinstance(attacker.policy_of(spec), OneThread)

@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
-from deepmf_sumo.benchmark import locks, store
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.results import folder
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from deepmf_sumo.benchmark.store import opened
+from deepmf_sumo.results.folder import opened
 with opened(Path(sys.argv[1]), resume=False) as folder:
     folder.begin([], {})
     print("held", flush=True)
@@ -37,48 +37,48 @@ def test_the_second_is_refused_and_a_kill_frees_the_folder(holder, tmp_path, res
     out = tmp_path / "out"
     (out / "runs" / "kept").mkdir()
     said = rf"out is being written by process {holder.pid} of .*: wait .* --out"
-    with pytest.raises(OutputError, match=said), store.opened(out, resume=resume):
+    with pytest.raises(OutputError, match=said), folder.opened(out, resume=resume):
         pass
     assert (out / "runs" / "kept").is_dir()
     holder.kill()
     holder.wait()
-    assert (out / locks.FILE).exists()
-    with store.opened(out, resume=True):
+    assert (out / folder.FILE).exists()
+    with folder.opened(out, resume=True):
         pass
-    assert not (out / locks.FILE).exists()
+    assert not (out / folder.FILE).exists()
 
 
 def test_the_folder_is_free_after_an_error(tmp_path):
-    with pytest.raises(ZeroDivisionError), locks.held(tmp_path):
+    with pytest.raises(ZeroDivisionError), folder.held(tmp_path):
         raise ZeroDivisionError
-    with locks.held(tmp_path), pytest.raises(OutputError), locks.held(tmp_path):
+    with folder.held(tmp_path), pytest.raises(OutputError), folder.held(tmp_path):
         pass
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_lock_that_was_removed_meanwhile_is_none(tmp_path, monkeypatch):
-    lock, times = locks._lock, []
+    lock, times = folder._lock, []
 
     def removed_first(number):
         if not times:
-            (tmp_path / locks.FILE).unlink()
+            (tmp_path / folder.FILE).unlink()
         times.append(number)
         return lock(number)
 
-    monkeypatch.setattr(locks, "_lock", removed_first)
-    with locks.held(tmp_path):
-        assert (tmp_path / locks.FILE).read_text().startswith("process ")
+    monkeypatch.setattr(folder, "_lock", removed_first)
+    with folder.held(tmp_path):
+        assert (tmp_path / folder.FILE).read_text().startswith("process ")
     assert len(times) == 2
 
 
 def test_file_systems_without_locks_are_known_and_used_all_the_same(tmp_path, monkeypatch):
-    assert locks.known(tmp_path)
+    assert folder.known(tmp_path)
 
     def refuse(number, how):
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(locks.fcntl, "flock", refuse)
-    assert not locks.known(tmp_path)
-    with locks.held(tmp_path):
+    monkeypatch.setattr(folder.fcntl, "flock", refuse)
+    assert not folder.known(tmp_path)
+    with folder.held(tmp_path):
         pass
     assert list(tmp_path.iterdir()) == []

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from test_moments import TURNS, traffic
 
-from deepmf_sumo.benchmark.moments import Wish
-from deepmf_sumo.benchmark.moments.choice import choose
+from deepmf_sumo.moments.choice import choose
+from deepmf_sumo.moments.moment import Wish
 
 
 def early_leavers():

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark.moments import Moment, Wish, asked, plan
-from deepmf_sumo.benchmark.moments.choice import choose
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.moments import search
+from deepmf_sumo.moments.choice import choose
+from deepmf_sumo.moments.moment import Moment, Wish
 from deepmf_sumo.simulation.traffic_survey import Body, Sightings
 
 SUMO_CONFIG = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.sumocfg"
@@ -152,16 +153,16 @@ def test_nobody_at_all_is_told_when_moments_are_taken_again():
 def test_moments_of_a_table_are_each_taken_once(tmp_path):
     table = tmp_path / "moments.csv"
     table.write_text("run_id,av,start_s\nr1,car ü,3.04\nr1,car ü,3.0\nr2,b,7\n", "utf-8")
-    assert asked.read(tmp_path) == asked.read(table) == (("car ü", 3.0), ("b", 7.0))
+    assert search.read(tmp_path) == search.read(table) == (("car ü", 3.0), ("b", 7.0))
     for damaged in ("run_id,av,start_s\nr,a,inf\n", "run_id,av\nr,a\n", "run_id,av,start_s\nr\n"):
         table.write_text(damaged)
         with pytest.raises(UsageError, match="is no table of moments"):
-            asked.read(table)
+            search.read(table)
 
 
 def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path):
     """Else one of them would be lost without a word."""
-    spec = plan.base_spec(SUMO_CONFIG, {"seed": 3}, (), ())
+    spec = search.base_spec(SUMO_CONFIG, {"seed": 3}, (), ())
     moments = [
         Moment(
             av=av, av_type="t", start_s=10.0, edge="in", following="", turn="along",
@@ -169,7 +170,7 @@ def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path)
         )
         for av in ("car.1", "Car_1", "car 1", "bus")
     ]  # fmt: skip
-    tasks = plan._tasks(spec, moments)
+    tasks = search._tasks(spec, moments)
     assert len({task.run_id for task in tasks}) == 4
     assert [task.spec.source.av.vehicle for task in tasks] == [one.av for one in moments]
     assert tasks[3].run_id == "four-way--bus-10s--3"
@@ -179,7 +180,7 @@ def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path)
 def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_second):
     """Who meets nobody has its opponent chosen as by default."""
     sets = ["adversary.version=S2", f"adversary.opponent={asked}", "adversary.lawful=true"]
-    spec = plan.base_spec(SUMO_CONFIG, {}, sets, ())
+    spec = search.base_spec(SUMO_CONFIG, {}, sets, ())
     moments = [
         Moment(
             av="a", av_type="t", start_s=start_s, edge="in", following="", turn="along",
@@ -187,8 +188,8 @@ def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_se
         )
         for start_s, meets in ((10.0, "b"), (30.0, None))
     ]  # fmt: skip
-    settings = [task.spec.adversary.settings for task in plan._tasks(spec, moments)]
+    settings = [task.spec.adversary.settings for task in search._tasks(spec, moments)]
     assert [one.get("opponent") for one in settings] == [of_first, of_second]
     assert all(one["lawful"] for one in settings)
-    long = plan.base_spec(SUMO_CONFIG, {"duration_s": 30.0}, sets[1:2], ())
+    long = search.base_spec(SUMO_CONFIG, {"duration_s": 30.0}, sets[1:2], ())
     assert long.opponents == "one", "who is named, or met, takes no turns"

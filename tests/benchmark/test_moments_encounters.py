@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from crossing_network import build
 
-from deepmf_sumo.benchmark.moments import Wish, find
-from deepmf_sumo.benchmark.moments.choice import choose
-from deepmf_sumo.benchmark.moments.encounters import NEAR_S, _apart, encounters
-from deepmf_sumo.benchmark.moments.passages import Passages, passages
+from deepmf_sumo.moments.choice import choose
+from deepmf_sumo.moments.encounters import NEAR_S, Passages, _apart, encounters, passages
+from deepmf_sumo.moments.moment import Wish
+from deepmf_sumo.moments.search import find
 from deepmf_sumo.network.sumo_net import read_net
 from deepmf_sumo.simulation.traffic_survey import Body, Scouting, Sightings
 

@@ -5,8 +5,8 @@ from predictor_doubles import Doubles, view_of
 from rollout_doubles import rollout_of, straight
 
 from deepmf_sumo import plugins
-from deepmf_sumo.benchmark import artifacts
 from deepmf_sumo.deepmf.policy import build
+from deepmf_sumo.results import artifacts
 
 
 def saved(tmp_path, **values):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.benchmark import pool
 from deepmf_sumo.errors import RunError
+from deepmf_sumo.sweep import workers
 
 KEPT = []
 
@@ -64,7 +64,7 @@ def test_a_crash_costs_one_task(tmp_path, jobs):
         ("raise", "no"),
         ("write", tmp_path / "c"),
     ]
-    endings = {one.index: one for one in pool.run(do, tasks, jobs=jobs, timeout_s=60)}
+    endings = {one.index: one for one in workers.run(do, tasks, jobs=jobs, timeout_s=60)}
     assert [endings[i].status for i in range(6)] == [
         "done", "crashed", "done", "crashed", "raised", "done",
     ]  # fmt: skip
@@ -77,7 +77,7 @@ def test_a_crash_costs_one_task(tmp_path, jobs):
 def test_time_limit_kills_the_worker_and_its_children(tmp_path):
     pid_file = tmp_path / "pid"
     tasks = [("child", pid_file), ("write", tmp_path / "after")]
-    endings = list(pool.run(do, tasks, jobs=1, timeout_s=1.0))
+    endings = list(workers.run(do, tasks, jobs=1, timeout_s=1.0))
     assert [one.status for one in endings] == ["timeout", "done"]
     assert endings[0].reason == "longer than 1 s"
     assert _gone(int(pid_file.read_text()))
@@ -85,7 +85,7 @@ def test_time_limit_kills_the_worker_and_its_children(tmp_path):
 
 def test_children_do_not_outlive_a_worker_that_crashes(tmp_path):
     pid_file = tmp_path / "pid"
-    (ending,) = pool.run(do, [("orphan", pid_file)], jobs=1, timeout_s=60)
+    (ending,) = workers.run(do, [("orphan", pid_file)], jobs=1, timeout_s=60)
     assert ending.status == "crashed"
     assert "exit code 7" in ending.reason
     assert _gone(int(pid_file.read_text()))
@@ -95,7 +95,7 @@ def test_a_worker_whose_parent_hangs_up_in_the_middle_of_a_word_ends_quietly():
     """A connection that is closed with something unread is reset."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    worker = context.Process(target=pool._serve, args=(theirs, do, os.getpid()))
+    worker = context.Process(target=workers._serve, args=(theirs, do, os.getpid()))
     worker.start()
     theirs.close()
     assert ours.poll(60)
@@ -105,9 +105,9 @@ def test_a_worker_whose_parent_hangs_up_in_the_middle_of_a_word_ends_quietly():
 
 
 def test_a_worker_that_hangs_up_costs_one_task(tmp_path, monkeypatch):
-    monkeypatch.setattr(pool, "_LAST_WORDS_S", 0.1)
+    monkeypatch.setattr(workers, "_LAST_WORDS_S", 0.1)
     tasks = [("deaf", None), ("write", tmp_path / "after")]
-    endings = list(pool.run(do, tasks, jobs=1, timeout_s=20))
+    endings = list(workers.run(do, tasks, jobs=1, timeout_s=20))
     assert [one.status for one in endings] == ["crashed", "done"]
     assert "SIGTERM" in endings[0].reason  # it was ended
 
@@ -117,11 +117,11 @@ def test_ctrl_c_at_the_start_of_a_worker_is_the_parents_alone(tmp_path):
     program.write_text(
         "import sys, signal; sys.path[:0] = sys.argv[1:3]\n"
         "import test_pool\n"
-        "from deepmf_sumo.benchmark import pool\n"
+        "from deepmf_sumo.sweep import workers\n"
         "if __name__ == '__main__':\n"
         "    signal.signal(signal.SIGINT, lambda *_: None)\n"
         "    print('starts', flush=True)\n"
-        "    endings = pool.run(test_pool.do, [('write', sys.argv[3])], jobs=1, timeout_s=20)\n"
+        "    endings = workers.run(test_pool.do, [('write', sys.argv[3])], jobs=1, timeout_s=20)\n"
         "    print([one.status for one in endings])\n"
     )
     here = Path(__file__).resolve()
@@ -140,7 +140,7 @@ def test_ctrl_c_at_the_start_of_a_worker_is_the_parents_alone(tmp_path):
 def test_memory_limit_costs_one_task(tmp_path):
     tasks = [("eat", 400), ("write", tmp_path / "after")]
     begin = time.monotonic()
-    endings = list(pool.run(do, tasks, jobs=1, timeout_s=60, memory_mb=300))
+    endings = list(workers.run(do, tasks, jobs=1, timeout_s=60, memory_mb=300))
     assert [one.status for one in endings] == ["memory", "done"]
     assert endings[0].reason == "more than 300 MB of memory"
     assert time.monotonic() - begin < 30
@@ -148,20 +148,22 @@ def test_memory_limit_costs_one_task(tmp_path):
 
 def test_what_many_tasks_left_behind_is_not_held_against_the_next():
     tasks = [("keep", 3)] * 149 + [("rest", 0.5)]  # 450 MB in one worker, long enough to be seen
-    endings = list(pool.run(do, tasks, jobs=1, timeout_s=60, memory_mb=400))
+    endings = list(workers.run(do, tasks, jobs=1, timeout_s=60, memory_mb=400))
     assert [one.index for one in endings] == list(range(150))
     assert {one.status for one in endings} == {"done"}
 
 
 def test_no_task_is_begun_after_the_last_minute(tmp_path):
     tasks = [("write", tmp_path / "a"), ("write", tmp_path / "b")]
-    assert list(pool.run(do, tasks, jobs=1, timeout_s=60, minutes=1e-9)) == []
+    assert list(workers.run(do, tasks, jobs=1, timeout_s=60, minutes=1e-9)) == []
     assert not (tmp_path / "a").exists()
 
 
 def test_closing_kills_what_runs(tmp_path):
     pid_file = tmp_path / "pid"
-    endings = pool.run(do, [("write", tmp_path / "a"), ("child", pid_file)], jobs=1, timeout_s=60)
+    endings = workers.run(
+        do, [("write", tmp_path / "a"), ("child", pid_file)], jobs=1, timeout_s=60
+    )
     next(endings)
     begin = time.monotonic()
     endings.close()
@@ -171,11 +173,11 @@ def test_closing_kills_what_runs(tmp_path):
 
 def test_a_worker_that_cannot_start_is_an_error():
     with pytest.raises(RunError, match="died while it started"):
-        list(pool.run(NeverStarts(), [1], jobs=1, timeout_s=60))
+        list(workers.run(NeverStarts(), [1], jobs=1, timeout_s=60))
 
 
 def test_no_tasks():
-    assert list(pool.run(do, [], jobs=2, timeout_s=1)) == []
+    assert list(workers.run(do, [], jobs=2, timeout_s=1)) == []
 
 
 def test_a_killed_parent_leaves_no_worker(tmp_path):
@@ -184,10 +186,10 @@ def test_a_killed_parent_leaves_no_worker(tmp_path):
         "import sys; sys.path[:0] = sys.argv[1:3]\n"
         "from pathlib import Path\n"
         "import test_pool\n"
-        "from deepmf_sumo.benchmark import pool\n"
+        "from deepmf_sumo.sweep import workers\n"
         "if __name__ == '__main__':\n"
         "    tasks = [('child', Path(sys.argv[3]))]\n"
-        "    list(pool.run(test_pool.do, tasks, jobs=1, timeout_s=None))\n"
+        "    list(workers.run(test_pool.do, tasks, jobs=1, timeout_s=None))\n"
     )
     program = tmp_path / "program.py"
     program.write_text(script)

@@ -13,8 +13,9 @@ import pytest
 import tiny_network
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch, compare
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.plans import compare
+from deepmf_sumo.sweep import batch
 
 if importlib.util.find_spec("ray") is None:
     pytest.skip("Ray is not installed: pip install deepmf-sumo[cluster]", allow_module_level=True)
@@ -171,19 +172,19 @@ def test_an_interrupt_keeps_what_came_home(machines, specs, here, tmp_path):
 
 def test_files_that_differ_are_refused(machines, tiny, tmp_path, monkeypatch):
     """The machines are all this one: a file is changed after it was looked at here."""
-    from deepmf_sumo.benchmark.executors import cluster
+    from deepmf_sumo.sweep import ray_cluster
 
     own = tmp_path / "own"
     shutil.copytree(tiny, own)
     one = spec.load(tiny_network.spec(own, "changed"))
-    inputs_of = cluster.inputs_of
+    inputs_of = ray_cluster.inputs_of
 
     def and_change(tasks):
         found = inputs_of(tasks)
         (own / "tiny.rou.xml").write_text("<routes/>")
         return found
 
-    monkeypatch.setattr(cluster, "inputs_of", and_change)
+    monkeypatch.setattr(ray_cluster, "inputs_of", and_change)
     with pytest.raises(UsageError, match=r"has another .*tiny\.rou\.xml: all machines"):
         run([one], tmp_path / "out", executor=machines.name)
 

@@ -12,8 +12,6 @@ import tiny_network
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import files, spec
-from deepmf_sumo.benchmark import artifacts, compare, expectations, junit, result, store
-from deepmf_sumo.benchmark.tasks import Task
 from deepmf_sumo.datatypes import (
     Attack,
     Forecast,
@@ -25,7 +23,12 @@ from deepmf_sumo.datatypes import (
     Trial,
 )
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.plans import compare
 from deepmf_sumo.report import table
+from deepmf_sumo.results import artifacts, junit, result
+from deepmf_sumo.results import folder as folder_module
+from deepmf_sumo.sweep import episode
+from deepmf_sumo.tasks import Task
 
 
 def forecast(modes=3):
@@ -186,12 +189,12 @@ def test_nan_never_reaches_a_file(tmp_path):
     ],
 )
 def test_expectations(found, expect, sentences):
-    assert expectations.broken(spec.Expect.model_validate(expect), found) == sentences
+    assert episode.broken(spec.Expect.model_validate(expect), found) == sentences
 
 
 def test_failed_runs_break_no_expectation(task):
     lost = result.unfinished(task, "failed", "x")
-    assert expectations.broken(spec.Expect(av_collision=True), lost) == []
+    assert episode.broken(spec.Expect(av_collision=True), lost) == []
 
 
 def test_junit(found, task, tmp_path):
@@ -212,67 +215,67 @@ def test_junit(found, task, tmp_path):
 def test_summary(found, task):
     lost = result.unfinished(task, "failed", "x")
     lost["expectations_broken"] = []
-    summary = store.summary([found, lost])
+    summary = folder_module.summary([found, lost])
     assert summary["status"] == {"ok": 1, "failed": 1}
     assert summary["collision_rate"]["rate"] == 1.0
     assert 0 < summary["collision_rate"]["low"] < 0.3
     nobody = found | {"opponent": None, "outcome": "none", "contacts": []}
-    with_nobody = store.summary([found, nobody, lost])
+    with_nobody = folder_module.summary([found, nobody, lost])
     assert (with_nobody["runs"], with_nobody["attacked"], with_nobody["hits"]) == (3, 1, 1)
     assert with_nobody["collision_rate"] == summary["collision_rate"]
     assert "AV hit by opponent in 1 of 1 attacked, 100 %" in table.totals(with_nobody)
-    assert store.summary([nobody])["collision_rate"] is None
+    assert folder_module.summary([nobody])["collision_rate"] is None
     assert summary["metrics"]["feasible"]["mean"] == 1.0
     assert summary["metrics"]["on_road"]["runs"] == 0
     assert summary["timings"]["generation_s"] == 0.25
-    assert store.summary([])["collision_rate"] is None
+    assert folder_module.summary([])["collision_rate"] is None
 
 
 def test_results_of_an_earlier_batch_are_deleted_only_where_that_is_asked_for(tmp_path):
     out = tmp_path / "deep" / "out"
-    with store.opened(out, resume=False) as folder:
+    with folder_module.opened(out, resume=False) as folder:
         folder.begin([], {})
         (out / "runs" / "old").mkdir()
-    with store.opened(out, resume=True):
+    with folder_module.opened(out, resume=True):
         assert (out / "runs" / "old").is_dir()
-    for refused in (store.opened(out, resume=False), _checked(out)):
+    for refused in (folder_module.opened(out, resume=False), _checked(out)):
         with pytest.raises(OutputError, match=r"--resume .* --overwrite .* --out"), refused:
             pass
     assert (out / "runs" / "old").is_dir()
-    with store.opened(out, resume=False, overwrite=True):
+    with folder_module.opened(out, resume=False, overwrite=True):
         assert list((out / "runs").iterdir()) == []
     (out / "manifest.json").write_text("[]")
     for overwrite in (False, True):
         with (
             pytest.raises(OutputError, match="holds other files"),
-            store.opened(out, resume=False, overwrite=overwrite),
+            folder_module.opened(out, resume=False, overwrite=overwrite),
         ):
             pass
 
 
 @contextmanager
 def _checked(out):
-    store.check(out, resume=False)
+    folder_module.check(out, resume=False)
     yield
 
 
 def test_tables_without_their_runs_are_results_too(tmp_path):
-    with store.opened(tmp_path, resume=False) as folder:
+    with folder_module.opened(tmp_path, resume=False) as folder:
         folder.manifest({"one": "key"}, {})
         folder.finish([], junit_too=False, interrupted=True)
-    assert store.holds_results(tmp_path)
-    with store.opened(tmp_path, resume=True) as folder:
+    assert folder_module.holds_results(tmp_path)
+    with folder_module.opened(tmp_path, resume=True) as folder:
         folder.manifest({}, {})
-    assert not store.holds_results(tmp_path)  # a batch of no runs: nothing is lost
+    assert not folder_module.holds_results(tmp_path)  # a batch of no runs: nothing is lost
 
 
 def test_a_look_at_a_folder_leaves_nothing_behind(tmp_path):
     out = tmp_path / "deep" / "out"
-    store.check(out, resume=False)
+    folder_module.check(out, resume=False)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot be written"):
-        store.check(tmp_path / "file" / "out", resume=False)
+        folder_module.check(tmp_path / "file" / "out", resume=False)
 
 
 def test_compare_sees_what_matters(tmp_path):

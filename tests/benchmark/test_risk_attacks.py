@@ -3,7 +3,7 @@ import json
 import pytest
 from risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
 
-from deepmf_sumo.benchmark import risk
+from deepmf_sumo import risk
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network import sumo_tools
 

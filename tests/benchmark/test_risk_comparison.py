@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from risk_doubles import Attacks, eastward
 
-from deepmf_sumo.benchmark.risk import comparison
-from deepmf_sumo.benchmark.risk.origins import Tagged, origins
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.risk import comparison as files
+from deepmf_sumo.risk import comparison
+from deepmf_sumo.risk.origins import Tagged, origins
 
 ALARMS = {"worse", "better"}
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from risk_doubles import NET
 
-from deepmf_sumo.benchmark import risk
-from deepmf_sumo.benchmark.risk import places
-from deepmf_sumo.benchmark.risk.criticality import criticality, drawn, ranks
-from deepmf_sumo.benchmark.risk.places import Spot
+from deepmf_sumo import risk
+from deepmf_sumo.risk import places
+from deepmf_sumo.risk.criticality import criticality, drawn, ranks
+from deepmf_sumo.risk.places import Spot
 
 
 @pytest.mark.parametrize(

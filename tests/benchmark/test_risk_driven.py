@@ -6,8 +6,8 @@ import gzip
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark.risk import driven
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.risk import tracks
 
 COLUMNS = ("step", "time_s", "id", "kind", "role", "driver", "x_m", "y_m", "heading_rad")
 COLUMNS += ("speed_mps", "length_m", "width_m")
@@ -33,8 +33,8 @@ def test_whoever_is_asked_for_is_read_whole_wherever_the_text_is_cut(tmp_path, m
     file = tmp_path / "tracks.csv.gz"
     others = [("12", "opponent"), ("123", "other"), (OPPONENT, "opponent"), ("à 12", "other")]
     write(file, [("ego", "av"), *others], 60)
-    monkeypatch.setattr(driven, "_PIECE", piece)
-    found = driven.read(file, ["12", OPPONENT, "never there"])
+    monkeypatch.setattr(tracks, "_PIECE", piece)
+    found = tracks.read_tracks(file, ["12", OPPONENT, "never there"])
     assert found.ids == ("", "12", OPPONENT)
     assert (found.now, found.valid.shape) == (10, (3, 60))
     with gzip.open(file, "rt", encoding="utf-8", newline="") as stream:
@@ -50,12 +50,12 @@ def test_whoever_is_asked_for_is_read_whole_wherever_the_text_is_cut(tmp_path, m
 def test_heights_are_read_where_a_result_has_them(tmp_path):
     file = tmp_path / "tracks.csv.gz"
     write(file, [("ego", "av"), ("12", "opponent")], 20)
-    assert not driven.read(file, ["12"]).z_m.any()
+    assert not tracks.read_tracks(file, ["12"]).z_m.any()
     with gzip.open(file, "rt", encoding="utf-8") as stream:
         head, *rows = stream.read().splitlines()
     with gzip.open(file, "wt", encoding="utf-8") as stream:
         stream.write("\n".join([head + ",z_m", *(row + ",8.0" for row in rows)]) + "\n")
-    found = driven.read(file, ["12"])
+    found = tracks.read_tracks(file, ["12"])
     assert (found.z_m[found.valid] == 8.0).all()
 
 
@@ -66,4 +66,4 @@ def test_a_file_cut_short_is_refused_by_name(tmp_path, share):
     whole = file.read_bytes()
     file.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(UsageError, match=r"tracks.csv.gz is damaged \(.+\); run it anew"):
-        driven.read(file, ["12"])
+        tracks.read_tracks(file, ["12"])

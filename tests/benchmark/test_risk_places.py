@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import risk_doubles
 
-from deepmf_sumo.benchmark.risk import places
+from deepmf_sumo.risk import places
 
 NETS = risk_doubles.NET.parents[1]
 

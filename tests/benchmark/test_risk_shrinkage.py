@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from deepmf_sumo.benchmark.risk.shrinkage import STRENGTHS, Prior, prior, shrink
+from deepmf_sumo.risk.criticality import STRENGTHS, Prior, prior, shrink
 
 
 @pytest.mark.parametrize("events", [0, 1, 3, 20, 200])

@@ -8,8 +8,8 @@ import gate_doubles
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark.risk import comparison
 from deepmf_sumo.cli import main
+from deepmf_sumo.risk import comparison
 
 NETS = Path(__file__).resolve().parents[2] / "sumo_nets"
 SEEDS, MOMENTS = range(1, 21), 5

@@ -1,10 +1,10 @@
 import pytest
 from risk_doubles import NET
 
-from deepmf_sumo.benchmark import risk
-from deepmf_sumo.benchmark.risk import places
-from deepmf_sumo.benchmark.risk.places import Spot
+from deepmf_sumo import risk
 from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.risk import places
+from deepmf_sumo.risk.places import Spot
 
 LEFT = "centre: w_in -> n_out"
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from rollout_doubles import case_of, rollout_of, straight
 
-from deepmf_sumo.benchmark.rollout_scene import scene_of
 from deepmf_sumo.datatypes import Plan
+from deepmf_sumo.results.artifacts import scene_of
 
 
 def test_the_av_ends_with_the_episode_and_the_opponent_drives_its_plan():

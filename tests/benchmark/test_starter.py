@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from deepmf_sumo.benchmark import starter
+from deepmf_sumo.cli import _starter as starter
 from deepmf_sumo.errors import OutputError, UsageError
 
 

@@ -8,13 +8,14 @@ import gate_doubles
 import pytest
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import shards, stored
-from deepmf_sumo.benchmark.gate import rows
-from deepmf_sumo.benchmark.result import COLUMNS
-from deepmf_sumo.benchmark.tasks import is_run_id, run_id_of
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.gate import rows
 from deepmf_sumo.report.comparison import groups
 from deepmf_sumo.report.page import document
+from deepmf_sumo.results import stored
+from deepmf_sumo.results.result import COLUMNS
+from deepmf_sumo.sweep import shards
+from deepmf_sumo.tasks import is_run_id, run_id_of
 
 OUTSIDE = ["../../../EVIL/x", "/tmp/x", "..", ".", "", "a/b", "a\\b", "A", "a\n", "ä", "x" * 201]
 

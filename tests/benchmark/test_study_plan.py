@@ -7,11 +7,11 @@ import pytest
 import tiny_plan
 
 import deepmf_sumo
-from deepmf_sumo.benchmark import study
-from deepmf_sumo.benchmark.study import entries
-from deepmf_sumo.benchmark.study.layout import layout_of
-from deepmf_sumo.benchmark.study.run import _scene_by_scene
+from deepmf_sumo import plans
 from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.plans import entries
+from deepmf_sumo.plans.layout import layout_of
+from deepmf_sumo.plans.run import _scene_by_scene
 
 BUDGETS = """
 equal_seconds: {seconds: 2.0, methods: [fixed], scenes: {first: 1}}
@@ -24,7 +24,7 @@ curves:
 @pytest.fixture
 def plan(tiny):
     def load(text=tiny_plan.PLAN, sets=(), without=()):
-        return study.load(tiny_plan.write(tiny, text), sets, without)
+        return plans.load(tiny_plan.write(tiny, text), sets, without)
 
     return load
 
@@ -181,7 +181,7 @@ def test_the_same_situation_twice_is_refused(plan, tmp_path):
 @pytest.mark.parametrize("of", [1, 2, 3, 8])
 def test_shards_make_up_the_plan_and_have_every_method(plan, tmp_path, of):
     _, tasks = rows_of(plan(), tmp_path)
-    shards = [study.Shard(number=number + 1, of=of).choose(tasks) for number in range(of)]
+    shards = [plans.Shard(number=number + 1, of=of).choose(tasks) for number in range(of)]
     together = [task.run_id for shard in shards for task in shard]
     assert sorted(together) == sorted(task.run_id for task in tasks)
     assert len(together) == len(set(together))
@@ -192,13 +192,13 @@ def test_shards_make_up_the_plan_and_have_every_method(plan, tmp_path, of):
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "1/0", "-1/2", "1/2/3"])
 def test_bad_shards(text):
     with pytest.raises(UsageError, match="--shard"):
-        study.Shard.parse(text)
+        plans.Shard.parse(text)
 
 
 def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
     from deepmf_sumo import readers
-    from deepmf_sumo.benchmark import tasks as batch_tasks
-    from deepmf_sumo.benchmark.starter import paper_plan
+    from deepmf_sumo import tasks as batch_tasks
+    from deepmf_sumo.cli._starter import paper_plan
 
     found = [
         readers.RecordRef(file=tmp_path, name=name, record=number)
@@ -206,7 +206,7 @@ def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
     ]
     monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
     assert batch_tasks.readers is readers
-    loaded = study.load(paper_plan(), [f'source.recording="{tmp_path}"'])
+    loaded = plans.load(paper_plan(), [f'source.recording="{tmp_path}"'])
     rows, planned = rows_of(loaded, tmp_path)
     layout = layout_of(loaded.plan, rows, planned)
     assert layout.baseline == "DeepMF-S1"

@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 import tiny_plan
 
-from deepmf_sumo.benchmark import batch, compare, study
-from deepmf_sumo.benchmark.study import tables
+from deepmf_sumo import plans
 from deepmf_sumo.errors import OutputError, UsageError
+from deepmf_sumo.plans import compare, tables
+from deepmf_sumo.sweep import batch
 
 COMMAND = (sys.executable, "-m", "deepmf_sumo.cli.main", "benchmark")
 
@@ -28,7 +29,7 @@ def whole(tiny, tmp_path_factory):
     os.environ["DEEPMF_SUMO_HOME"] = str(tmp_path_factory.mktemp("home"))
     folder = tmp_path_factory.mktemp("whole")
     file = tiny_plan.write(tiny)
-    results = study.run(study.load(file), options(folder))
+    results = plans.run(plans.load(file), options(folder))
     assert [one["status"] for one in results] == ["ok"] * 8, results
     return file, folder
 
@@ -75,20 +76,20 @@ def test_rows_are_in_plan_order_with_denominators(whole):
 def test_shards_merge_to_the_whole(whole, tmp_path):
     file, folder = whole
     for number in (1, 2):
-        part = study.Shard(number=number, of=2)
-        assert len(study.run(study.load(file), options(tmp_path / str(number)), shard=part)) == 4
-    results, missing = study.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
+        part = plans.Shard(number=number, of=2)
+        assert len(plans.run(plans.load(file), options(tmp_path / str(number)), shard=part)) == 4
+    results, missing = plans.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
     assert (len(results), missing) == (8, [])
     assert compare.differences(folder, tmp_path / "all") == []
-    half, missing = study.merge(tmp_path / "half", [tmp_path / "2"])
+    half, missing = plans.merge(tmp_path / "half", [tmp_path / "2"])
     assert (len(half), len(missing)) == (4, 4)
     assert {row["unfinished"] for row in rows(tmp_path / "half" / "table.csv")} == {"1"}
     with pytest.raises(UsageError, match="give each shard once"):
-        study.merge(tmp_path / "twice", [tmp_path / "1", tmp_path / "1"])
+        plans.merge(tmp_path / "twice", [tmp_path / "1", tmp_path / "1"])
     with pytest.raises(UsageError, match="one of the shards"):
-        study.merge(tmp_path / "1", [tmp_path / "1", tmp_path / "2"])
+        plans.merge(tmp_path / "1", [tmp_path / "1", tmp_path / "2"])
     with pytest.raises(UsageError, match="holds 4 runs that no shard has"):
-        study.merge(tmp_path / "1", [tmp_path / "2"])  # OUT was forgotten
+        plans.merge(tmp_path / "1", [tmp_path / "2"])  # OUT was forgotten
 
 
 def test_shards_merge_wherever_their_plans_lay(whole, tmp_path):
@@ -98,9 +99,9 @@ def test_shards_merge_wherever_their_plans_lay(whole, tmp_path):
     for one in [file, *file.parent.glob("tiny.*")]:
         shutil.copy(one, moved)
     for number, plan in enumerate((file, moved / file.name), start=1):
-        part = study.Shard(number=number, of=2)
-        study.run(study.load(plan), options(tmp_path / str(number)), shard=part)
-    results, missing = study.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
+        part = plans.Shard(number=number, of=2)
+        plans.run(plans.load(plan), options(tmp_path / str(number)), shard=part)
+    results, missing = plans.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
     assert (len(results), missing) == (8, [])
 
 
@@ -111,14 +112,14 @@ def test_other_plans_and_versions_are_not_merged(whole, tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "study.json").write_text(json.dumps(layout | changes))
     with pytest.raises(UsageError, match=r"another plan than .*\(they differ in 'name'\)"):
-        study.merge(tmp_path / "out", [folder, tmp_path / "plan"])
+        plans.merge(tmp_path / "out", [folder, tmp_path / "plan"])
     with pytest.raises(UsageError, match=r"made by version 0\.0\.1"):
-        study.merge(tmp_path / "out", [folder, tmp_path / "version"])
+        plans.merge(tmp_path / "out", [folder, tmp_path / "version"])
     (tmp_path / "version" / "manifest.json").write_text('{"tool": "deepmf-sumo"}')
     with pytest.raises(UsageError, match=r"made by version 0\.0\.1"):
-        study.run(study.load(whole[0]), options(tmp_path / "version", resume=True))
+        plans.run(plans.load(whole[0]), options(tmp_path / "version", resume=True))
     with pytest.raises(UsageError, match="no benchmark's folder"):
-        study.merge(tmp_path / "out", [tmp_path])
+        plans.merge(tmp_path / "out", [tmp_path])
     assert not (tmp_path / "out").exists()
 
 
@@ -183,12 +184,12 @@ def _wait_for_runs(process, out, count):
 def test_a_time_limit_leaves_a_table_that_says_what_is_missing(whole, tmp_path):
     file, folder = whole
     out = tmp_path / "out"
-    results = study.run(study.load(file), options(out, minutes=1e-6))
+    results = plans.run(plans.load(file), options(out, minutes=1e-6))
     assert len(results) < 8
     left = sum(int(row["unfinished"]) for row in rows(out / "table.csv"))
     assert left == 8 - len(results)
     assert json.loads((out / "summary.json").read_text())["interrupted"]
-    study.run(study.load(file), options(out, resume=True))
+    plans.run(plans.load(file), options(out, resume=True))
     assert compare.differences(folder, out) == []
 
 
@@ -215,8 +216,8 @@ def test_runs_that_go_wrong_are_rows_with_their_status(tiny, tmp_path, monkeypat
     text = tiny_plan.PLAN.replace("planners: {", f"planners: {{{planners}, ")
     text = text.replace("  - {network: tiny.sumocfg, start_s: 2.0, av: {vehicle: av}}\n", "")
     file = tiny_plan.write(tiny, text, "bad.yaml")
-    loaded = study.load(file, ["tables={}"], without=["none"])
-    results = study.run(loaded, options(tmp_path, jobs=2, timeout_s=12.0, memory_mb=900.0))
+    loaded = plans.load(file, ["tables={}"], without=["none"])
+    results = plans.run(loaded, options(tmp_path, jobs=2, timeout_s=12.0, memory_mb=900.0))
     found = {one["planner_label"]: (one["status"], one["error"]) for one in results}
     assert found["Crash"] == ("failed", ENDED)
     assert found["Hang"] == ("timeout", "longer than 12 s")
@@ -230,13 +231,13 @@ def test_runs_that_go_wrong_are_rows_with_their_status(tiny, tmp_path, monkeypat
 
 
 def test_a_result_that_is_not_a_number_is_a_failed_run(whole, tmp_path, monkeypatch):
-    from deepmf_sumo.benchmark import episode
-    from deepmf_sumo.benchmark.study import entries
     from deepmf_sumo.datatypes import MetricValue
+    from deepmf_sumo.plans import entries
+    from deepmf_sumo.sweep import episode
 
     value = MetricValue(name="pet", value=float("nan"), unit="s", better="lower")
     monkeypatch.setattr(episode, "measure", lambda rollout, case: [value])
-    loaded = study.load(whole[0])
+    loaded = plans.load(whole[0])
     task = entries.tasks_of(entries.entries_of(loaded, tmp_path), (0,))[-1]
     (tmp_path / "runs").mkdir()
     episode.Episode(runs=tmp_path / "runs", cache=tmp_path)(task)
@@ -257,7 +258,7 @@ def test_tables_can_be_made_again(whole, tmp_path):
 def test_a_folder_with_other_files_is_refused(whole, tmp_path):
     (tmp_path / "mine").write_text("mine")
     with pytest.raises(OutputError, match="holds other files"):
-        study.run(study.load(whole[0]), options(tmp_path))
+        plans.run(plans.load(whole[0]), options(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 

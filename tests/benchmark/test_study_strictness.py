@@ -8,12 +8,13 @@ import pytest
 import tiny_plan
 from test_study_tables import folder, result, rows  # noqa: F401 - a fixture
 
-from deepmf_sumo.benchmark import store, study
-from deepmf_sumo.benchmark.study import layout, paired, tables
-from deepmf_sumo.cli.screen import benchmark as screen
+from deepmf_sumo import plans
+from deepmf_sumo.cli import _screen as screen
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.metrics import statistics
+from deepmf_sumo.plans import layout, tables
 from deepmf_sumo.report import benchmark as report
+from deepmf_sumo.results.folder import summary
 
 
 @pytest.mark.parametrize(
@@ -34,13 +35,13 @@ from deepmf_sumo.report import benchmark as report
 )  # fmt: skip
 def test_plans_that_would_count_wrong_are_refused(tiny, assignment, message):
     with pytest.raises(SpecError, match=message):
-        study.load(tiny_plan.write(tiny), [assignment])
+        plans.load(tiny_plan.write(tiny), [assignment])
 
 
 def test_a_plan_of_figures_alone_is_refused(tiny):
     sets = ["tables={}", "methods={none: {adversary: none, figures_only: true}}"]
     with pytest.raises(SpecError, match=r"key 'methods': .*figures alone"):
-        study.load(tiny_plan.write(tiny), sets)
+        plans.load(tiny_plan.write(tiny), sets)
 
 
 def test_parts_of_a_plan_that_are_about_left_out_methods_alone_go(tiny):
@@ -49,10 +50,10 @@ def test_parts_of_a_plan_that_are_about_left_out_methods_alone_go(tiny):
         "equal_seconds={seconds: 1.0, methods: [fixed]}",
         "curves={methods: {fixed: {simulations: [5]}}}",
     ]
-    plan = study.load(tiny_plan.write(tiny), sets, without=["fixed"]).plan
+    plan = plans.load(tiny_plan.write(tiny), sets, without=["fixed"]).plan
     assert (list(plan.methods), plan.equal_seconds, plan.curves) == (["none"], None, None)
     with pytest.raises(SpecError, match=r"key 'equal_seconds\.methods'"):
-        study.load(tiny_plan.write(tiny), ["equal_seconds={seconds: 1.0, methods: []}"], ["none"])
+        plans.load(tiny_plan.write(tiny), ["equal_seconds={seconds: 1.0, methods: []}"], ["none"])
 
 
 def _change(folder, **changes):  # noqa: F811
@@ -89,7 +90,7 @@ def test_rows_of_readable_tables_are_in_the_order_asked_for(folder):  # noqa: F8
 
 
 def test_one_scene_has_no_bootstrap_interval():
-    found = paired.differences(
+    found = tables.differences(
         {"slow": [result("a", hit=False)], "fast": [result("a")]}, "slow", "lane"
     )
     rate = next(row for row in found if row["quantity"] == "collision_rate")
@@ -118,7 +119,7 @@ def test_names_and_directions_are_not_averaged():
             ("c", {"accident_type": 4.0, "pdof": None, "avoidance_grade": None, "pet": None}),
         )
     ]
-    found = store.summary(runs)["metrics"]
+    found = summary(runs)["metrics"]
     for name in ("accident_type", "pdof", "avoidance_grade"):
         assert (found[name]["mean"], found[name]["median"]) == (None, None), name
     assert found["accident_type"]["counts"] == {"0": 1, "4": 2}
@@ -144,9 +145,9 @@ def test_the_screen_does_not_drop_failures(folder, capsys):  # noqa: F811
     lost = [
         {"run_id": f"run {number}", "status": "failed", "error": "why"} for number in range(12)
     ] + [{"run_id": "unread", "status": "skipped", "error": "a damaged record"}]
-    screen.show(folder, lost[-1:], 1, [])
+    screen.show_study(folder, lost[-1:], 1, [])
     assert "unread: a damaged record" in capsys.readouterr().out
-    screen.show(folder, lost, 13, [])
+    screen.show_study(folder, lost, 13, [])
     assert "and 3 more" in capsys.readouterr().out
 
 

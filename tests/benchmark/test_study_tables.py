@@ -7,18 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark import compare
-from deepmf_sumo.benchmark.quantities import BY_NAME, COLUMNS
-from deepmf_sumo.benchmark.result import row as row_of_run
-from deepmf_sumo.benchmark.study import paired, tables
-from deepmf_sumo.benchmark.study.layout import Budgeted, Layout
-from deepmf_sumo.benchmark.study.layout import read as read_layout
-from deepmf_sumo.benchmark.study.rows import row_of
-from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.plans import compare, tables
+from deepmf_sumo.plans.layout import Budgeted, Layout, read_layout
+from deepmf_sumo.plans.tables import row_of
 from deepmf_sumo.report import benchmark as report
-from deepmf_sumo.report.tables import latex, rules
+from deepmf_sumo.report.tables import layouts
+from deepmf_sumo.report.tables.text import _escaped
+from deepmf_sumo.results.quantities import BY_NAME, COLUMNS
+from deepmf_sumo.results.result import row as row_of_run
 from deepmf_sumo.tables import to_csv
+from deepmf_sumo.tasks import slug
 
 
 def result(scene="a", method="fast", planner="lane", hit=True, **changes):
@@ -116,7 +115,7 @@ def test_every_rate_is_of_zeros_and_ones():
 def test_paired_differences_take_common_scenes_alone():
     ours = [result(scene, hit=hit) for scene, hit in (("a", True), ("b", True), ("c", False))]
     theirs = [result(scene, hit=False, method="slow") for scene in "abd"]
-    found = paired.differences({"slow": theirs, "fast": ours}, "slow", "lane")
+    found = tables.differences({"slow": theirs, "fast": ours}, "slow", "lane")
     rate = next(row for row in found if row["quantity"] == "collision_rate")
     assert (rate["method"], rate["pairs"], rate["difference"]) == ("fast", 2, 1.0)
     assert (rate["method_only"], rate["baseline_only"]) == (2, 0)
@@ -127,17 +126,17 @@ def test_paired_differences_take_common_scenes_alone():
 def test_bootstrap_interval_is_that_of_the_mean():
     rng = np.random.default_rng(0)
     values = rng.normal(1.0, 2.0, 200)
-    low, high = paired.interval([[value] for value in values])
+    low, high = tables.interval([[value] for value in values])
     error = values.std(ddof=1) / np.sqrt(len(values))
     assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.05)
     assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.05)
-    assert paired.interval([[value] for value in values]) == (low, high)
+    assert tables.interval([[value] for value in values]) == (low, high)
 
 
 def test_seeds_of_a_scene_are_drawn_together():
     alike = [[value] * 10 for value in (0.0, 1.0, 2.0, 3.0)]
     apart = [[value] for value in (0.0, 1.0, 2.0, 3.0)]
-    assert paired.interval(alike) == pytest.approx(paired.interval(apart))
+    assert tables.interval(alike) == pytest.approx(tables.interval(apart))
 
 
 @pytest.fixture
@@ -209,10 +208,10 @@ def test_tables_say_by_which_rule_deepmf_chose():
         three={"adversary": {"aggressiveness": 0.7}},
         other={"adversary": "cat"},
     )
-    assert rules.title(mixed, ["one", "other"]) == " (DeepMF's rule: likeliest)"
-    assert rules.title(mixed, ["two"]) == " (DeepMF's rule: expected)"
-    assert rules.title(mixed, ["other"]) == ""
-    assert rules.notes(mixed) == [
+    assert layouts.rule_title(mixed, ["one", "other"]) == " (DeepMF's rule: likeliest)"
+    assert layouts.rule_title(mixed, ["two"]) == " (DeepMF's rule: expected)"
+    assert layouts.rule_title(mixed, ["other"]) == ""
+    assert layouts.notes(mixed) == [
         "one: attacks chosen by likeliest, not by the paper's product (rule expected).",
         "three: attacks chosen by aggressiveness 0.7, not by the paper's product (rule expected).",
     ]
@@ -248,7 +247,7 @@ def test_readable_tables_hold_the_papers_columns_and_say_what_is_missing(folder)
 
 
 def test_latex_escapes_what_it_knows_as_commands():
-    assert latex._escaped(r"50 % of a_b & {c} \d ~ ^") == (
+    assert _escaped(r"50 % of a_b & {c} \d ~ ^") == (
         r"50 \% of a\_b \& \{c\} \textbackslash{}d \textasciitilde{} \textasciicircum{}"
     )
 

@@ -4,8 +4,7 @@ from pathlib import Path
 import pytest
 import tiny_network
 
-from deepmf_sumo import readers, spec
-from deepmf_sumo.benchmark import tasks
+from deepmf_sumo import readers, spec, tasks
 from deepmf_sumo.errors import SpecError
 
 

@@ -12,8 +12,8 @@ import pytest
 import sumo
 from live_policies import Keep
 
-from deepmf_sumo.benchmark.live import assembly, attaching
 from deepmf_sumo.cli import main
+from deepmf_sumo.live import attacker
 from deepmf_sumo.live.connection import Port, connect
 
 CLIENT = """
@@ -51,7 +51,7 @@ def port():
 def simulation(tiny, port, monkeypatch):
     """SUMO and the user's script, which ``ends`` in one way or another after some steps."""
     monkeypatch.chdir(tiny)
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
     processes = []
 
     def start(steps, ends="closes", step_length="0.1"):
@@ -128,7 +128,7 @@ def test_a_script_that_leaves_ends_the_session_and_its_last_attack_is_not_counte
 
 def test_without_a_script_sumo_is_the_planner(simulation, port, tmp_path, capsys, monkeypatch):
     for seen, planner in ((0, "sumo"), (None, "script")):
-        monkeypatch.setattr(attaching, "others", lambda api, seen=seen: seen)
+        monkeypatch.setattr(attacker, "others", lambda api, seen=seen: seen)
         simulation(30)
         out = tmp_path / planner
         assert attach(port, out, "--av", "av", "--duration", 3, "--until", 4.5) == 0
@@ -168,7 +168,7 @@ def test_a_number_that_the_other_client_has(simulation, port, tmp_path, capsys):
 
 
 def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
     assert attach(port, tmp_path / "live", "--av", "av", "--wait", 0.3) == 3
     shown = capsys.readouterr().err
     assert f"Nobody listens on localhost:{port} (waited 0.3 s)" in shown
@@ -192,7 +192,7 @@ def test_a_wrong_command_is_told_before_anybody_waits(port, tmp_path, capsys, op
 
 
 def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
     (tmp_path / "manifest.json").write_text('{"tool": "deepmf-sumo", "runs": {"attack-001": ""}}')
     (tmp_path / "attacks.jsonl").write_text("earlier\n")
     assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 2
@@ -208,9 +208,9 @@ def test_a_connection_lost_before_the_first_step_is_one_line(port, tmp_path, cap
         raise gone("connection closed by SUMO")
 
     api = SimpleNamespace(close=lost)
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
-    monkeypatch.setattr(assembly, "session", lost)
-    monkeypatch.setattr(attaching, "connect", lambda *_: api)
+    monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(attacker, "session", lost)
+    monkeypatch.setattr(attacker, "connect", lambda *_: api)
     assert attach(port, tmp_path / "live", "--av", "av") == 3
     assert "lost before the first step (connection closed by SUMO)" in capsys.readouterr().err
 
@@ -221,7 +221,7 @@ def test_who_waits_for_a_port_can_be_stopped(port):
 
 
 def test_a_folder_with_other_files_is_left_alone(port, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(assembly, "policy_of", lambda spec: Keep())
+    monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
     (tmp_path / "mine.txt").write_text("mine")
     assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 2
     assert "holds other files" in capsys.readouterr().err

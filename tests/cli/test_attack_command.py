@@ -8,12 +8,13 @@ import crossing_network
 import pytest
 import tiny_network
 
-from deepmf_sumo.benchmark.moments import finding, names_of
-from deepmf_sumo.benchmark.tasks import slug
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.moments import search
+from deepmf_sumo.moments.search import names_of
 from deepmf_sumo.simulation import demand
 from deepmf_sumo.simulation.sumo_config import read_configuration
+from deepmf_sumo.tasks import slug
 
 
 def attack(tiny, out, *more):
@@ -78,8 +79,8 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
 )
 def test_refusals_are_one_line(tiny, tmp_path, capsys, monkeypatch, more, message, code):
     if "--nonsense" not in more:  # which SUMO alone knows
-        monkeypatch.setattr(finding, "scout", None)
-        monkeypatch.setattr(finding.pool, "run", None)
+        monkeypatch.setattr(search, "scout", None)
+        monkeypatch.setattr(search.workers, "run", None)
     assert attack(tiny, tmp_path / "out", *more) == code
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1
@@ -102,7 +103,7 @@ def test_a_seed_of_the_configuration_that_cannot_be_used(tmp_path, capsys):
 def test_all_configurations_are_looked_at_before_the_first_is_simulated(
     tiny, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(finding.pool, "run", None)
+    monkeypatch.setattr(search.workers, "run", None)
     bad = tiny / "no_routes.sumocfg"
     bad.write_text((tiny / "tiny.sumocfg").read_text().replace("tiny.rou", "none.rou"))
     assert attack(tiny, tmp_path / "out", bad) == 3

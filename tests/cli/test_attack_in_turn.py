@@ -4,8 +4,8 @@ import csv
 
 import pytest
 
-from deepmf_sumo.benchmark.moments import base_spec
 from deepmf_sumo.cli import main
+from deepmf_sumo.moments.search import base_spec
 
 
 @pytest.mark.parametrize(

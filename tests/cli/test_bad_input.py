@@ -197,7 +197,7 @@ def test_a_trajectory_lies_beside_its_spec(tiny, tmp_path, monkeypatch):
 def test_sumo_gui_shows_the_same_episode(tiny, tmp_path):
     import subprocess
 
-    from deepmf_sumo.benchmark import compare
+    from deepmf_sumo.plans import compare
 
     spec = tiny_network.spec(tiny, "seen")
     command = [sys.executable, "-m", "deepmf_sumo.cli.main", "run", str(spec), "--no-pictures"]

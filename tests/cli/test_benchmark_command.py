@@ -9,9 +9,9 @@ from click.testing import CliRunner
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmark"))
 import tiny_plan
 
-from deepmf_sumo.benchmark import pool
 from deepmf_sumo.cli import benchmark, merge, reproduce
 from deepmf_sumo.errors import SpecError, UsageError
+from deepmf_sumo.sweep import workers
 
 
 def call(command, *arguments):
@@ -39,7 +39,7 @@ def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
 
 
 def test_wrong_calls_run_nothing(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(pool, "run", None)
+    monkeypatch.setattr(workers, "run", None)
     plan = tiny_plan.write(tiny)
     out = tmp_path / "out"
     for wrong in (["--shard", "9/2"], ["--without", "nobody"], ["--set", "methods={}"]):

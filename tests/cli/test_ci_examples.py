@@ -10,7 +10,7 @@ import pytest
 import tiny_network
 import yaml
 
-from deepmf_sumo.benchmark import gate
+from deepmf_sumo import gate
 
 CI = Path(__file__).resolve().parents[2] / "docs" / "ci"
 

@@ -5,43 +5,42 @@ from importlib import metadata
 
 import pytest
 
-from deepmf_sumo.cli import main
-from deepmf_sumo.cli.health import finding, machine, packages
-from deepmf_sumo.cli.health.finding import Finding
+from deepmf_sumo.cli import doctor, main
+from deepmf_sumo.cli.doctor import Finding
 
 
 def test_a_probe_that_dies_is_a_finding():
-    assert finding.probe("print('a'); print('b')") == (True, "b")
-    assert finding.probe("import no_such_library")[1].endswith("'no_such_library'")
-    good, text = finding.probe("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    assert doctor.probe("print('a'); print('b')") == (True, "b")
+    assert doctor.probe("import no_such_library")[1].endswith("'no_such_library'")
+    good, text = doctor.probe("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     assert (good, text) == (False, "its process was ended by signal 11")
 
 
 def test_programs_that_hang_or_are_not_there(tmp_path):
     hang = [sys.executable, "-c", "import time; time.sleep(60)"]
-    assert finding.ended(hang, 0.2) == (False, "did not end within 0.2 s")
-    assert finding.ended([str(tmp_path / "no")], 1.0)[0] is False
+    assert doctor.ended(hang, 0.2) == (False, "did not end within 0.2 s")
+    assert doctor.ended([str(tmp_path / "no")], 1.0)[0] is False
     plain = tmp_path / "plain"
     plain.write_text("")
-    assert "cannot be started" in finding.ended([str(plain)], 1.0)[1]
+    assert "cannot be started" in doctor.ended([str(plain)], 1.0)[1]
 
 
 def test_a_check_that_fails_itself_is_a_finding():
     def check():
         raise KeyError("oops")
 
-    assert finding.look("x", check) == Finding(name="x", state="broken", text="KeyError: 'oops'")
+    assert doctor.look("x", check) == Finding(name="x", state="broken", text="KeyError: 'oops'")
 
 
 def test_sumo_packages_of_two_versions(monkeypatch):
-    assert packages.sumo_versions().state == "ok"
-    versions = dict.fromkeys(packages.SUMO, "1.28.0") | {"traci": "1.20.0"}
-    monkeypatch.setattr(packages, "_installed", versions.get)
-    found = packages.sumo_versions()
+    assert doctor.sumo_versions().state == "ok"
+    versions = dict.fromkeys(doctor.SUMO, "1.28.0") | {"traci": "1.20.0"}
+    monkeypatch.setattr(doctor, "_installed", versions.get)
+    found = doctor.sumo_versions()
     assert found.state == "broken"
     assert found.text.endswith("install them as: pip install traci==1.28.0")
-    monkeypatch.setattr(packages, "_installed", (versions | {"libsumo": None}).get)
-    assert "libsumo missing" in packages.sumo_versions().text
+    monkeypatch.setattr(doctor, "_installed", (versions | {"libsumo": None}).get)
+    assert "libsumo missing" in doctor.sumo_versions().text
 
 
 def test_without_metadata_of_its_own_libsumo_is_the_measure(monkeypatch):
@@ -49,28 +48,28 @@ def test_without_metadata_of_its_own_libsumo_is_the_measure(monkeypatch):
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "requires", none)
-    monkeypatch.setattr(packages, "_installed", dict.fromkeys(packages.SUMO, "1.99.0").get)
-    assert packages.sumo_versions().state == "ok"
+    monkeypatch.setattr(doctor, "_installed", dict.fromkeys(doctor.SUMO, "1.99.0").get)
+    assert doctor.sumo_versions().state == "ok"
 
 
 def test_sumo_home(monkeypatch, tmp_path):
     monkeypatch.delenv("SUMO_HOME", raising=False)
-    assert packages.sumo_home().state == "ok"
+    assert doctor.sumo_home().state == "ok"
     monkeypatch.setenv("SUMO_HOME", str(tmp_path))
-    found = packages.sumo_home()
+    found = doctor.sumo_home()
     assert (found.state, "is another SUMO" in found.text) == ("warning", True)
     monkeypatch.setenv("SUMO_HOME", str(tmp_path / "no"))
-    assert "is no folder" in packages.sumo_home().text
+    assert "is no folder" in doctor.sumo_home().text
 
 
 def test_display(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setattr(finding.subprocess, "run", _done)
+    monkeypatch.setattr(doctor.subprocess, "run", _done)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    assert packages.sumo_gui().state == "warning"
+    assert doctor.sumo_gui().state == "warning"
     monkeypatch.setenv("DISPLAY", ":7")
-    assert packages.sumo_gui() == Finding(name="sumo-gui", state="ok", text="starts, display :7")
+    assert doctor.sumo_gui() == Finding(name="sumo-gui", state="ok", text="starts, display :7")
 
 
 def _done(command, **_):
@@ -84,19 +83,19 @@ def _refused(command, **_):
 
 
 def test_programs_without_their_libraries(monkeypatch):
-    monkeypatch.setattr(finding.subprocess, "run", _refused)
-    found = packages.netconvert()
+    monkeypatch.setattr(doctor.subprocess, "run", _refused)
+    found = doctor.netconvert()
     assert found.state == "broken"
     assert found.text == "networks cannot be built: lib.so: not found"
-    assert packages.sumo_gui().state == "warning"
+    assert doctor.sumo_gui().state == "warning"
 
 
 def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
-    assert machine.cache().state == "ok"
+    assert doctor.cache().state == "ok"
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setenv("DEEPMF_SUMO_HOME", str(blocked))
-    found = machine.cache()
+    found = doctor.cache()
     assert found.state == "broken"
     assert "set DEEPMF_SUMO_HOME" in found.text
 
@@ -106,14 +105,14 @@ def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
     [(8000.0, None, "ok"), (500.0, None, "warning"), (8000.0, 512.0, "warning")],
 )
 def test_memory(monkeypatch, free, limit, state):
-    monkeypatch.setattr(machine, "_free_mb", lambda: free)
-    monkeypatch.setattr(machine, "_limit_mb", lambda: limit)
-    assert machine.memory().state == state
+    monkeypatch.setattr(doctor, "_free_mb", lambda: free)
+    monkeypatch.setattr(doctor, "_limit_mb", lambda: limit)
+    assert doctor.memory().state == state
 
 
 def test_machine_is_read():
-    assert machine.cores().state == "ok"
-    assert machine._free_mb() is None or machine._free_mb() > 0
+    assert doctor.cores().state == "ok"
+    assert doctor._free_mb() is None or doctor._free_mb() > 0
 
 
 BROKEN = {
@@ -146,20 +145,20 @@ def test_broken_wheels_are_lines(tmp_path):
 
 def test_other_weights_are_named(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(machine, "probe", lambda code: (True, "/weights/open"))
+    monkeypatch.setattr(doctor, "probe", lambda code: (True, "/weights/open"))
     (tmp_path / ".weights" / "mine").mkdir(parents=True)
     (tmp_path / ".weights" / "mine" / "opponent.json").write_text("{}")
-    assert machine.weights("open").text == "/weights/open; also there: mine"
-    assert machine.weights("mine").text == "/weights/open"
+    assert doctor.weights_of_set("open").text == "/weights/open; also there: mine"
+    assert doctor.weights_of_set("mine").text == "/weights/open"
 
 
 def test_the_command_goes_on_after_a_broken_line(monkeypatch, capsys):
     fine = Finding(name="any", state="ok", text="fine")
     for name in ("libsumo", "netconvert", "sumo_gui", "torch", "libraries"):
-        monkeypatch.setattr(packages, name, lambda: fine)
-    monkeypatch.setattr(machine, "weights", lambda name: fine)
+        monkeypatch.setattr(doctor, name, lambda: fine)
+    monkeypatch.setattr(doctor, "weights_of_set", lambda name: fine)
     assert main._run(["doctor"]) == 0
-    monkeypatch.setattr(packages, "torch", lambda: 1 / 0)
+    monkeypatch.setattr(doctor, "torch", lambda: 1 / 0)
     assert main._run(["doctor"]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert "BAD  torch          ZeroDivisionError: division by zero" in lines

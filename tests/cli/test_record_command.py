@@ -5,11 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.benchmark import pool, recordings
 from deepmf_sumo.cli import main, record
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network import generated
 from deepmf_sumo.readers import npz
+from deepmf_sumo.recording import many
+from deepmf_sumo.sweep import workers
 
 GENERATE = ["--generate", "junctions", "--scenes", "3", "--avs", "2", "--start", "15"]
 
@@ -50,14 +51,14 @@ def test_the_same_files_whatever_the_jobs_and_a_cut_off_command_goes_on(tmp_path
     assert contents(two) == files
 
 
-def here(work, tasks, *, jobs, timeout_s):  # as `pool.run`, in this process
+def here(work, tasks, *, jobs, timeout_s):  # as `workers.run`, in this process
     for index, task in enumerate(tasks):
         try:
             work(task)
         except Exception as error:  # noqa: BLE001
-            yield pool.Finished(index=index, status="raised", reason=str(error))
+            yield workers.Finished(index=index, status="raised", reason=str(error))
         else:
-            yield pool.Finished(index=index, status="done")
+            yield workers.Finished(index=index, status="done")
 
 
 def test_a_network_that_fails_is_skipped_counted_and_named(tmp_path, monkeypatch, capsys):
@@ -69,7 +70,7 @@ def test_a_network_that_fails_is_skipped_counted_and_named(tmp_path, monkeypatch
         return make(kind, seed, number, folder)
 
     monkeypatch.setattr(generated, "generate", generate)
-    monkeypatch.setattr(pool, "run", here)
+    monkeypatch.setattr(workers, "run", here)
     command = ["record", *GENERATE, "--networks", "2", "--seed", "3", "--out", str(tmp_path / "o")]
     assert main._run(command) == 0
     shown = capsys.readouterr().out
@@ -80,7 +81,7 @@ def test_a_network_that_fails_is_skipped_counted_and_named(tmp_path, monkeypatch
 
 
 def test_a_configuration_that_gives_nothing_is_an_error(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(pool, "run", here)
+    monkeypatch.setattr(workers, "run", here)
     broken = tmp_path / "broken.sumocfg"
     broken.write_text("<configuration><input/></configuration>")
     assert main._run(["record", str(broken), "--out", str(tmp_path / "out")]) == 3
@@ -114,9 +115,9 @@ def test_folders_that_are_not_for_it(tmp_path, capsys):
     (mine / "letter.txt").write_text("dear")
     assert main._run(["record", *GENERATE, "--out", str(mine)]) == 2
     assert "not empty" in capsys.readouterr().err
-    (mine / recordings.MANIFEST).write_text("{")
+    (mine / many.MANIFEST).write_text("{")
     assert main._run(["record", *GENERATE, "--out", str(mine)]) == 2
-    assert sorted(file.name for file in mine.iterdir()) == [recordings.MANIFEST, "letter.txt"]
+    assert sorted(file.name for file in mine.iterdir()) == [many.MANIFEST, "letter.txt"]
 
 
 def test_two_configurations_of_one_name(tmp_path, capsys):
@@ -132,8 +133,8 @@ def test_two_configurations_of_one_name(tmp_path, capsys):
 
 
 def test_the_manifest_says_what_was_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(pool, "run", here)
+    monkeypatch.setattr(workers, "run", here)
     out = tmp_path / "out"
     assert main._run(["record", *GENERATE, "--networks", "1", "--out", str(out)]) == 0
-    described = json.loads((out / recordings.MANIFEST).read_text())
+    described = json.loads((out / many.MANIFEST).read_text())
     assert (described["kind"], described["networks"], described["scenes"]) == ("junctions", 1, 3)

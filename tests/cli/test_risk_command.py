@@ -4,7 +4,7 @@ import pytest
 from risk_doubles import NET, Attacks, eastward, straight
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.cli.sweep import map_risk
+from deepmf_sumo.cli._sweep import map_risk
 
 
 @pytest.fixture

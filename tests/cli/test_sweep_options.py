@@ -15,8 +15,10 @@ from xml.etree import ElementTree as ET
 import pytest
 import tiny_network
 
-from deepmf_sumo.benchmark import compare, shards, stored
 from deepmf_sumo.cli import main
+from deepmf_sumo.plans import compare
+from deepmf_sumo.results import stored
+from deepmf_sumo.sweep import shards
 
 SHARED = (
     "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",

@@ -11,7 +11,7 @@ from synthetic import scene
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.readers import npz
-from deepmf_sumo.training import cards
+from deepmf_sumo.training.fit import checkpoints
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(cards.files, "write", full)
+        patch.setattr(checkpoints, "write", full)
         code, _, error = train(*arguments)
     assert code == 2
     assert "No space left on device" in error

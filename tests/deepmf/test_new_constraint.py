@@ -5,11 +5,11 @@ import pytest
 from predictor_doubles import Doubles, view_of
 
 from deepmf_sumo import plugins
-from deepmf_sumo.benchmark import artifacts
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.constraints import Constraint
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.errors import PluginError
+from deepmf_sumo.results import artifacts
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
 

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deepmf_sumo.benchmark import compare
+from deepmf_sumo.plans import compare
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 import tiny_network

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from deepmf_sumo.benchmark import compare
+from deepmf_sumo.plans import compare
 from tests.golden import cases
 
 ROOT: Final = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from deepmf_sumo import metrics, plugins
 from deepmf_sumo.avoidability import grading
 from deepmf_sumo.datatypes import MetricValue
 from deepmf_sumo.metrics import NotMeasurable, conflict, naturalness
-from deepmf_sumo.report.tables import notes
+from deepmf_sumo.report.tables import text
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(-1, 3.5, 10)}
 
@@ -66,8 +66,8 @@ def test_metrics_of_other_packages_join(joined):
     assert found["last_gap"].value == pytest.approx(1.5)
     assert not plugins.own("metrics", "last_gap")
     assert plugins.own("metrics", "min_gap")
-    assert notes._metric("close_steps") == "Steps with a gap below a metre."
-    assert notes._metric("last_gap") == "gap at the last step"
+    assert text._metric("close_steps") == "Steps with a gap below a metre."
+    assert text._metric("last_gap") == "gap at the last step"
     assert plugins.load("metrics", f"{__name__}:last_gap") is last_gap
 
 

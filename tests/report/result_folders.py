@@ -8,8 +8,6 @@ import yaml
 from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import files, spec
-from deepmf_sumo.benchmark import artifacts, result
-from deepmf_sumo.benchmark.tasks import Label, Task
 from deepmf_sumo.datatypes import (
     Attack,
     Forecast,
@@ -20,6 +18,8 @@ from deepmf_sumo.datatypes import (
     PlanReason,
 )
 from deepmf_sumo.readers import npz
+from deepmf_sumo.results import artifacts, result
+from deepmf_sumo.tasks import Label, Task
 
 OTHERS = {
     "c": straight(20, 3.5, 8),

@@ -6,11 +6,10 @@ import gate_doubles
 import numpy as np
 import pytest
 
-from deepmf_sumo.benchmark.result import COLUMNS
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report.comparison import compare, groups
-from deepmf_sumo.report.side_by_side import side_by_side
+from deepmf_sumo.report.comparison import compare, groups, side_by_side
+from deepmf_sumo.results.result import COLUMNS
 
 
 def folder(tmp_path, outcomes, *, opponents=True, planners=("idm",), reason="never met"):

@@ -6,23 +6,20 @@ import pytest
 from matplotlib.text import Text
 from result_folders import Folder
 
-from deepmf_sumo.benchmark import results
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report import figures
 from deepmf_sumo.report.figures import (
     FIGURES,
     attacks,
-    budget,
     draw_all,
     methods,
     scores,
     sectors,
     style,
-    timelines,
-    tradeoff,
     write_timelines,
 )
-from deepmf_sumo.report.figures.sheet import Skipped
+from deepmf_sumo.report.figures.style import Skipped
+from deepmf_sumo.results import results
 
 SCORES = {"b": 0.9, "c": 0.6, "d": 0.2, "e": 0.1}
 NATURAL = {"opponent_rms_acceleration": 1.2, "acceleration_kl": 0.4}
@@ -39,9 +36,9 @@ def folder(tmp_path):
     return Folder(tmp_path)
 
 
-def draw(module, folder):
+def draw(figure, folder):
     with style.printed():
-        return module.draw(results.Results.of(folder.out))
+        return figure(results.Results.of(folder.out))
 
 
 def texts(sheet):
@@ -98,8 +95,9 @@ def test_same_bytes_and_no_figures_of_earlier_runs(folder, monkeypatch):
 def test_print_is_legible(folder):
     for method in ("S1", "S2"):
         folder.add("one", method=method, scores=SCORES, sector=2)
-    for module in (scores, attacks, sectors, methods, timelines):
-        sheet = draw(module, folder)
+    shown = (scores.draw, attacks.draw, sectors.draw, methods.draw_methods, attacks.draw_timelines)
+    for figure in shown:
+        sheet = draw(figure, folder)
         written = [one for one in sheet.figure.findobj(Text) if one.get_text()]
         assert min(one.get_fontsize() for one in written) >= style.SMALLEST_PT
         assert sheet.figure.get_figwidth() in (style.SINGLE_IN, style.DOUBLE_IN)
@@ -107,22 +105,22 @@ def test_print_is_legible(folder):
 
 def test_nothing_to_draw_says_why(folder):
     folder.add("one", hit=False)
-    for module, why in {
-        scores: "no run chose its opponent among at least 4 scored vehicles within 35 m",
-        attacks: "no run hit the AV",
-        sectors: "no run hit the AV",
-        methods: "there is one method alone",
-        timelines: "no run hit the AV",
-        budget: "there is no curves.csv: the plan has no `curves`",
+    for figure, why in {
+        scores.draw: "no run chose its opponent among at least 4 scored vehicles within 35 m",
+        attacks.draw: "no run hit the AV",
+        sectors.draw: "no run hit the AV",
+        methods.draw_methods: "there is one method alone",
+        attacks.draw_timelines: "no run hit the AV",
+        methods.draw_budget: "there is no curves.csv: the plan has no `curves`",
     }.items():
-        assert draw(module, folder) == Skipped(why)
+        assert draw(figure, folder) == Skipped(why)
 
 
 def test_scores_show_the_scenes_in_which_they_differ(folder):
     folder.add("alike", scores=dict.fromkeys("bcde", 0.5))
     folder.add("differ", scores=SCORES)
     folder.add("few", scores={"b": 0.9, "c": 0.1})
-    sheet = draw(scores, folder)
+    sheet = draw(scores.draw, folder)
     assert sheet.runs == ("01-differ", "00-alike")
     assert "(a) opponent's score 0.90" in texts(sheet)
     assert "Of 2 scenes" in sheet.caption
@@ -135,7 +133,7 @@ def test_attacks_take_turns_among_the_sides_and_clean_hits_first(folder):
     folder.add("three", sector=4, metrics=good)
     folder.add("miss", hit=False)
     folder.add("three", method="other", adversary="none", sector=2)
-    sheet = draw(attacks, folder)
+    sheet = draw(attacks.draw, folder)
     assert sheet.runs == ("01-two", "02-three", "00-one")
     assert "(b) rear, 3.0 s, 4.5 m/s" in texts(sheet)
     assert "3 scenes with a hit by S1" in sheet.caption
@@ -145,7 +143,7 @@ def test_sectors_are_counted_and_the_absent_said(folder):
     folder.add("one", sector=0, metrics={"collision_speed": 3.0})
     folder.add("two", sector=0, metrics={"collision_speed": 5.0, "accident_type": 1.0})
     folder.add("three", sector=6, turn=1.0)
-    sheet = draw(sectors, folder)
+    sheet = draw(sectors.draw, folder)
     assert sheet.runs == ("01-two", "02-three")
     shown = texts(sheet)
     assert "front\nrear-end" in shown
@@ -162,11 +160,11 @@ def test_attacks_that_asked_for_a_sector_come_first(folder):
     for wish in ("rear_left", 2):
         adversary = {"name": "deepmf", "version": "S1", "sector": wish}
         folder.add("one", method=f"to {wish}", adversary=adversary, part="figures", sector=3)
-    sheet = draw(sectors, folder)
+    sheet = draw(sectors.draw, folder)
     assert sheet.runs == ("01-one",)
     assert "rear left\nasked for" in texts(sheet)
     assert "how many of the 1 hits" in sheet.caption
-    assert draw(attacks, folder).runs == ("00-one",)
+    assert draw(attacks.draw, folder).runs == ("00-one",)
 
 
 def test_the_av_drives_up_in_a_panel_of_a_sector(folder):
@@ -184,7 +182,7 @@ def test_methods_share_a_scene_in_which_they_differ(folder):
             folder.add(scene, method=method, course=course)
     folder.add("missed", method="S1", hit=False)
     folder.add("missed", method="G", hit=False, course=-1.0)
-    sheet = draw(methods, folder)
+    sheet = draw(methods.draw_methods, folder)
     assert sheet.runs == ("02-differ", "03-differ")
     assert "(b) G\nfront, 3.0 s, 4.5 m/s" in texts(sheet)
 
@@ -192,7 +190,7 @@ def test_methods_share_a_scene_in_which_they_differ(folder):
 def test_nobody_attacked_is_drawn_too(folder):
     folder.add("one", method="S1", hit=False, opponent=None)
     folder.add("one", method="none", adversary="none", hit=False, opponent=None)
-    assert draw(methods, folder).runs == ("00-one", "01-one")
+    assert draw(methods.draw_methods, folder).runs == ("00-one", "01-one")
 
 
 def test_rates_count_attacked_runs_of_the_own_budget(folder):
@@ -205,12 +203,12 @@ def test_rates_count_attacked_runs_of_the_own_budget(folder):
     folder.add("s7", method="S1 (8 simulations)", part="budgets")
     found = results.Results.of(folder.out)
     assert "S1 (8 simulations)" not in found.methods
-    points = tradeoff._points(found, "replay", "opponent_rms_acceleration")
+    points = methods._points(found, "replay", "opponent_rms_acceleration")
     assert [(one.method, one.rate.rate, one.mean) for one in points] == [
         ("S1", 0.5, 3.5),
         ("G", 0.0, 3.5),
     ]
-    sheet = draw(tradeoff, folder)
+    sheet = draw(methods.draw_tradeoff, folder)
     assert "KL of accelerations, nat" not in texts(sheet)  # nobody has it
     assert {"S1", "G", "planner replay"} <= set(texts(sheet))
 
@@ -229,7 +227,7 @@ def test_curves_become_lines(folder):
         for kind, simulations, seconds, value, spent in rows:
             row = ["BRS", "replay", kind, simulations, seconds, value, value, value, spent]
             writer.writerow(row)
-    sheet = draw(budget, folder)
+    sheet = draw(methods.draw_budget, folder)
     (axes,) = sheet.figure.axes  # one number of seconds makes no line
     lines = [line.get_xydata().tolist() for line in axes.lines]
     assert [[8.0, 0.2], [32.0, 0.5], [320.0, 0.75]] in lines
@@ -254,7 +252,7 @@ def test_the_road_of_a_lost_recording_is_that_of_the_network(folder, tmp_path):
     road, note = run.road()
     assert list(road.lanes) == ["a_0"]
     assert "one.npz does not exist" in note
-    assert draw(attacks, folder).notes == (note,)
+    assert draw(attacks.draw, folder).notes == (note,)
 
 
 def test_no_result_folder(tmp_path):

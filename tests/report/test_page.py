@@ -16,7 +16,8 @@ from deepmf_sumo.datatypes import Lane, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import page
-from deepmf_sumo.report.page import packing, places, rows
+from deepmf_sumo.report.page import document, roads
+from deepmf_sumo.report.page.replay import packed, steady, stepwise
 
 ASSETS = resources.files("deepmf_sumo.report.page") / "assets"
 NODE = shutil.which("node")
@@ -228,8 +229,8 @@ def test_texts_cannot_become_elements(folder):
 
 
 def test_candidates_that_are_kept_hold_the_chosen_one(folder, monkeypatch):
-    monkeypatch.setattr("deepmf_sumo.report.page.reasons.MOST_A_PLAN", 1)
-    monkeypatch.setattr("deepmf_sumo.report.page.reasons.FEWEST_A_PLAN", 1)
+    monkeypatch.setattr("deepmf_sumo.report.page.replay.MOST_A_PLAN", 1)
+    monkeypatch.setattr("deepmf_sumo.report.page.replay.FEWEST_A_PLAN", 1)
     folder.add("s1", scores={"b": 0.9, "c": 0.25})
     [plan] = Parsed(page.write(folder.out)).details(0)["reasons"]
     assert (plan["of"], plan["chosen"], len(plan["candidates"])) == (2, 0, 1)
@@ -266,13 +267,13 @@ def test_the_command_writes_the_page(folder, capsys):
     ],
 )
 def test_kinds_of_speed(speed, kind):
-    assert rows.speed_kind(speed) == kind
+    assert document.speed_kind(speed) == kind
 
 
 @given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=50))
 def test_numbers_come_back_within_half_a_unit(values):
-    assert np.abs(restored(packing.steady(values, 0.05), 0.05) - values).max() <= 0.0251
-    assert np.abs(np.cumsum(packing.stepwise(values, 0.1)) * 0.1 - values).max() <= 0.0501
+    assert np.abs(restored(steady(values, 0.05), 0.05) - values).max() <= 0.0251
+    assert np.abs(np.cumsum(stepwise(values, 0.1)) * 0.1 - values).max() <= 0.0501
 
 
 def lane(name, points, **kwargs):
@@ -306,16 +307,16 @@ def test_elements_of_the_road(place, heading, element):
             "above": lane("above", [(50, -50), (50, 50)], z=8.0),
         }
     )
-    assert places.element(road, np.array(place, float), heading) == element
+    assert roads.element(road, np.array(place, float), heading) == element
 
 
 def test_lanes_made_up_to_join_others_are_junctions():
     joins = lane("j", [(0, 0), (10, 0)], interpolating=True)
     before = lane("b", [(-30, 0), (0, 0)], next=("j",))
     road = RoadMap(lanes={"j": joins, "b": before})
-    assert places.element(road, np.array([5.0, 0.0]), 0.0) == "junction"
-    assert places.element(road, np.array([-10.0, 0.0]), 0.0) == "junction approach"
-    assert places.element(road, np.array([-25.0, 0.0]), 0.0) == "road with one lane"
+    assert roads.element(road, np.array([5.0, 0.0]), 0.0) == "junction"
+    assert roads.element(road, np.array([-10.0, 0.0]), 0.0) == "junction approach"
+    assert roads.element(road, np.array([-25.0, 0.0]), 0.0) == "road with one lane"
 
 
 def luminance(colour):
@@ -341,15 +342,11 @@ def test_texts_stand_out_in_both_themes():
 
 def test_the_scripts_unpack_what_was_packed():
     values = {"a": [1, 2, 3], "text": "é</script>"}
-    found = javascript(["packing"], f"await unpacked({json.dumps(packing.packed(values))})")
+    found = javascript(["packing"], f"await unpacked({json.dumps(packed(values))})")
     assert found == values
     path = [0.0, 1.0, 2.1, 3.3, 3.3]
-    assert javascript(["packing"], f"restored({packing.steady(path, 0.1)}, 0.1)") == pytest.approx(
-        path
-    )
-    assert javascript(["packing"], f"summed({packing.stepwise(path, 0.1)}, 0.1)") == pytest.approx(
-        path
-    )
+    assert javascript(["packing"], f"restored({steady(path, 0.1)}, 0.1)") == pytest.approx(path)
+    assert javascript(["packing"], f"summed({stepwise(path, 0.1)}, 0.1)") == pytest.approx(path)
 
 
 def test_intervals_of_the_page_are_those_of_the_tables():

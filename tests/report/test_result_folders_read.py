@@ -2,9 +2,9 @@
 
 import pytest
 
-from deepmf_sumo.benchmark import stored
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report import comparison, figures, page
+from deepmf_sumo.results import stored
 
 WHOLE = """run_id,spec,scene,planner,adversary,perception,version,seed,opponent,contact_time_s,\
 contact_speed_mps,generation_s,cycle_ms_median,status,outcome,error

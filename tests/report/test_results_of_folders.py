@@ -9,8 +9,8 @@ import pytest
 from result_folders import Folder
 
 import deepmf_sumo
-from deepmf_sumo.benchmark.results import Results
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.results.results import Results
 
 
 @pytest.fixture(autouse=True)

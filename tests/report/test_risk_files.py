@@ -8,11 +8,11 @@ import xml.etree.ElementTree as ET
 import pytest
 from risk_doubles import LEFT_IN, Attacks, eastward, straight
 
-from deepmf_sumo.benchmark import risk
+from deepmf_sumo import risk as risk_module
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.report import risk as files
-from deepmf_sumo.report.risk.polygons import CLASSES, colour
+from deepmf_sumo.report.risk.sumo_files import CLASSES, colour
 
 BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 
@@ -26,7 +26,7 @@ def made(tmp_path_factory):
     out.add("b", av=eastward(x=-130.0), opponent=straight((-60.0, -12.0), 0.0, 0.0))
     left = straight((-60.0, -1.6), 10.0, 0.0, steps=51)
     out.add("c", av=left, opponent=eastward(), hit=50, moment=(*LEFT_IN, "left"))
-    [written] = files.write(root / "map", risk.read([root / "out"]), "my <map>")
+    [written] = files.write(root / "map", risk_module.read([root / "out"]), "my <map>")
     return written
 
 
@@ -36,7 +36,7 @@ def nothing(tmp_path_factory):
     root = tmp_path_factory.mktemp("nothing")
     out = Attacks(root / "out")
     out.add("a", av=eastward(x=-130.0), opponent=straight((-60.0, -12.0), 0.0, 0.0))
-    [written] = files.write(root / "map", risk.read([root / "out"]))
+    [written] = files.write(root / "map", risk_module.read([root / "out"]))
     return written
 
 
@@ -142,7 +142,7 @@ def test_attacks_at_no_place_are_counted_in_words(tmp_path):
         for name in "ab"[:number]:
             beside = straight((100.0, 100.0), 5.0, 0.0)
             out.add(name, av=beside, opponent=straight((100.0, 120.0), 5.0, 0.0))
-        [written] = files.write(tmp_path / f"map{number}", risk.read([out.out]))
+        [written] = files.write(tmp_path / f"map{number}", risk_module.read([out.out]))
         assert sentence in browsed(written)
 
 
@@ -160,7 +160,7 @@ def test_the_page_needs_nothing_else(made):
 def test_a_browser_lists_the_worst_place_first(made):
     shown = browsed(made)
     cells = re.findall(r'<td class="name"[^>]*><button type="button">([^<]*)<', shown)
-    assert cells == [row.title for row in risk.worst(made.rows)]
+    assert cells == [row.title for row in risk_module.worst(made.rows)]
     assert shown.count('class="attack hit"') == 2
 
 

@@ -17,6 +17,7 @@ from deepmf_sumo.errors import OutputError, RunError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards, initial_weights, members, run
+from deepmf_sumo.training.fit import checkpoints
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop
 from deepmf_sumo.training.samples import trajectory
@@ -186,7 +187,7 @@ def test_a_card_that_cannot_be_written_leaves_the_members(trained, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(cards.files, "write", full)
+    monkeypatch.setattr(checkpoints, "write", full)
     with pytest.raises(OutputError, match="No space left on device"):
         members.train(trained, print)
     assert card(trained) == before

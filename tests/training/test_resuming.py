@@ -12,7 +12,6 @@ sys.path.append(str(Path(__file__).resolve().parent))
 import tiny_training
 
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.training import files
 from deepmf_sumo.training.fit import checkpoints, loop
 from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
 from deepmf_sumo.training.fit.loop import Schedule
@@ -123,7 +122,7 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
         real(descriptor)
 
     monkeypatch.setattr(checkpoints.os, "fsync", full)
-    monkeypatch.setattr(files, "write", lambda *_: None)  # of the curves
+    monkeypatch.setattr(checkpoints, "write", lambda *_: None)  # of the curves
     lines = []
     with pytest.raises(CutError):
         train(tmp_path / "part", cut=50, lines=lines)

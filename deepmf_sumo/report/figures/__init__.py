@@ -5,19 +5,10 @@ from pathlib import Path
 from typing import Final
 
 from deepmf_sumo import files
-from deepmf_sumo.benchmark.results import Results
-from deepmf_sumo.report.figures import (
-    attacks,
-    budget,
-    methods,
-    scores,
-    sectors,
-    style,
-    timelines,
-    tradeoff,
-)
-from deepmf_sumo.report.figures.sheet import Sheet, Skipped
-from deepmf_sumo.report.figures.timelines import write_timelines
+from deepmf_sumo.report.figures import attacks, methods, scores, sectors, style
+from deepmf_sumo.report.figures.attacks import write_timelines
+from deepmf_sumo.report.figures.style import Sheet, Skipped
+from deepmf_sumo.results.results import Results
 
 __all__ = ["draw_all", "write_timelines"]
 
@@ -25,10 +16,10 @@ FIGURES: Final[dict[str, Callable[[Results], Sheet | Skipped]]] = {
     "figure_3_scores": scores.draw,
     "figure_4_attacks": attacks.draw,
     "figure_5_sectors": sectors.draw,
-    "figure_6_methods": methods.draw,
-    "rate_naturalness": tradeoff.draw,
-    "rate_budget": budget.draw,
-    "timelines": timelines.draw,
+    "figure_6_methods": methods.draw_methods,
+    "rate_naturalness": methods.draw_tradeoff,
+    "rate_budget": methods.draw_budget,
+    "timelines": attacks.draw_timelines,
 }
 
 

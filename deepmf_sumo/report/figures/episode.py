@@ -10,14 +10,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
-from deepmf_sumo.benchmark.results import Run
 from deepmf_sumo.datatypes import AgentId, Contact, Floats, Ints, RoadMap, Rollout, Tracks
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.report.drawing.road import draw_road
-from deepmf_sumo.report.drawing.vehicles import draw_boxes
-from deepmf_sumo.report.drawing.window import Window, square
+from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
-from deepmf_sumo.report.figures.grid import Grid
+from deepmf_sumo.report.figures.style import Grid
+from deepmf_sumo.results.results import Run
 
 MARGIN_M: Final = 8.0
 SMALLEST_M: Final = 36.0

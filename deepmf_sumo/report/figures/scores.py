@@ -7,17 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from deepmf_sumo.benchmark.artifacts import read_scores
-from deepmf_sumo.benchmark.results import Results, Run
 from deepmf_sumo.datatypes import OpponentScores, Rollout
-from deepmf_sumo.report.drawing.road import draw_road
-from deepmf_sumo.report.drawing.vehicles import draw_boxes
-from deepmf_sumo.report.drawing.window import Window, square
+from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks
 from deepmf_sumo.report.figures.episode import star
-from deepmf_sumo.report.figures.grid import Grid, frame
-from deepmf_sumo.report.figures.sheet import Sheet, Skipped
+from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame
+from deepmf_sumo.results.artifacts import read_scores
+from deepmf_sumo.results.results import Results, Run
 
 MOST: Final = 4
 COLUMNS: Final = 2

@@ -1,15 +1,47 @@
-"""What the page needs to replay a run: who was where, what was planned, how near it came."""
+"""What the page needs to replay a run: who was where, what was planned, how near it came.
 
+Numbers as small text: whole units, differences of differences, deflated, in base 64.
+
+The page restores them with ``unpacked`` and ``restored`` of ``assets/packing.js``.
+"""
+
+import base64
+import json
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import Bools, Contact, Driver, Floats, Ints, Rollout
 from deepmf_sumo.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures.episode import met_at
-from deepmf_sumo.report.page.packing import steady
+from deepmf_sumo.results import stored
+
+
+def packed(values: Any) -> str:
+    """JSON values as deflated base-64 text. Raises ValueError for NaN and infinity."""
+    text = json.dumps(values, separators=(",", ":"), allow_nan=False)
+    return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
+
+
+def steady(values: Floats | Ints, unit: float) -> list[int]:
+    """(K) multiples of ``unit`` as second differences: near 0 for steady motion.
+
+    The running sum of their running sum restores them, each within half a unit.
+    """
+    whole = np.rint(np.asarray(values) / unit).astype(int)
+    return list(np.diff(np.diff(whole, prepend=0), prepend=0).tolist())
+
+
+def stepwise(values: Floats | Ints, unit: float) -> list[int]:
+    """(K) multiples of ``unit`` as differences: short for shapes; their running sum restores."""
+    whole = np.rint(np.asarray(values) / unit).astype(int)
+    return list(np.diff(whole, prepend=0).tolist())
+
 
 REACH_M: Final = 100.0
 """Others that never come so near to the AV or the opponent are left out, and counted."""
@@ -161,3 +193,97 @@ def _timeline(rollout: Rollout, turns: Sequence[Mapping[str, Any]]) -> dict[str,
         "gap": steady(gap_m, 0.01),
         "ttc": [round(float(ttc), 2) if ttc <= LONGEST_TTC_S else None for ttc in ttc_s.tolist()],
     }
+
+
+EVERY_STEPS: Final = 4
+UNIT_M: Final = 0.1
+MOST_A_RUN: Final = 160
+"""Candidates of all plans of a run that are kept: so the page stays small."""
+FEWEST_A_PLAN, MOST_A_PLAN = 6, 64
+_Arrays = Mapping[str, NDArray[Any]]
+
+
+def reasons(file: Path, origin: Floats) -> list[dict[str, Any]]:
+    """The plans in a ``plans.npz``, positions relative to ``origin`` (2,).
+
+    Of each plan the chosen candidate and those of highest value are kept, at most `MOST_A_PLAN`
+    (fewer where there are many plans); ``of`` says how many there were. Of the reactions all modes
+    to the chosen candidate are kept, and the likeliest one to each other.
+    """
+    with stored.arrays(file) as arrays:
+        plans = int(arrays["plans"])
+        most = int(np.clip(MOST_A_RUN // max(plans, 1), FEWEST_A_PLAN, MOST_A_PLAN))
+        return [_plan(_of(arrays, number), most, origin) for number in range(plans)]
+
+
+def _of(arrays: Any, number: int) -> _Arrays:
+    head = f"{number:02d}/"
+    return {name.removeprefix(head): arrays[name] for name in arrays if name.startswith(head)}
+
+
+def _plan(arrays: _Arrays, most: int, origin: Floats) -> dict[str, Any]:
+    plan: dict[str, Any] = {
+        "agent": str(arrays["agent_id"]),
+        "step": int(arrays["first_step"]),
+        "path": _path(arrays["position_m"], origin),
+    }
+    if "rule" not in arrays:
+        return plan
+    kept = _best(arrays, most)
+    plan |= {
+        "rule": str(arrays["rule"]),
+        "of": len(arrays["candidate_probability"]),
+        "chosen": int(np.flatnonzero(kept == int(arrays["chosen"]))[0]),
+        "unmet": arrays["unmet"].tolist() if "unmet" in arrays else [],
+        "candidates": [_candidate(arrays, int(number), origin) for number in kept],
+    }
+    if "score_ids" in arrays:
+        chance = 1.0 / (1.0 + np.exp(-arrays["score_logits"]))
+        ids = arrays["score_ids"].tolist()
+        plan["scores"] = dict(zip(ids, np.round(chance, 3).tolist(), strict=True))
+    return plan
+
+
+def _best(arrays: _Arrays, most: int) -> NDArray[Any]:
+    """Numbers of the candidates that are kept, in their order: the chosen one, the best others."""
+    value, chosen = arrays["value"], int(arrays["chosen"])
+    order = np.lexsort((-arrays["candidate_probability"], -value))
+    order = order[order != chosen][: most - 1]
+    return np.sort(np.append(order, chosen))
+
+
+def _candidate(arrays: _Arrays, number: int, origin: Floats) -> dict[str, Any]:
+    candidate: dict[str, Any] = {
+        "number": number,
+        "path": _path(arrays["candidate_position_m"][number], origin),
+        "p": _digits(arrays["candidate_probability"][number]),
+        "value": _digits(arrays["value"][number]),
+        "reactions": [],
+    }
+    if "candidate_origin" in arrays:
+        candidate["origin"] = str(arrays["candidate_origin"][number])
+    if "reaction_position_m" in arrays:
+        chance = arrays["reaction_probability"][number]
+        hits = arrays["collides"][number]
+        candidate["hit"] = round(float((chance * hits).sum()), 4)
+        modes = range(len(chance)) if number == int(arrays["chosen"]) else [int(chance.argmax())]
+        candidate["reactions"] = [
+            {
+                "path": _path(arrays["reaction_position_m"][number, mode], origin),
+                "p": round(float(chance[mode]), 3),
+                "hits": bool(hits[mode]),
+            }
+            for mode in modes
+        ]
+    return candidate
+
+
+def _digits(value: Any) -> float:
+    """Three digits: products of probabilities are small."""
+    return float(f"{float(value):.3g}")
+
+
+def _path(position_m: NDArray[Any], origin: Floats) -> list[list[int]]:
+    """Coordinates x and y every `EVERY_STEPS` steps, from the first one."""
+    x, y = (np.asarray(position_m[::EVERY_STEPS], float) - origin).T
+    return [steady(x, UNIT_M), steady(y, UNIT_M)]

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo import files, tables
-from deepmf_sumo.benchmark.gate.matching import Matched
-from deepmf_sumo.benchmark.gate.verdict import difference, figure, units
-from deepmf_sumo.benchmark.risk.comparison import Change, Compared
-from deepmf_sumo.benchmark.risk.origins import Origin
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.gate.comparison import Matched
+from deepmf_sumo.gate.verdict import difference, figure, units
 from deepmf_sumo.report.table import SECTORS
+from deepmf_sumo.risk.comparison import Change, Compared
+from deepmf_sumo.risk.origins import Origin
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}

@@ -3,18 +3,17 @@
 from pathlib import Path
 
 from deepmf_sumo import files
-from deepmf_sumo.report.tables import latex, markdown, notes
-from deepmf_sumo.report.tables.content import read
-from deepmf_sumo.report.tables.layouts import tables_of
+from deepmf_sumo.report.tables.layouts import read_content, tables_of
+from deepmf_sumo.report.tables.text import latex_document, markdown_document, notes_of
 
 
 def write(out: Path) -> list[Path]:
     """Write both from the CSV tables of a benchmark's folder. Raises UsageError for any other."""
-    content = read(out)
+    content = read_content(out)
     tables = tables_of(content)
     texts = {
-        "table.md": markdown.document(content.layout.name, tables, notes.of(content)),
-        "table.tex": latex.document(tables, notes.of(content)),
+        "table.md": markdown_document(content.layout.name, tables, notes_of(content)),
+        "table.tex": latex_document(tables, notes_of(content)),
     }
     for name, text in texts.items():
         files.write(out / name, text)

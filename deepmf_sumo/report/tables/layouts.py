@@ -1,12 +1,114 @@
-"""Which rows and columns stand in which table: the paper's three, then what it does not measure."""
+"""Which rows and columns stand in which table: the paper's three, then what it does not measure.
+
+Which methods know what DeepMF has to predict, so that readers of a table compare like with like.
+
+An adversary that simulates the scene before it attacks says what it learns there in the constant
+``FORESIGHT`` of its module.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
-from deepmf_sumo.benchmark.quantities import BY_NAME
-from deepmf_sumo.report.tables import rules
-from deepmf_sumo.report.tables.content import Content, Row
+from deepmf_sumo import plugins
+from deepmf_sumo.plans import tables
+from deepmf_sumo.plans.layout import Layout, read_layout
+from deepmf_sumo.results.quantities import BY_NAME
+from deepmf_sumo.spec.loading import VERSIONS
+from deepmf_sumo.tables import read_csv
+
+Row = dict[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Content:
+    """Rows as text, in the plan's order; an empty cell is not known."""
+
+    layout: Layout
+    main: Sequence[Row]
+    differences: Sequence[Row]
+    equal_seconds: Sequence[Row]
+
+
+def read_content(out: Path) -> Content:
+    """Read the tables. Raises UsageError where the folder has none."""
+    return Content(
+        layout=read_layout(out),
+        main=_rows(out / tables.MAIN),
+        differences=_rows(out / tables.DIFFERENCES),
+        equal_seconds=_rows(out / tables.EQUAL_SECONDS, needed=False),
+    )
+
+
+def _rows(file: Path, *, needed: bool = True) -> list[Row]:
+    if not file.is_file() and not needed:
+        return []
+    return read_csv(file)
+
+
+_MEANT: Final = (
+    "What a method looks up it learns from simulations of the same scene before its attack: under"
+    " a replayed AV that is the AV's future itself. The others see the past alone. Who begins at"
+    " the opponent's un-attacked motion is near the recording, with which naturalness compares, by"
+    " construction."
+)
+
+
+def of(layout: Layout) -> list[str]:
+    """Sentences: methods with foresight by what they look up; none where there are none."""
+    methods: dict[str, list[str]] = {}
+    for label in layout.methods:
+        name = _adversary(layout.plan["methods"][label].get("adversary", "deepmf"))
+        known = getattr(plugins.load("adversaries", name), "FORESIGHT", None)
+        if known is not None:
+            methods.setdefault(known, []).append(label)
+    lines = [f"{', '.join(labels)}: looked up: {known}." for known, labels in methods.items()]
+    return [*lines, _MEANT] if lines else []
+
+
+def _adversary(choice: str | dict[str, Any]) -> str:
+    """Name of the plug-in that a plan's method means."""
+    name = choice if isinstance(choice, str) else str(choice.get("name", "deepmf"))
+    return "deepmf" if name in VERSIONS else name
+
+
+_PAPERS: Final = "expected"
+"""The rule of DeepMF where nothing else is said, and of the paper's Algorithm 1."""
+
+
+def rule_title(layout: Layout, methods: Sequence[str]) -> str:
+    """What a table's title says of the rules of its rows of DeepMF; empty without such rows."""
+    rules = dict.fromkeys(_by_method(layout, methods).values())
+    return f" (DeepMF's rule: {', '.join(rules)})" if rules else ""
+
+
+def notes(layout: Layout) -> list[str]:
+    """A sentence a rule that is not the paper's: which methods choose by it."""
+    labels: dict[str, list[str]] = {}
+    for label, rule in _by_method(layout, layout.methods).items():
+        labels.setdefault(rule, []).append(label)
+    return [
+        f"{', '.join(found)}: attacks chosen by {rule}, not by the paper's product (rule"
+        f" {_PAPERS})."
+        for rule, found in labels.items()
+        if rule != _PAPERS
+    ]
+
+
+def _by_method(layout: Layout, methods: Sequence[str]) -> dict[str, str]:
+    found = {label: _rule(layout.plan["methods"][label].get("adversary", {})) for label in methods}
+    return {label: rule for label, rule in found.items() if rule}
+
+
+def _rule(choice: str | dict[str, Any]) -> str:
+    """The rule of a plan's method; empty where it is not DeepMF."""
+    settings = {"name": choice} if isinstance(choice, str) else choice
+    if settings.get("name", "deepmf") not in {"deepmf", *VERSIONS}:
+        return ""
+    if settings.get("aggressiveness") is not None:
+        return f"aggressiveness {settings['aggressiveness']:g}"
+    return str(settings.get("rule", _PAPERS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,11 +189,11 @@ def tables_of(content: Content) -> list[Table]:
     found = []
     if layout.versions:
         heads = (RATE, _TIME, _SPEED, *_NATURAL, _GENERATION)
-        title = f"Table I. Versions of DeepMF{rules.title(layout, layout.versions)}"
+        title = f"Table I. Versions of DeepMF{rule_title(layout, layout.versions)}"
         found.append(_table(title, heads, content.main, layout.versions))
     if layout.compared:
         efficiency = (RATE, _TIME, _SPEED, _GENERATION)
-        rule = rules.title(layout, layout.compared)
+        rule = rule_title(layout, layout.compared)
         found += [
             _table(f"Table II. Efficiency{rule}", efficiency, content.main, layout.compared),
             _table(f"Table III. Naturalness{rule}", _NATURAL, content.main, layout.compared),

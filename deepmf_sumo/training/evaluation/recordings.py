@@ -14,12 +14,13 @@ from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.readers.base import Refusal
-from deepmf_sumo.training import cards, files
+from deepmf_sumo.training import cards
 from deepmf_sumo.training.evaluation.conditional import ConditionalFigures, Pair
 from deepmf_sumo.training.evaluation.forecasts import targets
 from deepmf_sumo.training.evaluation.marginal import MarginalFigures
 from deepmf_sumo.training.evaluation.measures import HORIZONS
 from deepmf_sumo.training.evaluation.opponent import OpponentFigures
+from deepmf_sumo.training.fit import checkpoints
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.samples import windows
 
@@ -138,7 +139,7 @@ def run(
 
 def _write(file: Path, found: dict[str, Any]) -> None:
     try:
-        files.write(file, (json.dumps(found, indent=1) + "\n").encode())
+        checkpoints.write(file, (json.dumps(found, indent=1) + "\n").encode())
     except OSError as error:
         raise OutputError(f"{file} cannot be written: {error.strerror}.") from None
 

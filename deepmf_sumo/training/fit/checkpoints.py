@@ -11,8 +11,26 @@ from typing import Any, Final
 
 import torch
 
-from deepmf_sumo.training import files
 from deepmf_sumo.training.samples.dataset import Progress
+
+
+def write(file: Path, content: bytes) -> None:
+    """Write beside, flush to the disk, rename; creates folders. Raises OSError, leaving nothing.
+
+    Two processes may write the same file: the last one stays.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    beside = file.with_name(f"{file.name}.{os.getpid()}")
+    try:
+        with beside.open("wb") as opened:
+            opened.write(content)
+            opened.flush()
+            os.fsync(opened.fileno())
+        beside.replace(file)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+
 
 _DIGEST_BYTES: Final = 32
 
@@ -115,7 +133,7 @@ class Curves:
         shown = [[f"{value:.6g}" for value in row] for row in rows]
         csv.writer(text, lineterminator="\n").writerows([self.columns, *shown])
         try:
-            files.write(self.file, text.getvalue().encode())
+            write(self.file, text.getvalue().encode())
             if self.events is not None:
                 for name, value in zip(self.columns[1:], rows[-1][1:], strict=True):
                     self.events.add_scalar(name, value, int(rows[-1][0]))

@@ -15,7 +15,7 @@ from safetensors.numpy import load_file, save
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Bools, Floats, Ints
 from deepmf_sumo.errors import RunError, WeightsError
 from deepmf_sumo.predictors.anchors import START_SPEEDS_MPS
-from deepmf_sumo.training import files
+from deepmf_sumo.training.fit import checkpoints
 
 FILE: Final = "clusters.safetensors"
 MODES: Final = (6, 16, 32)
@@ -146,7 +146,7 @@ def write(clusters: Clusters, folder: Path) -> None:
         for modes, values in clusters.deviation_m.items()
     }
     arrays["samples"] = np.array([clusters.samples])
-    files.write(folder / FILE, save(arrays))
+    checkpoints.write(folder / FILE, save(arrays))
 
 
 def read(folder: Path) -> Clusters | None:

@@ -11,11 +11,12 @@ import sys
 from pathlib import Path
 
 from deepmf_sumo import spec
-from deepmf_sumo.benchmark import batch, stored
-from deepmf_sumo.benchmark.shards import Shard
-from deepmf_sumo.benchmark.store import Store
 from deepmf_sumo.cli import check, compare, merge, report, risk, table  # noqa: F401 - loaded once
 from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.results import stored
+from deepmf_sumo.results.folder import Store
+from deepmf_sumo.sweep import batch
+from deepmf_sumo.sweep.shards import Shard
 from tests.fuzz import mutators, runner
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))

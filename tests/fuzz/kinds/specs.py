@@ -6,9 +6,8 @@ from typing import Any
 
 import yaml
 
-from deepmf_sumo import spec
-from deepmf_sumo.benchmark import tasks
-from deepmf_sumo.benchmark.inputs import fingerprinted
+from deepmf_sumo import spec, tasks
+from deepmf_sumo.sweep.inputs import fingerprinted
 from tests.fuzz import mutators, runner
 
 _SPEC = {

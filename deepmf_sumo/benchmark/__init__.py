@@ -1,1 +1,0 @@
-"""Specs -> tasks -> isolated workers -> result folder."""

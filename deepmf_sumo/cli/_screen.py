@@ -1,0 +1,453 @@
+"""What commands show on the terminal: tables, progress, and the sentences below them.
+
+Imports inside functions: help and short commands load nothing that they do not show.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+from rich import markup
+from rich.console import Console
+from rich.table import Table
+
+from deepmf_sumo.texts import shown
+
+if TYPE_CHECKING:
+    from deepmf_sumo.ablation.study import Row as VariantRow
+    from deepmf_sumo.gate.verdict import Verdict
+    from deepmf_sumo.live.attacker import Attached
+    from deepmf_sumo.moments.moment import Found, Wish
+    from deepmf_sumo.report.comparison import Line, SideBySide
+    from deepmf_sumo.report.risk import Written
+    from deepmf_sumo.report.tables.layouts import Row as MethodRow
+    from deepmf_sumo.results.result import Result
+    from deepmf_sumo.risk.comparison import Compared
+    from deepmf_sumo.risk.table import Row as PlaceRow
+    from deepmf_sumo.simulation.sumo_config import Configuration
+    from deepmf_sumo.sweep.batch import Progress
+
+
+def escape(text: str) -> str:
+    """Text of others, e.g. an id, as rich prints it: no markup, nothing that acts on a terminal."""
+    return markup.escape(shown(text))
+
+
+def wide(width: int = 160) -> Console:
+    """The terminal as wide as it is; pipes and logs, which have no width of their own, so wide."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = width
+    return console
+
+
+def _grid(texts: Iterable[str], numbers: Iterable[str] = ()) -> Table:
+    """A table: columns of text to the left, of numbers to the right."""
+    grid = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in texts:
+        grid.add_column(escape(heading), overflow="fold")
+    for heading in numbers:
+        grid.add_column(escape(heading), overflow="fold", justify="right")
+    return grid
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def leaving() -> Iterator[Callable[[], bool]]:
+    """Whether a signal has asked to leave; a second one raises KeyboardInterrupt at once."""
+    asked = False
+
+    def ask(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as `signal` wants it
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    before = [signal.signal(number, ask) for number in _SIGNALS]
+    try:
+        yield lambda: asked
+    finally:
+        for number, handler in zip(_SIGNALS, before, strict=True):
+            signal.signal(number, handler)
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[Progress], None]]:
+    """A line that is written over on a terminal; elsewhere a line a run."""
+    console = Console(stderr=True, highlight=False)
+    begin = time.monotonic()
+    with console.status("reading specs ...") as status:
+
+        def report(now: Progress) -> None:
+            if now.again and not (now.last or now.lost):
+                console.print(escape(_again(now)), soft_wrap=True)
+            last = f"; last: {now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
+            kept = f" ({now.kept} kept from before)" if now.kept else ""
+            lost = f", {now.lost} done again (machine lost)" if now.lost else ""
+            left = _left(now, time.monotonic() - begin)
+            line = escape(f"{now.done} of {now.of} runs{kept}{lost}{left}{last}")
+            status.update(line)
+            if now.last and not console.is_terminal:
+                console.print(line, soft_wrap=True)
+
+        yield report
+
+
+def table(results: Sequence[Result], summary: dict[str, Any], out: Path) -> None:
+    """The runs, the totals, and where the files are."""
+    from deepmf_sumo.report import table as tables
+
+    console = wide()
+    grid = _grid(tables.HEADINGS)
+    for result, row in zip(results, tables.rows(results), strict=True):
+        bad = result["status"] != "ok" or result["expectations_broken"]
+        grid.add_row(*map(escape, row), style="red" if bad else "")
+    console.print(grid)
+    console.print(escape(tables.totals(summary)), soft_wrap=True)
+    pictures = any((out / "runs").glob("*/picture.png"))
+    shown = f", {out}/runs/<run>/picture.png" if pictures else ""
+    console.print(escape(f"{out}/runs.csv{shown}"), soft_wrap=True)
+
+
+def _again(now: Progress) -> str:
+    """Which runs of an earlier sweep are not kept, and why."""
+    which = ", ".join(now.changed)
+    return (
+        f"{now.again} of the runs that went through before are done again, for their spec, the"
+        f" version or files that they read are not what they were{': ' * bool(which)}{which}"
+    )
+
+
+def _left(now: Progress, seconds: float) -> str:
+    """Time left, by the mean of the runs so far."""
+    made = now.done - now.kept
+    if not made or now.done == now.of:
+        return ""
+    rest = seconds / made * (now.of - now.done)
+    return f", {rest:.0f} s left" if rest < 100 else f", {rest / 60:.0f} min left"
+
+
+def _outcome(result: Result) -> str:
+    return str(result["outcome"] if result["status"] == "ok" else result["status"])
+
+
+_GAP: Final = 2
+_WIDEST_NAME: Final = 30
+"""Longer names of folders are folded."""
+
+
+def show_results(found: SideBySide) -> None:
+    """The table, and why some quantities have no value in some runs."""
+    console = wide()
+    if not found.names:
+        console.print("no runs")
+        return
+    same = [line for line in found.about if len(found.names) == 1 or len(set(line.cells)) == 1]
+    told = ", ".join(f"{line.label} {line.cells[0]}" for line in same)
+    if told:
+        head = f"{found.names[0]}: " if len(found.names) == 1 else ""
+        console.print(escape(f"{head}{told}"), soft_wrap=True)
+    other = [line for line in found.about if line not in same]
+    fits = _fitting(console, found, other)
+    if fits < len(found.names) and not found.more:
+        _rows(console, found, other)
+    else:
+        for first in range(0, len(found.names), fits):
+            _columns(console, found, other, slice(first, first + fits))
+    if found.missing:
+        console.print("Attacked runs that have no value, and are left out of the mean:")
+        for sentence in found.missing:
+            console.print(escape(f"  {sentence}"), soft_wrap=True)
+
+
+def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:
+    """How many columns the terminal is wide enough for; at least one."""
+    lines = [*other, *found.key, *found.more]
+    labels = max(len(line.label) for line in lines)
+    widest = max(
+        *(min(len(name), _WIDEST_NAME) for name in found.names),
+        *(len(cell) for line in lines for cell in line.cells),
+    )
+    return max(1, (console.width - labels) // (widest + _GAP))
+
+
+def _columns(console: Console, found: SideBySide, other: Sequence[Line], part: slice) -> None:
+    """A line a quantity."""
+    grid = _grid([""], found.names[part] if len(found.names) > 1 else [""])
+    for lines in (other, found.key, found.more):
+        for line in lines:
+            grid.add_row(escape(line.label), *map(escape, line.cells[part]))
+        if lines:
+            grid.add_section()
+    grid.show_header = len(found.names) > 1
+    console.print(grid)
+
+
+def _rows(console: Console, found: SideBySide, other: Sequence[Line]) -> None:
+    """A line a result, with the most important quantities."""
+    grid = _grid(["results", *(line.label for line in other)], [one.short for one in found.short])
+    for number, name in enumerate(found.names):
+        cells = (line.cells[number] for line in (*other, *found.short))
+        grid.add_row(escape(name), *map(escape, cells))
+    console.print(grid)
+    console.print("--all shows all quantities")
+
+
+def show_verdict(verdict: Verdict) -> None:
+    """The tables of the Markdown summary, and a sentence for each finding."""
+    from deepmf_sumo.gate.verdict import LONGEST_LIST, comparisons, counts, thresholds
+
+    console = wide()
+    console.print(escape(counts(list(verdict.results.rows.values()))), soft_wrap=True)
+    grid = _grid(("group", "threshold", "allowed", "measured", "runs", ""))
+    for line in thresholds(verdict):
+        _add(grid, line)
+    console.print(grid)
+    if verdict.comparisons is not None:
+        grid = _grid(("group", f"against {verdict.baseline}", "was", "is", "difference", ""))
+        for line in comparisons(verdict):
+            _add(grid, line)
+        console.print(grid)
+    for note in verdict.notes:
+        console.print(escape(note), soft_wrap=True)
+    found = list(verdict.findings())
+    for sentence in found[:LONGEST_LIST]:
+        console.print(escape(sentence), style="red", soft_wrap=True)
+    if len(found) > LONGEST_LIST:
+        console.print(f"and {len(found) - LONGEST_LIST} more", style="red")
+
+
+def _add(grid: Table, cells: tuple[str, ...]) -> None:
+    marked = cells[-1].startswith("**")
+    plain = (*cells[:-1], cells[-1].strip("*"))
+    grid.add_row(*(escape(cell) for cell in plain), style="red" if marked else "")
+
+
+def announce_moments(configuration: Configuration, found: Found, wish: Wish) -> None:
+    """A line on what was found, on standard error; one on standard output if it was nothing."""
+    from deepmf_sumo.datatypes import DT_S
+    from deepmf_sumo.report.table import counted
+
+    name = configuration.file.name
+    if abs(configuration.step_s - DT_S) > 1e-9:
+        steps = f"asks for steps of {configuration.step_s:g} s; it is run with {DT_S:g} s"
+        click.echo(shown(f"{name} {steps}"), err=True)
+    if not found.moments:
+        click.echo(shown(f"nobody to attack in {name}: {found.reason}"))
+        return
+    span = f"{found.begin_s:g} to {found.until_s:g} s"
+    further = "" if found.complete or wish.at_s else " (--until S looks further)"
+    seen = counted(found.vehicles, "vehicle")
+    click.echo(shown(f"{name}: {seen} from {span}{further}"), err=True)
+    moments = counted(len(found.moments), "moment")
+    chosen = f"{moments} of {found.suitable} vehicle seconds"
+    if wish.prefer == "encounters":
+        before = sum(one.encounter_s is not None for one in found.moments)
+        chosen += f", {before} of them before an encounter"
+    if len(found.moments) < wish.count:
+        chosen += f", not {wish.count}: {found.reason}"
+    click.echo(shown(chosen), err=True)
+
+
+_HEADINGS: Final = (
+    "where attacks were decided", "attacks", "hits", "avoidable hits", "least TTC",
+    "mean delta-v", "risk of a hit (90 % interval)",
+)  # fmt: skip
+_MOST: Final = 30
+
+
+def show_risk(written: Sequence[Written], top: int) -> None:
+    """A table a network: movements and edges, by the lower end of the risk of a hit."""
+    from deepmf_sumo.report.table import counted
+    from deepmf_sumo.risk.table import worst
+
+    console = wide()
+    for one in written:
+        network = one.network
+        left = "".join(
+            f"; not counted: {counted(count, 'run')} {why}"
+            for why, count in network.left_out.items()
+        )
+        head = f"{network.name}: {counted(len(network.attacks), 'attack')}{left}"
+        console.print(escape(head), soft_wrap=True)
+        console.print(_filled(_HEADINGS, [_cells(row) for row in worst(one.rows)[:top]]))
+        console.print(escape(f"{one.folder}/risk.html, risk.csv, risk.sumocfg"), soft_wrap=True)
+
+
+def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
+    """What was compared, the differences, where they come from, and what to know."""
+    from deepmf_sumo.report.risk import comparison
+
+    console = wide()
+    for line in comparison.heading(compared, names):
+        console.print(escape(line), soft_wrap=True)
+    console.print(_filled(comparison.DIFFERENCE_HEADINGS, comparison.differences(compared)))
+    if compared.origins:
+        shown = comparison.origins(compared.origins)
+        console.print(_filled(comparison.ORIGIN_HEADINGS, shown[:_MOST]))
+        if len(shown) > _MOST:
+            console.print(f"and {len(shown) - _MOST} more with --out")
+    for note in compared.notes:
+        console.print(escape(note), soft_wrap=True)
+
+
+def _filled(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
+    grid = _grid(headings)
+    for row in rows:
+        grid.add_row(*map(escape, row))
+    return grid
+
+
+def _cells(row: PlaceRow) -> tuple[str, ...]:
+    risk = row.risk["hit"]
+    speed = None if row.delta_v_mps is None else f"{row.delta_v_mps:.1f} m/s"
+    return (
+        row.title if row.kind == "movement" else f"{row.kind} {row.title}",
+        str(row.attacks),
+        str(row.events["hit"]),
+        f"{row.events['avoidable']} of {row.judged}",
+        "-" if row.ttc_s is None else f"{row.ttc_s:.1f} s",
+        speed or "-",
+        f"{100 * risk.rate:.0f} % ({100 * risk.low:.0f} to {100 * risk.high:.0f} %)",
+    )
+
+
+_ENDS: Final = {
+    "until": "left at {time:.1f} s, as asked",
+    "attacks": "left at {time:.1f} s, after {attacks}, as asked",
+    "av_gone": "vehicle '{av}' left the traffic at {time:.1f} s",
+    "simulation_over": "the simulation ended at {time:.1f} s",
+    "script_left": "the script left at {time:.1f} s",
+    "stopped": "left at {time:.1f} s, stopped",
+}
+_LIVE_HEADINGS: Final = ("", "opponent", "from s", "to s", "ended", "least gap m", "contact m/s")
+
+
+def tell_attack(row: dict[str, Any]) -> None:
+    """An attack is over."""
+    Console(stderr=True, highlight=False).print(
+        escape(
+            f"{row['begin_s']:.1f} to {row['end_s']:.1f} s: {row['opponent']}, {row['ended']}, "
+            f"least gap {row['min_gap_m']:.1f} m"
+        ),
+        soft_wrap=True,
+    )
+
+
+def show_session(done: Attached, av: str, out: Path) -> None:
+    """The attacks, why it is over, and where the files are."""
+    from deepmf_sumo.report.table import counted
+
+    console = wide(120)
+    if done.rows:
+        grid = Table(box=None, pad_edge=False, header_style="bold")
+        for number, heading in enumerate(_LIVE_HEADINGS):
+            grid.add_column(heading, justify="left" if number in {1, 4} else "right")
+        for row in done.rows:
+            grid.add_row(*map(escape, _live_cells(row)), style="red" if row["contact"] else "")
+        console.print(grid)
+    count = len(done.rows)
+    attacks = counted(count, "attack")
+    hits = sum(row["contact"] is not None for row in done.rows)
+    why = _ENDS[done.end].format(time=done.time_s, attacks=attacks, av=av)
+    nobody = f" ({done.nobody})" if not count and done.nobody else ""
+    if done.undriven:
+        why += ", before the attack under way was over, which is not counted"
+    file = f"{out}/{'attacks.jsonl' if count else 'session.json'}"
+    console.print(
+        escape(f"{attacks}, {counted(hits, 'contact')}{nobody}; {why}; {file}"),
+        soft_wrap=True,
+    )
+    if not done.watched:
+        console.print(
+            "whether the script was there to the end cannot be seen from here: attacks after it"
+            " left, if any, are counted as attacks on it",
+            soft_wrap=True,
+        )
+    if hits and done.collisions == "teleport":
+        console.print(
+            "SUMO takes a vehicle away after a collision (collision.action teleport), perhaps the "
+            "AV; start it with --collision.action warn to see what happens then",
+            soft_wrap=True,
+        )
+
+
+def _live_cells(row: dict[str, Any]) -> list[str]:
+    contact = row["contact"]
+    return [
+        str(row["number"]),
+        row["opponent"],
+        f"{row['begin_s']:.1f}",
+        f"{row['end_s']:.1f}",
+        row["ended"],
+        f"{row['min_gap_m']:.2f}",
+        "-" if contact is None else f"{contact['relative_mps']:.1f}",
+    ]
+
+
+_FAILURES: Final = 10
+"""That are shown with their reason."""
+
+
+def show_study(out: Path, results: Sequence[Result], expected: int, made: Sequence[Path]) -> None:
+    """A line a method and planner, what did not go through, and the files."""
+    from deepmf_sumo.report.table import counted
+    from deepmf_sumo.report.tables.layouts import read_content
+    from deepmf_sumo.results.quantities import COLUMNS
+
+    console = wide()
+    more = {one.name: one.short for one in COLUMNS if one.short}
+    grid = _grid(("planner", "method"), ("hits", "rate, 95 %", *more.values()))
+    for row in read_content(out).main:
+        if row["runs"] != "0":
+            grid.add_row(*map(escape, _study_cells(row, more)))
+    console.print(grid)
+    statuses = Counter(one["status"] for one in results)
+    told = ", ".join(f"{count} {status}" for status, count in statuses.items())
+    left = expected - len(results)
+    unfinished = f"; {left} not begun: --resume makes them" if left else ""
+    console.print(escape(f"{counted(len(results), 'run')}: {told}{unfinished}"), soft_wrap=True)
+    wrong = [one for one in results if one["status"] != "ok"]
+    for one in wrong[:_FAILURES]:
+        console.print(escape(f"  {one['run_id']}: {one['error']}"), style="red", soft_wrap=True)
+    if len(wrong) > _FAILURES:
+        console.print(f"  and {len(wrong) - _FAILURES} more, see runs.csv", style="red")
+    files = ", ".join(str(path.relative_to(out)) for path in made if path.suffix != ".svg")
+    console.print(escape(f"{out}: runs.csv, table.csv, differences.csv, {files}"), soft_wrap=True)
+
+
+def _study_cells(row: MethodRow, more: Iterable[str]) -> list[str]:
+    rate = "-"
+    if row["collision_rate"]:
+        share, low, high = (
+            f"{100 * float(row[f'collision_rate{end}']):.0f}" for end in ("", "_lo", "_hi")
+        )
+        rate = f"{share} % ({low}-{high})"
+    hits = f"{row['hits']}/{row['attacked']}"
+    numbers = [f"{float(row[name]):.2f}" if row[name] else "-" for name in more]
+    return [row["planner"], row["method"], hits, rate, *numbers]
+
+
+def show_ablation(notes: Sequence[str], rows: Sequence[VariantRow], out: Path) -> None:
+    """The table as in ``ablation.md``."""
+    from deepmf_sumo.ablation.study import cells, headings
+
+    console = wide(240)
+    for note in notes:
+        console.print(escape(note), soft_wrap=True)
+    headed = headings([one.planner for one in rows[0].attacks])
+    grid = _grid(headed[:2], headed[2:])
+    for row in rows:
+        grid.add_row(*map(escape, cells(row)))
+    console.print(grid)
+    console.print(escape(f"{out}/ablation.csv, {out}/ablation.md"), soft_wrap=True)

@@ -1,0 +1,325 @@
+"""What the commands that do many runs share: their options, and how they end.
+
+`run`, `attack`, `benchmark` and `reproduce` do the same with a list of runs, wherever it is from.
+"""
+
+import functools
+import os
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+import deepmf_sumo
+from deepmf_sumo.cli._parameters import FiniteRange
+
+if TYPE_CHECKING:
+    from deepmf_sumo.results.result import Result
+
+_POSITIVE: Final = FiniteRange(min=0, min_open=True)
+_GIVEN: Final = click.Path(exists=True, path_type=Path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """How runs are done, where their results go, and how they are judged; an option each."""
+
+    jobs: int | None
+    executor: str
+    out: Path
+    resume: bool
+    overwrite: bool
+    shard: str | None
+    max_minutes: float | None
+    timeout: float
+    memory: float
+    gui: bool
+    pictures: bool
+    junit: bool
+    thresholds: Path | None
+    baseline: Path | None
+
+    def begin(self, **more: Any) -> Any:
+        """Options of a batch, ``more`` of them the command's own.
+
+        Raises UsageError for what would show only after hours of runs: a shard, an executor,
+        thresholds or a baseline that are wrong; OutputError for a folder that cannot be used.
+        """
+        from deepmf_sumo.report.picture import draw
+        from deepmf_sumo.sweep import batch
+        from deepmf_sumo.sweep.shards import Shard
+
+        sys.path.append(os.getcwd())  # noqa: PTH109 - planners under test lie in the working folder
+        check(self)
+        self._check_gui()
+        shard = Shard.parse(self.shard) if self.shard else None
+        executor = batch.executor_named(self.executor, self.jobs)
+        self._check_place()
+        executor.check()
+        return batch.Options(
+            out=self.out,
+            executor=self.executor,
+            jobs=1 if self.gui else self.jobs,
+            timeout_s=None if self.gui else self.timeout,
+            memory_mb=None if self.gui else self.memory,
+            minutes=self.max_minutes,
+            shard=shard,
+            draw=draw if self.pictures else None,
+            gui=self.gui,
+            junit=self.junit,
+            resume=self.resume,
+            overwrite=self.overwrite,
+            **more,
+        )
+
+    def _check_place(self) -> None:
+        from deepmf_sumo.errors import UsageError
+        from deepmf_sumo.results import folder
+
+        if self.resume and self.overwrite:
+            raise UsageError(
+                "--resume keeps the results in the folder, and --overwrite deletes them: leave one"
+                " of them out."
+            )
+        folder.check(self.out, resume=self.resume, overwrite=self.overwrite)
+
+    def _check_gui(self) -> None:
+        from deepmf_sumo.errors import UsageError
+
+        if self.gui and self.executor != "local":
+            raise UsageError(
+                f"--gui shows runs on this machine: leave --executor {self.executor} out."
+            )
+        needs_one = sys.platform not in {"win32", "darwin"}
+        display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+        if self.gui and needs_one and not display:  # the run would wait for sumo-gui for ever
+            raise UsageError(
+                "--gui: there is no display (DISPLAY is not set); leave it out, or put xvfb-run -a"
+                " before the command."
+            )
+
+
+def options(*, out: str, pictures: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator: a command's last parameter is ``sweep``, with the values of the shared options.
+
+    Args:
+        out: the result folder where none is named.
+        pictures: whether each run is drawn unless asked otherwise.
+    """
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def called(*args: Any, **values: Any) -> Any:
+            shared = {field.name: values.pop(field.name) for field in fields(Sweep)}
+            return command(*args, **values, sweep=Sweep(**shared))
+
+        decorated: Callable[..., Any] = called
+        for option in reversed((*_place(out), *_limits(), *_shown(pictures), *_judged())):
+            decorated = option(decorated)
+        return decorated
+
+    return decorate
+
+
+def _place(out: str) -> tuple[Callable[..., Any], ...]:
+    """Where runs are done, and where their results go."""
+    return (
+        click.option(
+            "--jobs", "-j", type=click.IntRange(1, 4096),
+            help="Runs at a time.  [default: 1; with Ray all its processors]",
+        ),
+        click.option(
+            "--executor", metavar="WHERE", default="local", show_default=True,
+            help="local, ray (this machine's cluster), or ray://HOST:PORT.",
+        ),
+        click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True),
+        click.option(
+            "--resume", is_flag=True, help="Keep equal runs that are in the folder already."
+        ),
+        click.option(
+            "--overwrite", is_flag=True, help="Delete the results that the folder holds."
+        ),
+        click.option(
+            "--shard", metavar="I/N",
+            help="Only every N-th run, from the I-th on; `deepmf-sumo merge` joins the shards.",
+        ),
+    )  # fmt: skip
+
+
+def _limits() -> tuple[Callable[..., Any], ...]:
+    return (
+        click.option(
+            "--max-minutes", metavar="M", type=_POSITIVE,
+            help="Begin no run after M minutes; ends with 130, and --resume goes on.",
+        ),
+        click.option(
+            "--timeout", metavar="S", type=_POSITIVE, default=600.0, show_default=True,
+            help="Seconds that one run may take.",
+        ),
+        click.option(
+            "--memory", metavar="MB", type=_POSITIVE, default=4096.0, show_default=True,
+            help="Memory that one run may take.",
+        ),
+    )  # fmt: skip
+
+
+def _shown(pictures: bool) -> tuple[Callable[..., Any], ...]:
+    return (
+        click.option("--gui", is_flag=True, help="Show each run in sumo-gui, one at a time."),
+        click.option(
+            "--pictures/--no-pictures", default=pictures, show_default=True,
+            help="Draw a picture of every run.",
+        ),
+        click.option("--junit", is_flag=True, help="Write junit.xml."),
+    )  # fmt: skip
+
+
+def _judged() -> tuple[Callable[..., Any], ...]:
+    return (
+        click.option(
+            "--thresholds", metavar="FILE", type=_GIVEN,
+            help="Judge the results as `deepmf-sumo check` does, and end with its exit code.",
+        ),
+        click.option(
+            "--baseline", metavar="RESULTS", type=_GIVEN,
+            help="With --thresholds: earlier results to compare with.",
+        ),
+    )  # fmt: skip
+
+
+def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
+    """Show the table of the runs; returns the exit code."""
+    from deepmf_sumo.cli._screen import table
+    from deepmf_sumo.report.table import counted
+    from deepmf_sumo.results import stored
+    from deepmf_sumo.results.folder import summary
+
+    missing = len(stored.keys_of(sweep.out)) - len(results)
+    if results:
+        table(results, summary(results), sweep.out)
+    if missing:
+        click.echo(f"{counted(missing, 'run')} not begun: --resume goes on")
+    return end(sweep, results, missing)
+
+
+def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
+    """The exit code: 130 where runs are missing, 2 where a spec was wrong, else the verdict's.
+
+    Without thresholds the verdict is that of the runs themselves, see `batch.exit_code`.
+    """
+    from deepmf_sumo.cli.main import INTERRUPTED
+    from deepmf_sumo.errors import UsageError
+    from deepmf_sumo.results import folder
+    from deepmf_sumo.sweep import batch
+    from deepmf_sumo.sweep.workers import watched
+
+    if not watched():
+        click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
+    if not folder.known(sweep.out):
+        unlocked = "its file system has no locks: let no two sweeps write into it at a time"
+        click.echo(f"deepmf-sumo: {sweep.out}: {unlocked}", err=True)
+    code = batch.exit_code(results)
+    if sweep.thresholds:
+        verdict = judge(sweep)
+        code = code if code == UsageError.exit_code else verdict
+    return INTERRUPTED if missing else code
+
+
+def map_risk(out: Path) -> None:
+    """Write ``out/risk`` anew and say where; what stands in the way of a map is a line.
+
+    The runs are there either way, so it is no error.
+    """
+    from deepmf_sumo import risk
+    from deepmf_sumo.errors import DeepmfError
+    from deepmf_sumo.report import risk as files
+
+    shutil.rmtree(out / "risk", ignore_errors=True)
+    try:
+        written = files.write(out / "risk", risk.read([out]), out.resolve().name)
+    except DeepmfError as error:
+        click.echo(f"deepmf-sumo: no risk map: {error}", err=True)
+        return
+    for one in written:
+        click.echo(f"{one.folder}/{files.PAGE}")
+
+
+def check(sweep: Sweep) -> None:
+    """Raise UsageError for files that no result could be judged by."""
+    from deepmf_sumo import gate
+    from deepmf_sumo.errors import UsageError
+
+    if sweep.thresholds is None:
+        if sweep.baseline:
+            raise UsageError(f"--baseline {sweep.baseline}: give --thresholds as well.")
+        return
+    named = gate.load(sweep.thresholds).baseline.results
+    place = sweep.baseline or (Path(named) if named else None)
+    if place:
+        version = gate.read(place).version
+        if version != deepmf_sumo.__version__:
+            raise UsageError(
+                f"{place} was made by version {version} of deepmf-sumo, and this is"
+                f" {deepmf_sumo.__version__}: the attacks differ; write the baseline anew."
+            )
+
+
+def judge(sweep: Sweep) -> int:
+    """Judge the result folder, show the verdict, and write it to junit.xml where asked for."""
+    from deepmf_sumo import gate
+    from deepmf_sumo.cli._screen import show_verdict
+    from deepmf_sumo.gate.verdict import write_junit
+
+    assert sweep.thresholds is not None
+    verdict = gate.check(sweep.out, gate.load(sweep.thresholds), sweep.baseline)
+    show_verdict(verdict)
+    if sweep.junit:
+        write_junit(sweep.out / "junit.xml", verdict)
+    return verdict.exit_code
+
+
+_OPTIONS: Final = (
+    click.option(
+        "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a plan's key."
+    ),
+    click.option(
+        "--without", metavar="METHOD", multiple=True, help="Leave a method of the plan out."
+    ),
+    click.option("--sumo", is_flag=True, help="Write a folder a run that sumo-gui opens."),
+    click.option("--figures/--no-figures", default=True, show_default=True),
+)
+
+
+def plan_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: the options of a plan, beside those of every sweep."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def execute(
+    file: Path,
+    sweep: Sweep,
+    *,
+    sets: tuple[str, ...],
+    without: tuple[str, ...],
+    sumo: bool,
+    figures: bool,
+) -> int:
+    """Run a plan, write its tables and figures, show the table; returns the exit code."""
+    from deepmf_sumo import plans
+    from deepmf_sumo.cli._screen import progress, show_study
+    from deepmf_sumo.report import benchmark as report
+
+    wanted = sweep.begin(sumo=sumo)
+    loaded = plans.load(file, sets, without)
+    with progress() as tell:
+        results = plans.run(loaded, replace(wanted, shard=None), tell, wanted.shard)
+    made = report.finish(sweep.out, figures=figures)
+    expected = plans.expected(sweep.out, wanted.shard)
+    show_study(sweep.out, results, expected, made)
+    return end(sweep, results, expected - len(results))

@@ -1,1 +1,0 @@
-"""What `doctor` looks at; each check by itself, so that what is broken cannot take it along."""

@@ -1,0 +1,13 @@
+"""A result folder as a gate of continuous integration: thresholds, a baseline, and a verdict.
+
+::
+
+    OUT --rows--> numbers a run --limits--> judgements ---+
+                                --comparison--> changes --+--verdict--> exit code, JUnit, Markdown
+"""
+
+from deepmf_sumo.gate.rows import read
+from deepmf_sumo.gate.thresholds import Thresholds, load
+from deepmf_sumo.gate.verdict import Verdict, check
+
+__all__ = ["Thresholds", "Verdict", "check", "load", "read"]

@@ -1,0 +1,195 @@
+"""Result folder -> what a gate has to know of each run; and the small file that keeps it.
+
+The file (`results.json`) is what a later job compares with: a result folder is too large to keep.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from deepmf_sumo import files
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.results import results, stored
+from deepmf_sumo.results.folder import FORMAT_VERSION as FOLDER_VERSION
+from deepmf_sumo.results.quantities import COMPARABLE, judged
+from deepmf_sumo.results.result import Result
+
+FORMAT_VERSION: Final = 2
+_KIND: Final = "deepmf-sumo results"
+_DIGITS: Final = 6
+
+Status = Literal["ok", "failed", "timeout", "skipped", "missing"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One run.
+
+    Attributes:
+        network: the .sumocfg without its suffix, or the recording's scene.
+        scene: the situation: of a recording, or a moment of a network's traffic.
+        planner: its label in tables, e.g. ``idm corridor``.
+        attack: digest of the adversary, its settings and weights; `Results.attacks` has them.
+        status: ``missing`` for a run of the manifest that has no result.
+        judged: whether it says something about the AV, see `quantities.judged`.
+        reason: why there is no result. broken: expectations of the spec that do not hold.
+        values: by quantity, those that are defined.
+    """
+
+    run_id: str
+    spec: str
+    network: str
+    scene: str
+    seed: int
+    method: str = ""
+    planner: str = ""
+    attack: str = ""
+    status: Status
+    judged: bool = False
+    reason: str = ""
+    broken: tuple[str, ...] = ()
+    wall_s: float = 0.0
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Results:
+    """All runs of a batch or benchmark, by id, and the version of the program that made them.
+
+    Attributes:
+        attacks: by the digest in `Row.attack`, the setup: ``adversary``, ``weights`` and
+            ``adversary.KEY`` for each of its settings.
+    """
+
+    source: Path
+    version: str
+    rows: dict[str, Row]
+    attacks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def read(path: Path) -> Results:
+    """The results of a result folder, or of a file of `write`.
+
+    Raises UsageError where it is neither, is damaged, or is of another format.
+    """
+    return _of_folder(path) if path.is_dir() else _of_file(path)
+
+
+def write(path: Path, found: Results) -> None:
+    """Write the file that a later job compares with. Raises OutputError."""
+    rows = [asdict(row) for row in found.rows.values()]
+    for row in rows:
+        del row["wall_s"]  # so that equal results are equal files
+    values = {
+        "kind": _KIND,
+        "format_version": FORMAT_VERSION,
+        "version": found.version,
+        "attacks": found.attacks,
+        "runs": rows,
+    }
+    with files.writing(path):
+        files.write_json(path, values)
+
+
+def _of_folder(out: Path) -> Results:
+    file = out / stored.MANIFEST
+    if not file.exists():
+        raise UsageError(f"{out} is no result folder: it has no manifest.json.")
+    manifest = stored.mapping(file)
+    if manifest.get("tool") != "deepmf-sumo":
+        raise UsageError(f"{file} is not a manifest of deepmf-sumo.")
+    if manifest.get("format_version") != FOLDER_VERSION:
+        raise UsageError(
+            f"{out} has format {manifest.get('format_version')}, this version of deepmf-sumo reads"
+            f" format {FOLDER_VERSION}; run it anew."
+        )
+    rows: dict[str, Row] = {}
+    attacks: dict[str, dict[str, Any]] = {}
+    for run_id, result in results.planned(out).items():
+        try:
+            rows[run_id] = _missing(run_id) if result is None else _row(result)
+            if result is not None:
+                attacks.setdefault(rows[run_id].attack, _attack(result))
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise UsageError(
+                f"{out / 'runs' / run_id / 'result.json'} is no result of this version of"
+                f" deepmf-sumo ({type(error).__name__}: {error}); run it anew."
+            ) from None
+    return Results(source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks)
+
+
+def _missing(run_id: str) -> Row:
+    """The row of a run that has no result, or one of an earlier batch."""
+    spec, scene, seed = run_id.rsplit("--", 2)
+    return Row(
+        run_id=run_id, spec=spec, network=scene, scene=scene, seed=int(seed), status="missing",
+        reason="the run has no result: it was not begun, or interrupted",
+    )  # fmt: skip
+
+
+def _row(result: Result) -> Row:
+    went = result["status"] == "ok"
+    found = {name: one.of(result) for name, one in COMPARABLE.items()} if went else {}
+    attack = json.dumps(_attack(result), sort_keys=True).encode()
+    return Row(
+        run_id=result["run_id"],
+        spec=result["spec"],
+        network=str(result.get("network") or result["scene"]),
+        scene=result["scene"],
+        seed=result["seed"],
+        method=str(result.get("method", result["spec"])),
+        planner=str(result.get("planner_label", result["planner"])),
+        attack=hashlib.sha256(attack).hexdigest()[:16],
+        status=result["status"],
+        judged=judged(result),
+        reason=result["error"] if not went or judged(result) else "nobody to attack",
+        broken=tuple(result["expectations_broken"]),
+        wall_s=float(result["timings"]["wall_s"]),
+        values={name: round(value, _DIGITS) for name, value in found.items() if value is not None},
+    )
+
+
+def _attack(result: Result) -> dict[str, Any]:
+    settings = {f"adversary.{key}": one for key, one in result["settings"]["adversary"].items()}
+    return {"adversary": result["adversary"], "weights": result["weights"], **settings}
+
+
+def _of_file(file: Path) -> Results:
+    values = _json(file, f"{file}: no such file or folder; write it with --write-baseline.")
+    if not isinstance(values, dict) or values.get("kind") != _KIND:
+        raise UsageError(f"{file} is no results file; write it with --write-baseline.")
+    if values.get("format_version") != FORMAT_VERSION:
+        raise UsageError(
+            f"{file} has format {values.get('format_version')}, this version of deepmf-sumo reads"
+            f" format {FORMAT_VERSION}; write it anew with --write-baseline."
+        )
+    try:
+        rows = [_kept(row) for row in values["runs"]]
+        version = str(values["version"])
+        attacks = {str(digest): dict(setup) for digest, setup in values["attacks"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UsageError(f"{file} is damaged ({error}); write it with --write-baseline.") from None
+    by_id = {row.run_id: row for row in rows}
+    return Results(source=file, version=version, rows=by_id, attacks=attacks)
+
+
+def _kept(values: dict[str, Any]) -> Row:
+    """A row of a results file. Raises KeyError or TypeError for what is none."""
+    numbers = values["values"]
+    if not all(isinstance(number, int | float) for number in dict(numbers).values()):
+        raise TypeError("a value is no number")
+    return Row(**{**values, "broken": tuple(values["broken"])})
+
+
+def _json(file: Path, missing: str) -> Any:
+    try:
+        return json.loads(file.read_text("utf-8"))
+    except FileNotFoundError:
+        raise UsageError(missing) from None
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
+    except ValueError as error:
+        raise UsageError(f"{file} is damaged ({error}).") from None

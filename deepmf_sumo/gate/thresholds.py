@@ -1,0 +1,268 @@
+"""The thresholds file: strict YAML, like specs."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic_core import PydanticCustomError
+
+from deepmf_sumo.errors import UsageError, nearest
+from deepmf_sumo.gate.rows import Row
+from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.results.quantities import COMPARABLE, TTC_CEILING_S, Quantity
+from deepmf_sumo.spec.document import read
+from deepmf_sumo.spec.loading import checked
+from deepmf_sumo.spec.model import Strict
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0)]
+
+
+class Limits(Strict):
+    """Bounds over a group of runs; None is no bound.
+
+    Attributes:
+        max_av_collision_rate: see `quantities.COMPARABLE` for this and the other rates.
+        min_ttc_p05: seconds; the least time to collision that 95 % of the attacked runs keep.
+        max_delta_v_mps, max_collision_speed_mps: of the worst hit.
+        max_failed_runs: failed, timed out or missing ones.
+        min_judged_runs: fewer of them are no basis for a judgement.
+    """
+
+    max_av_collision_rate: Share | None = None
+    max_collision_rate: Share | None = None
+    max_valid_collision_rate: Share | None = None
+    max_avoidable_rate: Share | None = None
+    max_av_at_fault_rate: Share | None = None
+    min_ttc_p05: Annotated[float, Field(ge=0, lt=TTC_CEILING_S)] | None = None
+    min_gap_p05: Positive | None = None
+    max_delta_v_mps: Positive | None = None
+    max_collision_speed_mps: Positive | None = None
+    max_failed_runs: Count | None = None
+    max_skipped_runs: Count | None = None
+    min_judged_runs: Count = 1
+
+
+def _known(name: str) -> str:
+    if name not in COMPARABLE:
+        rule = f"'{name}' is no quantity. Known: {', '.join(COMPARABLE)}"
+        raise PydanticCustomError("rule", "{rule}", {"rule": rule})
+    return name
+
+
+QuantityName = Annotated[str, AfterValidator(_known)]
+COMPARED: Final = ("impact_mps",)
+"""One quantity, so that few specs suffice: every contact of the AV, and how hard it is."""
+SHOWN: Final = ("impact_mps", "av_collision_rate", "valid_collision_rate", "ttc_s", "min_gap_m")
+"""For the reader, judged or not."""
+
+
+class Baseline(Strict):
+    """What the results are compared with.
+
+    Attributes:
+        results: a results file or a result folder, beside the thresholds file; ``--baseline``
+            names another.
+        by: compare all runs together, or those of each planner, spec or network.
+        quantities: judged; the fewer, the smaller a difference that is seen.
+        confidence: of all intervals together, at each of their ends.
+        tolerance: how much worse a quantity may be, in its unit; else what is negligible.
+        rule_out: how much worse it must not be able to be for a pass; else the quantity's own.
+    """
+
+    results: str | None = None
+    by: Literal["all", "planner", "spec", "network"] = "all"
+    quantities: Annotated[tuple[QuantityName, ...], Field(strict=False, min_length=1)] = COMPARED
+    confidence: Annotated[float, Field(ge=0.5, lt=1)] = 0.95
+    tolerance: dict[QuantityName, Positive] = {}
+    rule_out: dict[QuantityName, Positive] = {}
+
+
+def _named(value: object) -> object:
+    return {"results": value} if isinstance(value, str) else value
+
+
+Groups = dict[str, Limits]
+
+
+class Thresholds(Limits):
+    """Bounds over all runs, and over those of single specs, networks and planners.
+
+    Attributes:
+        max_failed_runs: without it a single one is too many.
+        specs, networks, planners: by name; ``*`` and ``?`` stand for other characters.
+    """
+
+    version: Literal[1]
+    max_failed_runs: Count = 0
+    specs: Groups = {}
+    networks: Groups = {}
+    planners: Groups = {}
+    baseline: Annotated[Baseline, BeforeValidator(_named)] = Baseline()
+
+
+def load(file: Path) -> Thresholds:
+    """The thresholds in a file. Raises SpecError with file, line and key."""
+    document = read(file)
+    found: Thresholds = checked(Thresholds, document.values, (), document)
+    results = found.baseline.results
+    if results is None:
+        return found
+    beside = str(file.parent / Path(results).expanduser())
+    return found.model_copy(
+        update={"baseline": found.baseline.model_copy(update={"results": beside})}
+    )
+
+
+ALL: Final = "all runs"
+UNFINISHED: Final = {"failed", "timeout", "missing"}
+_PERCENTILES: Final = {"min_ttc_p05": "ttc_s", "min_gap_p05": "min_gap_m"}
+_GREATEST: Final = {
+    "max_delta_v_mps": "delta_v_mps",
+    "max_collision_speed_mps": "collision_speed_mps",
+}
+_COUNTS: Final = ("max_failed_runs", "max_skipped_runs", "min_judged_runs")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """One bound over one group of runs.
+
+    Attributes:
+        group: e.g. ``planner idm corridor``. limit: its key, e.g. ``max_av_collision_rate``.
+        value: None where no run has one.
+        interval: 95 % of a rate, for the reader; the value itself is judged.
+        runs: with a value.
+        state: ``unfit`` where the runs are no basis for a judgement; ``no value`` where there was
+            nothing to measure, e.g. no hit whose speed could be too high.
+        blamed: ids of the runs that a broken bound is due to.
+    """
+
+    group: str
+    limit: str
+    bound: float
+    value: float | None
+    unit: str
+    runs: int
+    state: Literal["held", "broken", "no value", "unfit"]
+    interval: tuple[float, float] | None = None
+    blamed: tuple[str, ...] = ()
+
+
+def judge(thresholds: Thresholds, rows: Sequence[Row]) -> list[Judgement]:
+    """Every bound, over all runs and over each group.
+
+    Raises UsageError for a group that no run belongs to.
+    """
+    return [
+        judgement
+        for group, limits, members in _groups(thresholds, rows)
+        for judgement in _judge(group, limits, members)
+    ]
+
+
+def _groups(thresholds: Thresholds, rows: Sequence[Row]) -> Iterator[tuple[str, Limits, list[Row]]]:
+    yield ALL, thresholds, list(rows)
+    for kind in ("spec", "network", "planner"):
+        groups: dict[str, Limits] = getattr(thresholds, f"{kind}s")
+        for pattern, limits in groups.items():
+            members = [row for row in rows if fnmatchcase(getattr(row, kind), pattern)]
+            if not members:
+                known = list(dict.fromkeys(getattr(row, kind) for row in rows))
+                hint = nearest(pattern, known) or f" There are {known[:5]}."
+                raise UsageError(
+                    f"thresholds of the {kind} '{pattern}': no run of the results is of it.{hint}"
+                )
+            yield f"{kind} {pattern}", limits, members
+
+
+def _judge(group: str, limits: Limits, rows: Sequence[Row]) -> Iterator[Judgement]:
+    for limit in Limits.model_fields:
+        bound = getattr(limits, limit)
+        if bound is None:
+            continue
+        if limit in _COUNTS:
+            yield _count(group, limit, bound, rows)
+        elif limit in _PERCENTILES:
+            yield _percentile(group, limit, bound, rows)
+        elif limit in _GREATEST:
+            yield _greatest(group, limit, bound, rows)
+        else:
+            yield _rate(group, limit, bound, rows)
+
+
+def _count(group: str, limit: str, bound: int, rows: Sequence[Row]) -> Judgement:
+    if limit == "min_judged_runs":
+        count, blamed = sum(row.judged for row in rows), []
+        fits = count >= bound
+    else:
+        wanted = UNFINISHED if limit == "max_failed_runs" else {"skipped"}
+        blamed = [row.run_id for row in rows if row.status in wanted]
+        count, fits = len(blamed), len(blamed) <= bound
+    return Judgement(
+        group=group, limit=limit, bound=bound, value=count, unit="", runs=len(rows),
+        state="held" if fits else "unfit", blamed=() if fits else tuple(blamed),
+    )  # fmt: skip
+
+
+def _rate(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgement:
+    name = limit.removeprefix("max_")
+    values = _values(name, rows)
+    if not values:
+        return _without_value(group, limit, bound, COMPARABLE[name], rows)
+    hits = [run_id for run_id, value in values.items() if value]
+    rate, low, high = wilson(len(hits), len(values))
+    broken = rate > bound
+    return Judgement(
+        group=group, limit=limit, bound=bound, value=rate, unit="1", runs=len(values),
+        state="broken" if broken else "held", interval=(low, high),
+        blamed=tuple(hits) if broken else (),
+    )  # fmt: skip
+
+
+def _percentile(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgement:
+    """The value of a run: at most 5 % of the runs are below it."""
+    name = _PERCENTILES[limit]
+    values = _values(name, rows)
+    if not values:
+        return _without_value(group, limit, bound, COMPARABLE[name], rows)
+    value = float(np.percentile(list(values.values()), 5, method="inverted_cdf"))
+    blamed = [run_id for run_id, each in values.items() if each < bound] if value < bound else []
+    return Judgement(
+        group=group, limit=limit, bound=bound, value=value, unit=COMPARABLE[name].unit,
+        runs=len(values), state="broken" if blamed else "held", blamed=tuple(blamed),
+    )  # fmt: skip
+
+
+def _greatest(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgement:
+    name = _GREATEST[limit]
+    values = _values(name, rows)
+    if not values:
+        return _without_value(group, limit, bound, COMPARABLE[name], rows)
+    blamed = [run_id for run_id, each in values.items() if each > bound]
+    return Judgement(
+        group=group, limit=limit, bound=bound, value=max(values.values()),
+        unit=COMPARABLE[name].unit, runs=len(values), state="broken" if blamed else "held",
+        blamed=tuple(blamed),
+    )  # fmt: skip
+
+
+def _without_value(
+    group: str, limit: str, bound: float, quantity: Quantity, rows: Sequence[Row]
+) -> Judgement:
+    """Fine where nothing happened that could be measured; no basis where it was not measured."""
+    hits = _values("collision_rate", rows)
+    missed = any(hits.values()) if quantity.of_hits else bool(hits)
+    return Judgement(
+        group=group, limit=limit, bound=bound, value=None, unit=quantity.unit, runs=0,
+        state="unfit" if missed else "no value",
+    )  # fmt: skip
+
+
+def _values(name: str, rows: Sequence[Row]) -> dict[str, float]:
+    return {row.run_id: row.values[name] for row in rows if name in row.values}

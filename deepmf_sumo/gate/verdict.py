@@ -1,0 +1,356 @@
+"""Results, thresholds and baseline -> what a continuous-integration job says.
+
+A verdict as JUnit XML: a test case a run (scene and seed), and one a threshold and comparison.
+
+``failure``: a broken expectation, threshold or comparison; ``error``: a run that failed or is
+missing, too few runs, or a comparison that cannot tell; ``skipped``: nobody to attack, or nothing
+to judge by.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from deepmf_sumo import files
+from deepmf_sumo.gate import comparison, rows
+from deepmf_sumo.gate.comparison import Comparison, Matched
+from deepmf_sumo.gate.rows import Results, Row
+from deepmf_sumo.gate.thresholds import UNFINISHED, Baseline, Judgement, Thresholds, judge
+from deepmf_sumo.results.junit import Mark, TestCase, write_suites
+from deepmf_sumo.tables import to_markdown
+
+BROKEN = 1
+UNFIT = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What holds, what does not, and why.
+
+    Attributes:
+        comparisons: None without a baseline.
+        notes: sentences on what a reader should know before trusting it.
+    """
+
+    results: Results
+    judgements: list[Judgement]
+    baseline: Path | None
+    comparisons: list[Comparison] | None
+    notes: list[str]
+
+    @property
+    def exit_code(self) -> int:
+        """3 where runs failed or are missing; else 1 for what is broken or worse.
+
+        Without such, 3 where a comparison cannot tell, and 0.
+        """
+        if any(one.state == "unfit" for one in self.judgements):
+            return UNFIT
+        if any(self._broken()):
+            return BROKEN
+        return UNFIT if any(self._open()) else 0
+
+    def findings(self) -> Iterator[str]:
+        """A sentence for each broken bound, regression, expectation and open comparison."""
+        yield from (sentence(one) for one in self.judgements if one.state == "unfit")
+        yield from self._broken()
+        yield from self._open()
+
+    def _broken(self) -> Iterator[str]:
+        yield from (sentence(one) for one in self.judgements if one.state == "broken")
+        for each in self.comparisons or ():
+            if each.state == "worse":
+                yield regression(each)
+        for row in self.results.rows.values():
+            for broken in row.broken:
+                yield f"{row.run_id}: {broken}"
+
+    def _open(self) -> Iterator[str]:
+        for each in self.comparisons or ():
+            if each.state == "cannot tell":
+                yield undecided_sentence(each)
+
+    def failures(self, row: Row) -> list[str]:
+        """Why a run is a failure: its own expectations, and the bounds that it helped to break."""
+        blamed = (
+            one for one in self.judgements if row.run_id in one.blamed and one.state == "broken"
+        )
+        return [*row.broken, *(f"has part in {one.limit} of {one.group}" for one in blamed)]
+
+
+def check(
+    out: Path, thresholds: Thresholds, baseline: Path | None = None, renewed: Path | None = None
+) -> Verdict:
+    """Judge a result folder.
+
+    Args:
+        out: the result folder.
+        thresholds: what is allowed.
+        baseline: goes before the one that the thresholds name.
+        renewed: written from these results, whatever they are worth; a baseline that is renewed is
+            not compared with.
+
+    Raises UsageError for a folder, a baseline or a group of thresholds that cannot be used, and
+    OutputError.
+    """
+    found = rows.read(out)
+    judgements = judge(thresholds, list(found.rows.values()))
+    named = thresholds.baseline.results
+    place = baseline or (Path(named) if named else None)
+    comparisons, notes = None, []
+    if renewed:
+        rows.write(renewed, found)
+        if place and place.resolve() == renewed.resolve():
+            place, notes = None, [f"{renewed} is written anew, so nothing is compared with it"]
+    if place:
+        old = rows.read(place)
+        comparisons = comparison.compare(thresholds.baseline, found, old)
+        compared = sum(one.state != "not judged" for one in comparisons)
+        notes = list(_notes(thresholds.baseline, found, old, compared))
+    return Verdict(
+        results=found,
+        judgements=judgements,
+        baseline=place,
+        comparisons=comparisons,
+        notes=notes,
+    )
+
+
+def sentence(one: Judgement) -> str:
+    """``all runs: max_av_collision_rate is 0.4 (0.2 to 0.6, 10 runs), allowed 0.3``."""
+    if one.value is None:
+        return f"{one.group}: {one.limit} cannot be judged: no run has a value"
+    value, interval = figure(one.value, one.unit), ""
+    if one.interval:
+        interval = f"{one.interval[0]:.2g} to {one.interval[1]:.2g}, "
+    word = "at least" if one.limit.startswith("min_") else "at most"
+    bound = figure(one.bound, one.unit)
+    return (
+        f"{one.group}: {one.limit} is {value} ({interval}{one.runs} runs), allowed {word} {bound}"
+    )
+
+
+def regression(one: Comparison) -> str:
+    """``all runs: av_collision_rate was 0.1 and is 0.4: +0.3 (+0.1 to +0.5; 40 pairs)``."""
+    told = f"was {_mean(one.found.old, one.unit)} and is {_mean(one.found.new, one.unit)}"
+    return f"{one.group}: {one.quantity} {told}: {difference(one.found)}"
+
+
+def undecided_sentence(one: Comparison) -> str:
+    """What the runs leave open, and how many would tell."""
+    found = one.found
+    if found.difference is None:
+        why = "no run of both sides has a value"
+    elif found.units < found.fewest:
+        why = (
+            f"{units(found, found.units)} can never show a change: at least"
+            f" {units(found, found.fewest)} are needed"
+        )
+    else:
+        size = figure(one.rule_out, one.unit)
+        why = f"it may be worse by more than {size}, and may be no worse"
+        if one.needed:
+            why += f"; about {units(found, one.needed)} would tell"
+    return f"{regression(one)}: cannot tell: {why}"
+
+
+def difference(found: Matched) -> str:
+    """``+0.3 (+0.1 to +0.5; 40 pairs of 8 specs)``."""
+    what = {
+        "pairs": f"{found.count} pair{_s(found.count)}",
+        "scenes": f"{units(found, found.count)} with other seeds",
+        "nothing": f"{units(found, found.count)} without pairs",
+    }[found.by]
+    if found.by == "pairs" and found.units != found.count:
+        what += f" of {units(found, found.units)}"
+    if found.difference is None:
+        return f"nothing to compare ({what})"
+    mean, low, high = found.difference
+    if low is None or high is None:
+        return f"{mean:+.3g} ({what})"
+    return f"{mean:+.3g} ({low:+.3g} to {high:+.3g}; {what})"
+
+
+def units(found: Matched, count: int) -> str:
+    """``5 specs``, or scenes."""
+    return f"{count} {'spec' if found.specs else 'scene'}{_s(count)}"
+
+
+def _s(count: int) -> str:
+    return "" if count == 1 else "s"
+
+
+def _mean(value: float | None, unit: str) -> str:
+    return "-" if value is None else figure(value, unit)
+
+
+def figure(value: float, unit: str) -> str:
+    """A number with its unit; shares have none."""
+    return f"{value:.3g}" if unit in {"", "1"} else f"{value:.3g} {unit}"
+
+
+def _notes(wanted: Baseline, new: Results, old: Results, compared: int) -> Iterator[str]:
+    changed, names = comparison.attack_changed(new, old)
+    if changed:
+        yield (
+            f"the attack is set up differently in {changed} pairs ({', '.join(names)}):"
+            " differences may be the attack's, not the AV's"
+        )
+    alone = len(new.rows.keys() - old.rows.keys()), len(old.rows.keys() - new.rows.keys())
+    if any(alone):
+        yield f"{alone[0]} runs are new, {alone[1]} of the baseline are not there any more"
+    yield (
+        f"judged: {', '.join(wanted.quantities)}; the judged intervals ({compared}) hold together"
+        f" with {100 * wanted.confidence:g} % at each end"
+    )
+
+
+LONGEST_LIST: Final = 20
+_TITLES: Final = {0: "passed", 1: "failed", 3: "no verdict"}
+_MARKS: Final = {"held": "held", "broken": "**broken**", "unfit": "**no basis**"}
+
+
+def write_summary(path: Path, verdict: Verdict) -> None:
+    """Add it to the end of a file, as job pages expect. Raises OutputError."""
+    with files.writing(path):
+        before = path.read_text("utf-8") if path.is_file() else ""
+        files.write(path, before + text(verdict))
+
+
+def text(verdict: Verdict) -> str:
+    """Title, tables, and the runs to look at; long lists are cut, and the cut is said."""
+    rows = list(verdict.results.rows.values())
+    lines = [f"## deepmf-sumo: {_TITLES[verdict.exit_code]}", "", counts(rows), ""]
+    lines += to_markdown(
+        ("group", "threshold", "allowed", "measured", "runs", ""), thresholds(verdict)
+    )
+    if verdict.comparisons is not None:
+        lines += ["", f"Against `{verdict.baseline}`:", ""]
+        lines += to_markdown(
+            ("group", "quantity", "was", "is", "difference", ""), comparisons(verdict)
+        )
+    lines += [f"\n{note}." for note in verdict.notes]
+    undecided = [one for one in verdict.comparisons or () if one.state == "cannot tell"]
+    lines += [f"\n{undecided_sentence(one)}." for one in undecided[:LONGEST_LIST]]
+    for title, found in (
+        ("Runs with part in it", _blamed(verdict)),
+        ("Runs without result", _unfinished(rows)),
+    ):
+        if found:
+            lines += ["", f"### {title}", "", *found[:LONGEST_LIST]]
+            more = len(found) - LONGEST_LIST
+            lines += [f"- and {more} more"] if more > 0 else []
+    return "\n".join(lines) + "\n\n"
+
+
+def counts(rows: Sequence[Row]) -> str:
+    """``40 runs: 36 judged, 3 with nobody to attack, 1 without result``."""
+    unfinished = sum(row.status in UNFINISHED for row in rows)
+    skipped = sum(row.status == "skipped" for row in rows)
+    judged = sum(row.judged for row in rows)
+    nobody = len(rows) - unfinished - skipped - judged
+    told = [f"{judged} judged"]
+    told += [f"{nobody} with nobody to attack"] if nobody else []
+    told += [f"{skipped} skipped"] if skipped else []
+    told += [f"{unfinished} failed or missing"] if unfinished else []
+    return f"{len(rows)} runs: {', '.join(told)}"
+
+
+def thresholds(verdict: Verdict) -> Iterator[tuple[str, ...]]:
+    """Cells of the table of thresholds."""
+    for one in verdict.judgements:
+        value = "-" if one.value is None else figure(one.value, one.unit)
+        if one.interval:
+            value += f" ({one.interval[0]:.2g} to {one.interval[1]:.2g})"
+        bound = figure(one.bound, one.unit)
+        yield (one.group, one.limit, bound, value, str(one.runs), _MARKS.get(one.state, one.state))
+
+
+def comparisons(verdict: Verdict) -> Iterator[tuple[str, ...]]:
+    """Cells of the table of comparisons."""
+    for one in verdict.comparisons or ():
+        ends = (
+            "-" if end is None else figure(end, one.unit) for end in (one.found.old, one.found.new)
+        )
+        state = f"**{one.state}**" if one.state in {"worse", "cannot tell"} else one.state
+        yield (one.group, one.quantity, *ends, difference(one.found), state)
+
+
+def _blamed(verdict: Verdict) -> list[str]:
+    return [
+        f"- `{row.run_id}`: {'; '.join(found)}"
+        for row in verdict.results.rows.values()
+        if (found := verdict.failures(row))
+    ]
+
+
+def _unfinished(rows: Iterable[Row]) -> list[str]:
+    return [
+        f"- `{row.run_id}`: {row.status}, {row.reason}" for row in rows if row.status in UNFINISHED
+    ]
+
+
+def write_junit(path: Path, verdict: Verdict) -> None:
+    """Write the file. Raises OutputError."""
+    suites = [("thresholds", [_threshold(one) for one in verdict.judgements])]
+    if verdict.comparisons is not None:
+        judged = [one for one in verdict.comparisons if one.state != "not judged"]
+        suites.append(("baseline", [_comparison(one) for one in judged]))
+    by_spec: dict[str, list[TestCase]] = {}
+    tolerated = _tolerated(verdict)
+    for row in verdict.results.rows.values():
+        by_spec.setdefault(row.spec, []).append(_run(row, verdict, tolerated=tolerated))
+    with files.writing(path):
+        write_suites(path, [*suites, *by_spec.items()])
+
+
+def _threshold(one: Judgement) -> TestCase:
+    text, marks = sentence(one), []
+    if one.state == "no value":
+        marks = [Mark("skipped", text)]
+    elif one.state != "held":
+        marks = [Mark("error" if one.state == "unfit" else "failure", text)]
+    return TestCase(classname=one.group, name=one.limit, marks=marks)
+
+
+def _comparison(one: Comparison) -> TestCase:
+    marks = []
+    if one.state == "worse":
+        marks = [Mark("failure", regression(one))]
+    elif one.state == "cannot tell":
+        marks = [Mark("error", undecided_sentence(one))]
+    return TestCase(classname=f"baseline: {one.group}", name=one.quantity, marks=marks)
+
+
+def _run(row: Row, verdict: Verdict, *, tolerated: bool) -> TestCase:
+    failures = verdict.failures(row)
+    # in one element: most servers show the first alone
+    marks = [Mark("failure", "; ".join(failures))] if failures else []
+    if row.status in UNFINISHED and not tolerated:
+        marks.append(Mark("error", f"{row.status}: {row.reason}"))
+    elif row.status in UNFINISHED:
+        allowed = f"allowed by max_failed_runs: {row.status}: {row.reason}"
+        marks.append(Mark("skipped", allowed))
+    elif not (row.judged or failures):
+        marks.append(Mark("skipped", row.reason))
+    values = ", ".join(f"{name} {value:g}" for name, value in row.values.items())
+    return TestCase(
+        classname=_classname(row),
+        name=f"{row.scene} seed {row.seed}",
+        seconds=row.wall_s,
+        marks=marks,
+        output=f"{values or '-'}; files: {verdict.results.source}/runs/{row.run_id}",
+    )
+
+
+def _tolerated(verdict: Verdict) -> bool:
+    """Whether no more runs failed than are allowed."""
+    return not any(
+        one.limit == "max_failed_runs" and one.state == "unfit" for one in verdict.judgements
+    )
+
+
+def _classname(row: Row) -> str:
+    """What tells equal scenes and seeds apart: spec, method and planner, each named once."""
+    return " / ".join(dict.fromkeys(part for part in (row.spec, row.method, row.planner) if part))

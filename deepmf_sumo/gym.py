@@ -1,0 +1,275 @@
+"""A Gymnasium environment: whoever steps it drives the AV, and is attacked as a spec says.
+
+::
+
+    env = AttackEnv("scenarios/left_turn_across_path.yaml")
+    observation, info = env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step(action)
+
+Needs the extra `gym`. SUMO is one simulation a process: for several environments at once take
+``gymnasium.vector.AsyncVectorEnv``, which has a process each.
+"""
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepmf_sumo import spec as specs
+from deepmf_sumo import tasks
+from deepmf_sumo.datatypes import Attack, Case, Command, Floats, Rollout, View
+from deepmf_sumo.datatypes.scene import HISTORY_STEPS
+from deepmf_sumo.errors import PluginError, UsageError
+from deepmf_sumo.files import cache_folder
+from deepmf_sumo.geometry import frames, polylines
+from deepmf_sumo.planners.remote.serve import Ended, Turns
+from deepmf_sumo.spec import Spec
+from deepmf_sumo.sweep import episode
+
+Array = NDArray[np.float32]
+
+PATH_POINTS: Final = 20
+PATH_SPACING_M: Final = 5.0
+
+
+class Observer:
+    """Arrays of a view.
+
+    ``av``: (3) speed, length, width. ``agents``: (N, 8) the nearest first: 1, x, y, heading, vx,
+    vy, length, width; rows of zeros where there are fewer. ``path``: (20, 3) every 5 m ahead along
+    the AV's way: 1, x, y; rows of zeros beyond its end. Metres, m/s, radians; x ahead, y left.
+
+    Args:
+        agents: N.
+    """
+
+    def __init__(self, agents: int) -> None:
+        self.shapes = {"av": (3,), "agents": (agents, 8), "path": (PATH_POINTS, 3)}
+
+    def observe(self, view: View) -> dict[str, Array]:
+        """float32 arrays of `shapes`."""
+        tracks = view.history
+        me = tracks.row(view.av_id)
+        origin, heading = tracks.position_m[me, -1], float(tracks.heading_rad[me, -1])
+        length, width = tracks.size_m[me, :2]
+        found = {
+            "av": np.array([tracks.speed_mps[me, -1], length, width]),
+            "agents": self._agents(view, me, origin, heading),
+            "path": _path(view, origin, heading),
+        }
+        return {
+            name: _filled(np.asarray(found[name]), shape) for name, shape in self.shapes.items()
+        }
+
+    def last_view(self, rollout: Rollout, case: Case) -> View:
+        """The AV's last step, which no planner is asked about: without a path."""
+        tracks = rollout.tracks
+        step = int(np.flatnonzero(tracks.valid[tracks.row(rollout.av_id)])[-1])
+        shown = tracks.window(max(0, step + 1 - HISTORY_STEPS), step + 1)
+        return View(
+            step=step,
+            dt_s=rollout.dt_s,
+            av_id=rollout.av_id,
+            history=shown.select(np.flatnonzero(shown.valid[:, -1]).tolist()),
+            road=case.road,
+            signals=rollout.signals[-1],
+            steps_left=rollout.now + case.duration_steps - step,
+        )
+
+    def _agents(self, view: View, me: int, origin: Floats, heading: float) -> Floats:
+        tracks = view.history
+        local = frames.to_local(tracks.position_m[:, -1], origin, heading)
+        velocity = frames.to_local(tracks.velocity_mps[:, -1], np.zeros(2), heading)
+        turned = frames.wrap(tracks.heading_rad[:, -1] - heading)
+        table = np.column_stack(
+            [np.ones(len(local)), local, turned, velocity, tracks.size_m[:, :2]]
+        )
+        away = np.hypot(*local.T)
+        away[me] = np.inf
+        nearest: Floats = table[np.argsort(away, kind="stable")[:-1]]
+        return nearest
+
+
+def _path(view: View, origin: Floats, heading: float) -> Floats:
+    """(K, 3) points along the AV's way; none where it is on no lane."""
+    if view.av_path_m is None or polylines.arc_lengths(view.av_path_m)[-1] < PATH_SPACING_M:
+        return np.zeros((0, 3))
+    length = polylines.arc_lengths(view.av_path_m)[-1]
+    count = min(PATH_POINTS, int(length / PATH_SPACING_M))
+    along = PATH_SPACING_M * np.arange(1.0, count + 1.0)
+    points, _ = polylines.points_at(view.av_path_m, along)
+    return np.column_stack([np.ones(len(along)), frames.to_local(points, origin, heading)])
+
+
+def _filled(table: Floats, shape: tuple[int, ...]) -> Array:
+    """float32 of the shape: cut, or with zeros after it."""
+    array = np.zeros(shape, np.float32)
+    kept = table[: shape[0]]
+    array[: len(kept)] = kept
+    return array
+
+
+try:
+    _gymnasium: Any = importlib.import_module("gymnasium")
+except ImportError:
+    raise PluginError(
+        "The environment needs Gymnasium, which is not installed; install deepmf-sumo[gym]."
+    ) from None
+_Env: Any = _gymnasium.Env
+
+BRAKE_MPS2: Final = -8.0
+ACCEL_MPS2: Final = 4.0
+
+_one_simulation = Lock()
+
+
+class AttackEnv(_Env):  # type: ignore[misc]
+    """Episodes of a spec, one after another over its scenes.
+
+    The action is an acceleration along the route, (1) in m/s2 within [-8, 4], or a
+    `datatypes.Command`: any that a planner may give. The spec's planner does not drive; its
+    parameters are those of SUMO's model where a command leaves the AV to it.
+
+    The observation is in the AV's frame, see `gym.Observer`. ``info`` holds ``run_id`` and
+    ``step``, at the end also ``outcome`` and ``ended`` as in ``result.json``.
+
+    The reward is 0, and -1 at the end of an episode in which the AV touched anybody: wrap the
+    environment for another. Terminated: contact, or the AV arrived; truncated: the time is over.
+
+    Args:
+        spec: a spec, or its file.
+        agents: so many of the nearest are observed.
+
+    Attributes:
+        view: all that a planner sees now. case: what is simulated.
+        attack: what happened in the last episode that ended, who drove the AV at each step
+            included.
+
+    Raises SpecError for a spec that is wrong, UsageError for one whose adversary simulates an
+    attack several times, or when a second environment of the process begins an episode.
+    """
+
+    metadata: Final[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(self, spec: Spec | Path | str, *, agents: int = 16) -> None:
+        self._spec = spec if isinstance(spec, Spec) else specs.load(Path(spec))
+        self._tasks = tasks.plan([self._spec], cache_folder())
+        self._observer = Observer(agents)
+        self._next = 0
+        self._seeded = False
+        self._turns: Turns | None = None
+        self._run_id = ""
+        self.case: Case | None = None
+        self.view: View | None = None
+        self.attack: Attack | None = None
+        spaces = _gymnasium.spaces
+        self.action_space = spaces.Box(BRAKE_MPS2, ACCEL_MPS2, (1,), np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                name: spaces.Box(-np.inf, np.inf, shape, np.float32)
+                for name, shape in self._observer.shapes.items()
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Begin the next scene, or ``options={"scene": id}``.
+
+        ``seed`` is the run's; without one the spec's at first, then one drawn after another.
+        """
+        self.close()
+        if seed is None and not self._seeded:
+            seed = self._spec.seed
+        super().reset(seed=seed)
+        self._seeded = True
+        number = int(self.np_random.integers(2**31)) if seed is None else seed
+        task = self._task((options or {}).get("scene"))
+        task = replace(task, spec=task.spec.model_copy(update={"seed": number}))
+        self._run_id = task.run_id
+        self.case = episode.make_case(task, cache_folder())
+        self.view = self._begin(task, self.case)
+        return self._observer.observe(self.view), self._info(self.view)
+
+    def step(
+        self, action: Floats | Command
+    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        """Drive the AV for 0.1 s."""
+        if self._turns is None or self.view is None or self.case is None:
+            raise UsageError("The episode has ended, or none has begun: call reset first.")
+        command = action if isinstance(action, Command) else _accelerated(self.view, action)
+        try:
+            came = self._turns.next(command)
+        except BaseException:  # of the simulation, or an interrupt while it goes on
+            self.close()
+            raise
+        if isinstance(came, View):
+            self.view = came
+            return self._observer.observe(came), 0.0, False, False, self._info(came)
+        self._release()
+        self.attack = came.result
+        return self._last_step(came.result.rollout, self.case)
+
+    def close(self) -> None:
+        """End the episode, if one goes on, and SUMO with it."""
+        if self._turns is not None:
+            self._turns.leave()
+            self._release()
+
+    def _begin(self, task: tasks.Task, case: Case) -> View:
+        model = episode.planner_of(task).model
+        if not _one_simulation.acquire(blocking=False):
+            raise UsageError(
+                "SUMO is one simulation a process, and another environment is in an episode; close"
+                " that, or use gymnasium.vector.AsyncVectorEnv."
+            )
+        self._turns = Turns(lambda me: episode.attack_case(task, case, planner=me), model)
+        try:
+            came = self._turns.next()
+        except BaseException:
+            self.close()
+            raise
+        if isinstance(came, Ended):
+            self.close()
+            raise UsageError(f"Run '{task.run_id}' ended before its first step.")
+        return came
+
+    def _release(self) -> None:
+        self._turns = None
+        _one_simulation.release()
+
+    def _task(self, scene: str | None) -> tasks.Task:
+        if scene is None:
+            task = self._tasks[self._next % len(self._tasks)]
+            self._next += 1
+            return task
+        for task in self._tasks:
+            if task.scene == scene:
+                return task
+        known = ", ".join(task.scene for task in self._tasks[:8])
+        raise UsageError(f"The spec has no scene '{scene}'; e.g. {known}.")
+
+    def _last_step(
+        self, rollout: Rollout, case: Case
+    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        self.view = self._observer.last_view(rollout, case)
+        touched = any(contact.kind.startswith("av_") for contact in rollout.contacts)
+        late = rollout.ended == "time"
+        info = {**self._info(self.view), "outcome": rollout.outcome, "ended": rollout.ended}
+        reward = -1.0 if touched else 0.0
+        return self._observer.observe(self.view), reward, not late, late, info
+
+    def _info(self, view: View) -> dict[str, Any]:
+        return {"run_id": self._run_id, "step": view.step}
+
+
+def _accelerated(view: View, action: Floats) -> Command:
+    """The speed after a step at an acceleration."""
+    row = view.history.row(view.av_id)
+    speed = float(view.history.speed_mps[row, -1])
+    accel = float(np.clip(np.asarray(action, float).reshape(1)[0], BRAKE_MPS2, ACCEL_MPS2))
+    return Command(kind="speed", speed_mps=max(0.0, speed + accel * view.dt_s))

@@ -1,0 +1,249 @@
+"""Where and when somebody is attacked, what was asked for, and what was found."""
+
+import difflib
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from deepmf_sumo.datatypes import DT_S, AgentId, Bools
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
+
+VehicleTime = tuple[AgentId, float]
+"""A vehicle at a time of the simulation, in seconds to a tenth."""
+
+Preference = Literal["spread", "encounters"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wish:
+    """What the moments shall be like.
+
+    Attributes:
+        count: how many, at most.
+        av, av_type: only this vehicle, only vehicles of this type.
+        at_s: only these moments of the simulation's time; empty leaves them open.
+        again: only these vehicles at these times; empty leaves them open.
+        duration_s: of each attack.
+        seed: of the choice.
+        prefer: ``encounters`` chooses first who meets somebody at a junction without any attack.
+    """
+
+    count: int
+    av: AgentId | None = None
+    av_type: str | None = None
+    at_s: tuple[float, ...] = ()
+    again: tuple[VehicleTime, ...] = ()
+    duration_s: float = 8.0
+    seed: int = 0
+    prefer: Preference = "spread"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """A vehicle that can be attacked at a time.
+
+    Attributes:
+        edge: where it is, or, inside a junction, where it comes from.
+        following: the next edge on its route; empty at its end.
+        turn: what it does at the next junction, where it gets that far in the time of an attack:
+            straight, left, right, turnaround; else ``along``.
+        around: vehicles within reach of it.
+        encounter_s: what time is between it and another vehicle on a way that meets its own, at a
+            junction that it passes in the time of an attack, if nobody attacks: 0 where both are in
+            the junction at once; None where there is no such vehicle.
+        meets: that vehicle, if it is there and within 80 m when the attack begins.
+        street: name of the edge in the network; empty where it has none.
+    """
+
+    av: AgentId
+    av_type: str
+    start_s: float
+    edge: str
+    following: str
+    turn: str
+    speed_mps: float
+    around: int
+    encounter_s: float | None = None
+    meets: AgentId | None = None
+    street: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Moments in the order of time, and where they come from.
+
+    Attributes:
+        suitable: sightings, a second apart, that the moments were drawn from.
+        vehicles: in the traffic. begin_s, until_s: what was looked at.
+        complete: nothing comes after it.
+        reason: why there are fewer moments than asked for; empty if there are as many.
+    """
+
+    moments: tuple[Moment, ...]
+    suitable: int
+    vehicles: int
+    begin_s: float
+    until_s: float
+    complete: bool
+    reason: str = ""
+
+
+REACH_M: Final = 50.0
+"""Between box centres; who is farther away seldom gets there in the time of an attack."""
+SEEN_S: Final = 1.0
+"""What views show of the past."""
+STAYS_S: Final = 3.0
+_MOVES_M: Final = 3.0
+_ROUNDING_S: Final = 0.05
+
+_AV_CLASSES: Final = {
+    *("passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "evehicle"),
+    *("bus", "coach", "delivery", "truck", "trailer", "custom1", "custom2", "ignoring"),
+}
+_NOT_ON_ROADS: Final = {
+    *("bicycle", "pedestrian", "wheelchair", "scooter", "tram", "rail", "rail_urban", "rail_fast"),
+    *("rail_electric", "subway", "cable_car", "ship", "container", "aircraft", "drone"),
+}
+"""Of SUMO's vehicle classes those that are never an opponent."""
+
+
+def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
+    """Rows that can be a moment, but for who is around; and why there is none, if so.
+
+    Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
+    """
+    if not sightings.bodies:
+        return np.zeros(0, np.int64), _no_vehicles(sightings)
+    _check(sightings, wish)
+    kept = np.ones(len(sightings.time_s), bool)
+    for mask, reason in _conditions(sightings, wish):
+        kept &= mask
+        if not kept.any():
+            return np.zeros(0, np.int64), reason
+    return np.flatnonzero(kept), ""
+
+
+def opponents(sightings: Sightings) -> Bools:
+    """(K) who can attack: vehicles on roads that are not parked."""
+    others = np.array([body.permission not in _NOT_ON_ROADS for body in sightings.bodies], bool)
+    able: Bools = others[sightings.vehicle] & ~sightings.parked
+    return able
+
+
+def around(sightings: Sightings, able: Bools, row: int, reach_m: float = REACH_M) -> int:
+    """How many of the able are within reach of the vehicle of a row, at that moment."""
+    time_s = sightings.time_s
+    begin, end = np.searchsorted(time_s, time_s[row]), np.searchsorted(time_s, time_s[row], "right")
+    away = np.hypot(*(sightings.position_m[begin:end] - sightings.position_m[row]).T)
+    near = (away < reach_m) & able[begin:end]
+    near[row - begin] = False
+    return int(near.sum())
+
+
+def _no_vehicles(sightings: Sightings) -> str:
+    span = f"{sightings.begin_s:g} to {sightings.until_s:g} s"
+    if sightings.waiting:
+        return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
+    others = ", only persons" if sightings.persons else ""
+    later = "" if sightings.complete else "; --until S looks further"
+    return f"there is no vehicle from {span}{others}{later}"
+
+
+def _conditions(sightings: Sightings, wish: Wish) -> list[tuple[Bools, str]]:
+    """What a moment has to fulfil, one after the other, and what is said if none does."""
+    bodies, time_s, vehicle = sightings.bodies, sightings.time_s, sightings.vehicle
+    asked = np.array([_is_asked(body, wish) for body in bodies], bool)[vehicle]
+    on_road = np.array([body.permission in _AV_CLASSES for body in bodies], bool)[vehicle]
+    departed = np.array([body.departed_s for body in bodies])[vehicle]
+    stays = min(STAYS_S, wish.duration_s)
+    last = np.zeros(len(bodies))
+    np.maximum.at(last, vehicle, time_s)
+    remains = (last[vehicle] >= time_s + stays) | (last[vehicle] > sightings.until_s - EVERY_S / 2)
+    at = np.ones(len(time_s), bool)
+    if wish.at_s:
+        moments = np.array(wish.at_s)
+        at = (np.abs(time_s[:, None] - moments) < _ROUNDING_S).any(axis=1)
+    who = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
+    classes = ", ".join(sorted({body.permission for body in bodies if _is_asked(body, wish)}))
+    return [
+        (asked, "nobody is asked for"),
+        (on_road, f"no car, truck or bus is among the vehicles (their classes: {classes})"),
+        (at, f"{who} is there{_when(sightings, wish)}, not at {_times(wish)}"),
+        (
+            (time_s >= departed + SEEN_S - _ROUNDING_S)
+            & (time_s >= sightings.begin_s + SEEN_S - _ROUNDING_S),
+            f"{who} must have been there for {SEEN_S:g} s, and none has",
+        ),
+        (remains, f"{who} must stay for {stays:g} s, and none does"),
+        (~sightings.parked, f"{who} must not be parked, and all are"),
+        (_moves(sightings, max(STAYS_S, wish.duration_s)), f"{who} must move, and none does"),
+    ]
+
+
+def _moves(sightings: Sightings, duration_s: float) -> Bools:
+    """(K) who is under way within so many seconds."""
+    order = np.lexsort((sightings.time_s, sightings.vehicle))
+    vehicle, time_s = sightings.vehicle[order], sightings.time_s[order]
+    key = vehicle * (2.0 * sightings.until_s + duration_s + 1.0) + time_s
+    later = np.searchsorted(key, key + duration_s, "right") - 1
+    position = sightings.position_m[order]
+    moves = np.zeros(len(order), bool)
+    moves[order] = np.hypot(*(position[later] - position).T) > _MOVES_M
+    return moves
+
+
+def _is_asked(body: Body, wish: Wish) -> bool:
+    return (wish.av is None or body.id == wish.av) and (
+        wish.av_type is None or body.type == wish.av_type
+    )
+
+
+def check_times(wish: Wish, begin_s: float, until_s: float, later: str = "") -> None:
+    """Raise UsageError for times of the wish that are between steps, or outside the traffic."""
+    for between in (one for one in wish.at_s if abs(one - round(one, 1)) > 1e-6):
+        raise UsageError(
+            f"--at {between:.10g}: the simulation goes in steps of {DT_S:g} s; give a multiple."
+        )
+    for late in (one for one in wish.at_s if one > until_s + _ROUNDING_S):
+        raise UsageError(
+            f"--at {late:g}: there is traffic from {begin_s:g} to {until_s:g} s only{later}."
+        )
+    for early in (one for one in wish.at_s if one < begin_s + SEEN_S - _ROUNDING_S):
+        raise UsageError(
+            f"--at {early:g}: the simulation begins at {begin_s:g} s, and a vehicle must have been"
+            f" there for {SEEN_S:g} s."
+        )
+
+
+def _check(sightings: Sightings, wish: Wish) -> None:
+    """Names and times that are not there are the user's mistakes."""
+    span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
+    later = "" if sightings.complete else " (--until S looks further)"
+    check_times(wish, sightings.begin_s, sightings.until_s, later)
+    names = {
+        "--av": (wish.av, "vehicle", sorted(body.id for body in sightings.bodies)),
+        "--av-type": (wish.av_type, "type", sorted({body.type for body in sightings.bodies})),
+    }
+    for option, (name, kind, known) in names.items():
+        if name is not None and name not in known:
+            nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[:3]
+            raise UsageError(
+                f"{option} {name}: no such {kind} is on the road {span}{later}; there are"
+                f" {', '.join(nearest)}{', ...' if len(known) > len(nearest) else ''}."
+            )
+
+
+def _typed(wish: Wish) -> str:
+    return f" of type '{wish.av_type}'" if wish.av_type else ""
+
+
+def _when(sightings: Sightings, wish: Wish) -> str:
+    rows = [row for row, body in enumerate(sightings.bodies) if _is_asked(body, wish)]
+    there = sightings.time_s[np.isin(sightings.vehicle, rows)]
+    return f" from {there.min():g} to {there.max():g} s" if len(there) else ""
+
+
+def _times(wish: Wish) -> str:
+    return " or ".join(f"{one:g} s" for one in wish.at_s)

@@ -1,0 +1,298 @@
+"""Looks for moments in a process of its own: SUMO may crash, and libsumo runs once a process."""
+
+import csv
+import io
+import json
+import math
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Final
+from zlib import crc32
+
+from deepmf_sumo import files, tables
+from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
+from deepmf_sumo.moments.choice import LONG_S, choose, turns_of
+from deepmf_sumo.moments.encounters import encounters
+from deepmf_sumo.moments.moment import Found, Moment, VehicleTime, Wish, check_times
+from deepmf_sumo.network.sumo_net import NetFile, read_once
+from deepmf_sumo.results import stored
+from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.stored import MOMENTS
+from deepmf_sumo.simulation import demand
+from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
+from deepmf_sumo.simulation.traffic_survey import EVERY_S, Scouting, scout
+from deepmf_sumo.spec import Av, Plugin, Spec, of_document, takes_turns
+from deepmf_sumo.spec.document import Document
+from deepmf_sumo.sweep import batch, workers
+from deepmf_sumo.tasks import Task, moment_name, run_id_of, slug
+from deepmf_sumo.texts import of_cell
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    scouting: Scouting
+    wish: Wish
+    answer: Path
+
+
+def find(scouting: Scouting, wish: Wish, timeout_s: float | None = None) -> Found:
+    """Simulate the configuration once, and choose moments of it.
+
+    Where the wish names times, nothing later than attacks at them is looked at, unless
+    ``scouting`` says so.
+
+    Raises SimulationError, with SUMO's own words, where it cannot be run, and UsageError where the
+    wish names a vehicle, a type or a time that is not in the traffic.
+    """
+    times = wish.at_s or tuple(time_s for _, time_s in wish.again)
+    scouting = replace(scouting, at_s=times)
+    if times and scouting.until_s is None:
+        scouting = replace(scouting, until_s=max(times) + wish.duration_s + EVERY_S)
+    with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
+        search = _Search(scouting=scouting, wish=wish, answer=Path(folder) / "found.json")
+        (ending,) = workers.run(_search, [search], jobs=1, timeout_s=timeout_s)
+        if ending.status != "done":
+            raise SimulationError(f"SUMO cannot run '{scouting.config}': {ending.reason}.")
+        answer = json.loads(search.answer.read_text("utf-8"))
+    if "error" in answer:
+        raise (UsageError if answer["usage"] else SimulationError)(answer["error"])
+    return _found(answer)
+
+
+def _search(search: _Search) -> None:
+    """The worker's part."""
+    silence = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):  # what SUMO prints is in its errors, too
+        os.dup2(silence, stream)
+    scouting = search.scouting
+    try:
+        sightings = scout(scouting)
+        net = read_once(read_configuration(scouting.config, scouting.sumo_options).net)
+        met = encounters(sightings, net, search.wish.duration_s)
+        found = choose(sightings, turns_of(net), search.wish, met)
+        answer: dict[str, Any] = asdict(_named(found, net))
+    except DeepmfError as error:
+        answer = {"error": str(error), "usage": isinstance(error, UsageError)}
+    files.write_json(search.answer, answer)
+
+
+def _named(found: Found, net: NetFile) -> Found:
+    """With the names of the streets."""
+    names = {one.edge: net.edges[one.edge].name for one in found.moments if one.edge in net.edges}
+    moments = (replace(one, street=names.get(one.edge, "")) for one in found.moments)
+    return replace(found, moments=tuple(moments))
+
+
+def _found(answer: dict[str, Any]) -> Found:
+    moments = tuple(Moment(**one) for one in answer.pop("moments"))
+    return Found(moments=moments, **answer)
+
+
+_LARGEST: Final = 2**26
+
+
+def names_of(configs: Sequence[Path]) -> list[str]:
+    """What the runs of each configuration are called after: no two alike, even as file names.
+
+    That is the file's name; where several have it, the folders that tell them apart. Raises
+    UsageError where a configuration is given twice.
+    """
+    places = [config.resolve() for config in configs]
+    for place, times in Counter(places).items():
+        if times > 1:
+            raise UsageError(f"{place} is given {times} times; give each configuration once.")
+    names = [config.stem for config in configs]
+    for depth in range(1, max((len(place.parts) for place in places), default=0)):
+        taken = Counter(map(slug, names))
+        if max(taken.values()) == 1:
+            return names
+        names = [
+            name if taken[slug(name)] == 1 else _by_folder(place, depth)
+            for name, place in zip(names, places, strict=True)
+        ]
+    return [" ".join(place.parts[1:]) for place in places]  # e.g. a.cfg and a.sumocfg in one folder
+
+
+def _by_folder(place: Path, depth: int) -> str:
+    return " ".join(place.parts[1:-1][-depth:]) or place.name
+
+
+def check(configuration: Configuration, wish: Wish) -> None:
+    """Raise UsageError for a vehicle, type or time that cannot be in a configuration's traffic.
+
+    What only the simulation shows is left to it.
+    """
+    end_s = configuration.end_s
+    check_times(wish, configuration.begin_s, math.inf if end_s is None else end_s)
+    if wish.av is None and wish.av_type is None:
+        return
+    known = demand.read(configuration)
+    if known is None:
+        return
+    place = f"in the demand of {configuration.file}"
+    if wish.av is not None and not known.has_vehicle(wish.av):
+        there = ", ".join(known.like_vehicle(wish.av)) or "none"
+        raise UsageError(f"--av {wish.av}: no such vehicle is {place}; there are {there}.")
+    if wish.av_type is not None and not known.has_type(wish.av_type):
+        there = ", ".join(known.like_type(wish.av_type)) or "none"
+        raise UsageError(f"--av-type {wish.av_type}: no such type is {place}; there are {there}.")
+
+
+def read(path: Path) -> tuple[VehicleTime, ...]:
+    """Vehicles and times of a result folder of `attack`, or of its moments.csv; each once.
+
+    Raises UsageError where there is no such table, or it holds none.
+    """
+    file = path / MOMENTS if path.is_dir() else path
+    try:
+        table = io.StringIO(files.text(file, _LARGEST), newline="")
+        found = tuple(dict.fromkeys(_rows(csv.DictReader(table))))
+    except OSError as error:
+        raise UsageError(
+            f"--moments-of {path}: {file} cannot be read ({files.reason(error)}); give a result"
+            " folder of `deepmf-sumo attack`."
+        ) from None
+    except (KeyError, TypeError, ValueError, csv.Error):
+        raise UsageError(
+            f"--moments-of {path}: {file} is no table of moments (columns av and start_s)."
+        ) from None
+    if not found:
+        raise UsageError(f"--moments-of {path}: {file} holds no moments.")
+    return found
+
+
+def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
+    for row in table:
+        start_s = float(row["start_s"])
+        if not math.isfinite(start_s):
+            raise ValueError(f"start_s {start_s}")
+        yield of_cell(row["av"]), round(start_s, 1)
+
+
+MET: Final = "met"
+"""The adversary's ``opponent`` that is whoever the AV is about to meet."""
+
+
+def base_spec(
+    config: Path,
+    options: dict[str, Any],
+    sets: Sequence[str],
+    sumo_options: Sequence[str],
+    name: str = "",
+) -> Spec:
+    """What all runs have in common; its AV and start are to be replaced.
+
+    Args:
+        config: the .sumocfg.
+        options: keys of a spec and their values, as of the command line's options.
+        sets: ``key=value`` over them.
+        sumo_options: beside the configuration.
+        name: what the runs are called after; the configuration's name where it is empty.
+
+    In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
+    adversary looks for one attack, or is told whom to attack. Raises SpecError as `spec.load`,
+    WeightsError where weights are named that are not there.
+    """
+    source = {
+        "network": str(config.absolute()),
+        "av": {"vehicle": "chosen"},
+        "sumo_options": list(sumo_options),
+    }
+    values = {"version": 1, "name": name or config.stem, "source": source, **options}
+    places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in options}
+    document = Document(file=Path("deepmf-sumo attack"), values=values, places=places)
+    for assignment in sets:
+        key = assignment.partition("=")[0].strip().partition(".")[0]
+        if key == "source":
+            raise UsageError(f"--set {assignment}: the source is chosen by the other options.")
+        document.assign(assignment)
+        places.setdefault((key,), f"--set {assignment}")
+    spec = of_document(document)
+    if "weights" in document.values:
+        from deepmf_sumo.predictors import weights  # brings torch along
+
+        weights.find(spec.weights)
+    if spec.duration_s > LONG_S and "opponents" not in document.values and takes_turns(spec):
+        return spec.model_copy(update={"opponents": "in_turn"})
+    return spec
+
+
+def attack(
+    chosen: Sequence[tuple[Spec, Sequence[Moment]]],
+    options: batch.Options,
+    report: Callable[[batch.Progress], None],
+) -> list[Result]:
+    """Attack each moment, and write the result folder; ``moments.csv`` says where they are.
+
+    Args:
+        chosen: of each configuration what its runs have in common, and its moments.
+        options: of the batch.
+        report: is told of each run that is over.
+
+    The configurations have names of their own, see `names_of`. Raises OutputError before anything
+    runs.
+    """
+    tasks = [task for spec, moments in chosen for task in _tasks(spec, moments)]
+    moments = [moment for _, found in chosen for moment in found]
+
+    def tell(progress: batch.Progress) -> None:
+        if progress.last is None:  # the folder is there by now, and empty
+            files.write(options.out / stored.MOMENTS, _table(tasks, moments))
+        report(progress)
+
+    return batch.run_tasks(tasks, options, tell)
+
+
+def _tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:
+    """One a moment, in order, with ids of their own.
+
+    SUMO tells ``A1``, ``a1`` and ``a.1`` apart, but names of files do not: there a checksum does.
+    """
+    tasks = [_task(spec, one) for one in moments]
+    times = Counter(task.run_id for task in tasks)
+    return [
+        task
+        if times[task.run_id] == 1
+        else replace(task, run_id=run_id_of(spec, _marked(task.scene)))
+        for task in tasks
+    ]
+
+
+def _marked(scene: str) -> str:
+    return f"{scene}-{crc32(scene.encode()):08x}"
+
+
+def _task(spec: Spec, moment: Moment) -> Task:
+    chosen = {"start_s": moment.start_s, "av": Av(vehicle=moment.av)}
+    source = spec.source.model_copy(update=chosen)
+    own = spec.model_copy(update={"source": source, "adversary": _against(spec, moment)})
+    scene = moment_name(moment.av, moment.start_s)
+    return Task(run_id=run_id_of(spec, scene), spec=own, scene=scene)
+
+
+def _against(spec: Spec, moment: Moment) -> Plugin:
+    """The adversary; ``opponent: met`` is whom the AV meets, else chosen as by default."""
+    adversary = spec.adversary
+    if not _of_met(spec):
+        return adversary
+    settings = {key: value for key, value in adversary.settings.items() if key != "opponent"}
+    if moment.meets is not None:
+        settings |= {"opponent": moment.meets}
+    return Plugin(name=adversary.name, **settings)
+
+
+def _of_met(spec: Spec) -> bool:
+    return spec.adversary.settings.get("opponent") == MET
+
+
+def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:
+    rows = [
+        {"run_id": task.run_id, **asdict(moment)}
+        for task, moment in zip(tasks, moments, strict=True)
+    ]
+    names = ["run_id", *(field.name for field in fields(Moment))]
+    return tables.to_csv(rows, names, cell=tables.exact)

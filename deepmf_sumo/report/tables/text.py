@@ -1,0 +1,181 @@
+"""What stands below the tables: definitions, units, bins and denominators."""
+
+import inspect
+from collections.abc import Sequence
+from typing import Final
+
+from deepmf_sumo import plugins
+from deepmf_sumo.metrics.statistics import BINS
+from deepmf_sumo.plans.layout import Layout
+from deepmf_sumo.plans.tables import STATUSES
+from deepmf_sumo.report.tables import layouts
+from deepmf_sumo.report.tables.layouts import Cell, Content, Row, Table
+from deepmf_sumo.results.quantities import COLUMNS, Quantity
+from deepmf_sumo.tables import to_markdown
+
+_RATES: Final = (
+    "Rates are of attacked runs: those that went through and had somebody to attack with. Intervals"
+    " of rates are Wilson's, of differences bootstrapped over scenes, both 95 %."
+)
+
+_FEW_SCENES: Final = 10
+"""Fewer scenes than that say too little of others to be drawn from."""
+
+_POOLED: Final = (
+    "pooled_kl, pooled_jsd [nat], pooled_wasserstein [m/s2]: smoothed accelerations of all runs at"
+    " once, attacks against recordings; Savitzky-Golay filter of 1.1 s on both,"
+    f" {BINS} bins of 0.1 m/s2 on [-10.05, 10.05], values outside in the end bins, 1e-10 added to"
+    " each count."
+)
+_DIVERSITY: Final = (
+    "diversity_m: mean distance of the opponents' trajectories at equal times, over all pairs of"
+    " runs, in the frame of the AV's first pose; diversity_within_scenes_m: of the attacks on one"
+    " scene (several seeds). sectors_hit: how many of the AV's eight sectors of 45 degrees were"
+    " hit; sectors_effective: exponential of their entropy. accidents.csv has all counts."
+)
+
+
+def notes_of(content: Content) -> list[str]:
+    """Sentences, one a line."""
+    layout = content.layout
+    seeds = ", ".join(map(str, layout.plan["seeds"]))
+    run_on = (
+        f"{len(layout.scenes)} scenes of {layout.plan['duration_s']:g} s, seeds {seeds}, weights"
+        f" {layout.plan['weights']}; deepmf-sumo {layout.version}."
+    )
+    lines = [
+        run_on,
+        _RATES,
+        *_cautions(layout),
+        *layouts.notes(layout),
+        *layouts.of(layout),
+        *_runs(content.main),
+        *(_definition(column, content.main) for column in COLUMNS),
+        _POOLED,
+        _DIVERSITY,
+        *_unmeasured(content.main),
+    ]
+    return [line for line in lines if line]
+
+
+def _cautions(layout: Layout) -> list[str]:
+    """Where the intervals promise more than they hold."""
+    lines = []
+    if len(layout.plan["seeds"]) > 1:
+        lines.append(
+            "Intervals of rates take all runs as independent: with several seeds a scene they are"
+            " too narrow; those of differences draw all seeds of a scene together."
+        )
+    if len(layout.scenes) < _FEW_SCENES:
+        lines.append(
+            f"Bootstrapped from {len(layout.scenes)} scenes, intervals of differences are too"
+            " narrow; of one scene there are none."
+        )
+    return lines
+
+
+def _runs(rows: Sequence[Row]) -> list[str]:
+    """Runs that are in no mean, by method and planner."""
+    lines = []
+    for row in rows:
+        parts = {name: int(row[name]) for name in (*STATUSES[1:], "nobody_to_attack", "unfinished")}
+        told = ", ".join(f"{count} {name}" for name, count in parts.items() if count)
+        if told:
+            name = f"{row['method']} on {row['planner']}"
+            told = told.replace("nobody_to_attack", "with nobody to attack")
+            lines.append(f"{name}: of {row['runs']} runs {told}.")
+    return lines
+
+
+def _definition(column: Quantity, rows: Sequence[Row]) -> str:
+    """Name, unit, what is averaged, the metric's own definition, and denominators."""
+    counts = [int(row[f"n_{column.name}"]) for row in rows]
+    if not any(counts):
+        return ""
+    of = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else str(counts[0])
+    unit = "" if column.unit == "1" else f" [{column.unit}]"
+    metric = f" of {column.metric}: {_metric(column.metric)}" if column.metric else ""
+    return f"{column.name}{unit}: {column.definition}{metric}. Runs a row: {of}."
+
+
+def _metric(name: str) -> str:
+    """The definition of a metric; of another package's, which may have none, its docstring."""
+    found = plugins.load("metrics", name)
+    text = getattr(found, "definition", None) or getattr(found, "DEFINITION", None)
+    return " ".join(str(text or inspect.getdoc(found) or "").split())
+
+
+def _unmeasured(rows: Sequence[Row]) -> list[str]:
+    empty = [
+        column.name for column in COLUMNS if not any(int(row[f"n_{column.name}"]) for row in rows)
+    ]
+    return [f"Not measured, or defined in no run: {', '.join(empty)}."] if empty else []
+
+
+_SPECIAL: Final = {
+    "\\": r"\textbackslash{}",
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"$<$",
+    ">": r"$>$",
+    "|": r"$|$",
+}
+
+
+def latex_document(tables: Sequence[Table], notes: Sequence[str]) -> str:
+    """One file with all tables, the notes below them."""
+    items = "\n".join(rf"\item {_escaped(note)}" for note in notes)
+    listed = f"\\begin{{itemize}}\n{items}\n\\end{{itemize}}"
+    return "\n\n".join([*(_table(table) for table in tables), listed]) + "\n"
+
+
+def _table(table: Table) -> str:
+    columns = "l" + "c" * (len(table.heads) - 1)
+    lines = [
+        r"\begin{table*}[ht]",
+        r"\centering",
+        rf"\caption{{{_escaped(table.title)}}}",
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\hline",
+        _line([_escaped(head) for head in table.heads]),
+    ]
+    for planner, rows in table.blocks:
+        lines += [
+            r"\hline",
+            rf"\multicolumn{{{len(table.heads)}}}{{l}}{{\textbf{{{_escaped(planner)}}}}} \\",
+            r"\hline",
+            *(_line([_escaped(method), *map(_cell, cells)]) for method, cells in rows),
+        ]
+    return "\n".join([*lines, r"\hline", r"\end{tabular}", r"\end{table*}"])
+
+
+def _cell(cell: Cell) -> str:
+    text = _escaped(cell.text)
+    return rf"\textbf{{{text}}}" if cell.best else text
+
+
+def _line(values: Sequence[str]) -> str:
+    return f"{' & '.join(values)} \\\\"
+
+
+def _escaped(text: str) -> str:
+    return "".join(_SPECIAL.get(character, character) for character in text)
+
+
+def markdown_document(title: str, tables: Sequence[Table], notes: Sequence[str]) -> str:
+    """One file with all tables, the notes below them."""
+    parts = [f"# {title}", *(_markdown_table(table) for table in tables), "## Notes"]
+    return "\n\n".join([*parts, "\n".join(f"- {note}" for note in notes)]) + "\n"
+
+
+def _markdown_table(table: Table) -> str:
+    rows: list[list[str]] = []
+    for planner, methods in table.blocks:
+        rows.append([f"**{planner}**", *[""] * (len(table.heads) - 1)])
+        rows += [[method, *map(_markdown_cell, cells)] for method, cells in methods]
+    return "\n".join([f"## {table.title}", "", *to_markdown(table.heads, rows)])
+
+
+def _markdown_cell(cell: Cell) -> str:
+    return f"**{cell.text}**" if cell.best else cell.text

@@ -1,0 +1,348 @@
+"""A result folder.
+
+One sweep a folder: an operating system's lock, which dies with its process.
+
+So a ``kill -9`` leaves no folder locked, and a second sweep into the same folder is refused.
+"""
+
+import os
+import platform
+import shutil
+import socket
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any, Final
+
+import deepmf_sumo
+from deepmf_sumo import files, tables
+from deepmf_sumo.errors import OutputError, UsageError
+from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.results import junit, result, stored
+from deepmf_sumo.results.result import Result
+from deepmf_sumo.tasks import Task
+
+try:
+    import fcntl
+except ImportError:  # Windows has other ones
+    fcntl = None  # type: ignore[assignment]
+
+FILE: Final = ".lock"
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """The folder, which exists, is this process's alone; not twice at a time.
+
+    Where the file system has no locks it is nobody's, see `known`.
+
+    Raises OutputError where another process has it, or the file cannot be written.
+    """
+    number = _locked(folder / FILE)
+    try:
+        yield
+    finally:
+        # removed while it is held: who has opened it meanwhile sees that it is not there any more
+        (folder / FILE).unlink(missing_ok=True)
+        os.close(number)
+
+
+def known(folder: Path) -> bool:
+    """Whether the file system of a folder has locks."""
+    probe = folder / f"{FILE}.{os.getpid()}"
+    number = os.open(probe, os.O_RDWR | os.O_CREAT)
+    try:
+        return _lock(number)
+    finally:
+        probe.unlink(missing_ok=True)
+        os.close(number)
+
+
+def _locked(file: Path) -> int:
+    """The open file, locked where that is possible."""
+    while True:
+        number = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            _lock(number)
+            if _is(file, number):
+                break
+        except BlockingIOError:
+            holder = os.read(number, 200).decode("utf-8", "replace").strip() or "another process"
+            os.close(number)
+            raise OutputError(
+                f"{file.parent} is being written by {holder}: wait until that has ended, or choose"
+                " another folder for --out."
+            ) from None
+        os.close(number)  # the one before removed it between our opening and locking it
+    os.ftruncate(number, 0)
+    os.write(number, f"process {os.getpid()} of {socket.gethostname()}\n".encode())
+    return number
+
+
+def _lock(number: int) -> bool:
+    """Lock an open file; False where there are no locks. Raises BlockingIOError if it is taken."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:  # e.g. ENOLCK of a network's file system
+        return False
+    return True
+
+
+def _is(file: Path, number: int) -> bool:
+    """Whether an open file is still the one of its name."""
+    try:
+        return os.path.samestat(file.stat(), os.fstat(number))
+    except FileNotFoundError:
+        return False
+
+
+FORMAT_VERSION: Final = 1
+MADE: Final = (
+    "runs", "runs.csv", "summary.json", "junit.xml", "report.html", "study.json", "table.csv",
+    "table.md", "table.tex", "differences.csv", "equal_seconds.csv", "curves.csv", "accidents.csv",
+    "figures", "moments.csv", "shard.json", "turns.csv", "risk",
+    "attacks.jsonl", "session.json",
+)  # fmt: skip
+"""What an earlier batch, benchmark or live session leaves in its folder, the manifest apart."""
+WAYS: Final = (
+    "--resume goes on with them, --overwrite deletes them, another folder for --out keeps them"
+)
+"""What to do about earlier results, for commands that have these options."""
+VIEWS: Final = ("risk", "report.html")
+"""What is made of all runs, only where it is asked for."""
+_NUMBERED: Final = {"accident_type", "avoidance_grade"}
+"""Metrics that number names: they are counted, for a mean of them says nothing."""
+_DIRECTIONS: Final = {"pdof"}
+"""A mean of directions on both sides of the seam is none of theirs."""
+_PACKAGES: Final = ("libsumo", "eclipse-sumo", "torch", "numpy", "pydantic", "shapely")
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A result folder that is being filled."""
+
+    out: Path
+
+    @property
+    def runs(self) -> Path:
+        """The folder of all runs."""
+        return self.out / "runs"
+
+    def earlier(self, task: Task) -> Result | None:
+        """The result of a run of this name that is already there, if it went through.
+
+        It is an equal run's where its ``key`` is the task's.
+        """
+        try:
+            found = self.read(task)
+        except UsageError:  # none, or damaged: it is done anew
+            return None
+        return found if found["status"] == "ok" else None
+
+    def read(self, task: Task) -> Result:
+        """The result that a worker has written."""
+        return self.read_run(task.run_id)
+
+    def read_run(self, run_id: str) -> Result:
+        """The result of a run that is there. Raises UsageError where it cannot be read."""
+        file = stored.run_folder(self.out, run_id, stored.RUNS) / "result.json"
+        return stored.result_of(file, whole=True)
+
+    def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
+        """Write the manifest of a batch; ``machine`` is what may differ between equal ones."""
+        self.manifest({task.run_id: task.key for task in tasks}, machine)
+
+    def manifest(self, keys: dict[str, str], machine: dict[str, Any]) -> None:
+        """Write the manifest of runs, given by id and `Task.key`."""
+        manifest = {
+            "format_version": FORMAT_VERSION,
+            "tool": "deepmf-sumo",
+            "version": deepmf_sumo.__version__,
+            "packages": {name: _installed(name) for name in _PACKAGES},
+            "runs": keys,
+            "machine": {
+                "command": sys.argv,
+                "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+                "python": platform.python_version(),
+                "platform": platform.platform(),
+                "cores": os.cpu_count(),
+                **machine,
+            },
+        }
+        files.write_json(self.out / stored.MANIFEST, manifest)
+
+    def forget_views(self) -> None:
+        """Take away the map and the page of earlier runs: they would stand beside other ones."""
+        for name in VIEWS:
+            remove(self.out / name)
+
+    def finish(self, results: Sequence[Result], *, junit_too: bool, interrupted: bool) -> None:
+        """Write the tables of all runs, in the order of the tasks."""
+        table = tables.to_csv(map(result.row, results), result.COLUMNS, cell=str)
+        files.write(self.out / stored.RUNS, table)
+        by_turn = result.table(results)
+        if by_turn is not None:
+            files.write(self.out / result.TABLE, by_turn)
+        files.write_json(self.out / "summary.json", summary(results, interrupted=interrupted))
+        if junit_too:
+            junit.write(self.out / "junit.xml", results)
+
+
+@contextmanager
+def opened(
+    out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS
+) -> Iterator[Store]:
+    """A result folder that no other process fills meanwhile.
+
+    It is empty. With ``resume`` earlier results stay; with ``overwrite`` they are deleted. ``ways``
+    says in the message what the user can do about earlier results.
+
+    Raises OutputError where the folder cannot be written, holds something else, is being filled by
+    another process, or holds results that neither option speaks of; then nothing in it is changed.
+    """
+    with ExitStack() as until_done:
+        with files.writing(out):
+            until_done.enter_context(_claimed(out, keep=resume or overwrite, ways=ways))
+            _emptied(out, resume=resume)
+        yield Store(out)
+
+
+def check(out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS) -> None:
+    """Raise what `opened` would raise, before any work is done; the folder is left as it is."""
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        with files.writing(out), _claimed(out, keep=resume or overwrite, ways=ways):
+            pass
+    finally:
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+@contextmanager
+def _claimed(out: Path, *, keep: bool, ways: str) -> Iterator[None]:
+    """The folder, which is made where it is missing, locked; ``keep``: it may hold results."""
+    out.mkdir(parents=True, exist_ok=True)
+    if not (_is_ours(out / stored.MANIFEST) or _is_empty(out)):
+        raise OutputError(f"{out} holds other files; choose an empty folder for --out.")
+    with held(out):
+        if not keep and holds_results(out):
+            raise OutputError(f"{out} holds the results of an earlier command: {ways}.")
+        yield
+
+
+def holds_results(out: Path) -> bool:
+    """Whether overwriting a folder of ours would lose anything: a run, or a table of runs."""
+    runs = out / "runs"
+    if runs.is_dir() and any(not run.name.startswith(".") for run in runs.iterdir()):
+        return True
+    try:
+        none_planned = not stored.keys_of(out)
+    except UsageError:
+        none_planned = False
+    return not none_planned and any((out / name).exists() for name in MADE if name != "runs")
+
+
+def _emptied(out: Path, *, resume: bool) -> None:
+    """Take earlier results away unless ``resume``, and see whether the folder can be written."""
+    if not resume:
+        for name in MADE:
+            remove(out / name)
+    (out / "runs").mkdir(exist_ok=True)
+    files.write(out / "runs" / ".writable", "")
+    (out / "runs" / ".writable").unlink()
+
+
+def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:
+    """Counts, the rate of hits with its 95 % interval, and metrics over all that went through.
+
+    The rate is of the attacked runs: with nobody to attack nothing was tried.
+    """
+    done = [one for one in results if one["status"] == "ok"]
+    attacked = sum(map(result.attacked, done))
+    hits = [one for one in done if one["outcome"] == "av_opponent"]
+    speeds = [one["relative_mps"] for one in map(result.first_contact, hits) if one]
+    rate = wilson(len(hits), attacked) if attacked else None
+    return {
+        "runs": len(results),
+        "attacked": attacked,
+        "hits": len(hits),
+        "interrupted": interrupted,
+        "out_of_time": sum(bool(one.get("search", {}).get("out_of_time")) for one in done),
+        "status": dict(Counter(one["status"] for one in results)),
+        "outcome": dict(Counter(one["outcome"] for one in done)),
+        "expectations_broken": {
+            one["run_id"]: one["expectations_broken"]
+            for one in results
+            if one["expectations_broken"]
+        },
+        "collision_rate": rate._asdict() if rate else None,
+        "contact_speed_mps_mean": fmean(speeds) if speeds else None,
+        "metrics": _over_runs(done),
+        "timings": {
+            name: median(values) if (values := _timings(done, name)) else None
+            for name in (*result.TIMINGS, "wall_s")
+        },
+    }
+
+
+def _over_runs(done: Sequence[Result]) -> dict[str, Any]:
+    names = sorted({name for one in done for name in one["metrics"]})
+    table = {}
+    for name in names:
+        found = [one["metrics"][name] for one in done if name in one["metrics"]]
+        values = [value["value"] for value in found if value["value"] is not None]
+        averaged = values if name not in _NUMBERED | _DIRECTIONS else []
+        table[name] = {
+            "unit": found[0]["unit"],
+            "better": found[0]["better"],
+            "runs": len(values),
+            "mean": fmean(averaged) if averaged else None,
+            "median": median(averaged) if averaged else None,
+        }
+        if name in _NUMBERED:
+            counts = Counter(f"{value:g}" for value in values)
+            table[name]["counts"] = dict(sorted(counts.items()))
+    return table
+
+
+def _timings(done: Sequence[Result], name: str) -> list[float]:
+    return [one["timings"][name] for one in done if one["timings"].get(name) is not None]
+
+
+def _is_empty(out: Path) -> bool:
+    """Whether a folder holds nothing, or only what a batch killed in its first moment leaves."""
+    left = {".manifest.json.part", "runs", ".writable", FILE}
+    return all(path.name in left for path in out.rglob("*"))
+
+
+def _is_ours(manifest: Path) -> bool:
+    try:
+        return bool(stored.mapping(manifest).get("tool") == "deepmf-sumo")
+    except UsageError:
+        return False
+
+
+def remove(path: Path) -> None:
+    """Take a file or a folder away, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,283 @@
+"""What is measured of each run: a number a quantity, or nothing; with its name, unit and heading.
+
+Tables of benchmarks, thresholds, comparisons and readable tables take their quantities from here. A
+rate is the mean of zeros and ones, so that means and paired differences treat all of them alike.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf
+from typing import Any, Final, Literal
+
+from deepmf_sumo.results.result import ContactValues, Result, attacked, first_contact
+
+Value = Callable[[Result], float | None]
+Better = Literal["lower", "higher", "neither"]
+
+OFFROAD_SHARE: Final = 0.05
+"""Of its driven steps; with more of them off the road an opponent counts as off-road."""
+
+TTC_CEILING_S: Final = 10.0
+"""`ttc_s` of an attacked run in which AV and opponent were never on a collision course."""
+
+_NEGLIGIBLE: Final = 0.05
+"""s, m and m/s: rounding on another machine moves all runs a little, and all in one direction."""
+
+_RATE: Final = 0.2
+"""Worsening of a rate that a comparison must rule out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """A number of each run.
+
+    Attributes:
+        unit: 1 for rates and counts.
+        better: for the attacker.
+        value: of a run of ``over``; None where it is not defined.
+        definition: what the mean of a table is. metric: whose definition this is made of; empty
+            where ``definition`` says all.
+        over: runs that can have a value: those that were ``attacked``, all that were ``done``, or
+            those that say something about the AV, see `judged`.
+        rate: of zeros and ones, with a Wilson interval. of_hits: it is defined for hits only.
+        paired: whether differences between methods are given.
+        rule_out: a worsening for the AV that must be ruled out where a comparison shall pass.
+        in_table: whether it is a column of ``table.csv``.
+        title: heading in readable tables, without unit. short: heading on the screen, with unit.
+            digits: after the decimal point, there; of rates in per cent.
+    """
+
+    name: str
+    unit: str
+    better: Better
+    value: Value
+    definition: str
+    metric: str = ""
+    over: Literal["attacked", "done", "judged"] = "attacked"
+    rate: bool = False
+    of_hits: bool = False
+    paired: bool = True
+    rule_out: float = inf
+    in_table: bool = True
+    title: str = ""
+    short: str = ""
+    digits: int = 2
+
+    @property
+    def worse(self) -> Literal["lower", "higher"]:
+        """The direction that is worse for the AV: what is better for the attacker, else higher."""
+        return "lower" if self.better == "lower" else "higher"
+
+    @property
+    def negligible(self) -> float:
+        """A difference that does not matter, however sure it is; in ``unit``."""
+        return 0.0 if self.rate else _NEGLIGIBLE
+
+    def of(self, result: Result) -> float | None:
+        """Value of a run; None where it can have none."""
+        return self.value(result) if counted(self, result) else None
+
+
+def counted(quantity: Quantity, result: Result) -> bool:
+    """Whether a run can have a value."""
+    if quantity.over == "judged":
+        return judged(result)
+    return bool(result["status"] == "ok") if quantity.over == "done" else attacked(result)
+
+
+def judged(result: Result) -> bool:
+    """Whether a run says something about the AV: it was attacked, or meant to go without attack."""
+    return attacked(result) or bool(result["status"] == "ok" and result["adversary"] == "none")
+
+
+def hit(result: Result) -> bool:
+    """Whether the opponent hit the AV."""
+    return bool(result["outcome"] == "av_opponent")
+
+
+def metric(result: Result, name: str) -> float | None:
+    """Value of a metric; None where it has none, or is not measured."""
+    found = result["metrics"].get(name)
+    return None if found is None else found["value"]
+
+
+def sector(result: Result) -> int | None:
+    """Where the opponent hit the AV, 0 (front) to 7, counter-clockwise; None if it did not."""
+    contact = first_contact(result) if hit(result) else None
+    return int(contact["sector"]) if contact else None
+
+
+def accident(result: Result) -> int | None:
+    """Number of the accident's name; None without a hit, or where it was not measured."""
+    number = metric(result, "accident_type")
+    return None if number is None else round(number)
+
+
+def _flag(name: str, test: Callable[[float], bool]) -> Value:
+    def value(result: Result) -> float | None:
+        found = metric(result, name)
+        return None if found is None else float(test(found))
+
+    return value
+
+
+def _valid(result: Result) -> float | None:
+    found = result["metrics"].get("valid_collision")
+    return None if found is None else float(found["value"] == 1)
+
+
+def _contacts(result: Result) -> list[ContactValues]:
+    """Of the AV with anything, also those with vehicles that did not attack."""
+    return [one for one in result["contacts"] if one["kind"] in {"av_opponent", "av_other"}]
+
+
+def _ttc(result: Result) -> float | None:
+    if "ttc_min" not in result["metrics"]:
+        return None
+    found = metric(result, "ttc_min")
+    return TTC_CEILING_S if found is None else min(found, TTC_CEILING_S)
+
+
+def _mean(name: str, unit: str, better: Better, of: str, what: str, **more: Any) -> Quantity:
+    return Quantity(
+        name=name, unit=unit, better=better, value=lambda result: metric(result, of),
+        definition=what, metric=of, **more,
+    )  # fmt: skip
+
+
+def _rate(
+    name: str, better: Better, value: Value, what: str, of: str = "", **more: Any
+) -> Quantity:
+    return Quantity(
+        name=name, unit="1", better=better, value=value, definition=what, rate=True, metric=of,
+        **{"digits": 0, **more},
+    )  # fmt: skip
+
+
+def _positive(value: float) -> bool:
+    return value > 0
+
+
+_RUNS: Final = "mean over attacked runs"
+_HITS: Final = "mean over hits"
+
+QUANTITIES: Final = (
+    _rate(
+        "collision_rate", "higher", lambda result: float(hit(result)),
+        "share of the attacked runs in which the opponent hit the AV",
+        title="Coll Rate", rule_out=_RATE,
+    ),
+    _mean("collision_time_s", "s", "lower", "collision_time_s", _HITS,
+          title="Coll Time", short="time s"),
+    _mean("collision_speed_mps", "m/s", "higher", "collision_speed", _HITS,
+          title="Coll Vel", short="speed m/s", of_hits=True, rule_out=3.0),
+    _mean("kl", "nat", "lower", "acceleration_kl", _RUNS, title="KL", short="KL"),
+    _mean("wasserstein", "m/s2", "lower", "acceleration_wasserstein", _RUNS,
+          title="Wasserstein", short="W m/s2"),
+    _mean("sspd_m", "m", "lower", "path_sspd", _RUNS, title="SSP", short="SSPD m"),
+    _mean("hausdorff_m", "m", "lower", "path_hausdorff", _RUNS,
+          title="Hausdorff", short="Hausd. m"),
+    Quantity(
+        name="generation_time_s", unit="s", better="lower", title="Generate Time", short="gen. s",
+        value=lambda result: result["timings"].get("generation_s"),
+        definition="mean wall time of finding an attack: features, networks, candidates, and the"
+        " simulations that a search scores them by; without loading weights",
+    ),
+    _rate(
+        "feasible_rate", "higher", _flag("feasible", lambda value: value >= 1),
+        "share of the attacked runs with a value of 1", "feasible", title="Feasible",
+    ),
+    _rate(
+        "offroad_rate", "lower", _flag("offroad_share", lambda value: value > OFFROAD_SHARE),
+        f"share of the attacked runs with a value above {OFFROAD_SHARE:g}", "offroad_share",
+        title="Off-road",
+    ),
+    _rate(
+        "third_party_rate", "lower", _flag("third_party", _positive),
+        "share of the attacked runs with a value above 0", "third_party", title="Third party",
+    ),
+    _rate(
+        "valid_collision_rate", "higher", _valid, "share of the attacked runs with a value of 1",
+        "valid_collision", title="Valid", rule_out=_RATE,
+    ),
+    _rate(
+        "avoidable_rate", "higher", _flag("avoidable", _positive), "share of the hits with a value"
+        " of 1", "avoidable", title="Avoidable", of_hits=True, rule_out=_RATE,
+    ),
+    _rate(
+        "av_at_fault_rate", "neither", _flag("av_at_fault", _positive),
+        "share of the hits with a value of 1", "av_at_fault", title="AV at fault", of_hits=True,
+        rule_out=_RATE,
+    ),
+    _rate(
+        "av_other_rate", "neither", _flag("av_third_party", _positive),
+        "share of all runs that went through, attacked or not, with a value above 0",
+        "av_third_party", over="done", title="AV hit others",
+    ),
+    _mean("planner_saw_opponent", "1", "neither", "planner_saw_opponent", _RUNS, paired=False,
+          title="Planner saw OV"),
+    _mean("collision_time_restricted_s", "s", "lower", "collision_time_restricted_s", _RUNS),
+    _mean("kl_smooth", "nat", "lower", "acceleration_kl_smooth", _RUNS),
+    _mean("wasserstein_smooth", "m/s2", "lower", "acceleration_wasserstein_smooth", _RUNS),
+    _mean("sspd_cut_m", "m", "lower", "path_sspd_cut", _RUNS),
+    _mean("hausdorff_cut_m", "m", "lower", "path_hausdorff_cut", _RUNS),
+    _rate(
+        "wrong_way_rate", "lower", _flag("wrong_way_share", lambda value: value > OFFROAD_SHARE),
+        f"share of the attacked runs with a value above {OFFROAD_SHARE:g}", "wrong_way_share",
+    ),
+    _rate(
+        "red_light_rate", "lower", _flag("red_light", _positive),
+        "share of the attacked runs with a value above 0", "red_light",
+    ),
+    _mean("delta_v_mps", "m/s", "higher", "delta_v", _HITS, of_hits=True, rule_out=1.5),
+    _mean("rms_acceleration_mps2", "m/s2", "lower", "opponent_rms_acceleration", _RUNS,
+          title="RMS a"),
+    _mean("min_gap_m", "m", "lower", "min_gap", _RUNS, rule_out=2.0),
+    _mean("ttc_min_s", "s", "lower", "ttc_min", _RUNS),
+    _mean("drac_max_mps2", "m/s2", "higher", "drac_max", _RUNS),
+    _mean(
+        "planner_hardest_braking_mps2", "m/s2", "neither", "planner_hardest_braking", _RUNS,
+        paired=False,
+    ),
+    Quantity(
+        name="simulations", unit="1", better="neither", paired=False, title="Simulations", digits=1,
+        value=lambda result: float(result["search"]["simulations"]),
+        definition="mean number of simulated episodes of an attack",
+    ),
+    Quantity(
+        name="impact_mps", unit="m/s", better="higher", over="judged", in_table=False, rule_out=3.0,
+        value=lambda result: max((float(one["relative_mps"]) for one in _contacts(result)),
+                                 default=0.0),
+        definition="relative speed of the AV's worst contact with anything, 0 without a contact",
+    ),
+    _rate(
+        "av_collision_rate", "higher", lambda result: float(bool(_contacts(result))),
+        "share of the judged runs in which the AV touched anything",
+        over="judged", in_table=False, rule_out=_RATE,
+    ),
+    Quantity(
+        name="ttc_s", unit="s", better="lower", value=_ttc, in_table=False, rule_out=1.0,
+        definition="least time to collision of AV and opponent in an attacked run, at most"
+        f" {TTC_CEILING_S:g} s",
+    ),
+    _mean(
+        "required_braking_mps2", "m/s2", "higher", "required_deceleration",
+        "hardest braking that the opponent asks of the AV, up to 1 s before a contact",
+        in_table=False, rule_out=1.0,
+    ),
+)  # fmt: skip
+
+BY_NAME: Final = {quantity.name: quantity for quantity in QUANTITIES}
+
+COLUMNS: Final = tuple(quantity for quantity in QUANTITIES if quantity.in_table)
+"""In the order of ``table.csv``."""
+
+COMPARABLE: Final = {
+    name: BY_NAME[name]
+    for name in (
+        "impact_mps", "av_collision_rate", "collision_rate", "valid_collision_rate",
+        "avoidable_rate", "av_at_fault_rate", "ttc_s", "min_gap_m", "required_braking_mps2",
+        "collision_speed_mps", "delta_v_mps",
+    )
+}  # fmt: skip
+"""What `check` and `compare` judge, by name: what is worse for the AV is said of each."""

@@ -1,0 +1,424 @@
+"""What is known of one run: the content of ``result.json``, and its row in ``runs.csv``.
+
+All that differs between two equal runs stands under ``timings``.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any, Final, Literal, Required, TypedDict
+
+import numpy as np
+
+from deepmf_sumo import plugins, tables
+from deepmf_sumo.datatypes import (
+    Attack,
+    Case,
+    Contact,
+    ConversionReport,
+    MetricValue,
+    RecordedCase,
+    Rollout,
+    Turn,
+)
+from deepmf_sumo.datatypes.rollout import decisive
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.metrics import NotMeasurable, naturalness
+from deepmf_sumo.spec import VERSIONS, FromNetwork
+from deepmf_sumo.tasks import Label, Task
+
+TABLE: Final = "turns.csv"
+_RUN: Final = ("run_id", "spec", "scene", "planner", "adversary", "version", "seed")
+_TURN: Final = ("turn", "opponent", "begin_s", "end_s", "ended", "outcome", "hit_speed_mps")
+
+Measure = Callable[[Rollout, Case], list[MetricValue]]
+
+
+def decisive_part(rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
+    """What a run's numbers are taken from: the decisive turn; the episode where there is none."""
+    chosen = decisive(rollout.turns)
+    return (rollout, case) if chosen is None else _part(chosen, rollout, case)
+
+
+def judged(rollout: Rollout, case: Case, measure: Measure) -> list[dict[str, Any]] | None:
+    """All turns, each measured as the attack of its own that it is, as in ``result.json``.
+
+    None where one opponent attacks.
+    """
+    if case.turns is None:
+        return None
+    return [_turn(turn, rollout, case, measure) for turn in rollout.turns]
+
+
+def hits(by_turn: Sequence[dict[str, Any]]) -> int:
+    """In how many turns the opponent hit the AV."""
+    return sum(turn["ended"] == "contact" for turn in by_turn)
+
+
+def table(results: Sequence[Mapping[str, Any]]) -> str | None:
+    """A row a turn of all runs, or None where no run had opponents in turn."""
+    runs = [one for one in results if one.get("turns") is not None]
+    if not runs:
+        return None
+    metrics = sorted({name for one in runs for turn in one["turns"] for name in turn["metrics"]})
+    rows = [
+        {
+            **{key: one.get(key) for key in _RUN},
+            **{key: {**turn, "turn": number}[key] for key in _TURN},
+            **{name: turn["metrics"].get(name) for name in metrics},
+        }
+        for one in runs
+        for number, turn in enumerate(one["turns"], start=1)
+    ]
+    return tables.to_csv(rows, [*_RUN, *_TURN, *metrics])
+
+
+def _part(turn: Turn, rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
+    """The turn, and the case with what it could have lasted: to the episode's end at most."""
+    assert case.turns is not None
+    left = rollout.now + case.duration_steps - turn.first_step
+    longest = round(case.turns.longest_s / rollout.dt_s)
+    return rollout.of_turn(turn), replace(case, duration_steps=min(left, longest))
+
+
+def _turn(turn: Turn, rollout: Rollout, case: Case, measure: Measure) -> dict[str, Any]:
+    cut, its_case = _part(turn, rollout, case)
+    hit = cut.first("av_opponent")
+    return {
+        "opponent": turn.opponent_id,
+        "begin_s": round((turn.first_step - rollout.now) * rollout.dt_s, 3),
+        "end_s": round((turn.last_step - rollout.now) * rollout.dt_s, 3),
+        "ended": turn.ended,
+        "outcome": cut.outcome,
+        "hit_speed_mps": hit.relative_mps if hit else None,
+        "metrics": {value.name: value.value for value in measure(cut, its_case)},
+    }
+
+
+Status = Literal["ok", "failed", "timeout", "skipped"]
+
+
+class ContactValues(TypedDict, total=False):
+    """A contact, see `datatypes.Contact`; ``time_s`` is since the simulation took over."""
+
+    kind: str
+    first_id: str
+    second_id: str
+    striker_id: str
+    step: int
+    time_s: float
+    relative_mps: float
+    closing_mps: float
+    delta_v_mps: float
+    sector: int
+    pose_first: list[float]
+    pose_second: list[float]
+
+
+class MetricValues(TypedDict, total=False):
+    """A metric, see `datatypes.MetricValue`; ``value`` is None where it is not defined."""
+
+    value: float | None
+    unit: str
+    better: str
+    reason: str
+
+
+class Result(TypedDict, total=False):
+    """The content of ``result.json``, see docs/results-folder.md.
+
+    Keys from ``outcome`` on are those of successful runs. `stored.result_of` checks the shape of
+    what it reads; results of earlier versions may lack keys that are not required.
+    """
+
+    run_id: Required[str]
+    key: Required[str]
+    spec: Required[str]
+    scene: Required[str]
+    network: str | None
+    planner: Required[str]
+    perception: str | None
+    parameters: str | None
+    adversary: Required[str]
+    version: str | None
+    method: Required[str]
+    planner_label: Required[str]
+    base_method: Required[str]
+    part: Required[str]
+    budget: Required[dict[str, Any]]
+    weights: Required[str | None]
+    seed: Required[int]
+    settings: Required[dict[str, Any]]
+    status: Required[Status]
+    error: Required[str]
+    refused: bool
+    expectations_broken: list[str]
+    timings: Required[dict[str, Any]]
+
+    outcome: str
+    ended: str
+    steps: int
+    duration_steps: int
+    opponent: str | None
+    opponent_score: float | None
+    contacts: list[ContactValues]
+    events: list[dict[str, Any]]
+    metrics: dict[str, MetricValues]
+    samples: dict[str, Any] | None
+    plans: int
+    rules: list[str]
+    search: dict[str, Any]
+    conversion: dict[str, Any] | None
+    repairs: list[str]
+    turns: list[dict[str, Any]]
+
+
+COLUMNS: Final = (
+    "run_id",
+    "spec",
+    "scene",
+    "planner",
+    "perception",
+    "adversary",
+    "version",
+    "seed",
+    "status",
+    "outcome",
+    "contact_time_s",
+    "contact_speed_mps",
+    "impact_sector",
+    "opponent",
+    "opponent_score",
+    "feasible",
+    "on_road",
+    "generation_s",
+    "cycle_ms_median",
+    "simulation_s",
+    "error",
+    "method",
+    "planner_label",
+    "parameters",
+    "part",
+    "budget_simulations",
+    "budget_seconds",
+    "simulations",
+    "turns",
+    "turn_hits",
+)
+TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
+"""Columns that differ between equal runs."""
+
+
+def unfinished(task: Task, status: Status, error: str, wall_s: float = 0.0) -> Result:
+    """The result of a run that has none, and why."""
+    return {
+        **_identity(task, status, " ".join(error.split())),
+        "timings": {"wall_s": wall_s},
+    }
+
+
+def finished(
+    task: Task,
+    case: Case,
+    attack: Attack,
+    metrics: list[MetricValue],
+    wall_s: float,
+    by_turn: list[dict[str, Any]] | None = None,
+) -> Result:
+    """The result of a run that went through.
+
+    ``metrics`` are of the decisive turn where opponents attack in turn, ``by_turn`` all turns.
+    """
+    rollout = attack.rollout
+    decisive = decisive_part(rollout, case)
+    found: Result = {
+        **_identity(task, "ok"),
+        "outcome": rollout.outcome,
+        "ended": rollout.ended,
+        "steps": rollout.tracks.steps - 1 - rollout.now,
+        "duration_steps": case.duration_steps,
+        "opponent": rollout.opponent_id,
+        "opponent_score": _opponent_score(decisive[0], task.spec.adversary.settings),
+        "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
+        "events": [asdict(event) for event in rollout.events],
+        "metrics": {value.name: _metric(value) for value in metrics},
+        "samples": _samples(*decisive),
+        "plans": len(rollout.plans),
+        "rules": [plan.reason.rule for plan in rollout.plans if plan.reason],
+        "search": {
+            "simulations": attack.simulations,
+            "trials": [asdict(trial) for trial in attack.trials],
+            "out_of_time": attack.out_of_time,
+        },
+        "conversion": _conversion(_report(case)),
+        "repairs": list(case.scene.repairs) if isinstance(case, RecordedCase) else [],
+        "timings": _timings(attack, case, wall_s),
+    }
+    if by_turn is not None:
+        found["turns"] = by_turn
+    return found
+
+
+def row(result: Result) -> dict[str, str]:
+    """The run's row in ``runs.csv``; what is not known is empty."""
+    contact = first_contact(result) or {}
+    metrics, timings = result.get("metrics", {}), result["timings"]
+    by_turn = result.get("turns")
+    known: dict[str, Any] = {
+        **{key: result.get(key) for key in COLUMNS},
+        "contact_time_s": contact.get("time_s"),
+        "contact_speed_mps": contact.get("relative_mps"),
+        "impact_sector": contact.get("sector"),
+        **{key: metrics[key]["value"] for key in ("feasible", "on_road") if key in metrics},
+        **{f"budget_{name}": value for name, value in result["budget"].items()},
+        "simulations": result.get("search", {}).get("simulations"),
+        **{key: timings.get(key) for key in TIMINGS},
+        "turns": None if by_turn is None else len(by_turn),
+        "turn_hits": None if by_turn is None else hits(by_turn),
+    }
+    return {key: tables.cell(known[key]) for key in COLUMNS}
+
+
+def attacked(result: Result) -> bool:
+    """Whether the run went through and there was somebody to attack with."""
+    return bool(result["status"] == "ok" and result["opponent"] is not None)
+
+
+def first_contact(result: Result) -> ContactValues | None:
+    """The contact that the outcome names."""
+    contacts = result.get("contacts", [])
+    return next((one for one in contacts if one["kind"] == result["outcome"]), None)
+
+
+def not_finite(values: Any, name: str = "") -> str | None:
+    """Dotted name of the first number that is NaN or infinite; None if all are finite."""
+    if isinstance(values, float):
+        return None if math.isfinite(values) else name
+    inside: Iterable[tuple[Any, Any]] = values.items() if isinstance(values, dict) else ()
+    if isinstance(values, list | tuple):
+        inside = enumerate(values)
+    found = (not_finite(value, f"{name}.{key}" if name else str(key)) for key, value in inside)
+    return next((one for one in found if one), None)
+
+
+def _identity(task: Task, status: Status, error: str = "") -> Result:
+    """What is known of a run whatever became of it; its timings are to be added."""
+    spec = task.spec
+    planner = plugins.settings("planners", spec.planner.name, spec.planner.settings)
+    adversary = plugins.settings("adversaries", spec.adversary.name, spec.adversary.settings)
+    perception = getattr(planner, "perception", None)
+    driver = f"{spec.planner.name} {perception}" if perception else spec.planner.name
+    label, source = task.label or Label(method=spec.name, planner=driver), spec.source
+    return {
+        "run_id": task.run_id,
+        "key": task.key,
+        "status": status,
+        "error": error,
+        "timings": {},
+        "spec": spec.name,
+        "scene": task.scene,
+        "network": source.network.stem if isinstance(source, FromNetwork) else None,
+        "planner": spec.planner.name,
+        "perception": perception,
+        "parameters": getattr(planner, "parameters", None),
+        "adversary": spec.adversary.name,
+        "version": _version(adversary),
+        "method": label.method,
+        "planner_label": label.planner,
+        "base_method": label.base or label.method,
+        "part": label.part,
+        "budget": spec.budget.model_dump(mode="json"),
+        "weights": spec.weights,
+        "seed": spec.seed,
+        "settings": {
+            "planner": planner.model_dump(mode="json"),
+            "adversary": adversary.model_dump(mode="json"),
+        },
+    }
+
+
+def _version(adversary: Any) -> str | None:
+    """The paper's name for the period between plans."""
+    if "period_s" not in type(adversary).model_fields:
+        return None
+    names = {period: name for name, period in VERSIONS.items()}
+    return names.get(adversary.period_s, f"S{adversary.period_s}")
+
+
+def _opponent_score(rollout: Rollout, settings: dict[str, Any]) -> float | None:
+    """Probability from the head that chose the opponent, from the first plan that knows."""
+    for plan in rollout.plans:
+        scores = plan.reason.scores if plan.reason else None
+        if scores and rollout.opponent_id in scores.ids:
+            by_partner = settings.get("opponent") == "partner"
+            logits = scores.partner_logits if by_partner else scores.logits
+            logit = logits[scores.ids.index(rollout.opponent_id)]
+            return float(1.0 / (1.0 + np.exp(-logit)))
+    return None
+
+
+def _contact(contact: Contact, rollout: Rollout) -> Any:
+    values = asdict(contact)
+    values["time_s"] = round((contact.step - rollout.now) * rollout.dt_s, 3)
+    for name in ("pose_first", "pose_second"):
+        values[name] = [float(value) for value in values[name]]
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
+    """What figures over many runs are made of; None if nobody was driven.
+
+    ``opponent_m``: the opponent twice a second, in the frame of the AV's first pose.
+    ``attack_mps2``, ``recorded_mps2``: see `metrics.naturalness.samples`, smooth; empty
+    where they are not measurable.
+    """
+    tracks = rollout.tracks
+    if rollout.opponent_id is None or rollout.opponent_id not in tracks.ids:
+        return None
+    row, av = tracks.row(rollout.opponent_id), tracks.row(rollout.av_id)
+    there = tracks.valid[row, rollout.now :]
+    path = tracks.position_m[row, rollout.now :][there][:: round(0.5 / rollout.dt_s)]
+    origin, heading = tracks.position_m[av, rollout.now], tracks.heading_rad[av, rollout.now]
+    try:
+        changes = naturalness.samples(rollout, case, smooth=True)
+    except NotMeasurable:
+        changes = naturalness.Samples(np.empty(0), np.empty(0))
+    return {
+        "opponent_m": np.round(frames.to_local(path, origin, float(heading)), 2).tolist(),
+        "attack_mps2": np.round(changes.attack, 3).tolist(),
+        "recorded_mps2": np.round(changes.recorded, 3).tolist(),
+    }
+
+
+def _metric(value: MetricValue) -> Any:
+    return {key: part for key, part in asdict(value).items() if key != "name"}
+
+
+def _report(case: Case) -> ConversionReport | None:
+    return case.net.report if isinstance(case, RecordedCase) else None
+
+
+def _conversion(report: ConversionReport | None) -> dict[str, Any] | None:
+    if report is None:
+        return None
+    return {key: _plain(value) for key, value in asdict(report).items() if key != "seconds"}
+
+
+def _timings(attack: Attack, case: Case, wall_s: float) -> dict[str, Any]:
+    rollout = attack.rollout
+    parts = [plan.reason.milliseconds for plan in rollout.plans if plan.reason]
+    cycles = [float(sum(part.values())) for part in parts]
+    report = _report(case)
+    return {
+        "wall_s": wall_s,
+        "generation_s": float(attack.generation_s),
+        "simulation_s": float(rollout.seconds.get("simulation", 0.0)),
+        "cycle_ms_median": float(np.median(cycles)) if cycles else None,
+        "episode_s": {part: float(value) for part, value in rollout.seconds.items()},
+        "plans_ms": [{name: float(value) for name, value in part.items()} for part in parts],
+        "conversion_s": report.seconds if report else None,
+    }
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,315 @@
+"""Result folders for reading: the runs, what each of them did, and the road that it was on.
+
+::
+
+    from deepmf_sumo import Results
+
+    results = Results.open("results")
+    results.frame()[["run_id", "outcome", "min_gap"]]
+    results.runs[0].rollout.tracks
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Final, Self
+
+import pandas as pd
+
+from deepmf_sumo import readers
+from deepmf_sumo.datatypes import Contact, RoadMap, Rollout
+from deepmf_sumo.errors import ReaderError, UsageError
+from deepmf_sumo.files import cache_folder
+from deepmf_sumo.geometry.impact import SECTORS
+from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
+from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.results import artifacts, stored
+from deepmf_sumo.results.result import Result
+from deepmf_sumo.spec import document
+
+HIT: Final = "av_opponent"
+NUMBERS: Final = (
+    "seed", "contact_time_s", "contact_speed_mps", "impact_sector", "opponent_score",
+    "generation_s", "cycle_ms_median", "simulation_s", "budget_simulations", "budget_seconds",
+    "simulations", "turns", "turn_hits",
+)  # fmt: skip
+"""Columns of ``runs.csv`` that `Results.frame` has as numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run of a result folder. What it wrote is read when it is asked for.
+
+    Attributes:
+        folder: of the run, in ``runs`` of the result folder.
+        row: its row of ``runs.csv``.
+        method: its label in the plan; the spec's name where there is no plan.
+        planner: its label in the plan; else name and perception.
+        part: ``main``, ``budgets`` or ``figures``: the part of a plan that it belongs to.
+        version: the paper's name for the period between plans, or empty.
+    """
+
+    folder: Path
+    row: Mapping[str, str]
+    run_id: str
+    method: str
+    planner: str
+    part: str
+    scene: str
+    adversary: str
+    version: str
+    seed: int
+    status: str
+    outcome: str
+
+    @classmethod
+    def of_row(cls, out: Path, row: Mapping[str, str]) -> Self:
+        """The run of a row of ``runs.csv``. Raises UsageError where the row is damaged."""
+        seed = row["seed"]
+        if not (seed.isascii() and seed.isdecimal() and len(seed) < 20):
+            raise UsageError(
+                f"{out / stored.RUNS} is damaged: the seed of {row['run_id']} is {seed!r:.80};"
+                " write it anew with --resume."
+            )
+        return cls(
+            folder=stored.run_folder(out, row["run_id"], stored.RUNS),
+            row=row,
+            run_id=row["run_id"],
+            method=row.get("method") or row["spec"],
+            planner=row.get("planner_label") or f"{row['planner']} {row['perception']}".strip(),
+            part=row.get("part") or "main",
+            scene=row["scene"],
+            adversary=row["adversary"],
+            version=row["version"],
+            seed=int(seed),
+            status=row["status"],
+            outcome=row["outcome"],
+        )
+
+    @cached_property
+    def result(self) -> Result:
+        """``result.json`` without the trials of a search: those of thousands of runs are large.
+
+        Raises UsageError where it cannot be read, or is damaged.
+        """
+        found = stored.result_of(self.folder / "result.json")
+        if isinstance(found.get("search"), dict):
+            found["search"].pop("trials", None)
+        return found
+
+    @property
+    def has_result(self) -> bool:
+        """Whether there is a ``result.json``, readable or not."""
+        return (self.folder / "result.json").is_file()
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the tracks are there."""
+        return (self.folder / "tracks.csv.gz").is_file()
+
+    @property
+    def hit(self) -> bool:
+        """Whether the opponent hit the AV."""
+        return self.outcome == HIT
+
+    @property
+    def attacked(self) -> bool:
+        """Whether there was a vehicle to attack with."""
+        return self.result["opponent"] is not None
+
+    @property
+    def accident(self) -> str:
+        """Name of the accident; empty where there was none, or that version did not know."""
+        number = self.metric("accident_type")
+        name = "" if number is None else ACCIDENT_TYPES[int(number)].replace("_", "-")
+        return "T-bone" if name == "t-bone" else name
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing speaks against the hit: limits, road, third parties, avoidability."""
+        valid = self.metric("valid_collision")
+        if valid is not None:
+            return valid >= 1.0
+        names = ("feasible", "on_road", "collision_clean")
+        return all((self.metric(name) or 0.0) >= 1.0 for name in names)
+
+    @property
+    def sector(self) -> int | None:
+        """Where the opponent hit the AV."""
+        contacts = self.result["contacts"] if self.hit else []
+        return next((one["sector"] for one in contacts if one["kind"] == HIT), None)
+
+    @property
+    def asked_sector(self) -> int | None:
+        """The impact sector that the attack was asked for."""
+        asked = self.result["settings"]["adversary"].get("sector")
+        return SECTORS.index(asked) if isinstance(asked, str) else asked
+
+    def metric(self, name: str) -> float | None:
+        """Value of a metric; None where it is not defined, or not known to that version."""
+        found = self.result["metrics"].get(name)
+        return None if found is None else found["value"]
+
+    @cached_property
+    def rollout(self) -> Rollout:
+        """What happened; plans without their reasons, velocities along the headings.
+
+        Raises `stored.DAMAGE`.
+        """
+        known = {field.name for field in fields(Contact)}
+        listed: list[Any] = self.result["contacts"]
+        contacts = [
+            Contact(**{name: value for name, value in one.items() if name in known})
+            for one in listed
+        ]
+        return artifacts.read_rollout(self.folder, contacts, self.result["ended"])
+
+    @cached_property
+    def contact(self) -> Contact | None:
+        """The contact that the outcome names, where the AV takes part in it."""
+        if not self.outcome.startswith("av"):
+            return None
+        return next((one for one in self.rollout.contacts if one.kind == self.outcome), None)
+
+    @property
+    def source(self) -> dict[str, Any]:
+        """Of the run's spec. Live attacks have none, and their network is in the folder.
+
+        Raises UsageError where the spec is damaged.
+        """
+        file = self.folder / "spec.yaml"
+        if not file.is_file():
+            return {}
+        source = document.read(file).values.get("source")
+        if not isinstance(source, dict):
+            raise UsageError(f"{file} is damaged: it has no key 'source' with keys; run it anew.")
+        return source
+
+    def road(self) -> tuple[RoadMap, str]:
+        """The recording's map, or the network's; and why it is not the one that was attacked on.
+
+        Where the recording is not there any more, it is the network in the run's folder.
+        """
+        source = self.source
+        lost = ""
+        if "recording" in source:
+            try:
+                return _recorded_road(Path(source["recording"]), self.scene), ""
+            except (ReaderError, UsageError) as error:
+                lost = f"{self.run_id}: road of the converted network, since {error}"
+        net = stored.net_file(self.folder)
+        if net is None:
+            raise UsageError(f"{self.folder}/sumo holds no net.net.xml; run it again for figures.")
+        return road_of_net(net), lost
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """The runs of result folders.
+
+    Attributes:
+        folders: the result folders.
+        runs: all runs that ``runs.csv`` lists, in its order, folder by folder.
+    """
+
+    folders: tuple[Path, ...]
+    runs: tuple[Run, ...]
+
+    @classmethod
+    def open(cls, *folders: Path | str) -> Self:
+        """The runs of result folders. A folder may contain result folders instead, e.g. of seeds.
+
+        Raises UsageError where there is no result folder, or ``runs.csv`` is missing or damaged.
+        """
+        paths = [Path(folder) for folder in folders]
+        listed = [
+            out
+            for path in paths
+            for out in ([path] if (path / stored.RUNS).is_file() else stored.result_folders(path))
+        ]
+        runs = [Run.of_row(out, row) for out in listed for row in stored.rows_of(out)]
+        return cls(folders=tuple(listed), runs=tuple(runs))
+
+    @classmethod
+    def of(cls, out: Path) -> Self:
+        """The runs of one result folder. Raises UsageError where it is none, or is damaged."""
+        return cls(folders=(out,), runs=tuple(Run.of_row(out, row) for row in stored.rows_of(out)))
+
+    @property
+    def done(self) -> tuple[Run, ...]:
+        """The runs that succeeded, without those that a plan has for other budgets or figures."""
+        return tuple(run for run in self.runs if run.part == "main" and run.status == "ok")
+
+    @property
+    def steered(self) -> tuple[Run, ...]:
+        """The successful runs that a plan has for figures: they asked for an impact sector."""
+        return tuple(run for run in self.runs if run.part == "figures" and run.status == "ok")
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Methods of `done`, in the order of ``runs.csv``."""
+        return tuple(dict.fromkeys(run.method for run in self.done))
+
+    @property
+    def planners(self) -> tuple[str, ...]:
+        """Planners of `done`, in the order of ``runs.csv``."""
+        return tuple(dict.fromkeys(run.planner for run in self.done))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Ids of runs that a manifest lists and ``runs.csv`` does not: they have not ended."""
+        listed = {run.folder for run in self.runs}
+        return tuple(
+            run_id
+            for out in self.folders
+            if (out / stored.MANIFEST).is_file()
+            for run_id in stored.keys_of(out)
+            if out / "runs" / run_id not in listed
+        )
+
+    def frame(self) -> pd.DataFrame:
+        """One row per run: ``folder``, the columns of ``runs.csv``, and each metric by its name.
+
+        A missing value is None or NaN. Raises UsageError where a ``result.json`` is damaged.
+        """
+        rows = [
+            {"folder": str(run.folder.parents[1]), **run.row, **_metrics(run)} for run in self.runs
+        ]
+        table = pd.DataFrame(rows).replace("", None)
+        for name in NUMBERS:
+            if name in table:
+                table[name] = pd.to_numeric(table[name], errors="coerce")
+        return table
+
+
+def planned(out: Path) -> dict[str, Result | None]:
+    """The result of each run of a folder's manifest, without those of other budgets and figures.
+
+    None for a run without a result; that of an earlier batch does not count. Raises UsageError
+    where a file cannot be read.
+    """
+    found: dict[str, Result | None] = {}
+    for run_id, key in stored.keys_of(out).items():
+        file = out / "runs" / run_id / "result.json"
+        result = stored.result_of(file) if file.is_file() else None
+        if result is not None and result["key"] != key:
+            result = None
+        if result is None or result.get("part", "main") == "main":
+            found[run_id] = result
+    return found
+
+
+def _metrics(run: Run) -> dict[str, float | None]:
+    if not run.has_result:
+        return {}
+    return {name: one["value"] for name, one in run.result.get("metrics", {}).items()}
+
+
+@lru_cache(maxsize=16)
+def _recorded_road(recording: Path, scene: str) -> RoadMap:
+    """Kept, for several figures show the same scene."""
+    return readers.scene(recording, scene, cache_folder()).road
+
+
+__all__ = ["Results", "Run", "planned"]

@@ -1,0 +1,352 @@
+"""What is read of a result folder: bounded, and of the shape that its readers rely on.
+
+A folder may come from elsewhere, or be damaged. What is wrong is one sentence that names the file.
+"""
+
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TextIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from deepmf_sumo import files
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.results import result
+from deepmf_sumo.results.result import Result
+from deepmf_sumo.tables import read_csv
+from deepmf_sumo.tasks import is_run_id
+
+_LARGEST: Final = 2**26
+"""Bytes of a JSON file: thousands of trials of a search are some MB."""
+
+_LARGEST_UNPACKED: Final = 2**28
+"""Bytes of tracks or plans."""
+
+MOST_STEPS: Final = 1_000_000
+"""A day is 864 000."""
+
+DAMAGE: Final = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError,
+    EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, UsageError,
+)  # fmt: skip
+"""What files raise that were cut off, or hold something else."""
+
+RUNS: Final = "runs.csv"
+MANIFEST: Final = "manifest.json"
+MOMENTS: Final = "moments.csv"
+
+_NEEDED: Final = (
+    "run_id", "status", "spec", "scene", "planner", "perception", "adversary", "version", "seed",
+    "outcome", "opponent", "contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median",
+)  # fmt: skip
+"""Columns of ``runs.csv`` in all versions."""
+
+_WITHOUT: Final = "run it anew, or remove it: places then come from the tracks alone"
+_AGAIN: Final = "remove the run's folder and go on with --resume"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+
+
+class _Metric(_Part):
+    value: float | None
+    unit: str = ""
+    reason: str = ""
+
+
+_Pose = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class _Contact(_Part):
+    kind: str
+    step: int = Field(default=0, ge=0)
+    pose_first: _Pose = [0.0] * 3
+    pose_second: _Pose = [0.0] * 3
+    relative_mps: float = 0.0
+    sector: int = Field(default=0, ge=0, le=7)
+    time_s: float = 0.0
+
+
+class _Event(_Part):
+    step: int
+    agent_id: str
+    kind: str
+
+
+class _Turn(_Part):
+    opponent: str
+    begin_s: float
+    end_s: float
+    ended: str
+    outcome: str
+    hit_speed_mps: float | None
+    metrics: dict[str, float | None]
+
+
+class _Samples(_Part):
+    opponent_m: list[Annotated[list[float], Field(min_length=2, max_length=2)]]
+    attack_mps2: list[float]
+    recorded_mps2: list[float]
+
+
+class _Search(_Part):
+    simulations: int
+
+
+class _Budget(_Part):
+    simulations: int | None = None
+    seconds: float | None = None
+
+
+class _Settings(_Part):
+    planner: dict[str, Any]
+    adversary: dict[str, Any]
+
+
+class _Timings(_Part):
+    wall_s: float
+    generation_s: float | None = None
+    cycle_ms_median: float | None = None
+    simulation_s: float | None = None
+
+
+class _Result(_Part):
+    """``result.json``; what has a default is not in those of all versions."""
+
+    run_id: str
+    key: str
+    spec: str
+    scene: str
+    network: str | None = None
+    planner: str
+    perception: str | None = None
+    adversary: str
+    method: str = ""
+    planner_label: str = ""
+    base_method: str = ""
+    part: str = "main"
+    weights: str | None = None
+    seed: int
+    settings: _Settings
+    budget: _Budget = _Budget()
+    status: Literal["ok", "failed", "timeout", "skipped"]
+    error: str
+    expectations_broken: list[str]
+    timings: _Timings
+
+
+class _Finished(_Result):
+    """That of a run that went through."""
+
+    outcome: str
+    ended: str
+    steps: int = Field(ge=0)
+    opponent: str | None
+    opponent_score: float | None = None
+    contacts: Sequence[_Contact]
+    events: list[_Event] = []
+    metrics: Mapping[str, _Metric]
+    samples: _Samples | None = None
+    rules: list[str] = []
+    repairs: list[str] = []
+    search: _Search
+    turns: list[_Turn] | None = None
+
+
+class _WholeMetric(_Metric):
+    unit: str
+    better: str
+
+
+class _WholeContact(_Contact):
+    step: int = Field(ge=0)
+    relative_mps: float
+    sector: int = Field(ge=0, le=7)
+    time_s: float
+
+
+class _WholeTimings(_Timings):
+    generation_s: float
+    cycle_ms_median: float | None
+    simulation_s: float | None
+
+
+class _Whole(_Finished):
+    """As this version writes it: what the tables of a batch are made of."""
+
+    budget: _Budget
+    opponent_score: float | None
+    contacts: Sequence[_WholeContact]
+    metrics: Mapping[str, _WholeMetric]
+    timings: _WholeTimings
+
+
+def result_of(file: Path, *, whole: bool = False) -> Result:
+    """A run's ``result.json``, ``whole`` as this version writes it.
+
+    Raises UsageError where it cannot be read, or is not one.
+    """
+    found = mapping(file, again=_AGAIN)
+    went: type[_Result] = _Whole if whole else _Finished
+    shape = went if found.get("status") == "ok" else _Result
+    try:
+        shape.model_validate(found)
+    except ValidationError as error:
+        raise UsageError(
+            f"{file} is no result of this version of deepmf-sumo ({first_wrong(error)}); {_AGAIN}."
+        ) from None
+    if not is_run_id(found["run_id"]):
+        raise _damaged(file, f"run_id: {found['run_id'][:80]!r} is not the id of a run", _AGAIN)
+    wrong = result.not_finite(found)
+    if wrong:
+        raise _damaged(file, f"{wrong} is not a finite number", _AGAIN)
+    return cast(Result, found)
+
+
+def run_folder(out: Path, run_id: object, file: str) -> Path:
+    """The folder of a run that ``file`` of a result folder names.
+
+    Raises UsageError for what is not the id of a run: it could be a path to somewhere else.
+    """
+    if not is_run_id(run_id):
+        raise UsageError(
+            f"{out / file} is damaged: {str(run_id)[:80]!r} is not the id of a run (lower-case"
+            " letters, digits and dashes); run it anew."
+        )
+    return out / "runs" / str(run_id)
+
+
+def keys_of(out: Path) -> dict[str, str]:
+    """Run id -> key of all runs of a folder's manifest. Raises UsageError where it is damaged."""
+    file = out / MANIFEST
+    keys = mapping(file).get("runs")
+    if not isinstance(keys, dict) or not all(isinstance(key, str) for key in keys.values()):
+        raise UsageError(f"{file} is damaged: it names no runs; run it anew.")
+    for run_id in keys:
+        run_folder(out, run_id, file.name)
+    return keys
+
+
+def inputs_of(out: Path) -> dict[str, str]:
+    """Digests of the files that the runs of the manifest read, by path; none without a manifest."""
+    try:
+        found = mapping(out / MANIFEST)["machine"]["inputs"]
+    except (UsageError, LookupError, TypeError):
+        return {}
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def rows_of(out: Path) -> list[dict[str, str]]:
+    """The rows of ``runs.csv``, in its order.
+
+    Raises UsageError where there is no such file, or it is damaged or cut short: part of the runs
+    must not pass for all of them.
+    """
+    file = out / RUNS
+    if not file.is_file():
+        begun = (out / MANIFEST).is_file()
+        rest = "finish it with --resume" if begun else "give the --out of an earlier command"
+        raise UsageError(f"{out} is no complete result folder: it has no runs.csv; {rest}.")
+    rows = read_csv(file)
+    lost = [name for name in _NEEDED if rows and name not in rows[0]]
+    if lost:
+        raise UsageError(f"{file} has no column '{lost[0]}': it is not of deepmf-sumo.")
+    return rows
+
+
+def moments_of(out: Path) -> dict[str, dict[str, str]]:
+    """Where each AV was and went, by run: ``moments.csv``; empty where no moments were chosen.
+
+    Raises UsageError where it is damaged.
+    """
+    file = out / MOMENTS
+    if not file.is_file():
+        return {}
+    rows = read_csv(file, _WITHOUT)
+    if rows and "run_id" not in rows[0]:
+        raise UsageError(f"{file} is no table of moments (column run_id); {_WITHOUT}.")
+    return {row["run_id"]: row for row in rows}
+
+
+def result_folders(folder: Path) -> list[Path]:
+    """The folder itself, or the result folders in it, by name.
+
+    Raises UsageError where there is none.
+    """
+    if (folder / MANIFEST).is_file():
+        return [folder]
+    inside = sorted(file.parent for file in folder.glob(f"*/{MANIFEST}"))
+    if not inside:
+        raise UsageError(
+            f"{folder} is no result folder, and holds none: there is no manifest.json; give the"
+            " --out of run, attack or benchmark."
+        )
+    return inside
+
+
+def net_file(folder: Path) -> Path | None:
+    """The network in a run's folder."""
+    return next(iter(sorted((folder / "sumo").glob("net.net.xml*"))), None)
+
+
+def mapping(file: Path, *, again: str = "run it anew") -> dict[str, Any]:
+    """The JSON object in a file. Raises UsageError where there is none, saying ``again``."""
+    try:
+        found: Any = json.loads(files.content(file, _LARGEST))
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {files.reason(error)}.") from None
+    except ValueError as error:
+        raise _damaged(file, f"{error}"[:200], again) from None
+    except RecursionError:
+        raise _damaged(file, "nested too deeply", again) from None
+    if not isinstance(found, dict):
+        raise _damaged(file, "it holds no names and values", again)
+    return found
+
+
+@contextmanager
+def arrays(file: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """The arrays of a ``.npz``. Raises OSError and what a damaged file raises, see `DAMAGE`."""
+    content = io.BytesIO(files.content(file, _LARGEST))
+    with zipfile.ZipFile(content) as archive:
+        if sum(member.file_size for member in archive.infolist()) > _LARGEST_UNPACKED:
+            raise ValueError(f"{file.name} unpacks to more than {_LARGEST_UNPACKED} bytes")
+    content.seek(0)
+    with np.load(content, allow_pickle=False) as found:
+        yield found
+
+
+@contextmanager
+def tracks(file: Path) -> Iterator[TextIO]:
+    """The text of a ``tracks.csv.gz``. Raises OSError, here or from reading, UnicodeError."""
+    with (
+        files.unpacked(file, _LARGEST_UNPACKED) as stream,
+        io.TextIOWrapper(stream, "utf-8", newline="") as text,
+    ):
+        yield text
+
+
+def first_wrong(error: ValidationError) -> str:
+    """The first key that is wrong, and why."""
+    first = error.errors()[0]
+    key = ".".join(map(str, first["loc"]))
+    return f"{key}: {first['msg'].lower()}"
+
+
+def _damaged(file: Path, why: str, again: str) -> UsageError:
+    return UsageError(f"{file} is damaged ({why}); {again}.")
+
+
+__all__ = [
+    "DAMAGE", "MANIFEST", "MOMENTS", "MOST_STEPS", "RUNS", "arrays", "first_wrong", "inputs_of",
+    "keys_of", "mapping", "moments_of", "net_file", "result_folders", "result_of", "rows_of",
+    "run_folder", "tracks",
+]  # fmt: skip

@@ -1,0 +1,22 @@
+"""Where on a SUMO network the AV is in danger, and what changes from one result to another.
+
+::
+
+    OUT/runs --attacks--> attacks, each with its place --table--> a row a place, the worst first
+                            places: lanes, edges, junctions, movements     shrinkage: thin data
+"""
+
+from deepmf_sumo.risk.attacks import Attacked, Conflict, Network, conflicts, read
+from deepmf_sumo.risk.table import Row, columns, rows, worst
+
+__all__ = [
+    "Attacked",
+    "Conflict",
+    "Network",
+    "Row",
+    "columns",
+    "conflicts",
+    "read",
+    "rows",
+    "worst",
+]

@@ -1,0 +1,336 @@
+"""Result folders -> the networks in them, each with the attacks on it.
+
+A run -> the attacks in it: where each was decided and began, and how it went.
+
+An attack was *decided* where the AV's centre was when it touched the opponent (else anybody else),
+or, without a contact, when the gap to the opponent was least. It *began* where the AV was when the
+attack took over; the movement that it began before is the next one on the AV's way. Where opponents
+attack in turn, each turn is an attack.
+"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.results import stored
+from deepmf_sumo.results.result import Result, attacked
+from deepmf_sumo.results.results import planned
+from deepmf_sumo.risk import places as places_module
+from deepmf_sumo.risk.criticality import criticality
+from deepmf_sumo.risk.places import Places, Spot
+from deepmf_sumo.risk.tracks import OFF, Driven, Spots, read_tracks
+
+_SPARE: Final = "time_to_spare"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attacked:
+    """One attack.
+
+    Attributes:
+        folder: result folder that it stands in, as given.
+        turn: number of the turn in its run; None where one opponent attacked all the time.
+        decided, began: where; an empty spot where the AV was on no lane and in no junction.
+        place_m: (2,) of the AV's centre when it was decided.
+        against: where the opponent was then.
+        hit: the opponent touched the AV. other: the AV touched somebody else.
+        avoidable: whether a reference driver would have avoided the hit; None without one.
+        ttc_s: least; None off a collision course. gap_m: least. delta_v_mps: of the hit.
+        criticality: see there; None in results of versions that did not measure it.
+    """
+
+    folder: str
+    run_id: str
+    turn: int | None
+    scene: str
+    seed: int
+    decided: Spot
+    began: Spot
+    place_m: tuple[float, float]
+    hit: bool
+    other: bool
+    avoidable: bool | None
+    ttc_s: float | None
+    gap_m: float | None
+    delta_v_mps: float | None
+    against: Spot = OFF
+    criticality: float | None = None
+
+
+class _Part(NamedTuple):
+    """An attack of a run: by whom, from which step to which after the start, and its metrics."""
+
+    opponent: str
+    first: int
+    last: int
+    metrics: Mapping[str, float | None]
+    turn: int | None = None
+
+
+def of_run(
+    out: Path, result: Result, moment: Mapping[str, str], every: Places, road: RoadMap
+) -> list[Attacked]:
+    """The attacks of a run: one, or one a turn where opponents attacked in turn.
+
+    Args:
+        out: the result folder.
+        result: of a run in which somebody was attacked.
+        moment: the run's row of ``moments.csv``, or empty.
+        every: places of its network.
+        road: map of its network.
+
+    Raises UsageError where its tracks are missing or damaged.
+    """
+    parts = _parts(result)
+    file = out / "runs" / result["run_id"] / "tracks.csv.gz"
+    tracks = read_tracks(file, [part.opponent for part in parts])
+    av = Spots(tracks, tracks.lanes(road), every, moment)
+    # those that left before the attack began have no tracks
+    there = [part.opponent for part in parts if part.opponent in tracks.ids]
+    opponents = {one: Spots(tracks, tracks.lanes(road, one), every, {}, one) for one in there}
+    return [
+        _attacked(str(out), result, part, tracks, av, opponents.get(part.opponent))
+        for part in parts
+    ]
+
+
+def _parts(result: Result) -> list[_Part]:
+    turns: list[dict[str, Any]] | None = result.get("turns")
+    if turns is None:
+        values = {name: one["value"] for name, one in result["metrics"].items()}
+        return [_Part(str(result["opponent"]), 0, result["steps"], values)]
+    return [
+        _Part(
+            one["opponent"],
+            round(one["begin_s"] / DT_S),
+            round(one["end_s"] / DT_S),
+            one["metrics"],
+            number,
+        )
+        for number, one in enumerate(turns, start=1)
+    ]
+
+
+def _attacked(
+    folder: str,
+    result: Result,
+    part: _Part,
+    tracks: Driven,
+    spots: Spots,
+    opponent: Spots | None,
+) -> Attacked:
+    last = min(tracks.now + part.last, tracks.valid.shape[1] - 1)
+    first = min(tracks.now + part.first, last)
+    hits = _contacts(result, "av_opponent", first, last, part.opponent)
+    others = _contacts(result, "av_other", first, last)
+    nearest = tracks.nearest_step(part.opponent, first, last)
+    # of the opponent, else of another, else when the gap was least, else at the start
+    step = next(iter((*hits, *others, first if nearest is None else nearest)))
+    place_m: Floats = tracks.position_m[0, step]
+    avoidable = part.metrics.get("avoidable")
+    return Attacked(
+        folder=folder,
+        run_id=result["run_id"],
+        turn=part.turn,
+        scene=result["scene"],
+        seed=result["seed"],
+        decided=spots.at(step),
+        began=spots.began(first),
+        place_m=(float(place_m[0]), float(place_m[1])),
+        hit=bool(hits),
+        other=bool(others),
+        avoidable=avoidable >= 1 if hits and avoidable is not None else None,
+        ttc_s=part.metrics.get("ttc_min"),
+        gap_m=part.metrics.get("min_gap"),
+        delta_v_mps=part.metrics.get("delta_v"),
+        against=opponent.at(step) if opponent else OFF,
+        criticality=criticality(part.metrics[_SPARE]) if _SPARE in part.metrics else None,
+    )
+
+
+def _contacts(result: Result, kind: str, first: int, last: int, who: str = "") -> list[int]:
+    """Steps of the AV's contacts of a kind within an attack, with anybody or with one.
+
+    What happened at its first step belongs to the turn that ended there.
+    """
+    return [
+        int(one["step"])
+        for one in result["contacts"]
+        if one["kind"] == kind
+        and first < one["step"] <= last
+        and who in {"", one["first_id"], one["second_id"]}
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Network:
+    """A network and the attacks on it.
+
+    Attributes:
+        name: of the .sumocfg, without suffix. net_file: a copy in one of the runs' folders.
+        left_out: runs that are not counted, by reason.
+    """
+
+    name: str
+    net_file: Path
+    places: Places
+    attacks: tuple[Attacked, ...]
+    left_out: Mapping[str, int]
+
+
+@dataclass(slots=True, eq=False)
+class _Filling:
+    """A network whose attacks are being read."""
+
+    name: str
+    net_file: Path
+    places: Places
+    road: RoadMap
+    attacks: list[Attacked]
+    left_out: Counter[str]
+
+
+def read(folders: Sequence[Path]) -> list[Network]:
+    """The networks of result folders, each with its attacks; by name, then by content.
+
+    A folder may hold result folders instead, e.g. one a seed; one that is named twice counts once.
+    Runs that went wrong or attacked nobody are counted under ``left_out``, those on recorded scenes
+    or on networks without any attack that can be read with the first network.
+
+    Raises UsageError where there is no result folder, or no attack on a SUMO network in them.
+    """
+    networks: dict[tuple[str, str], _Filling] = {}
+    left_out: Counter[str] = Counter()
+    once = {out.resolve(): out for folder in folders for out in stored.result_folders(folder)}
+    for out in once.values():
+        _read(out, networks, left_out)
+    found = [networks[key] for key in sorted(networks) if networks[key].attacks]
+    for one in networks.values():
+        if not one.attacks:
+            left_out.update(one.left_out)
+    if not found:
+        why = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
+        named = " ".join(map(str, folders))
+        raise UsageError(
+            f"{named}: no vehicle was attacked on a SUMO network ({why or 'no runs'}), so there is"
+            " no risk to map."
+        )
+    found[0].left_out.update(left_out)
+    return [
+        Network(
+            name=one.name,
+            net_file=one.net_file,
+            places=one.places,
+            attacks=tuple(one.attacks),
+            left_out=dict(one.left_out),
+        )
+        for one in found
+    ]
+
+
+def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counter[str]) -> None:
+    moments = stored.moments_of(out)
+    for run_id, result in planned(out).items():
+        if result is None:
+            left_out["without a result"] += 1
+        elif result["status"] != "ok":
+            left_out[result["status"]] += 1
+        elif not result.get("network"):
+            left_out["on recorded scenes"] += 1
+        elif not attacked(result):
+            left_out["with no vehicle to attack"] += 1
+        else:
+            network = _network(out / "runs" / run_id, str(result["network"]), networks)
+            moment = moments.get(run_id, {})
+            try:
+                network.attacks += of_run(out, result, moment, network.places, network.road)
+            except UsageError:
+                network.left_out["without readable tracks"] += 1
+            except (KeyError, TypeError) as error:
+                raise UsageError(
+                    f"{out / 'runs' / run_id / 'result.json'} is no result of this version of"
+                    f" deepmf-sumo ({type(error).__name__}: {error}); run it anew."
+                ) from None
+
+
+def of_runs(folders: Sequence[Path]) -> dict[str, Result]:
+    """The results of runs that went through, by ``OUT/runs/RUN``."""
+    return {
+        f"{out}/runs/{run_id}": result
+        for out in folders
+        for run_id, result in planned(out).items()
+        if result is not None and result["status"] == "ok"
+    }
+
+
+def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling]) -> _Filling:
+    """The network of a run, told from others by its content."""
+    key = name, net_digest(folder)
+    if key not in networks:
+        file = _net_file(folder)
+        networks[key] = _Filling(
+            name=name,
+            net_file=file,
+            places=places_module.read(file),
+            road=road_of_net(file),
+            attacks=[],
+            left_out=Counter(),
+        )
+    return networks[key]
+
+
+def net_digest(folder: Path) -> str:
+    """Of the network in a run's folder. Raises UsageError where there is none."""
+    return hashlib.sha256(_net_file(folder).read_bytes()).hexdigest()
+
+
+def _net_file(folder: Path) -> Path:
+    file = stored.net_file(folder)
+    if file is None:
+        raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it anew.")
+    return file
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conflict:
+    """Attacks on an AV at one movement or edge by an opponent at another, or at the same.
+
+    Attributes:
+        place, against: titles of the AV's and the opponent's; empty off the lanes.
+        avoidable: of the hits that were ``judged``.
+    """
+
+    place: str
+    against: str
+    attacks: int
+    hits: int
+    avoidable: int
+    judged: int
+
+
+def conflicts(network: Network) -> list[Conflict]:
+    """All pairs of places, those with most hits first."""
+    groups: dict[tuple[str, str], list[Attacked]] = {}
+    for one in network.attacks:
+        ends = network.places.site(one.decided), network.places.site(one.against)
+        groups.setdefault(ends, []).append(one)
+    found = [_conflict(*ends, group) for ends, group in groups.items()]
+    return sorted(found, key=lambda one: (-one.hits, -one.attacks, one.place, one.against))
+
+
+def _conflict(place: str, against: str, group: Iterable[Attacked]) -> Conflict:
+    attacks = list(group)
+    return Conflict(
+        place=place,
+        against=against,
+        attacks=len(attacks),
+        hits=sum(one.hit for one in attacks),
+        avoidable=sum(bool(one.avoidable) for one in attacks),
+        judged=sum(one.avoidable is not None for one in attacks),
+    )

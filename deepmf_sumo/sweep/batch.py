@@ -1,0 +1,256 @@
+"""Specs -> result folder."""
+
+import re
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from deepmf_sumo import tasks as tasks_module
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.files import cache_folder
+from deepmf_sumo.results import result as result_module
+from deepmf_sumo.results import stored
+from deepmf_sumo.results.folder import Store, opened
+from deepmf_sumo.results.result import Result
+from deepmf_sumo.spec import Expect, Spec
+from deepmf_sumo.sweep import episode, fork, shards
+from deepmf_sumo.sweep.inputs import Input, fingerprinted
+from deepmf_sumo.sweep.ray_cluster import Cluster
+from deepmf_sumo.sweep.shards import Shard
+from deepmf_sumo.sweep.workers import Executor, Finished, Limits, Local
+from deepmf_sumo.tasks import Task
+
+_ADDRESS: Final = re.compile(r"ray://(\[[0-9a-fA-F:]+\]|[^\s:/]+)(?::(\d{1,5}))?/?")
+_CLIENT_PORT: Final = 10001
+"""Of Ray's own for programs outside the cluster."""
+
+
+def executor_named(text: str = "local", jobs: int | None = None) -> Executor:
+    """The executor of the option ``--executor``: ``local``, ``ray`` or ``ray://host:port``.
+
+    Args:
+        text: ``ray`` is the cluster that this machine is part of, or a new one of this machine.
+        jobs: workers; None is 1 of this machine, and all processors of a cluster.
+
+    Raises UsageError for anything else.
+    """
+    if text == "local":
+        return Local(jobs=jobs or 1)
+    if text == "ray":
+        return Cluster(jobs=jobs)
+    found = _ADDRESS.fullmatch(text)
+    if found is None or int(found[2] or 0) > 65535:
+        raise UsageError(
+            f"--executor {text}: must be local, ray, or ray://HOST:PORT, e.g."
+            f" ray://head.example.org:{_CLIENT_PORT}."
+        )
+    return Cluster(host=found[1].strip("[]"), port=int(found[2] or _CLIENT_PORT), jobs=jobs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """How a batch is run; nothing here changes its results.
+
+    Attributes:
+        out: the result folder.
+        name_filter: only runs whose id holds it.
+        executor, jobs: what does the runs, and how many at a time, see `batch.executor_named`.
+        timeout_s: for one run; None is no limit.
+        draw: makes the pictures, by name importable in a worker; None makes none.
+        scenes: also write each rollout as a recording.
+        sumo: write a folder a run that sumo-gui opens.
+        resume: keep the runs that an earlier, equal batch finished.
+        overwrite: delete earlier results in ``out``; with neither they are refused.
+        memory_mb: for one worker; None is no limit.
+        minutes: no run is begun after so many; None is no limit.
+        shard: only this part of the runs.
+    """
+
+    out: Path
+    name_filter: str = ""
+    executor: str = "local"
+    jobs: int | None = None
+    timeout_s: float | None = 600.0
+    draw: episode.Draw | None = None
+    gui: bool = False
+    junit: bool = False
+    scenes: bool = False
+    sumo: bool = True
+    resume: bool = False
+    overwrite: bool = False
+    memory_mb: float | None = None
+    minutes: float | None = None
+    shard: Shard | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """A run has ended (``last``), or none has yet.
+
+    Attributes:
+        kept: of those done, from before. lost: that are done again, their machine was lost.
+        again: that went through before, but differ in spec or version, or read files that have
+            changed. changed: files that an earlier batch read with other content.
+    """
+
+    done: int
+    of: int
+    kept: int
+    lost: int = 0
+    again: int = 0
+    changed: tuple[str, ...] = ()
+    last: Result | None = None
+
+
+def run(
+    specs: Sequence[Spec],
+    options: Options,
+    report: Callable[[Progress], None] = lambda _: None,
+) -> list[Result]:
+    """Run all tasks of the specs and write the result folder; results in the order of the tasks.
+
+    An interrupt leaves the finished runs and their tables behind and is passed on. Raises SpecError
+    or OutputError before anything runs.
+    """
+    planned = tasks_module.plan(specs, cache_folder(), options.name_filter)
+    return run_tasks(planned, options, report)
+
+
+def run_tasks(
+    planned: Sequence[Task],
+    options: Options,
+    report: Callable[[Progress], None] = lambda _: None,
+) -> list[Result]:
+    """As `run`, of tasks; tables are in their order."""
+    executor_named(options.executor, options.jobs)  # what is wrong shows before anything is done
+    every, read = fingerprinted(planned)
+    mine = options.shard.choose(every) if options.shard else every
+    with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
+        changed = begin(store, mine, options, read)
+        shards.note(options.out, every if options.shard else None)
+        return fill(store, mine, options, report, changed=changed)
+
+
+def begin(
+    store: Store, planned: Sequence[Task], options: Options, read: Sequence[Input]
+) -> tuple[str, ...]:
+    """Write the manifest; what may differ between equal batches is apart in it.
+
+    ``read`` is what the runs read. Returns the files that an earlier batch of the folder read with
+    other content.
+    """
+    before = stored.inputs_of(store.out)
+    now = {str(one.path): one.digest for one in read}
+    machine = {
+        "executor": options.executor,
+        "jobs": options.jobs,
+        "timeout_s": options.timeout_s,
+        "inputs": now,
+    }
+    store.begin(planned, machine)
+    return tuple(path for path, got in before.items() if now.get(path, got) != got)
+
+
+def fill(
+    store: Store,
+    planned: Sequence[Task],
+    options: Options,
+    report: Callable[[Progress], None] = lambda _: None,
+    *,
+    queue: Callable[[Task], Any] | None = None,
+    changed: tuple[str, ...] = (),
+) -> list[Result]:
+    """Do the tasks that are not done, and write the tables, into a folder that has begun.
+
+    Runs begin in the order of the key ``queue``; ``changed`` is that of `begin`.
+    """
+    before = {task.run_id: result for task in planned if (result := store.earlier(task))}
+    found = {
+        task.run_id: before[task.run_id]
+        for task in planned
+        if task.run_id in before and before[task.run_id]["key"] == task.key
+    }
+    left = [task for task in planned if task.run_id not in found]
+    if left:
+        store.forget_views()
+    if queue:
+        left.sort(key=queue)
+    elif options.minutes is None:  # else those that are done shall be spread over all moments
+        left = fork.in_order(left)
+    now = Progress(
+        done=len(found),
+        of=len(planned),
+        kept=len(found),
+        again=len(before) - len(found),
+        changed=changed,
+    )
+    report(now)
+    endings, interrupted = _endings(store, left, options), True
+    try:
+        for ending in endings:
+            now = _heard(now, store, left[ending.index], ending)
+            if now.last:
+                found[now.last["run_id"]] = now.last
+            report(now)
+        interrupted = len(found) < len(planned)
+    finally:
+        endings.close()
+        found |= _unheard(store, [task for task in left if task.run_id not in found])
+        results = [found[task.run_id] for task in planned if task.run_id in found]
+        expects = any(task.spec.expect != Expect() for task in planned)
+        store.finish(results, junit_too=options.junit or expects, interrupted=interrupted)
+    return results
+
+
+def _unheard(store: Store, tasks: Sequence[Task]) -> dict[str, Result]:
+    """Runs that went through as an interrupt came: their worker's word was not waited for."""
+    written = ((task, store.earlier(task)) for task in tasks)
+    return {task.run_id: one for task, one in written if one and one.get("key") == task.key}
+
+
+def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Progress:
+    """A task has ended, or is to be done again."""
+    if ending.status == "lost":
+        return replace(before, lost=before.lost + 1, last=None)
+    return replace(before, done=before.done + 1, last=_result(store, task, ending))
+
+
+def _endings(
+    store: Store, left: Sequence[Task], options: Options
+) -> Generator[Finished, None, None]:
+    work = episode.Episode(
+        runs=store.runs,
+        cache=cache_folder(),
+        draw=options.draw,
+        gui=options.gui,
+        scenes=options.scenes,
+        sumo=options.sumo,
+    )
+    limits = Limits(
+        timeout_s=options.timeout_s, memory_mb=options.memory_mb, minutes=options.minutes
+    )
+    return executor_named(options.executor, options.jobs).run(work, left, limits)
+
+
+def _result(store: Store, task: Task, ending: Finished) -> Result:
+    """What the worker wrote, or why it could not."""
+    if ending.status != "done":
+        status: result_module.Status = "timeout" if ending.status == "timeout" else "failed"
+        lost = result_module.unfinished(task, status, ending.reason, ending.seconds)
+        episode.finish(store.runs, task, lost)
+    return store.read(task)
+
+
+def exit_code(results: Sequence[Result]) -> int:
+    """What the command ends with.
+
+    2 where a run showed its spec wrong (e.g. damaged weights), else 3 where one failed or timed
+    out, or every one was skipped, else 1 where an expectation is broken, else 0.
+    """
+    statuses = {one["status"] for one in results}
+    if any(one.get("refused") for one in results):
+        return 2
+    if statuses & {"failed", "timeout"} or statuses == {"skipped"}:
+        return 3
+    return int(any(one["expectations_broken"] for one in results))

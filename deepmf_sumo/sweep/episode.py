@@ -1,0 +1,294 @@
+"""One task in a worker: case, attack, metrics, files."""
+
+import functools
+import json
+import os
+import shutil
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from deepmf_sumo import files, network, plugins, readers, simulation
+from deepmf_sumo.datatypes import (
+    DT_S,
+    Attack,
+    Budget,
+    Case,
+    RecordedCase,
+    Rollout,
+    Scene,
+    SumoNet,
+    TurnRules,
+)
+from deepmf_sumo.errors import DeepmfError, PlannerError, ReaderError, RunError, UsageError
+from deepmf_sumo.metrics import measure
+from deepmf_sumo.planners._checked import blamed
+from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.readers import RecordRef, npz
+from deepmf_sumo.results import artifacts, result
+from deepmf_sumo.results.artifacts import scene_of
+from deepmf_sumo.results.result import Result, first_contact
+from deepmf_sumo.spec import Expect, FromNetwork
+from deepmf_sumo.sweep import fork
+from deepmf_sumo.sweep.fork import logged
+from deepmf_sumo.tasks import Task
+
+
+def broken(expect: Expect, result: Result) -> list[str]:
+    """A sentence for each expectation that does not hold; a run without a result is not judged."""
+    return list(_broken(expect, result)) if result["status"] == "ok" else []
+
+
+def _broken(expect: Expect, result: Result) -> Iterator[str]:
+    outcome = result["outcome"]
+    hit = any(contact["kind"] in {"av_opponent", "av_other"} for contact in result["contacts"])
+    if expect.av_collision is not None and hit != expect.av_collision:
+        yield f"av_collision is {_yaml(hit)}, expected {_yaml(expect.av_collision)}"
+    if expect.outcome is not None and outcome != expect.outcome:
+        yield f"outcome is {outcome}, expected {expect.outcome}"
+    contact = first_contact(result)
+    fastest = expect.max_contact_speed_mps
+    if fastest is not None and contact and contact["relative_mps"] > fastest:
+        yield f"contact speed is {contact['relative_mps']:.2f} m/s, expected at most {fastest:g}"
+    for name, bound in expect.metrics.items():
+        found = result["metrics"].get(name, {"reason": "no such metric"})
+        value = found.get("value")
+        if value is None:
+            yield f"{name} has no value ({found['reason']})"
+        elif bound.min is not None and value < bound.min:
+            yield f"{name} is {value:.4g}, expected at least {bound.min:g}"
+        elif bound.max is not None and value > bound.max:
+            yield f"{name} is {value:.4g}, expected at most {bound.max:g}"
+
+
+def _yaml(value: bool) -> str:
+    return "true" if value else "false"
+
+
+Draw = Callable[[Rollout, Case, Path], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """Does tasks; each leaves a folder ``runs/<run id>``, whole or not at all.
+
+    Attributes:
+        runs: the folder of all runs. cache: of converted networks.
+        draw: makes ``picture.png``; None makes none.
+        scenes: also write the rollout as a recording, ``scene.npz``.
+        sumo: also write ``sumo/``, which sumo-gui opens; of networks it is always written, since
+            their road is known from it.
+    """
+
+    runs: Path
+    cache: Path
+    draw: Draw | None = None
+    gui: bool = False
+    scenes: bool = False
+    sumo: bool = True
+
+    def __call__(self, task: Task) -> None:
+        """Run the task. A run that fails leaves its reason in ``result.json``."""
+        begin = time.perf_counter()
+        try:
+            self._do(task)
+        except PlannerError as error:  # it ended the process
+            wall_s = time.perf_counter() - begin
+            finish(self.runs, task, result.unfinished(task, "failed", str(error), wall_s))
+
+    def _do(self, task: Task) -> None:
+        run = functools.partial(self._run, task)
+        case = functools.partial(make_case, task, self.cache)
+        if self.gui:
+            run()
+        elif not fork.branch(task, case, run) and not (
+            _foreign(task) and fork.apart(functools.partial(_load, task, self.cache), run)
+        ):
+            with _as_before():
+                run()
+
+    def _run(self, task: Task) -> None:
+        folder = working_folder(self.runs, task)
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        resolved = yaml.safe_dump(task.resolved(), sort_keys=False, allow_unicode=True)
+        files.write(folder / "spec.yaml", resolved)
+        begin = time.perf_counter()
+        with logged(folder / "log.txt"):
+            try:
+                found = self._attack(task, folder)
+            except ReaderError as error:
+                found = result.unfinished(task, "skipped", str(error), time.perf_counter() - begin)
+            except UsageError as error:
+                found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
+                found["refused"] = True
+            except DeepmfError as error:
+                if isinstance(error, PlannerError) and error.__cause__:
+                    traceback.print_exc()  # where in the planner it was
+                found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
+            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
+                traceback.print_exc()
+                reason = f"{type(error).__name__}: {error} (see log.txt)"
+                found = result.unfinished(task, "failed", reason, time.perf_counter() - begin)
+        finish(self.runs, task, found)
+
+    def _attack(self, task: Task, folder: Path) -> result.Result:
+        begin = time.perf_counter()
+        _adversary_of(task)  # first, for what is wrong with the weights shows soonest
+        case = make_case(task, self.cache)
+        attack = attack_case(task, case, gui=self.gui)
+        rollout = attack.rollout
+        decisive = result.decisive_part(rollout, case)
+        metrics = measure(*decisive)
+        by_turn = result.judged(rollout, case, measure)
+        artifacts.write_tracks(folder / "tracks.csv.gz", rollout)
+        artifacts.write_plans(folder / "plans.npz", rollout)
+        if self.sumo or isinstance(task.spec.source, FromNetwork):
+            plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")
+        if self.scenes:
+            npz.write(scene_of(rollout, case), folder / "scene.npz")
+        if self.draw:
+            self.draw(*decisive, folder / "picture.png")
+        wall_s = time.perf_counter() - begin
+        found = result.finished(task, case, attack, metrics, wall_s, by_turn)
+        wrong = result.not_finite(found)
+        if wrong:
+            raise RunError(f"{wrong} is not a finite number; the run is not used.")
+        return found
+
+
+def _foreign(task: Task) -> bool:
+    """Whether planner or adversary are not of this package."""
+    choices: tuple[tuple[plugins.Kind, str], ...] = (
+        ("planners", task.spec.planner.name),
+        ("adversaries", task.spec.adversary.name),
+    )
+    return not all(plugins.own(kind, name) for kind, name in choices)
+
+
+def _load(task: Task, cache: Path) -> None:
+    """What the runs that follow need, too, and the code of others, which may import a lot."""
+    plugins.load("planners", task.spec.planner.name)
+    if plugins.own("adversaries", task.spec.adversary.name):
+        _adversary_of(task)
+    if not isinstance(task.spec.source, FromNetwork):
+        make_case(task, cache)
+
+
+@contextmanager
+def _as_before() -> Iterator[None]:
+    """What a planner changes of the process's folder and environment does not stay."""
+    folder, environment = Path.cwd(), dict(os.environ)
+    try:
+        yield
+    finally:
+        os.chdir(folder)
+        if dict(os.environ) != environment:
+            os.environ.clear()
+            os.environ.update(environment)
+
+
+def make_case(task: Task, cache: Path) -> Case:
+    """The situation of a task. Raises ReaderError, ConversionError or SimulationError."""
+    spec, source = task.spec, task.spec.source
+    steps = round(spec.duration_s / DT_S)
+    if isinstance(source, FromNetwork):
+        return simulation.network_case(
+            source.network,
+            source.start_s,
+            source.av.vehicle,
+            steps,
+            spec.seed,
+            task.run_id,
+            source.sumo_options,
+            TurnRules(**spec.turns.model_dump()) if spec.opponents == "in_turn" else None,
+        )
+    assert task.record is not None, "the plan finds the scenes of recordings"
+    scene, net = _recorded(task.record, cache)
+    return RecordedCase(
+        name=task.run_id,
+        road=scene.road,
+        av_id=scene.av_id,
+        duration_steps=steps,
+        traffic=spec.traffic,
+        seed=spec.seed,
+        scene=scene,
+        net=net,
+        partner_id=scene.partner_id,
+        av_driver=getattr(plugins.load("planners", spec.planner.name), "DRIVER", "planner"),
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _recorded(record: RecordRef, cache: Path) -> tuple[Scene, SumoNet]:
+    """Kept between tasks: the methods of a benchmark follow one another on a scene."""
+    scene = readers.read(record)
+    return scene, network.cached(scene, cache / "nets")
+
+
+def attack_case(
+    task: Task, case: Case, *, gui: bool = False, planner: Planner | None = None
+) -> Attack:
+    """The adversary's attack; every episode of a search begins with the same random numbers.
+
+    ``planner`` drives the AV; without it a new one as the spec says does in every episode.
+    """
+
+    def simulate(policy: Policy | None) -> Rollout:
+        driver = planner or planner_of(task)
+        rng = np.random.default_rng([*task.entropy(), 1])
+        rollout = simulation.simulate(case, driver, policy, rng=rng, gui=gui)
+        fork.note_model(task, driver.model)
+        return rollout
+
+    rng = np.random.default_rng(task.entropy())
+    spent = task.spec.budget
+    budget = Budget(simulations=spent.simulations, seconds=spent.seconds)
+    attack: Attack = _adversary_of(task).attack(case, simulate, budget, rng)
+    return attack
+
+
+def planner_of(task: Task) -> Planner:
+    """A new planner as the spec says."""
+    choice = task.spec.planner
+    settings = plugins.settings("planners", choice.name, choice.settings)
+    with blamed():
+        planner: Planner = plugins.load("planners", choice.name).build(settings)
+    return planner
+
+
+def _adversary_of(task: Task) -> Any:
+    choice = task.spec.adversary
+    settings = json.dumps(choice.settings, sort_keys=True)
+    return _adversary(choice.name, settings, task.spec.weights)
+
+
+@functools.lru_cache(maxsize=64)
+def _adversary(name: str, settings: str, weights: str) -> Any:
+    """Kept between tasks: loading its weights takes longer than an episode."""
+    checked = plugins.settings("adversaries", name, json.loads(settings))
+    return plugins.load("adversaries", name).build(checked, weights)
+
+
+def working_folder(runs: Path, task: Task) -> Path:
+    """Where a run's files lie until it is finished."""
+    return runs / f".{task.run_id}.partial"
+
+
+def finish(runs: Path, task: Task, found: result.Result) -> None:
+    """Write ``result.json`` and put the folder in its place."""
+    folder, place = working_folder(runs, task), runs / task.run_id
+    folder.mkdir(parents=True, exist_ok=True)
+    found["expectations_broken"] = broken(task.spec.expect, found)
+    files.write_json(folder / "result.json", found)
+    if place.exists():
+        shutil.rmtree(place)
+    folder.rename(place)

@@ -1,0 +1,219 @@
+"""A run as a copy of a worker.
+
+A worker that does the runs of one network in the order of their moments need not let SUMO begin
+anew for each: `simulation.hold` brings it there, and a copy of the process does the run. Runs with
+a planner or an adversary that is not of this package are done in copies, too: what they change in
+their process does not reach the next run. However the copy ends, the worker passes it on: what it
+raised is raised again, and as it died, so the worker dies, unless a planner is to blame. All
+processes that a copy leaves behind are ended.
+"""
+
+import contextlib
+import gc
+import os
+import pickle
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+from deepmf_sumo import simulation
+from deepmf_sumo.datatypes import Case, TrafficCase, VehicleModel
+from deepmf_sumo.errors import DeepmfError, PlannerError
+from deepmf_sumo.planners import _checked
+from deepmf_sumo.planners.remote import reaper
+from deepmf_sumo.spec import FromNetwork
+from deepmf_sumo.sweep import workers
+from deepmf_sumo.tasks import Task
+
+
+@contextlib.contextmanager
+def logged(path: Path) -> Iterator[None]:
+    """Let standard output and error end in a file, SUMO's own included."""
+    with path.open("wb") as log:
+        kept = [os.dup(number) for number in (1, 2)]
+        _flush()
+        for number in (1, 2):
+            os.dup2(log.fileno(), number)
+        try:
+            yield
+        finally:
+            _flush()
+            for number, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, number)
+                os.close(copy)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+
+
+_DONE: Final = b"done"
+_before: tuple[Any, float] | None = None  # the passage and the start of this process's last run
+_models: dict[Any, VehicleModel | None] = {}  # of passages: what their planner asks SUMO for
+_unfit: set[Any] = set()  # passages on which SUMO cannot be held, or not be copied
+
+
+def passage(task: Task) -> tuple[Any, ...] | None:
+    """What the runs of one passage through a network's traffic have in common; else None."""
+    spec, source = task.spec, task.spec.source
+    if not isinstance(source, FromNetwork):
+        return None
+    return source.network, source.sumo_options, spec.seed, spec.planner.model_dump_json()
+
+
+def in_order(tasks: Sequence[Task]) -> list[Task]:
+    """The runs of a passage in the order of their moments, at the place of its first."""
+    first: dict[Any, int] = {}
+    keys = []
+    for number, task in enumerate(tasks):
+        what, source = passage(task), task.spec.source
+        place = number if what is None else first.setdefault(what, number)
+        start_s = source.start_s if isinstance(source, FromNetwork) else 0.0
+        keys.append((place, start_s, number))
+    return [tasks[number] for _, _, number in sorted(keys)]
+
+
+def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) -> bool:
+    """Do a task's work in a copy of this process, if SUMO can be brought to its moment before.
+
+    False: nothing was done, and the work is to be done here. So is that of the first run of a
+    passage, for all that it loads the others have, too.
+    """
+    global _before  # noqa: PLW0603
+    what, source, before = passage(task), task.spec.source, _before
+    _before = (what, source.start_s) if isinstance(source, FromNetwork) else None
+    follows = before and _before and before[0] == what and before[1] <= _before[1]
+    if follows and what in _models and what not in _unfit and _alone():
+        if _held(make_case, _models[what]):
+            _copied(work)
+            return True
+        _unfit.add(what)  # it is not tried again: SUMO would come to each moment twice
+    simulation.release()
+    return False
+
+
+def note_model(task: Task, model: VehicleModel | None) -> None:
+    """Remember what the planner of a task asked SUMO for: so do those of its passage."""
+    what = passage(task)
+    if what is not None:
+        _models[what] = model
+
+
+def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
+    """Do a task's work in a copy of this process; ``load`` is what all copies shall have.
+
+    False: nothing was done, for the process has threads, which copies lack.
+    """
+    simulation.release()
+    with contextlib.suppress(Exception), logged(Path(os.devnull)):  # the run itself will say it
+        load()
+    if not _alone():
+        return False
+    _copied(work)
+    return True
+
+
+def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:
+    """Whether SUMO has come to the moment, and can be copied: it may have threads of its own."""
+    with contextlib.suppress(DeepmfError), logged(Path(os.devnull)):  # the run itself will say it
+        case = make_case()
+        if isinstance(case, TrafficCase):
+            simulation.hold(case, model)
+            return _alone()
+    return False
+
+
+def _alone() -> bool:
+    """Whether a copy of this process would lack nothing: threads are not copied."""
+    if sys.platform != "linux":
+        return False
+    threads = threading.enumerate()
+    known = all(one is threading.main_thread() or one.name == workers.WATCHER for one in threads)
+    return known and sum(1 for _ in Path("/proc/self/task").iterdir()) == len(threads)
+
+
+def _copied(work: Callable[[], None]) -> None:
+    """Do the work in a copy; returns when it is done, raises what it raised, dies as it died."""
+    ours, theirs = os.pipe()
+    here = os.getpid()
+    gc.freeze()  # else the copy's first collection touches, and so copies, all that there is
+    with _leaving_none():
+        pid = os.fork()
+        if pid == 0:
+            os.close(ours)
+            _work(work, theirs, here)
+        _, status = os.waitpid(pid, 0)
+        reaper.end_all(pid)
+    gc.unfreeze()
+    os.close(theirs)
+    os.set_blocking(ours, False)  # whatever it started may have the pipe open still
+    try:
+        said = os.read(ours, 1 << 16)
+    except BlockingIOError:
+        said = b""
+    os.close(ours)
+    blamed = _checked.at_work()
+    if not said and blamed:
+        raise PlannerError(f"the planner ended its process ({_ending(status)}; see log.txt).")
+    if not said:
+        _die(os.waitstatus_to_exitcode(status))
+    if said != _DONE:
+        raise pickle.loads(said)  # noqa: S301 - its own copy said it
+
+
+@contextlib.contextmanager
+def _leaving_none() -> Iterator[None]:
+    """While a copy works: whoever ends this process ends the copy, and all that it has begun."""
+    reaper.adopt()
+    before = signal.signal(signal.SIGTERM, _leave)
+    workers.end_with_parent(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        workers.end_with_parent()
+        signal.signal(signal.SIGTERM, before)
+
+
+def _leave(number: int, frame: object) -> NoReturn:  # noqa: ARG001 - as `signal` wants it
+    for child in reaper.children():
+        reaper.end_all(child)
+    os._exit(1)
+
+
+def _ending(status: int) -> str:
+    code = os.waitstatus_to_exitcode(status)
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
+def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
+    """The copy's life."""
+    os.setpgid(0, 0)  # of its own, so that all of it can be ended at once
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    workers.end_with_parent()
+    if os.getppid() != parent:
+        os._exit(1)
+    code, said = 1, b""
+    try:
+        work()
+        code, said = 0, _DONE
+    except SystemExit as leaving:
+        code = leaving.code if isinstance(leaving.code, int) else 1
+    except Exception as error:  # noqa: BLE001 - raised again by who waits
+        said = pickle.dumps(error)
+    finally:
+        with contextlib.suppress(OSError):  # a hostile planner may have closed it
+            os.write(pipe, said)
+        os._exit(code)
+
+
+def _die(code: int) -> NoReturn:
+    """End this process with an exit code, or by a signal where it is negative."""
+    if code < 0:
+        with contextlib.suppress(OSError, ValueError):  # of SIGKILL it cannot be set
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code)

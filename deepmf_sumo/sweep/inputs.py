@@ -1,0 +1,204 @@
+"""The files that tasks read: whether they are the same as before, and on another machine."""
+
+import hashlib
+import importlib.util
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree as ET
+
+from deepmf_sumo import files
+from deepmf_sumo.errors import UsageError, WeightsError
+from deepmf_sumo.simulation import sumo_config
+from deepmf_sumo.spec import FromNetwork, Spec
+from deepmf_sumo.tasks import Task
+
+_READ_BYTES: Final = 2**28
+"""Up to this size files are compared by content, above by their names and sizes."""
+
+_SYNONYMS: Final = {"net", "n", "routes", "r", "additional", "a", "weights", "w"}
+"""Short names of SUMO's options that name files."""
+
+_FILES: Final = re.compile(r"files?$|^load-state$")
+"""Options of SUMO that name files."""
+
+_WRITTEN: Final = {"log-file", "save-state.files"}
+"""Those that SUMO writes: what an earlier run left there is nothing that the next one reads."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Input:
+    """A file or folder, and what is in it."""
+
+    path: Path
+    digest: str
+
+
+def inputs_of(tasks: Sequence[Task]) -> tuple[Input, ...]:
+    """Recordings, configurations and the files they name, weights, planners and tables of drives.
+
+    What does not exist here is left out: the run itself says so better.
+    """
+    return fingerprinted(tasks)[1]
+
+
+def fingerprinted(tasks: Sequence[Task]) -> tuple[list[Task], tuple[Input, ...]]:
+    """The tasks, each with the digest of what it reads, and all that they read.
+
+    Files' names are not in it: copies of a file elsewhere are the same.
+    """
+    looked = _Looked()
+    marked = [
+        replace(task, inputs=_joined(one.digest for one in looked.inputs(task.spec)))
+        for task in tasks
+    ]
+    return marked, looked.every()
+
+
+class _Looked:
+    """Each file is looked at once: thousands of tasks may read the same ones."""
+
+    def __init__(self) -> None:
+        self._by_spec: dict[str, tuple[Input, ...]] = {}
+        self._digests: dict[Path, str] = {}
+
+    def inputs(self, spec: Spec) -> tuple[Input, ...]:
+        """What a spec's runs read."""
+        source = spec.source
+        if isinstance(source, FromNetwork):
+            read: tuple[object, ...] = (source.network, source.sumo_options)
+        else:
+            read = (source.recording,)
+        key = repr((*read, spec.weights, spec.planner.name, *_files(spec)))
+        if key not in self._by_spec:
+            paths = dict.fromkeys(_paths(spec))
+            for path in paths:
+                self._digests.setdefault(path, digest(path))
+            found = {path: self._digests[path] for path in paths}
+            self._by_spec[key] = tuple(
+                Input(path=path, digest=got) for path, got in found.items() if got
+            )
+        return self._by_spec[key]
+
+    def every(self) -> tuple[Input, ...]:
+        """What all specs read that were asked about."""
+        return tuple(Input(path=path, digest=got) for path, got in self._digests.items() if got)
+
+
+def _joined(digests: Iterable[str]) -> str:
+    return hashlib.sha256(" ".join(digests).encode()).hexdigest()
+
+
+def lacking(inputs: Iterable[Input]) -> str:
+    """What this machine lacks, as the end of a sentence; empty where it has all."""
+    for one in inputs:
+        found = digest(one.path)
+        if not found:
+            return f"has no {one.path}"
+        if found != one.digest:
+            return f"has another {one.path}"
+    return ""
+
+
+def digest(path: Path) -> str:
+    """Of a file or of all in a folder; empty where there is none that can be read."""
+    try:
+        found = list(files.inside(path)) if path.is_dir() else [path]
+        sizes = [one.stat().st_size for one in found]
+        small = sum(sizes) <= _READ_BYTES
+        hasher = hashlib.sha256()
+        for file, size in zip(found, sizes, strict=True):
+            name = os.fsencode(file.relative_to(path))
+            hasher.update(b"%s %d " % (name, size))
+            for piece in files.pieces(file, _READ_BYTES) if small else ():
+                hasher.update(piece)
+    except (OSError, ValueError):
+        return ""
+    return hasher.hexdigest()
+
+
+def _paths(spec: Spec) -> Iterator[Path]:
+    source = spec.source
+    if isinstance(source, FromNetwork):
+        yield source.network
+        yield from _named(source.network)
+        yield from _beside(source.sumo_options)
+    else:
+        yield source.recording
+    yield from _weights(spec.weights)
+    module, colon, _ = spec.planner.name.partition(":")
+    origin = _origin(module) if colon else None
+    if origin is not None:
+        yield origin
+    yield from (Path(file).absolute() for file in _files(spec))
+
+
+def _files(spec: Spec) -> list[str]:
+    """The programs and tables of the planner and the adversary, by their key ``file``."""
+    named = (choice.settings.get("file") for choice in (spec.planner, spec.adversary))
+    return [file for file in named if isinstance(file, str) and file]
+
+
+def _named(config: Path) -> Iterator[Path]:
+    """Files that a .sumocfg names; those that these name in turn are not looked for."""
+    try:
+        elements = list(ET.parse(config).iter())  # noqa: S314 - SUMO reads it, too
+    except (ET.ParseError, OSError):
+        return
+    for element in elements:
+        yield from _read_by(element.tag, element.get("value", ""), config.parent)
+
+
+def _beside(sumo_options: Sequence[str]) -> Iterator[Path]:
+    """Files that SUMO's options beside the configuration name, as ``--name value`` or ``=value``.
+
+    None where they are wrong, which the run says.
+    """
+    with suppress(UsageError):
+        for name, value in sumo_config.parse(sumo_options).items():
+            yield from _read_by(name, value, Path.cwd())
+
+
+def _read_by(option: str, value: str, folder: Path) -> Iterator[Path]:
+    """Files that SUMO reads for an option; their names are as of the folder."""
+    if option in _WRITTEN or not (option in _SYNONYMS or _FILES.search(option)):
+        return
+    for name in value.split(","):
+        path = folder / os.path.expandvars(name.strip())  # SUMO knows ${VARIABLES}, too
+        if name.strip() and path.is_file():
+            yield path
+
+
+def _weights(name: str) -> list[Path]:
+    """The networks of a set of weights, and their cards.
+
+    None for ``open``, which is part of the program, whose version is compared, and for those that
+    are nowhere, which are those of methods that use none.
+    """
+    if name == "open":
+        return []
+    folder = Path(name)
+    if not folder.is_absolute():
+        from deepmf_sumo.predictors.weights import find  # brings torch along
+
+        try:
+            folder = find(name).absolute()
+        except WeightsError:
+            return []
+    return sorted(file for file in folder.glob("*") if file.suffix in {".json", ".safetensors"})
+
+
+def _origin(module: str) -> Path | None:
+    """The file of a module of the user's."""
+    try:
+        found = importlib.util.find_spec(module)
+    except (ImportError, ValueError):
+        return None
+    return Path(found.origin).absolute() if found and found.origin else None
+
+
+__all__ = ["Input", "digest", "fingerprinted", "inputs_of", "lacking"]
