@@ -68,7 +68,7 @@ class Settings(PluginSettings):
         desired_mps: of the IDM; None is the speed limit.
     """
 
-    margin_m: float = Field(default=0.3, ge=0.0, le=2.0)
+    margin_m: float = Field(default=0.2, ge=0.0, le=2.0)
     reaction_s: float = Field(default=0.2, ge=0.0, le=5.0)
     hardest_mps2: float = Field(default=8.0, gt=0.0, le=8.0)
     headway_s: float = Field(default=1.5, gt=0.0)
@@ -123,6 +123,7 @@ class Careful:
         self._idm = idm.build(
             idm.Settings(
                 perception="corridor",
+                margin_m=settings.margin_m,
                 emergency_mps2=settings.hardest_mps2,
                 decel_mps2=min(idm.TREIBER.decel_mps2, settings.hardest_mps2),
                 headway_s=settings.headway_s,

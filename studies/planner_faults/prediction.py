@@ -37,28 +37,54 @@ class Lanes:
             for lane in road.lanes.values()
             if lane.kind != "bike" and polylines.arc_lengths(lane.centre_m)[-1] > _SPACING_M
         ]
-        lines = [polylines.resample(road.lanes[name].centre_m, _SPACING_M) for name in self._ids]
+        lines = [_spaced(road.lanes[name].centre_m) for name in self._ids]
         count = [len(line) for line in lines]
         self._lane = np.repeat(np.arange(len(lines)), count)
+        self._place = np.concatenate([np.zeros(0, int), *map(np.arange, count)])
         self._points = np.concatenate([np.zeros((0, 2)), *lines])
         self._heading = np.concatenate([np.zeros(0), *map(_headings, lines)])
         self._tree = cKDTree(self._points) if lines else None
         self._ahead: dict[int, Floats] = {}
 
-    def match(self, position_m: Floats, heading_rad: Floats) -> Ints:
-        """(N) index of the nearest lane with the direction of each vehicle, or -1."""
+    def match(self, position_m: Floats, heading_rad: Floats) -> tuple[Ints, Ints]:
+        """(N) the nearest lane with the direction of each vehicle or -1, (N) its nearest point."""
         if self._tree is None or not len(position_m):
-            return np.full(len(position_m), -1)
+            return np.full(len(position_m), -1), np.zeros(len(position_m), int)
         distance, point = self._tree.query(position_m, k=min(12, len(self._points)))
         distance, point = distance.reshape(len(position_m), -1), point.reshape(len(position_m), -1)
         turn = np.abs(frames.difference(self._heading[point], heading_rad[:, None]))
         cost = np.where((distance < _BESIDE_M) & (turn < _TURNED_RAD), distance + turn, np.inf)
-        best = cost.argmin(axis=1)
-        rows = np.arange(len(best))
-        return np.where(np.isfinite(cost[rows, best]), self._lane[point[rows, best]], -1)
+        rows, best = np.arange(len(cost)), cost.argmin(axis=1)
+        nearest = point[rows, best]
+        matched = np.isfinite(cost[rows, best])
+        return np.where(matched, self._lane[nearest], -1), self._place[nearest]
 
-    def ahead(self, lane: int) -> Floats:
-        """(161, 2) the lane from its start, and its successors, a point each metre."""
+    def along(
+        self, lane: Ints, place: Ints, start_m: Floats, moved_m: Floats
+    ) -> tuple[Floats, Floats]:
+        """(K, T, 2) positions and (K, T) headings after ``moved_m`` (K, T) along K lanes.
+
+        ``place`` (K) and ``start_m`` (K, 2): the nearest point of each lane, and the position.
+        """
+        lines = [self._line(each) for each in lane.tolist()]
+        first = np.cumsum([0, *(len(line) for line in lines[:-1])])[:, None]
+        last = np.array([len(line) - 2 for line in lines])[:, None]
+        points = np.concatenate(lines)
+        near = np.minimum(place[:, None], last)
+        step = np.clip(place[:, None] + moved_m.astype(int), 0, last)
+        way = points[first + step + 1] - points[first + step]
+        heading = np.arctan2(way[..., 1], way[..., 0])
+        course = points[first + near + 1] - points[first + near]
+        course = course / np.maximum(np.hypot(course[..., 0], course[..., 1]), 1e-6)[..., None]
+        offset = (start_m - points[(first + near)[:, 0]])[:, None]
+        on_line = (offset * course).sum(-1)
+        left = (course[..., 0] * offset[..., 1] - course[..., 1] * offset[..., 0])[..., None]
+        normal = np.stack([-np.sin(heading), np.cos(heading)], -1)
+        share = (near + on_line + moved_m - step)[..., None]
+        return points[first + step] + share * way + left * normal, heading
+
+    def _line(self, lane: int) -> Floats:
+        """(P, 2) the lane from its start, and its successors, a point each metre."""
         if lane not in self._ahead:
             self._ahead[lane] = self._continued(self._ids[lane])
         return self._ahead[lane]
@@ -87,6 +113,11 @@ class Lanes:
 def lanes_of(road: RoadMap) -> Lanes:
     """The lanes of a road, which is compared by identity."""
     return Lanes(road)
+
+
+def _spaced(line: Floats) -> Floats:
+    along = np.arange(0.0, polylines.arc_lengths(line)[-1], _SPACING_M)
+    return polylines.points_at(line, along)[0]
 
 
 def _headings(line: Floats) -> Floats:
@@ -131,13 +162,16 @@ def predicted(
     facing = np.repeat(heading_rad[:, None], len(TIMES_S), axis=1)
     position, heading = straight.copy(), facing.copy()
     lanes = lanes_of(road)
-    lane = np.where(vehicle, lanes.match(position_m, heading_rad), -1)
+    lane, place = lanes.match(position_m, heading_rad)
     speed = (velocity_mps * frames.unit(heading_rad)).sum(-1)
     aside = np.zeros(len(lane))
-    for row in np.flatnonzero((lane >= 0) & (speed > 0)):
-        line = lanes.ahead(int(lane[row]))
-        position[row], heading[row] = _along(line, position_m[row], TIMES_S * speed[row])
-        aside[row] = abs(speed[row] * np.sin(heading_rad[row] - heading[row, 0]))
+    rows = np.flatnonzero((lane >= 0) & (speed > 0) & vehicle)
+    if len(rows):
+        moved = TIMES_S * speed[rows, None]
+        position[rows], heading[rows] = lanes.along(
+            lane[rows], place[rows], position_m[rows], moved
+        )
+        aside[rows] = np.abs(speed[rows] * np.sin(heading_rad[rows] - heading[rows, 0]))
     agent = np.arange(len(position_m))
     leaves = np.flatnonzero(aside > _LEAVES_MPS)
     return Futures(
@@ -146,20 +180,6 @@ def predicted(
         np.concatenate([heading, facing[leaves]]),
         np.concatenate([np.full(len(agent), np.inf), np.full(len(leaves), _LEAVING_S)]),
     )
-
-
-def _along(line: Floats, start_m: Floats, moved_m: Floats) -> tuple[Floats, Floats]:
-    """Positions and headings after ``moved_m`` (T) along a line of points a metre apart."""
-    near = int(np.hypot(*(line - start_m).T).argmin())
-    step = np.clip(near + moved_m.astype(int), 0, len(line) - 2)
-    way = line[step + 1] - line[step]
-    heading = np.arctan2(way[:, 1], way[:, 0])
-    normal = np.stack([-np.sin(heading), np.cos(heading)], -1)
-    offset = start_m - line[min(near, len(line) - 2)]
-    left = float(offset @ normal[0])
-    on_line = float(offset @ (way[0] / max(np.hypot(*way[0]), 1e-6)))
-    share = (near + on_line + moved_m - step)[:, None]
-    return line[step] + share * way + left * normal, heading
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
