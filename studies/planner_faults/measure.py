@@ -98,14 +98,14 @@ def _default() -> gate.Thresholds:
 
 def _run(asked: Asked, fault: str, folder: str, seeds: Sequence[int]) -> Path:
     out = asked.out / folder
-    loaded = [_spec(file, asked, fault) for file in asked.specs]
+    loaded = [spec_of(file, asked, fault) for file in asked.specs]
     each = [one.model_copy(update={"seed": seed}) for one in loaded for seed in seeds]
     options = batch.Options(out=out, jobs=asked.jobs, resume=out.exists())
     batch.run(each, options)
     return out
 
 
-def _spec(file: Path, asked: Asked, fault: str) -> Spec:
+def spec_of(file: Path, asked: Asked, fault: str) -> Spec:
     """A spec with the method and the faulty copy in place of its own."""
     before = specs.load(file).adversary.settings
     method: Any = yaml.safe_load(asked.method)

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
+from simulated_worlds import CAR, lane
 
 from deepmf_sumo.datatypes import RoadMap, SignalState, Tracks, View
 from deepmf_sumo.geometry import boxes, polylines
-from simulated_worlds import CAR, lane
 
 DT_S = 0.1
 LIMIT_MPS = 15.0
@@ -75,15 +75,22 @@ class Situation:
 
 @dataclass
 class Driven:
-    """What happened: whether the AV hit anybody, commands, and the AV's speeds."""
+    """What happened: whether the AV hit anybody, the least gap, commands, and the AV's speeds."""
 
     hit: bool = False
+    nearest_m: float = np.inf
     commands: list = field(default_factory=list)
     speeds: list = field(default_factory=list)
 
     @property
     def hardest(self):
         return float(-np.diff(self.speeds).min() / DT_S)
+
+    @property
+    def first_braking_s(self):
+        """When it first braked by more than 1 m/s2."""
+        braked = np.flatnonzero(np.diff(self.speeds) < -1.0 * DT_S)
+        return float(braked[0]) * DT_S if len(braked) else np.inf
 
 
 def drive(planner, situation, road_map):
@@ -94,10 +101,7 @@ def drive(planner, situation, road_map):
     # before the first step the AV drove at its speed
     for step in range(-10, round(situation.seconds / DT_S)):
         time = step * DT_S
-        if step < 0:
-            place = start + time * speed
-        else:
-            place = along
+        place = start + time * speed if step < 0 else along
         past.append(_states(line, place, speed, situation, time))
         past = past[-11:]
         if step < 0:
@@ -105,7 +109,8 @@ def drive(planner, situation, road_map):
         view = _view(situation, past, step, line, along, road_map)
         if not step:
             result = Driven(speeds=[speed])
-        if _touched(view):
+        result.nearest_m = min(result.nearest_m, _gap_m(view))
+        if result.nearest_m == 0.0:
             result.hit = True
             return result
         command = planner.act(view)
@@ -144,11 +149,11 @@ def _view(situation, past, step, line, along, road_map):
     )  # fmt: skip
 
 
-def _touched(view):
+def _gap_m(view):
     tracks = view.history
     now = tracks.position_m[:, -1], tracks.heading_rad[:, -1], tracks.size_m[:, :2]
-    hit = boxes.overlap(*(part[0] for part in now), *(part[1:] for part in now))
-    return bool(hit.any())
+    gaps = boxes.gap(*(part[0] for part in now), *(part[1:] for part in now))
+    return float(gaps.min(initial=np.inf))
 
 
 def _speed_after(command, model, speed):
