@@ -49,6 +49,7 @@ _FORGOTTEN_S: Final = 1.0
 """A risk that has been gone for so long is new when it comes back."""
 _SLOWEST_ASIDE_MPS: Final = 0.5
 _TOWARDS_MPS: Final = 0.15
+_BESIDE_M: Final = 12.0
 _RSS_CLOSING_MPS: Final = 0.5
 _PARALLEL: Final = np.cos(np.pi / 4)
 
@@ -90,13 +91,20 @@ class Risk(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Sight:
-    """The AV, and the N others that it may meet within the next seconds."""
+    """The AV, and the N others that it may meet within the next seconds.
 
+    Attributes:
+        followed: what the packaged IDM with corridor perception commands; None is SUMO's own.
+        gap_m, direction_rad: (N) as of `perception.entries`.
+    """
+
+    followed: Command | None
+    gap_m: Floats
+    direction_rad: Floats
     ids: tuple[AgentId, ...]
     now: Tracks
     road: RoadMap
     path: AvPath
-    corridor_m: Floats
     speed_mps: float
     accel_mps2: float
     size_m: Floats
@@ -120,34 +128,31 @@ class Careful:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._idm = idm.build(
+        self._model: VehicleModel = idm.build(
             idm.Settings(
-                perception="corridor",
-                margin_m=settings.margin_m,
                 emergency_mps2=settings.hardest_mps2,
                 decel_mps2=min(idm.TREIBER.decel_mps2, settings.hardest_mps2),
                 headway_s=settings.headway_s,
                 gap_m=settings.gap_m,
                 desired_mps=settings.desired_mps,
             )
-        )
+        ).model
         self._since: dict[AgentId, float] = {}
         self._last: dict[AgentId, float] = {}
 
     @property
     def model(self) -> VehicleModel | None:
         """Parameters of the AV's IDM."""
-        return self._idm.model
+        return self._model
 
-    def reset(self, case: Case, rng: np.random.Generator) -> None:
+    def reset(self, case: Case, rng: np.random.Generator) -> None:  # noqa: ARG002
         """Start of an episode."""
-        self._idm.reset(case, rng)
         self._since, self._last = {}, {}
 
     def act(self, view: View) -> Command:
         """The IDM's command, or the braking that the worst risk asks for."""
-        base = self._idm.act(view)
-        sight = _sight(view)
+        sight = _sight(view, self._settings.margin_m)
+        base = sight.followed or Command(kind="sumo")
         risk = self.risk(sight) if sight.ids else Risk((), np.zeros(0))
         worst = self._perceived(risk, view.step * view.dt_s)
         if worst is None:
@@ -212,7 +217,7 @@ class Careful:
     def _braked(self, base: Command, sight: _Sight, agent: AgentId, braking: float) -> Command:
         """At least this braking: hard by speed, mild as behind a leader, which SUMO may exceed."""
         speed = sight.speed_mps
-        model = self._idm.model
+        model = self._model
         asked = -braking
         if base.kind == "leader":
             asked = min(asked, _idm_accel(model, speed, base.gap_m, base.leader_mps))
@@ -254,10 +259,9 @@ class _Ahead:
     @classmethod
     def of(cls, sight: _Sight, settings: Settings) -> "_Ahead":
         """What is seen now."""
-        now, half = sight.now, float(sight.size_m[1]) / 2 + settings.margin_m
+        now, gap, direction = sight.now, sight.gap_m, sight.direction_rad
         position, heading = now.position_m[:, -1], now.heading_rad[:, -1]
         velocity, speed = now.velocity_mps[:, -1], now.speed_mps[:, -1]
-        gap, direction = entries(sight.corridor_m, half, position, heading, sight.others_m)
         along = np.cos(frames.difference(heading, direction)) > _PARALLEL
         leads = np.isfinite(gap) & (along | (speed < WAITING_MPS))
         vehicle = np.array([kind in ("vehicle", "cyclist") for kind in now.kinds], bool)
@@ -285,16 +289,22 @@ class _Ahead:
 def _cutting_in(sight: _Sight, occupancy: Occupancy, settings: Settings) -> tuple[Bools, Floats]:
     """(N) who is beside the corridor, ahead, and moves into it; (N) the path's direction there."""
     now, agents = sight.now, len(sight.ids)
-    foot = sight.path.project(now.position_m)
-    far = np.where(now.valid, np.abs(foot.left_m), -np.inf)
-    sideways = far.max(axis=1) - far[:, -1]
-    normal = frames.unit(foot.heading_rad[:, -1] + np.pi / 2)
-    left_mps = (now.velocity_mps[:, -1] * normal).sum(-1)
-    towards = -np.sign(foot.left_m[:, -1]) * left_mps
-    beside = occupancy.clearance_m[:agents, 0] > 0
+    beside = (occupancy.clearance_m[:agents, 0] > 0) & (
+        occupancy.clearance_m[:agents, 0] < _BESIDE_M
+    )
     ahead = occupancy.rear_m[:agents, 0] + occupancy.front_m[:agents, 0] > -sight.size_m[0]
-    moves = (sideways >= settings.wandering_m) & (towards > _TOWARDS_MPS)
-    return beside & ahead & moves & occupancy.parallel[:agents, 0], foot.heading_rad[:, -1]
+    rows = np.flatnonzero(beside & ahead & occupancy.parallel[:agents, 0])
+    cuts, course = np.zeros(agents, bool), np.zeros(agents)
+    if len(rows):
+        foot = sight.path.project(now.position_m[rows])
+        far = np.where(now.valid[rows], np.abs(foot.left_m), -np.inf)
+        sideways = far.max(axis=1) - far[:, -1]
+        normal = frames.unit(foot.heading_rad[:, -1] + np.pi / 2)
+        left_mps = (now.velocity_mps[rows, -1] * normal).sum(-1)
+        towards = -np.sign(foot.left_m[:, -1]) * left_mps
+        cuts[rows] = (sideways >= settings.wandering_m) & (towards > _TOWARDS_MPS)
+        course[rows] = foot.heading_rad[:, -1]
+    return cuts, course
 
 
 def _with_cut_ins(occupancy: Occupancy, sight: _Sight, cuts: Bools) -> Occupancy:
@@ -388,31 +398,47 @@ def _idm_accel(model: VehicleModel, speed: float, gap_m: float, leader_mps: floa
     return float(model.accel_mps2 * (1 - (wanted / max(gap_m, 0.1)) ** 2))
 
 
-def _sight(view: View) -> _Sight:
+def _sight(view: View, margin_m: float) -> _Sight:
     tracks, me = view.history, view.history.row(view.av_id)
-    position, heading = tracks.position_m[me, -1], float(tracks.heading_rad[me, -1])
+    positions, headings = tracks.position_m[:, -1], tracks.heading_rad[:, -1]
+    position, heading = positions[me], float(headings[me])
     size = tracks.size_m[me, :2]
-    front = position + size[0] / 2 * frames.unit(heading)
     corridor = view.av_path_m
     if corridor is None:
+        front = position + size[0] / 2 * frames.unit(heading)
         corridor = front + np.array([[0.0], [120.0]]) * frames.unit(heading)
+    half = float(size[1]) / 2 + margin_m
+    gap, direction = entries(corridor, half, positions, headings, tracks.size_m[:, :2])
+    other = ~off_level(view.road, position, float(tracks.z_m[me, -1]), positions, tracks.z_m[:, -1])
+    other[me] = False
     speed = tracks.speed_mps[me]
     known = tracks.valid[me, -4:]
     reach = (tracks.speed_mps[:, -1] + speed[-1]) * TIMES_S[-1] + tracks.size_m[:, 0] + 5.0
-    near = np.hypot(*(tracks.position_m[:, -1] - position).T) < reach
-    near &= ~off_level(
-        view.road, position, float(tracks.z_m[me, -1]), tracks.position_m[:, -1], tracks.z_m[:, -1]
-    )
-    near[me] = False
-    rows = np.flatnonzero(near).tolist()
+    rows = np.flatnonzero(other & (np.hypot(*(positions - position).T) < reach)).tolist()
     return _Sight(
+        followed=_followed(view, np.where(other, gap, np.inf), direction),
+        gap_m=gap[rows],
+        direction_rad=direction[rows],
         ids=tuple(tracks.ids[row] for row in rows),
         now=tracks.select(rows),
         road=view.road,
         path=AvPath.through(position[None], np.array([heading]), corridor),
-        corridor_m=corridor,
         speed_mps=float(speed[-1]),
         accel_mps2=float(speed[-1] - speed[-4]) / (3 * view.dt_s) if known.all() else 0.0,
         size_m=size,
         dt_s=view.dt_s,
+    )
+
+
+def _followed(view: View, gap_m: Floats, direction_rad: Floats) -> Command | None:
+    """As `idm.IdmPlanner` with corridor perception, whose look along the path is used twice."""
+    row = int(gap_m.argmin())
+    if view.av_path_m is None or not np.isfinite(gap_m[row]):
+        return None
+    along = frames.unit(float(direction_rad[row]))
+    return Command(
+        kind="leader",
+        gap_m=float(gap_m[row]),
+        leader_mps=float(view.history.velocity_mps[row, -1] @ along),
+        leader_id=view.history.ids[row],
     )
