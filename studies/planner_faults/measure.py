@@ -68,27 +68,28 @@ class Found(NamedTuple):
     runs: int
     hits: int
     avoidable: int
-    reported: tuple[str, ...]
+    verdict: str
 
 
 def measured(asked: Asked) -> Iterator[Found]:
     """The careful planner, its other seeds, and each faulty copy. Raises DeepmfError."""
     thresholds = gate.load(asked.thresholds) if asked.thresholds else _default()
     baseline = _run(asked, "none", "careful", asked.seeds)
-    yield _found("careful", baseline, ())
+    yield _found("careful", baseline, "baseline")
     again = _run(asked, "none", "careful_again", asked.other_seeds)
-    yield _found("careful, other seeds", again, _worse(again, thresholds, baseline))
+    yield _found("careful, other seeds", again, _verdict(again, thresholds, baseline))
     for name in asked.faults:
         out = _run(asked, name, name, asked.seeds)
-        yield _found(name, out, _worse(out, thresholds, baseline))
+        yield _found(name, out, _verdict(out, thresholds, baseline))
 
 
 def table(found: Iterator[Found]) -> str:
     """A line a planner."""
-    lines = [f"{'planner':22} {'runs':>5} {'hits':>5} {'avoidable':>9}  reported by the gate"]
-    for one in found:
-        told = "; ".join(one.reported) or "-"
-        lines.append(f"{one.planner:22} {one.runs:5} {one.hits:5} {one.avoidable:9}  {told}")
+    lines = [f"{'planner':22} {'runs':>5} {'hits':>5} {'avoidable':>9}  the gate's verdict"]
+    lines.extend(
+        f"{one.planner:22} {one.runs:5} {one.hits:5} {one.avoidable:9}  {one.verdict}"
+        for one in found
+    )
     return "\n".join(lines)
 
 
@@ -122,13 +123,19 @@ def spec_of(file: Path, asked: Asked, fault: str) -> Spec:
     return specs.load(file, sets)
 
 
-def _worse(out: Path, thresholds: gate.Thresholds, baseline: Path) -> tuple[str, ...]:
-    verdict = gate.check(out, thresholds, baseline)
-    return tuple(regression(one) for one in verdict.comparisons or () if one.state == "worse")
+def _verdict(out: Path, thresholds: gate.Thresholds, baseline: Path) -> str:
+    """What is worse than the baseline and by how much; else the state of each judged quantity."""
+    judged = [
+        one
+        for one in gate.check(out, thresholds, baseline).comparisons or ()
+        if one.state != "not judged"
+    ]
+    worse = [f"REPORTED: {regression(one)}" for one in judged if one.state == "worse"]
+    return "; ".join(worse or [f"{one.quantity}: {one.state}" for one in judged])
 
 
-def _found(name: str, out: Path, reported: tuple[str, ...]) -> Found:
+def _found(name: str, out: Path, verdict: str) -> Found:
     rows = list(gate.read(out).rows.values())
     hits = sum(row.values.get("collision_rate", 0.0) for row in rows)
-    avoidable = sum(row.values.get("valid_collision_rate", 0.0) for row in rows)
-    return Found(name, len(rows), round(hits), round(avoidable), reported)
+    avoidable = sum(row.values.get("avoidable_rate", 0.0) for row in rows)
+    return Found(name, len(rows), round(hits), round(avoidable), verdict)
