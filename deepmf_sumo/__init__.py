@@ -1,21 +1,54 @@
-"""deepmf-sumo: closed-loop, safety-critical attacks on an automated vehicle in SUMO traffic."""
+"""deepmf-sumo: closed-loop, safety-critical attacks on an automated vehicle in SUMO traffic.
+
+What ``__all__`` lists is public; everything else may change.
+
+- `run`: run specs and write a result folder.
+- `Results`: the runs of result folders; ``frame()`` is a pandas table.
+- `Attacker`: attacks in a SUMO that a TraCI script steps.
+- `AttackEnv`: a Gymnasium environment in which the AV is attacked (extra ``gym``).
+- `read_scenes`: recorded scenes of any format that is read.
+- `load_predictors`: the networks of a set of weights.
+"""
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from deepmf_sumo.api import read_scenes, run
+    from deepmf_sumo.gym import AttackEnv
     from deepmf_sumo.live.attacker import Attacker
+    from deepmf_sumo.predictors.weights import load as load_predictors
     from deepmf_sumo.results.results import Results
 
 __version__ = "0.1.0"
-__all__ = ["Attacker", "Results", "__version__"]
+__all__ = [
+    "AttackEnv",
+    "Attacker",
+    "Results",
+    "__version__",
+    "load_predictors",
+    "read_scenes",
+    "run",
+]
 
-
-_HOMES = {"Attacker": "deepmf_sumo.live", "Results": "deepmf_sumo.results.results"}
+_PLACES = {
+    "AttackEnv": ("gym", "AttackEnv"),
+    "Attacker": ("live.attacker", "Attacker"),
+    "Results": ("results.results", "Results"),
+    "load_predictors": ("predictors.weights", "load"),
+    "read_scenes": ("api", "read_scenes"),
+    "run": ("api", "run"),
+}
 
 
 def __getattr__(name: str) -> Any:
-    """`Attacker` or `Results`, imported on first use: what they need takes a second to import."""
-    if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
+    """A public name, imported on first use: what they need takes a second to import."""
+    if name in _PLACES:
+        module, attribute = _PLACES[name]
+        return getattr(importlib.import_module(f"deepmf_sumo.{module}"), attribute)
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return list(__all__)

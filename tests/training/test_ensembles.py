@@ -17,9 +17,8 @@ from deepmf_sumo.errors import OutputError, RunError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards, initial_weights, members, run
-from deepmf_sumo.training.fit import checkpoints
 from deepmf_sumo.training.config import Optimisation
-from deepmf_sumo.training.fit import loop
+from deepmf_sumo.training.fit import checkpoints, loop
 from deepmf_sumo.training.samples import trajectory
 from deepmf_sumo.training.samples.feature_cache import Data
 

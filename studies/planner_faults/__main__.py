@@ -1,0 +1,68 @@
+"""``python -m studies.planner_faults list | halves | measure``, from the top folder."""
+
+# ruff: noqa: T201 - a command
+
+import argparse
+import sys
+from pathlib import Path
+
+from deepmf_sumo.errors import DeepmfError
+from studies.planner_faults import measure
+from studies.planner_faults.faults import FAULTS
+from studies.planner_faults.halves import FROZEN, frozen_text, halves
+
+
+def _list() -> int:
+    half = halves(FAULTS)
+    print(f"{'name':19} {'half':9} what is wrong")
+    for name, fault in FAULTS.items():
+        print(f"{name:19} {half[name]:9} {fault.about}")
+    return 0
+
+
+def _halves() -> int:
+    print(frozen_text(), end="")
+    if FROZEN.read_text("utf-8") == frozen_text():
+        return 0
+    print(f"{FROZEN} differs.", file=sys.stderr)
+    return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m studies.planner_faults")
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("list", help="all faults")
+    commands.add_parser("halves", help="what held_out.txt contains; 1 where it differs")
+    run = commands.add_parser("measure", help="which faults the gate reports for one method")
+    run.add_argument("--method", default="deepmf", help="an adversary as in a spec, in YAML")
+    run.add_argument("--budget", type=int, help="simulations of an attack")
+    run.add_argument("--jobs", type=int, default=1)
+    run.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    run.add_argument(
+        "--false-alarms", type=int, nargs="+", default=[101, 102, 103], metavar="SEED",
+        help="seeds of the careful planner's other runs, compared with the first",
+    )  # fmt: skip
+    run.add_argument("--faults", nargs="+", choices=tuple(FAULTS), help="default: the open half")
+    run.add_argument("--specs", type=Path, nargs="+", help="default: all packaged scenarios")
+    run.add_argument("--thresholds", type=Path, help="default: those of `check`")
+    run.add_argument("--out", type=Path, required=True, help="folder of all results; resumed")
+    return parser
+
+
+def main() -> int:
+    """Do what is asked; 2 for what is wrong with it."""
+    given = _parser().parse_args()
+    if given.command == "list":
+        return _list()
+    if given.command == "halves":
+        return _halves()
+    try:
+        print(measure.table(measure.measured(measure.Asked.of(given))))
+    except DeepmfError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""The public names of the package, and that they do what the command line does."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import deepmf_sumo
+from deepmf_sumo.cli import main
+from deepmf_sumo.errors import OutputError
+from deepmf_sumo.plans.compare import differences
+
+SCENARIO = Path(__file__).resolve().parents[1] / "scenarios" / "cut_in.yaml"
+
+
+def test_the_public_names_are_these():
+    assert deepmf_sumo.__all__ == [
+        "AttackEnv",
+        "Attacker",
+        "Results",
+        "__version__",
+        "load_predictors",
+        "read_scenes",
+        "run",
+    ]
+    for name in deepmf_sumo.__all__:
+        assert getattr(deepmf_sumo, name).__doc__
+    assert dir(deepmf_sumo) == sorted(deepmf_sumo.__all__)
+    with pytest.raises(AttributeError, match="has no attribute 'rum'"):
+        _ = deepmf_sumo.rum
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    program = "import sys, deepmf_sumo; print({'numpy', 'torch', 'libsumo'} & set(sys.modules))"
+    shown = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True
+    )
+    assert shown.stdout.strip() == "set()"
+
+
+def test_run_writes_what_the_command_writes(tmp_path):
+    found = deepmf_sumo.run(SCENARIO, tmp_path / "a", sets=["adversary=none"], seeds=[1, 2])
+    assert [run.status for run in found.runs] == ["ok", "ok"]
+    assert len(found.frame()) == 2
+    arguments = [str(SCENARIO), "--set", "adversary=none", "--seeds", "1-2", "--no-pictures"]
+    assert main._run(["run", *arguments, "--out", str(tmp_path / "b")]) == 0
+    assert differences(tmp_path / "a", tmp_path / "b") == []
+    with pytest.raises(OutputError, match="--overwrite"):
+        deepmf_sumo.run(SCENARIO, tmp_path / "a", sets=["adversary=none"])
+
+
+def test_read_scenes_reads_what_run_wrote(tmp_path):
+    arguments = [str(SCENARIO), "--set", "adversary=none", "--scenes", "--no-pictures"]
+    assert main._run(["run", *arguments, "--out", str(tmp_path)]) == 0
+    [scene] = deepmf_sumo.read_scenes(tmp_path)
+    assert scene.tracks.position_m.shape[1] == 91
