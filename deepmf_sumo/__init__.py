@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deepmf_sumo.gym import AttackEnv
     from deepmf_sumo.live.attacker import Attacker
     from deepmf_sumo.predictors.weights import load as load_predictors
-    from deepmf_sumo.results.results import Results
+    from deepmf_sumo.results.reader import Results
 
 __version__ = "0.1.0"
 __all__ = [
@@ -34,7 +34,7 @@ __all__ = [
 _PLACES = {
     "AttackEnv": ("gym", "AttackEnv"),
     "Attacker": ("live.attacker", "Attacker"),
-    "Results": ("results.results", "Results"),
+    "Results": ("results.reader", "Results"),
     "load_predictors": ("predictors.weights", "load"),
     "read_scenes": ("api", "read_scenes"),
     "run": ("api", "run"),

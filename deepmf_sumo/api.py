@@ -7,7 +7,7 @@ from deepmf_sumo import readers, spec
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.readers import Refusal
 from deepmf_sumo.report import picture
-from deepmf_sumo.results.results import Results
+from deepmf_sumo.results.reader import Results
 from deepmf_sumo.sweep import batch
 
 

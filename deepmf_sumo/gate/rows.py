@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.results import results, stored
+from deepmf_sumo.results import reader, stored
 from deepmf_sumo.results.folder import FORMAT_VERSION as FOLDER_VERSION
 from deepmf_sumo.results.quantities import COMPARABLE, judged
 from deepmf_sumo.results.result import Result
@@ -108,7 +108,7 @@ def _of_folder(out: Path) -> Results:
         )
     rows: dict[str, Row] = {}
     attacks: dict[str, dict[str, Any]] = {}
-    for run_id, result in results.planned(out).items():
+    for run_id, result in reader.planned(out).items():
         try:
             rows[run_id] = _missing(run_id) if result is None else _row(result)
             if result is not None:

@@ -14,7 +14,7 @@ import pandas as pd
 from deepmf_sumo.avoidability.grading import GRADES
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.metrics.statistics import wilson
-from deepmf_sumo.results.results import Results, Run
+from deepmf_sumo.results.reader import Results, Run
 
 _NUMBERS: Final = ("contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median")
 """Columns of ``runs.csv`` that are averaged."""

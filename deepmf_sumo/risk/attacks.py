@@ -19,8 +19,8 @@ from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import stored
+from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
-from deepmf_sumo.results.results import planned
 from deepmf_sumo.risk import places as places_module
 from deepmf_sumo.risk.criticality import criticality
 from deepmf_sumo.risk.places import Places, Spot

@@ -19,7 +19,7 @@ from deepmf_sumo.report.figures import (
     write_timelines,
 )
 from deepmf_sumo.report.figures.style import Skipped
-from deepmf_sumo.results import results
+from deepmf_sumo.results import reader
 
 SCORES = {"b": 0.9, "c": 0.6, "d": 0.2, "e": 0.1}
 NATURAL = {"opponent_rms_acceleration": 1.2, "acceleration_kl": 0.4}
@@ -38,7 +38,7 @@ def folder(tmp_path):
 
 def draw(figure, folder):
     with style.printed():
-        return figure(results.Results.of(folder.out))
+        return figure(reader.Results.of(folder.out))
 
 
 def texts(sheet):
@@ -51,7 +51,7 @@ def width_in(png):
 
 def test_a_rollout_is_read_as_it_was_written(folder):
     written = folder.add("one")
-    read = results.Results.of(folder.out).done[0].rollout
+    read = reader.Results.of(folder.out).done[0].rollout
     assert set(read.tracks.ids) == set(written.tracks.ids)
     assert "NA" in read.tracks.ids
     for agent in written.tracks.ids:
@@ -169,7 +169,7 @@ def test_attacks_that_asked_for_a_sector_come_first(folder):
 
 def test_the_av_drives_up_in_a_panel_of_a_sector(folder):
     folder.add("one", turn=2.0)
-    run = results.Results.of(folder.out).done[0]
+    run = reader.Results.of(folder.out).done[0]
     window = sectors._from_av(run)
     ahead = run.contact.pose_first[:2] + np.array([np.cos(2.0), np.sin(2.0)])
     step = window.place(ahead) - window.place(run.contact.pose_first[:2])
@@ -201,7 +201,7 @@ def test_rates_count_attacked_runs_of_the_own_budget(folder):
             folder.add(f"s{number}", method=method, hit=hit, metrics=natural)
     folder.add("s6", hit=False, opponent=None)
     folder.add("s7", method="S1 (8 simulations)", part="budgets")
-    found = results.Results.of(folder.out)
+    found = reader.Results.of(folder.out)
     assert "S1 (8 simulations)" not in found.methods
     points = methods._points(found, "replay", "opponent_rms_acceleration")
     assert [(one.method, one.rate.rate, one.mean) for one in points] == [
@@ -237,11 +237,11 @@ def test_curves_become_lines(folder):
 
 def test_the_road_of_a_lost_recording_is_that_of_the_network(folder, tmp_path):
     folder.add("one")
-    run = results.Results.of(folder.out).done[0]
+    run = reader.Results.of(folder.out).done[0]
     assert len(run.road()[0].lanes) == 2
     assert run.road()[1] == ""
     (tmp_path / "one.npz").unlink()
-    results._recorded_road.cache_clear()
+    reader._recorded_road.cache_clear()
     with pytest.raises(UsageError, match=r"holds no net\.net\.xml"):
         run.road()
     (run.folder / "sumo").mkdir()

@@ -10,7 +10,7 @@ from result_folders import Folder
 
 import deepmf_sumo
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.results.results import Results
+from deepmf_sumo.results.reader import Results
 
 
 @pytest.fixture(autouse=True)

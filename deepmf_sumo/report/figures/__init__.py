@@ -8,7 +8,7 @@ from deepmf_sumo import files
 from deepmf_sumo.report.figures import attacks, methods, scores, sectors, style
 from deepmf_sumo.report.figures.attacks import write_timelines
 from deepmf_sumo.report.figures.style import Sheet, Skipped
-from deepmf_sumo.results.results import Results
+from deepmf_sumo.results.reader import Results
 
 __all__ = ["draw_all", "write_timelines"]
 

@@ -15,7 +15,7 @@ from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, scale_of, window_of
 from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
 from deepmf_sumo.report.table import SECTORS
-from deepmf_sumo.results.results import Results, Run
+from deepmf_sumo.results.reader import Results, Run
 
 MOST: Final = 8
 FEW: Final = 4

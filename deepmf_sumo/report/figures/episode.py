@@ -15,7 +15,7 @@ from deepmf_sumo.geometry import boxes
 from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.style import Grid
-from deepmf_sumo.results.results import Run
+from deepmf_sumo.results.reader import Run
 
 MARGIN_M: Final = 8.0
 SMALLEST_M: Final = 36.0

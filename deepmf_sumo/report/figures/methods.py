@@ -25,7 +25,7 @@ from deepmf_sumo.report.figures.episode import (
     window_of,
 )
 from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
-from deepmf_sumo.results.results import Results, Run
+from deepmf_sumo.results.reader import Results, Run
 
 COMPARED: Final = 12
 """Scenes whose paths are compared."""

@@ -14,7 +14,7 @@ from deepmf_sumo.report.figures.attacks import attacks
 from deepmf_sumo.report.figures.episode import star
 from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame
 from deepmf_sumo.results.artifacts import read_scores
-from deepmf_sumo.results.results import Results, Run
+from deepmf_sumo.results.reader import Results, Run
 
 MOST: Final = 4
 COLUMNS: Final = 2

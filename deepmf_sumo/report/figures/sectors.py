@@ -13,7 +13,7 @@ from deepmf_sumo.report.figures.attacks import names, of_deepmf
 from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, met_at, scale_of
 from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame
 from deepmf_sumo.report.table import SECTORS
-from deepmf_sumo.results.results import Results, Run
+from deepmf_sumo.results.reader import Results, Run
 
 SIDE_M: Final = 30.0
 PLACES: Final = ((0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2))

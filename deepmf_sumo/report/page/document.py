@@ -18,8 +18,8 @@ from deepmf_sumo.report.page.replay import main_places, packed, reasons, replay
 from deepmf_sumo.report.page.roads import ELEMENTS, Roads, element
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 from deepmf_sumo.results import stored
+from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result, first_contact
-from deepmf_sumo.results.results import Run
 
 COLUMNS: Final = (
     "run", "status", "outcome", "method", "planner", "scene", "part", "seed", "time_s", "speed_mps",

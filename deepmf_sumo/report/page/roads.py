@@ -16,7 +16,7 @@ from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.report.page.replay import packed, stepwise
 from deepmf_sumo.results import stored
-from deepmf_sumo.results.results import Run
+from deepmf_sumo.results.reader import Run
 
 AROUND_M: Final = 60.0
 """How much of the road is kept around what AV and opponent drove."""
