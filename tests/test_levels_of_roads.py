@@ -5,8 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from predictor_doubles import straight_tracks
-from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo.adversaries import _open_loop as open_loop
 from deepmf_sumo.adversaries._episodes import Motion
@@ -18,6 +16,9 @@ from deepmf_sumo.network import matching
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.opponent import _pairs, surroundings
 from deepmf_sumo.predictors.routes import lane_routes, on_lanes, passes_over
+
+from tests.support.predictor_doubles import straight_tracks
+from tests.support.rollout_doubles import case_of, rollout_of, straight
 
 DECKS = {"below": 0.0, "above": 8.0}
 

@@ -1,11 +1,12 @@
 """Opponents in turn: what a spec may say of them."""
 
 import pytest
-import tiny_network
 import yaml
 
 from deepmf_sumo import spec
 from deepmf_sumo.errors import SpecError
+
+from tests.support import tiny_network
 
 
 @pytest.fixture

@@ -4,11 +4,6 @@ from itertools import islice
 
 import numpy as np
 import pytest
-import tiny_network
-from driven_world import driven_limits
-from predictor_doubles import Doubles
-from simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
-from simulated_worlds import case_of as recorded_case_of
 
 from deepmf_sumo import network, plugins, readers
 from deepmf_sumo.datatypes import Budget, Driver, RecordedCase
@@ -16,6 +11,12 @@ from deepmf_sumo.planners import idm, replay
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.simulation import network_case
 from deepmf_sumo.simulation import simulate as simulate_case
+
+from tests.support import tiny_network
+from tests.support.driven_world import driven_limits
+from tests.support.predictor_doubles import Doubles
+from tests.support.simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
+from tests.support.simulated_worlds import case_of as recorded_case_of
 
 NAMES = ("rule", "cat", "art")
 

@@ -10,9 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from driven_world import NOW, World, driven_limits
-from predictor_doubles import view_of
-from rollout_doubles import case_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries import _art_gradients as art_gradients
@@ -25,6 +22,10 @@ from deepmf_sumo.predictors import anchors, weights
 from deepmf_sumo.predictors.config import LIGHT, changed
 from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.features import features
+
+from tests.support.driven_world import NOW, World, driven_limits
+from tests.support.predictor_doubles import view_of
+from tests.support.rollout_doubles import case_of
 
 BOUNDS = Bounds(reach_m=1.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0)
 SMALL = changed(LIGHT, "small", {"raster": False, "hidden": 16, "profiles": 7, "dropout": 0.0})

@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
-from driven_world import World, driven_limits
-from predictor_doubles import Doubles
-from rollout_doubles import case_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries._episodes import Motion
 from deepmf_sumo.adversaries._open_loop import Answers, flattened, score
 from deepmf_sumo.datatypes import Budget, Futures
 from deepmf_sumo.predictors import weights
+
+from tests.support.driven_world import World, driven_limits
+from tests.support.predictor_doubles import Doubles
+from tests.support.rollout_doubles import case_of
 
 STEPS = np.arange(1, 81)
 VIEW = World().view

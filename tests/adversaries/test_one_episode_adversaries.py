@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, view_of
-from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.predictors import weights
+
+from tests.support.predictor_doubles import Doubles, view_of
+from tests.support.rollout_doubles import case_of, rollout_of, straight
 
 VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
 PATHS = {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)}

@@ -4,9 +4,6 @@ import time
 
 import numpy as np
 import pytest
-from driven_world import NOW, World, driven_limits
-from predictor_doubles import Doubles
-from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries._open_loop import curve_into
@@ -14,6 +11,10 @@ from deepmf_sumo.adversaries._search import nearest_m
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.predictors import weights
+
+from tests.support.driven_world import NOW, World, driven_limits
+from tests.support.predictor_doubles import Doubles
+from tests.support.rollout_doubles import case_of, rollout_of, straight
 
 
 def attack(world, values=None, budget=None):

@@ -6,9 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import tiny_network
-from predictor_doubles import view_of
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries import _episodes as episodes
@@ -17,6 +14,10 @@ from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, simulate
+
+from tests.support import tiny_network
+from tests.support.predictor_doubles import view_of
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 METHODS = ("brs", "bga", "bbo")
 VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
@@ -147,9 +148,9 @@ def test_a_contact_ends_the_search_only_if_asked(name):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_nobody_to_attack(name, monkeypatch):
-    from predictor_doubles import Doubles
-
     from deepmf_sumo.predictors import weights
+
+    from tests.support.predictor_doubles import Doubles
 
     monkeypatch.setattr(weights, "cached_predictors", lambda name: Doubles())
     world = World(view_of({"av": (0, 0, 0, 10.0)}))

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from predictor_doubles import straight_road, view_of
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo.adversaries._controls import Bicycle, Knots
 from deepmf_sumo.adversaries._episodes import Motion, Scouted
 from deepmf_sumo.adversaries._search import SearchSettings, Weights, cost_of
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics.driving import feasible
+
+from tests.support.predictor_doubles import straight_road, view_of
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 AV = (40.0, 0.0, 0.0, 10.0)
 SETTINGS = SearchSettings()

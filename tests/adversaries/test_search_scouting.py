@@ -2,11 +2,6 @@
 
 import numpy as np
 import pytest
-import tiny_network
-from predictor_doubles import Doubles, view_of
-from rollout_doubles import case_of, rollout_of, straight
-from simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
-from simulated_worlds import case_of as recorded_case_of
 
 from deepmf_sumo.adversaries._episodes import OpponentChoice, scout
 from deepmf_sumo.datatypes import FUTURE_STEPS
@@ -15,6 +10,12 @@ from deepmf_sumo.planners import idm, replay
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.simulation import network_case
 from deepmf_sumo.simulation import simulate as simulate_case
+
+from tests.support import tiny_network
+from tests.support.predictor_doubles import Doubles, view_of
+from tests.support.rollout_doubles import case_of, rollout_of, straight
+from tests.support.simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
+from tests.support.simulated_worlds import case_of as recorded_case_of
 
 NOW = 10
 

@@ -6,8 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from predictor_doubles import Doubles
-from simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 from deepmf_sumo.adversaries import _episodes as episodes
 from deepmf_sumo.adversaries import _strive, strive
@@ -20,6 +18,9 @@ from deepmf_sumo.predictors import weights as weights_module
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.simulation import simulate as simulate_case
+
+from tests.support.predictor_doubles import Doubles
+from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 WEIGHTS = Costs(others=40.0, road=4.0, prior=0.02, init=0.01)
 

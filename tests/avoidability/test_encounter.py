@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_attacks import NO_ROAD, NOW, attack, cut_in
-from rollout_doubles import in_traffic, straight
 
 from deepmf_sumo import readers
 from deepmf_sumo.avoidability import av_path, reference_drivers
@@ -13,6 +11,9 @@ from deepmf_sumo.avoidability.av_path import route_ahead
 from deepmf_sumo.avoidability.encounter import AFTER_S, encounter_of
 from deepmf_sumo.datatypes import Forecast, Futures, PlanReason, Scene
 from deepmf_sumo.geometry import polylines
+
+from tests.support.drawn_attacks import NO_ROAD, NOW, attack, cut_in
+from tests.support.rollout_doubles import in_traffic, straight
 
 
 class Unaware:

@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_attacks import NO_ROAD, NOW, attack, cut_in
-from predictor_doubles import straight_road
-from rollout_doubles import in_traffic, straight
 
 from deepmf_sumo.avoidability import grading
 from deepmf_sumo.avoidability.encounter import encounter_of
 from deepmf_sumo.avoidability.grading import GRADES, evasive_manoeuvres, judge
 from deepmf_sumo.avoidability.manoeuvres import GRID
+
+from tests.support.drawn_attacks import NO_ROAD, NOW, attack, cut_in
+from tests.support.predictor_doubles import straight_road
+from tests.support.rollout_doubles import in_traffic, straight
 
 
 def graded(*motions, **options):

@@ -1,20 +1,17 @@
 """`ablate` from plan to table, on a made crossing."""
 
 import csv
-import sys
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
 
 from deepmf_sumo.cli.ablate import command
 from deepmf_sumo.errors import SpecError
 from deepmf_sumo.readers import npz
 from deepmf_sumo.training.samples import opponent as opponent_samples
 from deepmf_sumo.training.samples import trajectory as trajectory_samples
+
+from tests.support.synthetic import scene
 
 PLAN = """version: 1
 data: [train]

@@ -10,7 +10,8 @@ import sys
 import time
 
 import pytest
-from untuned_networks import HARDER, NOBODY, REFUSED, TEN
+
+from tests.support.untuned_networks import HARDER, NOBODY, REFUSED, TEN
 
 MOST_S = 60.0
 

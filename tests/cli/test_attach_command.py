@@ -10,11 +10,12 @@ from types import SimpleNamespace
 
 import pytest
 import sumo
-from live_policies import Keep
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.live import attacker
 from deepmf_sumo.live.connection import Port, connect
+
+from tests.support.live_policies import Keep
 
 CLIENT = """
 import sys, time, traci

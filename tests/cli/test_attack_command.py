@@ -4,9 +4,7 @@ import csv
 import json
 import shutil
 
-import crossing_network
 import pytest
-import tiny_network
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
@@ -15,6 +13,8 @@ from deepmf_sumo.moments.search import names_of
 from deepmf_sumo.simulation import demand
 from deepmf_sumo.simulation.sumo_config import read_configuration
 from deepmf_sumo.tasks import slug
+
+from tests.support import crossing_network, tiny_network
 
 
 def attack(tiny, out, *more):

@@ -8,16 +8,14 @@ import pickle
 import shutil
 import sys
 from collections import Counter
-from pathlib import Path
 
 import pytest
-import tiny_network
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.readers import _tfrecord
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "readers"))
-from recordings_by_hand import scenario
+from tests.support import tiny_network
+from tests.support.recordings_by_hand import scenario
 
 
 def record(message):

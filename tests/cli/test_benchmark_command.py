@@ -1,17 +1,13 @@
 """`benchmark`, `merge` and `reproduce` as they are called."""
 
-import sys
-from pathlib import Path
-
 import pytest
 from click.testing import CliRunner
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmark"))
-import tiny_plan
 
 from deepmf_sumo.cli import benchmark, merge, reproduce
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.sweep import workers
+
+from tests.support import tiny_plan
 
 
 def call(command, *arguments):

@@ -1,7 +1,8 @@
-import gate_doubles
 import pytest
 
 from deepmf_sumo.cli import main
+
+from tests.support import gate_doubles
 
 
 @pytest.fixture

@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-import tiny_network
 import yaml
 
 from deepmf_sumo import gate
+
+from tests.support import tiny_network
 
 CI = Path(__file__).resolve().parents[2] / "docs" / "ci"
 

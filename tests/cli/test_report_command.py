@@ -1,6 +1,6 @@
-import tiny_network
-
 from deepmf_sumo.cli import main
+
+from tests.support import tiny_network
 
 
 def test_a_run_writes_its_page(tiny, tmp_path, capsys):

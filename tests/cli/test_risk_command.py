@@ -1,10 +1,11 @@
 import json
 
 import pytest
-from risk_doubles import NET, Attacks, eastward, straight
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.cli._sweep import map_risk
+
+from tests.support.risk_doubles import NET, Attacks, eastward, straight
 
 
 @pytest.fixture

@@ -8,9 +8,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-import tiny_network
 
 from deepmf_sumo.cli import main
+
+from tests.support import tiny_network
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -1,8 +1,6 @@
 import csv
 import gzip
 import json
-import sys
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -10,8 +8,7 @@ from click.testing import CliRunner
 from deepmf_sumo.cli.scenes import COLUMNS, command
 from deepmf_sumo.errors import ReaderError, UsageError
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "readers"))
-from recordings_by_hand import gpudrive, scenario, shard
+from tests.support.recordings_by_hand import gpudrive, scenario, shard
 
 
 @pytest.fixture

@@ -13,12 +13,13 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-import tiny_network
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.plans import compare
 from deepmf_sumo.results import stored
 from deepmf_sumo.sweep import shards
+
+from tests.support import tiny_network
 
 SHARED = (
     "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",

@@ -1,17 +1,14 @@
 import errno
 import json
-import sys
-from pathlib import Path
 
 import pytest
 from safetensors.torch import load_file
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
-
 from deepmf_sumo.cli import main
 from deepmf_sumo.readers import npz
 from deepmf_sumo.training.fit import checkpoints
+
+from tests.support.synthetic import scene
 
 
 @pytest.fixture(scope="module")

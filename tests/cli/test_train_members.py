@@ -2,18 +2,16 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.readers import npz
 from deepmf_sumo.training import command, run
+
+from tests.support.synthetic import scene
 
 
 @pytest.fixture

@@ -2,13 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from predictor_doubles import FanPredictor, view_of
 
 from deepmf_sumo.datatypes import Forecast, Futures, Plan
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, track
+
+from tests.support.predictor_doubles import FanPredictor, view_of
 
 LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
 

@@ -3,13 +3,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import policy as policy_module
 from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.errors import PluginError, RunError
 from deepmf_sumo.geometry import boxes
+
+from tests.support.predictor_doubles import Doubles, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
 

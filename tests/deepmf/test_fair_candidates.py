@@ -1,12 +1,13 @@
 """Which candidates a competent driver could avoid, from what the AV is predicted to do."""
 
 import numpy as np
-from predictor_doubles import STEPS, view_of
 
 from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits
+
+from tests.support.predictor_doubles import STEPS, view_of
 
 
 def straight(agent_id, x, y, speeds):

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from predictor_doubles import view_of
 
 from deepmf_sumo.datatypes import Forecast, Futures, Lane, Neighbour, RoadMap, SignalState, StopSign
 from deepmf_sumo.deepmf.candidates import Candidates
@@ -12,6 +11,8 @@ from deepmf_sumo.deepmf.reference_paths import own_paths
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
+
+from tests.support.predictor_doubles import view_of
 
 SECONDS = np.arange(1, 81) * 0.1
 LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import constraints, policy
 from deepmf_sumo.deepmf.constraints import Mask
 from deepmf_sumo.deepmf.scoring import Objective, Pairs
+
+from tests.support.predictor_doubles import Doubles, view_of
 
 BESIDE = {"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}
 BEHIND = {"av": (0, 0, 0, 10.0), "b": (-12, 0, 0, 12.0)}

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import constraints
@@ -10,6 +9,8 @@ from deepmf_sumo.deepmf.constraints import Constraint
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.results import artifacts
+
+from tests.support.predictor_doubles import Doubles, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
 

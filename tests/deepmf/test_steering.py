@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as some
-from predictor_doubles import Doubles, FanPredictor, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import constraints, scoring
@@ -19,6 +18,8 @@ from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, track
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.geometry import impact
+
+from tests.support.predictor_doubles import Doubles, FanPredictor, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
 CAR = np.array([4.8, 2.0])

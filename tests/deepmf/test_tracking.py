@@ -2,11 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from predictor_doubles import STEPS, fan, view_of
 
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.deepmf.tracking import Limits, Start, joined, track
 from deepmf_sumo.geometry import frames
+
+from tests.support.predictor_doubles import STEPS, fan, view_of
 
 DEFAULT = Limits(accel=3.0, brake=4.0, lateral=3.0)
 

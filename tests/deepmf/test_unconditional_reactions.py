@@ -3,10 +3,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from predictor_doubles import Doubles, FanPrediction, FanPredictor, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.policy import build
+
+from tests.support.predictor_doubles import Doubles, FanPrediction, FanPredictor, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0)}
 

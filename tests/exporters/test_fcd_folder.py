@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sumo
-from simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import simulate
+
+from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 
 def poses(file):

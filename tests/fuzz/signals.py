@@ -23,8 +23,7 @@ from pathlib import Path
 
 from deepmf_sumo.plans import compare
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-import tiny_network
+from tests.support import tiny_network
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 RUNS = 16

@@ -1,11 +1,7 @@
 """A few changed inputs of each kind; ``make fuzz`` tries 2000."""
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))
 from tests.fuzz import kinds, runner
 
 COUNT = 8

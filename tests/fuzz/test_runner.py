@@ -2,14 +2,12 @@
 
 import os
 import signal
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))
 from deepmf_sumo.errors import ReaderError
+
 from tests.fuzz import mutators, runner
 
 

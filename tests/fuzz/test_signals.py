@@ -1,11 +1,9 @@
 """A few signals to a sweep; ``make signals`` sends 50 of each kind."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))
 from tests.fuzz import signals
 
 

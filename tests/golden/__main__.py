@@ -23,6 +23,7 @@ import numpy as np
 import pandas as pd
 
 from deepmf_sumo.plans import compare
+
 from tests.golden import cases
 
 ROOT: Final = Path(__file__).resolve().parents[2]

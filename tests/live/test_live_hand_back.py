@@ -2,10 +2,11 @@
 
 import libsumo
 import pytest
-from live_doubles import OPTIONS, Brake, session_on, step
-from tiny_network import build
 
 from deepmf_sumo.simulation.vehicle_control import Places
+
+from tests.support.live_doubles import OPTIONS, Brake, session_on, step
+from tests.support.tiny_network import build
 
 
 @pytest.fixture(scope="module")

@@ -3,11 +3,12 @@
 import libsumo
 import numpy as np
 import pytest
-import two_levels
-from live_doubles import OPTIONS, session_on, step
 
 from deepmf_sumo.datatypes import Plan, TurnRules
 from deepmf_sumo.geometry import boxes
+
+from tests.support import two_levels
+from tests.support.live_doubles import OPTIONS, session_on, step
 
 
 class North:

@@ -3,8 +3,6 @@
 import libsumo
 import numpy as np
 import pytest
-from live_doubles import OPTIONS, Brake, session_on, step
-from tiny_network import build
 
 from deepmf_sumo.datatypes import Driver, TurnRules
 from deepmf_sumo.errors import UsageError
@@ -12,6 +10,9 @@ from deepmf_sumo.live import observer
 from deepmf_sumo.live.session import parts_of_a_step
 from deepmf_sumo.live.triggers import AtEdge, AtTime, AtTtc, least_ttc_s, parse
 from deepmf_sumo.simulation.frame import Frame
+
+from tests.support.live_doubles import OPTIONS, Brake, session_on, step
+from tests.support.tiny_network import build
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.metrics import NotMeasurable
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES, accident_type_of
+
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 
 def collision(av, other):

@@ -2,10 +2,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.metrics import statistics
+
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(20, 0, 4)}
 

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_attacks import attack, cut_in
-from rollout_doubles import contact_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Driver
+
+from tests.support.drawn_attacks import attack, cut_in
+from tests.support.rollout_doubles import contact_of, straight
 
 NAMES = [name for name in plugins.names("metrics") if name.startswith("avoid")]
 OF_CONTACTS = [*NAMES, "av_at_fault"]

@@ -2,13 +2,14 @@ import math
 
 import numpy as np
 import pytest
-from predictor_doubles import straight_road
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.geometry.road import on_road
 from deepmf_sumo.metrics.conflict import Moving, time_to_collision
+
+from tests.support.predictor_doubles import straight_road
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)}
 

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.metrics import conflict
 from deepmf_sumo.metrics.conflict import Moving, braking_to_stay_behind, time_to_collision
+
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 SIZE = np.array([4.8, 2.0])
 

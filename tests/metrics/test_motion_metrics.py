@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import scipy.spatial.distance
 import scipy.stats
-from predictor_doubles import Doubles, view_of
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Driver, Plan
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.metrics import _slices, naturalness
+
+from tests.support.predictor_doubles import Doubles, view_of
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 AV = straight(0, 0, 10)
 

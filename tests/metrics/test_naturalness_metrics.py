@@ -10,12 +10,13 @@ import scipy.spatial.distance
 import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.metrics import _slices, naturalness
 from deepmf_sumo.metrics.naturalness import Samples
 from deepmf_sumo.metrics.statistics import pooled
+
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 AV = straight(0, 0, 10)
 SEEDS = pytest.mark.parametrize("seed", range(4))

@@ -3,13 +3,14 @@
 from importlib.metadata import EntryPoint
 
 import pytest
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo import metrics, plugins
 from deepmf_sumo.avoidability import grading
 from deepmf_sumo.datatypes import MetricValue
 from deepmf_sumo.metrics import NotMeasurable, conflict, naturalness
 from deepmf_sumo.report.tables import text
+
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 PATHS = {"av": straight(0, 0, 10), "b": straight(-1, 3.5, 10)}
 

@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Lane, RoadMap, Signals, SignalState, TrafficCase
 from deepmf_sumo.geometry.road import against_traffic, on_road
+
+from tests.support.rollout_doubles import case_of, rollout_of, straight
 
 AV = straight(0, -30, 10)
 

@@ -4,10 +4,11 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.metrics import encounters
+
+from tests.support.rollout_doubles import case_of, rollout_of, straight
 
 NORTH = np.pi / 2
 

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, view_of
-from rollout_doubles import case_of, rollout_of, straight
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Contact
 from deepmf_sumo.deepmf import policy
+
+from tests.support.predictor_doubles import Doubles, view_of
+from tests.support.rollout_doubles import case_of, rollout_of, straight
 
 AGENTS = {"av": (0, 0, 0, 10.0), "b": (-18, 0, 0, 12.0)}
 

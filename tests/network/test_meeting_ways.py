@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import pytest
-from crossing_network import build
 
 from deepmf_sumo.network.sumo_net import junctions, meeting_ways, read_net
+
+from tests.support.crossing_network import build
 
 OVER, UP, LEFT, RIGHT = (
     ("west", "east"), ("south", "north"), ("west", "north"), ("south", "east"),

@@ -6,12 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tiny_network import build
 
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.errors import PlannerError
 from deepmf_sumo.planners._checked import Guard, check
 from deepmf_sumo.simulation import network_case, simulate
+
+from tests.support.tiny_network import build
 
 
 @pytest.fixture(scope="module")

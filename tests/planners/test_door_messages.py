@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-import simulated_worlds as worlds
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import (
@@ -20,6 +19,8 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.errors import PlannerError
 from deepmf_sumo.planners.remote import http_client, protocol
 from deepmf_sumo.planners.remote.protocol import PROTOCOL, Reset, ViewMessage, schema
+
+from tests.support import simulated_worlds as worlds
 
 
 @pytest.fixture(scope="module")

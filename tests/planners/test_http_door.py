@@ -8,13 +8,14 @@ import time
 
 import numpy as np
 import pytest
-from tiny_network import build
 
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PlannerError, PluginError
 from deepmf_sumo.planners import http, idm
 from deepmf_sumo.planners.remote import serve
 from deepmf_sumo.simulation import network_case, simulate
+
+from tests.support.tiny_network import build
 
 READY = b'{"type": "ready", "protocol": 1}'
 

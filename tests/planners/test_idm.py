@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rollout_doubles import case_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import RoadMap, SumoNet, Tracks, View
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners import idm
 from deepmf_sumo.planners.perception import nearest_in_corridor
+
+from tests.support.rollout_doubles import case_of
 
 STRAIGHT = np.array([[2.5, 0.0], [60.0, 0.0], [120.0, 0.0]])
 

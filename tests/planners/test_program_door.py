@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_network import build
 
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PlannerError, PluginError, SimulationError
@@ -16,7 +15,9 @@ from deepmf_sumo.planners import idm, isolated, program
 from deepmf_sumo.planners.remote.process import Process
 from deepmf_sumo.simulation import network_case, simulate
 
-HOSTILE = Path(__file__).with_name("hostile_planner.py")
+from tests.support.tiny_network import build
+
+HOSTILE = Path(__file__).parents[1] / "support" / "hostile_planner.py"
 
 WRONG = {
     "raise": "ended with exit code 1 (see log.txt) before it answered step 12",

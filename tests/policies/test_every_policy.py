@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Plan
+
+from tests.support.predictor_doubles import Doubles, view_of
 
 # Settings without which a policy cannot be built; all others must have defaults.
 NEEDED = {"trajectory": {"agent": "b", "poses": [[-6.8 + 1.2 * k, 3.5, 0.0] for k in range(80)]}}

@@ -4,11 +4,12 @@ import zlib
 
 import numpy as np
 import pytest
-from predictor_doubles import view_of
 
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PluginError, RunError
 from deepmf_sumo.policies import trajectory
+
+from tests.support.predictor_doubles import view_of
 
 VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
 RNG = np.random.default_rng(0)

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import view
 
 from deepmf_sumo.datatypes import Futures
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.features import features
+
+from tests.support.synthetic import view
 
 SMALL = replace(LIGHT, name="small", hidden=16, raster=False, profiles=7)
 MODES = 16

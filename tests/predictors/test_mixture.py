@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import view
 
 from deepmf_sumo.predictors import decoding, marginal, weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.marginal import Marginal
+
+from tests.support.synthetic import view
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import crossing, scene, view
 
 from deepmf_sumo.datatypes import SignalState
 from deepmf_sumo.predictors import kinematics, weights
@@ -11,6 +10,8 @@ from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.opponent import OTHERS, PAIR, Opponent, opponent_features, surroundings
 from deepmf_sumo.predictors.routes import MEETING, SPACING_M, lane_columns, lane_routes, on_lanes
+
+from tests.support.synthetic import crossing, scene, view
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
-from synthetic import crossing, lane, straight
 
 from deepmf_sumo.datatypes import RoadMap, SignalState
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.paths import NODE_SPACING_M, path_set
+
+from tests.support.synthetic import crossing, lane, straight
 
 
 def paths_at(position, heading, speed, signals=None, road=None):

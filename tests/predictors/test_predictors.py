@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import scene, view
 
 from deepmf_sumo.datatypes import Futures
 from deepmf_sumo.predictors import conditioning, decoding, raster, weights
@@ -11,6 +10,8 @@ from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.lanes import ROAD_CHANNELS, road_index
 from deepmf_sumo.predictors.marginal import Marginal
+
+from tests.support.synthetic import scene, view
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import json
 
 import pytest
 import torch
-from synthetic import view
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.anchors import BRAKING
@@ -13,6 +12,8 @@ from deepmf_sumo.predictors.config import LIGHT, PAPER, VECTOR, Preset, changed
 from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.features import features
+
+from tests.support.synthetic import view
 
 
 @pytest.mark.parametrize("preset", [LIGHT, PAPER, VECTOR])

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import view
 
 from deepmf_sumo.datatypes import Futures
 from deepmf_sumo.predictors import decoding, weights
@@ -14,6 +13,8 @@ from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.densetnt import Goals
 from deepmf_sumo.predictors.marginal import Marginal
+
+from tests.support.synthetic import view
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 

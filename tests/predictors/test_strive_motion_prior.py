@@ -1,15 +1,10 @@
 """STRIVE's graph, bicycle, costs and network."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-
-sys.path.append(str(Path(__file__).resolve().parent))
-from synthetic import scene, view
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
@@ -18,6 +13,8 @@ from deepmf_sumo.predictors.strive import bicycle, costs
 from deepmf_sumo.predictors.strive.graph import MEMBERS, NODES, SPACING_M, graph_of, members
 from deepmf_sumo.predictors.strive.motion_prior import LATENT, Gaussian, MotionPrior
 from deepmf_sumo.training import cards
+
+from tests.support.synthetic import scene, view
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,13 @@ import json
 import math
 
 import pytest
-from synthetic import view
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards
+
+from tests.support.synthetic import view
 
 
 @pytest.fixture

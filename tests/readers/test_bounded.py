@@ -10,12 +10,13 @@ import time
 
 import numpy as np
 import pytest
-import recordings_by_hand as by_hand
 
 from deepmf_sumo import readers
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import Refusal, _bounded, _tfrecord, gpudrive
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
+
+from tests.support import recordings_by_hand as by_hand
 
 
 def forever():

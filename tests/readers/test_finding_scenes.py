@@ -2,12 +2,13 @@ import json
 import os
 
 import pytest
-import recordings_by_hand as by_hand
 
 from deepmf_sumo import plugins, readers
 from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.readers import Refusal, womd
 from deepmf_sumo.readers.base import IndexedReader, Reader
+
+from tests.support import recordings_by_hand as by_hand
 
 
 @pytest.fixture

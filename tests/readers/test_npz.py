@@ -4,12 +4,13 @@ import zipfile
 
 import numpy as np
 import pytest
-import recordings_by_hand as by_hand
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepmf_sumo.datatypes import RoadMap, Scene
 from deepmf_sumo.readers import Refusal, npz, womd
+
+from tests.support import recordings_by_hand as by_hand
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,10 @@ import pickle
 
 import numpy as np
 import pytest
-import recordings_by_hand as by_hand
 
 from deepmf_sumo.readers import Refusal, gpudrive, scenarionet, womd
+
+from tests.support import recordings_by_hand as by_hand
 
 
 @pytest.fixture

@@ -2,10 +2,11 @@ import gzip
 
 import numpy as np
 import pytest
-from recordings_by_hand import AV_SIZE, add_lane, scenario, shard
 
 from deepmf_sumo.datatypes import SignalState
 from deepmf_sumo.readers import Refusal, _tfrecord, womd
+
+from tests.support.recordings_by_hand import AV_SIZE, add_lane, scenario, shard
 
 
 @pytest.fixture

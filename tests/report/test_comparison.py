@@ -2,7 +2,6 @@
 
 import json
 
-import gate_doubles
 import numpy as np
 import pytest
 
@@ -10,6 +9,8 @@ from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.comparison import compare, groups, side_by_side
 from deepmf_sumo.results.result import COLUMNS
+
+from tests.support import gate_doubles
 
 
 def folder(tmp_path, outcomes, *, opponents=True, planners=("idm",), reason="never met"):

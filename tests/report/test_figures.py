@@ -4,7 +4,6 @@ import struct
 import numpy as np
 import pytest
 from matplotlib.text import Text
-from result_folders import Folder
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report import figures
@@ -20,6 +19,8 @@ from deepmf_sumo.report.figures import (
 )
 from deepmf_sumo.report.figures.style import Skipped
 from deepmf_sumo.results import reader
+
+from tests.support.result_folders import Folder
 
 SCORES = {"b": 0.9, "c": 0.6, "d": 0.2, "e": 0.1}
 NATURAL = {"opponent_rms_acceleration": 1.2, "acceleration_kl": 0.4}

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from result_folders import Folder
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Lane, RoadMap
@@ -18,6 +17,8 @@ from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import page
 from deepmf_sumo.report.page import document, roads
 from deepmf_sumo.report.page.replay import packed, steady, stepwise
+
+from tests.support.result_folders import Folder
 
 ASSETS = resources.files("deepmf_sumo.report.page") / "assets"
 NODE = shutil.which("node")

@@ -3,12 +3,13 @@ import time
 
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, view_of
-from rollout_doubles import case_of, contact_of, rollout_of, straight
 
 from deepmf_sumo.datatypes import Contact
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.report.picture import draw
+
+from tests.support.predictor_doubles import Doubles, view_of
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 PATHS = {
     "av": straight(0, 0, 10),

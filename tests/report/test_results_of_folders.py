@@ -6,11 +6,12 @@ import sys
 
 import numpy as np
 import pytest
-from result_folders import Folder
 
 import deepmf_sumo
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results.reader import Results
+
+from tests.support.result_folders import Folder
 
 
 @pytest.fixture(autouse=True)

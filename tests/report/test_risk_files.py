@@ -6,13 +6,14 @@ import subprocess
 import xml.etree.ElementTree as ET
 
 import pytest
-from risk_doubles import LEFT_IN, Attacks, eastward, straight
 
 from deepmf_sumo import risk as risk_module
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.report import risk as files
 from deepmf_sumo.report.risk.sumo_files import CLASSES, colour
+
+from tests.support.risk_doubles import LEFT_IN, Attacks, eastward, straight
 
 BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import pytest
-from tiny_network import build
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.simulation.sumo_config import SUMO_SEED, parse, read_configuration
+
+from tests.support.tiny_network import build
 
 
 def test_all_spellings_of_sumo_are_understood(monkeypatch, tmp_path):

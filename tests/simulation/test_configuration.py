@@ -1,10 +1,11 @@
 """What has to be known of a .sumocfg before SUMO is started with it."""
 
 import pytest
-from tiny_network import build
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.simulation.sumo_config import SUMO_SEED, read_configuration
+
+from tests.support.tiny_network import build
 
 
 def test_the_mesoscopic_model_is_refused_and_can_be_switched_off(tmp_path):

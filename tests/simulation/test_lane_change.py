@@ -4,7 +4,8 @@ import subprocess
 import sys
 
 import pytest
-import tiny_network
+
+from tests.support import tiny_network
 
 EPISODE = """
 import sys

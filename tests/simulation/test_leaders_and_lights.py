@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tiny_network
-from simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 from deepmf_sumo.datatypes import SignalState
 from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
 from deepmf_sumo.simulation import network_case, simulate
+
+from tests.support import tiny_network
+from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 NETWORKS = Path(__file__).resolve().parents[2] / "sumo_nets"
 RED_LIGHT = NETWORKS / "four_way/red_light_runner.sumocfg"

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from tiny_network import build
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, Driver, Plan
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.planners import idm, replay, sumo
 from deepmf_sumo.simulation import network_case, simulate
+
+from tests.support.tiny_network import build
 
 NOW = HISTORY_STEPS - 1
 

@@ -5,8 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import tiny_network
-from predictor_doubles import straight_road, straight_tracks
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, Driver, Plan, TurnRules, View
 from deepmf_sumo.datatypes.rollout import decisive
@@ -15,6 +13,9 @@ from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, simulate
 from deepmf_sumo.simulation.attack_schedule import Turns
 from deepmf_sumo.simulation.frame import Frame, Pose
+
+from tests.support import tiny_network
+from tests.support.predictor_doubles import straight_road, straight_tracks
 
 NOW = HISTORY_STEPS - 1
 RULES = TurnRules(longest_s=5.0, reach_m=40.0, harmless_s=2.0, again_after_s=20.0, clear_s=1.0)

@@ -4,11 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from predictor_doubles import straight_road
 
 from deepmf_sumo.datatypes import Driver
 from deepmf_sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.simulation.vehicle_control import Places, overlapped
+
+from tests.support.predictor_doubles import straight_road
 
 ROAD = straight_road()  # lanes "0" at y = 0 and "1" at y = 3.5, eastwards from x = -100 to 300
 

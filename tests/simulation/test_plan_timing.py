@@ -4,13 +4,21 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from predictor_doubles import Doubles, FanPrediction, FanPredictor
-from simulated_worlds import LANE_M, NOW, case_of, scene_of, straight_motion, straight_road
 
 from deepmf_sumo.datatypes import FUTURE_STEPS, Forecast, Futures, Plan, Tracks
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.planners import replay
 from deepmf_sumo.simulation import simulate
+
+from tests.support.predictor_doubles import Doubles, FanPrediction, FanPredictor
+from tests.support.simulated_worlds import (
+    LANE_M,
+    NOW,
+    case_of,
+    scene_of,
+    straight_motion,
+    straight_road,
+)
 
 
 class KnowsTheLog(FanPredictor):

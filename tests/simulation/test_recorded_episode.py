@@ -4,7 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_worlds import (
+
+from deepmf_sumo.datatypes import Command, Driver, Plan
+from deepmf_sumo.errors import PlannerError, SimulationError
+from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
+from deepmf_sumo.simulation import simulate, world
+
+from tests.support.simulated_worlds import (
     LANE_M,
     NOW,
     STEPS,
@@ -15,11 +21,6 @@ from simulated_worlds import (
     straight_motion,
     straight_road,
 )
-
-from deepmf_sumo.datatypes import Command, Driver, Plan
-from deepmf_sumo.errors import PlannerError, SimulationError
-from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
-from deepmf_sumo.simulation import simulate, world
 
 EAST, NORTH = 0.0, np.pi / 2
 

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_worlds import (
+
+from deepmf_sumo import network, readers
+from deepmf_sumo.datatypes import Plan, RecordedCase
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.planners import constant_velocity, replay
+from deepmf_sumo.simulation import log_only, simulate
+
+from tests.support.simulated_worlds import (
     LANE_M,
     NOW,
     STEPS,
@@ -16,12 +23,6 @@ from simulated_worlds import (
     straight_motion,
     straight_road,
 )
-
-from deepmf_sumo import network, readers
-from deepmf_sumo.datatypes import Plan, RecordedCase
-from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.planners import constant_velocity, replay
-from deepmf_sumo.simulation import log_only, simulate
 
 OF_THE_STAGE = {"aligned", "moved_onto_route", "off_network", "ghost_edge", "red_passed"}
 """Events that tell where SUMO has the AV."""

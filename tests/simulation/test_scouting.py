@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from tiny_network import build
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, simulate, traffic_survey
 from deepmf_sumo.simulation.traffic_survey import Scouting, scout
+
+from tests.support.tiny_network import build
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import sumo
-from shown_motion import AT_ONCE, compare
 
 from deepmf_sumo.simulation.av import ShownMotion
 from deepmf_sumo.simulation.frame import Pose
+
+from tests.support.shown_motion import AT_ONCE, compare
 
 ROOT = Path(__file__).parents[2]
 NETWORKS = ROOT.parent / "shared" / "networks"

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 import shapely
-import two_levels
-from predictor_doubles import Doubles
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Plan
@@ -12,6 +10,9 @@ from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.planners import constant_velocity, idm, sumo
 from deepmf_sumo.simulation import network_case, simulate
+
+from tests.support import two_levels
+from tests.support.predictor_doubles import Doubles
 
 BRIDGE_S, RAMP_S = 4.0, 30.0
 

@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
-from simulated_worlds import CAR, lane
 
 from deepmf_sumo.datatypes import RoadMap, SignalState, Tracks, View
 from deepmf_sumo.geometry import boxes, polylines
+
+from tests.support.simulated_worlds import CAR, lane
 
 DT_S = 0.1
 LIMIT_MPS = 15.0

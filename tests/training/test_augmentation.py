@@ -1,20 +1,17 @@
 """Augmented samples stay true."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import rotated, scene
-
 from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training.networks import trajectory
 from deepmf_sumo.training.samples.trajectory import trajectory_samples
+
+from tests.support.synthetic import rotated, scene
 
 FLIP = np.array([[1.0, 0.0], [0.0, -1.0]])
 

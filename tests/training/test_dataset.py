@@ -1,18 +1,15 @@
-import sys
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parent))
-import tiny_training
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepmf_sumo.training.samples import dataset
 from deepmf_sumo.training.samples.dataset import Joined, mix
+
+from tests.support import tiny_training
 
 PARTS = [np.arange(12.0).reshape(3, 4), np.zeros((0, 4)), 100 + np.arange(20.0).reshape(5, 4)]
 WHOLE = np.concatenate(PARTS)

@@ -2,15 +2,10 @@
 
 import json
 import shutil
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene, view
 
 from deepmf_sumo import readers
 from deepmf_sumo.errors import OutputError, RunError
@@ -21,6 +16,8 @@ from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import checkpoints, loop
 from deepmf_sumo.training.samples import trajectory
 from deepmf_sumo.training.samples.feature_cache import Data
+
+from tests.support.synthetic import scene, view
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 

@@ -1,16 +1,12 @@
 """`evaluate` as a whole, with predictors whose answers are known."""
 
 import json
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
 
 from deepmf_sumo import readers
 from deepmf_sumo.cli.evaluate import command
@@ -23,6 +19,8 @@ from deepmf_sumo.training import cards, evaluation
 from deepmf_sumo.training.evaluation.measures import error_if_right
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.samples import windows
+
+from tests.support.synthetic import scene
 
 SCENES = [scene(shift=3.0 * number, av_speed=8.0 + number) for number in range(3)]
 

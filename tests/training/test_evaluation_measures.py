@@ -1,14 +1,9 @@
 """Measures by hand: ranking, displacement, calibration, likelihood, plausibility, baselines."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
 
 from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.training.evaluation import forecasts, marginal, measures, opponent
@@ -30,6 +25,8 @@ from deepmf_sumo.training.evaluation.opponent import (
 )
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.windows import Future
+
+from tests.support.synthetic import scene
 
 STRAIGHT = np.stack([np.arange(1, 81) * 1.0, np.zeros(80)], 1)
 

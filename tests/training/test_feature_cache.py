@@ -1,18 +1,15 @@
 import errno
 import os
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
 
 from deepmf_sumo.errors import OutputError, ReaderError, RunError
 from deepmf_sumo.readers import npz
 from deepmf_sumo.training.samples import feature_cache
 from deepmf_sumo.training.samples.feature_cache import Data, Features
+
+from tests.support.synthetic import scene
 
 
 def samples(scene):

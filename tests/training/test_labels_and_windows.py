@@ -1,14 +1,11 @@
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
-
 from deepmf_sumo.training.samples import opponent, windows
+
+from tests.support.synthetic import scene
 
 
 def interacts(scene, agent_id):

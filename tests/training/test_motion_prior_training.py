@@ -1,17 +1,12 @@
 """Training of STRIVE's motion prior: samples, loss, errors, and the command."""
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
 from click.testing import CliRunner
-from synthetic import scene
 
 from deepmf_sumo import readers
 from deepmf_sumo.cli.train import command
@@ -21,6 +16,8 @@ from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.training.networks import motion_prior
 from deepmf_sumo.training.samples import graph
+
+from tests.support.synthetic import scene
 
 
 def of_dataset(name, made):

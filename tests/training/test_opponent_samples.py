@@ -1,19 +1,16 @@
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
-from synthetic import scene
 
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training.networks import opponent
 from deepmf_sumo.training.samples import opponent as opponent_samples
+
+from tests.support.synthetic import scene
 
 
 @pytest.fixture

@@ -2,14 +2,11 @@
 
 import json
 import pickle
-import sys
-from pathlib import Path
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "readers"))
-import recordings_by_hand as by_hand
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.predictors import weights
+
+from tests.support import recordings_by_hand as by_hand
 
 
 def test_tfrecords_and_scenarionet_folders_are_trained_on_together(tmp_path):

@@ -2,19 +2,17 @@ import errno
 import os
 import sys
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-sys.path.append(str(Path(__file__).resolve().parent))
-import tiny_training
-
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.training.fit import checkpoints, loop
 from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
 from deepmf_sumo.training.fit.loop import Schedule
+
+from tests.support import tiny_training
 
 SCHEDULE = Schedule(steps=60, batch=16, evaluate_every=15, average=0.95, rate=0.02)
 

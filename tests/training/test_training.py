@@ -1,15 +1,10 @@
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "predictors"))
 from click.testing import CliRunner
-from synthetic import scene
 
 from deepmf_sumo import readers
 from deepmf_sumo.cli.train import command
@@ -28,6 +23,8 @@ from deepmf_sumo.training.samples import opponent as opponent_samples
 from deepmf_sumo.training.samples import trajectory as trajectory_samples
 from deepmf_sumo.training.samples.dataset import Source
 from deepmf_sumo.training.samples.feature_cache import Data
+
+from tests.support.synthetic import scene
 
 
 @pytest.fixture

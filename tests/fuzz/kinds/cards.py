@@ -7,6 +7,7 @@ from pathlib import Path
 
 import deepmf_sumo
 from deepmf_sumo.predictors import weights
+
 from tests.fuzz import mutators, runner
 
 _OPEN = Path(deepmf_sumo.__file__).parent / "weights" / "open"

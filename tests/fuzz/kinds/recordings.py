@@ -4,7 +4,6 @@ import io
 import json
 import pickle
 import random
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,9 @@ from deepmf_sumo.cli import main, scenes  # noqa: F401 - loaded once, not in eac
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.readers import _tfrecord, npz, womd
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
-from tests.fuzz import mutators, runner
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "readers"))
-import recordings_by_hand as by_hand
+from tests.fuzz import mutators, runner
+from tests.support import recordings_by_hand as by_hand
 
 for _name in plugins.names("readers"):
     plugins.load("readers", _name)

@@ -7,7 +7,6 @@ import json
 import os
 import random
 import subprocess
-import sys
 from pathlib import Path
 
 from deepmf_sumo import spec
@@ -17,10 +16,9 @@ from deepmf_sumo.results import stored
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.sweep import batch
 from deepmf_sumo.sweep.shards import Shard
-from tests.fuzz import mutators, runner
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-import tiny_network
+from tests.fuzz import mutators, runner
+from tests.support import tiny_network
 
 _THRESHOLDS = Path(__file__).resolve().parents[3] / "docs" / "ci" / "thresholds.yaml"
 _COMMANDS = ("table", "report", "merge", "risk", "check", "compare")

@@ -8,6 +8,7 @@ import yaml
 
 from deepmf_sumo import spec, tasks
 from deepmf_sumo.sweep.inputs import fingerprinted
+
 from tests.fuzz import mutators, runner
 
 _SPEC = {

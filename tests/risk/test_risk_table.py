@@ -1,0 +1,98 @@
+import pytest
+
+from deepmf_sumo import risk
+from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.risk import places
+from deepmf_sumo.risk.places import Spot
+
+from tests.support.risk_doubles import NET
+
+LEFT = "centre: w_in -> n_out"
+
+
+def attack(number, spot, *, began=None, hit=False, **changes):
+    values = {"avoidable": True if hit else None, "ttc_s": 0.0 if hit else 3.0, "gap_m": 1.0}
+    values |= {"delta_v_mps": 6.0 if hit else None, "other": False, **changes}
+    return risk.Attacked(
+        folder="out", run_id=str(number), turn=None, scene=str(number), seed=0, decided=spot,
+        began=began or spot, place_m=(0.0, 0.0), hit=hit, **values,
+    )  # fmt: skip
+
+
+def rows_of(attacks):
+    network = risk.Network(
+        name="city", net_file=NET, places=places.read(NET), attacks=tuple(attacks), left_out={}
+    )
+    return risk.rows(network)
+
+
+def at_left(**changes):
+    return attack(0, Spot(lane=":centre_15_0", junction="centre", movement=LEFT), **changes)
+
+
+def on_edge(edge, **changes):
+    return attack(0, Spot(lane=f"{edge}_0", edge=edge), **changes)
+
+
+def test_five_of_seven_hit_four_avoidable():
+    """As an engineer would say it, with Wilson's intervals."""
+    hits = [at_left(hit=True, avoidable=number < 4) for number in range(5)]
+    table = rows_of([*hits, at_left(), at_left(ttc_s=1.0, gap_m=0.4)])
+    [row] = [one for one in table if one.kind == "movement" and one.counted == "decided"]
+    assert (row.attacks, row.events["hit"], row.events["avoidable"], row.judged) == (7, 5, 4, 5)
+    assert row.events["conflict"] == 6
+    assert row.events["severe"] == 5
+    assert (row.ttc_s, row.gap_m, row.delta_v_mps) == (0.0, 0.4, 6.0)
+    values = risk.columns(row)
+    assert values["title"] == "centre: from west to north (left, permissive)"
+    assert values["hit_rate_lo"] == wilson(5, 7).low
+    assert values["avoidable_share"] == 0.8
+
+
+def test_each_attack_was_decided_at_one_movement_or_edge():
+    table = rows_of([at_left(), on_edge("w_in"), on_edge("w_in", hit=True), on_edge("e_in")])
+    assert sum(row.attacks for row in risk.worst(table)) == 4
+    assert risk.worst(table)[0].place == "w_in"
+    lanes = [row for row in table if row.kind == "lane" and row.counted == "decided"]
+    assert sum(row.attacks for row in lanes) == 4
+    junctions = [row for row in table if row.kind == "junction" and row.counted == "decided"]
+    assert [row.attacks for row in junctions] == [1]
+
+
+def test_where_it_began_is_a_count_of_its_own():
+    ahead = Spot(lane="w_in_2", edge="w_in", junction="centre", movement=LEFT)
+    table = rows_of([on_edge("n_out", began=ahead, hit=True)])
+    began = {row.place: row.events["hit"] for row in table if row.counted == "began"}
+    assert began == {"w_in": 1, "w_in_2": 1, LEFT: 1, "centre": 1}
+    decided = {row.place for row in table if row.counted == "decided"}
+    assert decided == {"n_out", "n_out_0"}
+
+
+def test_ranks_put_the_surely_dangerous_first():
+    many = [on_edge("w_in", hit=number < 8) for number in range(10)]
+    lucky = [on_edge("e_in", hit=True)]
+    calm = [on_edge(edge) for edge in ("n_in", "s_in", "n_out", "s_out") for _ in range(10)]
+    table = risk.worst(rows_of([*lucky, *many, *calm]))
+    assert [row.place for row in table][:2] == ["w_in", "e_in"]
+    assert table[0].rank["hit"] == 1
+    assert table[0].risk["hit"].low > table[1].risk["hit"].low
+
+
+def test_equals_have_one_rank():
+    table = risk.worst(rows_of([on_edge("w_in", hit=True), on_edge("e_in"), on_edge("n_in")]))
+    assert [row.rank["hit"] for row in table] == [1, 2, 2]
+
+
+def test_ranks_by_another_event():
+    harmless = [on_edge("w_in", hit=True, avoidable=False) for _ in range(8)]
+    avoidable = [on_edge("e_in", hit=number < 4) for number in range(8)]
+    table = rows_of([*harmless, *avoidable])
+    assert risk.worst(table)[0].place == "w_in"
+    assert risk.worst(table, "avoidable")[0].place == "e_in"
+
+
+def test_a_hit_without_known_delta_v_is_not_severe():
+    [row] = risk.worst(rows_of([on_edge("w_in", hit=True, delta_v_mps=None)]))
+    assert row.events["severe"] == 0
+    assert row.delta_v_mps is None
+    assert row.events["hit"] == pytest.approx(1)

@@ -1,0 +1,1 @@
+"""What tests share: small networks and scenes, hand-written recordings, doubles, programs."""

@@ -1,0 +1,246 @@
+"""Runs that a worker does in copies of itself, SUMO standing at their moments."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from deepmf_sumo import spec, tasks
+from deepmf_sumo.plans import compare
+from deepmf_sumo.sweep import batch, fork, workers
+
+from tests.support import tiny_network
+
+PLANNERS = """
+import os, signal, sys, threading, time
+from deepmf_sumo.planners.idm import Settings, build as build_idm
+
+class _Planner:
+    Settings = Settings
+    def __init__(self, settings): self.idm = build_idm(settings)
+    model = property(lambda self: self.idm.model)
+    @classmethod
+    def build(cls, settings): return cls(settings)
+    def reset(self, case, rng):
+        self.idm.reset(case, rng)
+        self.start_s = case.start_s
+    def act(self, view):
+        if self.start_s == 3.0: self.go_wrong()
+        return self.idm.act(view)
+
+class Fine(_Planner):
+    def go_wrong(self): pass
+
+class Crash(_Planner):
+    def go_wrong(self): os.kill(os.getpid(), signal.SIGSEGV)
+
+class Leave(_Planner):
+    def go_wrong(self): os._exit(0)
+
+class Hang(_Planner):
+    def go_wrong(self): time.sleep(600)
+
+class Hungry(_Planner):
+    def go_wrong(self):
+        self.much = bytearray(2_000_000_000)
+        self.much[::4096] = b"x" * len(self.much[::4096])
+        time.sleep(600)
+"""
+
+COUNTED = """
+import sys
+from pathlib import Path
+from deepmf_sumo import spec
+from deepmf_sumo import tasks
+from deepmf_sumo.sweep import episode, fork
+
+runs, copies, copied = Path(sys.argv[1]), [], fork._copied
+fork._copied = lambda work: (copies.append(1), copied(work))
+if "many threads" in sys.argv:  # as if SUMO had brought them
+    sys.argv.remove("many threads")
+    held, tries = fork._held, []
+    fork._held = lambda *of: (tries.append(1), held(*of)) and False
+planned = tasks.plan([spec.load(Path(name)) for name in sys.argv[2:]], runs)
+work = episode.Episode(runs=runs, cache=runs / "cache")
+for task in planned:
+    work(task)
+print(len(copies) if copies or "tries" not in globals() else -len(tries))
+"""
+
+STARTS = (2.0, 3.0, 4.5)
+
+
+@pytest.fixture
+def paths(tiny):
+    """Specs of three moments, in order."""
+
+    def write(planner="idm"):
+        (tiny / "late_planners.py").write_text(PLANNERS)
+        source = "{{network: tiny.sumocfg, start_s: {}, av: {{vehicle: av}}}}"
+        return [
+            tiny_network.spec(
+                tiny, f"at {start}", source=source.format(start), planner=planner, adversary="rule"
+            )
+            for start in STARTS
+        ]
+
+    return write
+
+
+def done(runs, paths, folder):
+    """How many runs were done in copies, in a process of its own."""
+    command = [sys.executable, "-c", COUNTED, str(runs), *map(str, paths)]
+    env = {**os.environ, **workers.SINGLE_THREAD}  # as a worker has it
+    found = subprocess.run(
+        command, cwd=folder, env=env, capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
+    return int(found.stdout)
+
+
+def test_copies_do_what_a_simulation_of_ones_own_does(tiny, paths, tmp_path):
+    forward, backward = tmp_path / "forward", tmp_path / "backward"
+    assert done(forward, paths(), tiny) == 2
+    assert done(backward, paths()[::-1], tiny) == 0
+    assert len(list(forward.glob("at-*"))) == 3
+    assert compare.same(forward, backward)
+
+
+def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_path):
+    """Also where the run before, in the same process, was of another planner."""
+    sumo, idm = (
+        [
+            tiny_network.spec(
+                tiny, f"{planner} {start}", planner=planner, adversary="none", duration_s="0.5",
+                source=f"{{network: tiny.sumocfg, start_s: {start}, av: {{vehicle: av}}}}",
+            )
+            for start in STARTS
+        ]
+        for planner in ("sumo", "idm")
+    )  # fmt: skip
+    failing = tiny_network.spec(
+        tiny, "fails", planner="idm", adversary="none",
+        source="{network: tiny.sumocfg, start_s: 1.0, av: {vehicle: nobody}}",
+    )  # fmt: skip
+    used = tmp_path / "used"
+    watched = COUNTED.replace(
+        "planned =",
+        "from deepmf_sumo.simulation import sumo_config\n"
+        "taken, begun = [], sumo_config.running\n"
+        "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
+        f"    open({str(used)!r}, 'a').write('held ' if runs_already else 'anew ')\n"
+        "    return begun(arguments, backend, runs_already=runs_already)\n"
+        "sumo_config.running = noted\nplanned =",
+    )
+    command = [
+        sys.executable,
+        "-c",
+        watched,
+        str(tmp_path / "runs"),
+        *map(str, [*sumo, failing, *idm]),
+    ]
+    env = {**os.environ, **workers.SINGLE_THREAD}
+    subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
+    # the first of a passage runs by itself, the others from SUMO as it is held
+    assert used.read_text().split() == [
+        "anew",
+        "anew",
+        "held",
+        "held",
+        "anew",
+        "anew",
+        "anew",
+        "held",
+        "held",
+    ]
+
+
+def test_somebody_elses_planner_drives_in_copies_alone(tiny, paths, tmp_path):
+    assert done(tmp_path / "fine", paths("late_planners:Fine"), tiny) == 3
+
+
+def test_a_planner_with_threads_is_not_copied(tiny, paths, tmp_path):
+    thread = "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
+    (tiny / "threaded_planners.py").write_text(f"{PLANNERS}\n{thread}\n")
+    assert done(tmp_path / "threads", paths("threaded_planners:Fine"), tiny) == 0
+
+
+def test_sumo_that_cannot_be_copied_is_held_once_alone(tiny, paths, tmp_path):
+    assert done(tmp_path / "threads", ["many threads", *paths()], tiny) == -1
+    assert len(list((tmp_path / "threads").glob("at-*"))) == 3
+
+
+def test_traffic_that_breaks_off_is_said_by_the_run(tiny, tmp_path):
+    routes = tiny_network.ROUTES.replace(
+        "</routes>", '<vehicle id="lost" depart="400"><route edges="nowhere"/></vehicle></routes>'
+    )
+    (tiny / "broken.rou.xml").write_text(routes)
+    config = tiny_network.CONFIG.replace("tiny.rou.xml", "broken.rou.xml")
+    (tiny / "broken.sumocfg").write_text(config)
+    source = "{{network: broken.sumocfg, start_s: {}, av: {{vehicle: av}}}}"
+    paths = [
+        tiny_network.spec(tiny, f"at {start}", source=source.format(start))
+        for start in (2.0, 500.0)
+    ]
+    assert done(tmp_path, paths, tiny) == 0
+    error = json.loads(next(tmp_path.glob("at-500*/result.json")).read_text())["error"]
+    assert "SUMO refused" in error
+    assert "nowhere" in error
+
+
+@pytest.mark.parametrize(
+    ("planner", "said"),
+    [
+        ("Crash", "planner_error: the planner ended its process (SIGSEGV;"),
+        ("Leave", "planner_error: the planner ended its process (exit code 0;"),
+        ("Hang", "longer than 10 s"),
+        ("Hungry", "more than 1500 MB of memory"),
+    ],
+)
+def test_what_goes_wrong_in_a_copy_costs_its_run_alone(
+    tiny, paths, tmp_path, monkeypatch, planner, said
+):
+    monkeypatch.syspath_prepend(tiny)
+    wanted = batch.Options(out=tmp_path / "out", jobs=1, timeout_s=10.0, memory_mb=1500.0)
+    specs = paths(f"late_planners:{planner}")
+    results = batch.run([spec.load(path) for path in specs], wanted)
+    assert [one["status"] for one in results][::2] == ["ok", "ok"]
+    assert said in results[1]["error"]
+
+
+def test_nobody_outlives_a_killed_sweep(tiny, paths, tmp_path):
+    specs = [str(path) for path in paths("late_planners:Hang")[:2]]
+    sweep = subprocess.Popen(
+        [sys.executable, "-m", "deepmf_sumo.cli.main", "run", *specs, "--out", tmp_path / "out"],
+        env={**os.environ, "PYTHONPATH": str(tiny)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    one_done = tmp_path / "out" / "runs" / "at-2-0--tiny--0"
+    wait_until(one_done.is_dir)
+    wait_until(lambda: len(list(workers._family(sweep.pid))) > 3)  # the worker and its copy
+    family = list(workers._family(sweep.pid))
+    sweep.kill()
+    sweep.wait()
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))
+
+
+def wait_until(true, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_the_order_is_that_of_the_moments_within_a_passage(tiny, tmp_path):
+    def task(name, start, planner="idm"):
+        source = f"{{network: tiny.sumocfg, start_s: {start}, av: {{vehicle: av}}}}"
+        path = tiny_network.spec(tiny, name, source=source, planner=planner)
+        return tasks.plan([spec.load(path)], Path(tmp_path))[0]
+
+    planned = [task("a", 5), task("b", 4, "sumo"), task("c", 3), task("d", 1, "sumo")]
+    assert [one.spec.name for one in fork.in_order(planned)] == ["c", "a", "d", "b"]

@@ -1,0 +1,124 @@
+"""The Gymnasium environment: its rules, equal tracks, and how episodes end."""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+
+from deepmf_sumo import spec, tasks
+from deepmf_sumo.datatypes import Command, Driver
+from deepmf_sumo.errors import PlannerError, PluginError, UsageError
+from deepmf_sumo.sweep import episode
+
+from tests.support import tiny_network
+
+MODULE = "deepmf_sumo.gym"
+
+
+@pytest.fixture
+def make():
+    """Environments that are closed whatever happens: there is one simulation a process."""
+    pytest.importorskip("gymnasium")
+    made = []
+
+    def new(*arguments):
+        made.append(importlib.import_module(MODULE).AttackEnv(*arguments))
+        return made[-1]
+
+    yield new
+    for environment in made:
+        environment.close()
+
+
+@pytest.fixture
+def loaded(tiny):
+    planner = "{name: idm, perception: corridor}"
+    return spec.load(tiny_network.spec(tiny, "stepped", planner=planner, duration_s="3.0"))
+
+
+def test_without_gymnasium_it_says_what_to_install(monkeypatch):
+    monkeypatch.delitem(sys.modules, MODULE, raising=False)
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(PluginError, match=r"install deepmf-sumo\[gym\]"):
+        importlib.import_module(MODULE)
+
+
+@pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space")
+@pytest.mark.filterwarnings("ignore:.*Box observation space m..imum value is .*infinity")
+def test_it_keeps_gymnasiums_rules(make, loaded):
+    from gymnasium.utils.env_checker import check_env
+
+    environment = make(loaded)
+    check_env(environment, skip_render_check=True)
+
+
+def test_the_same_idm_through_the_door_drives_the_same(make, loaded):
+    (task,) = tasks.plan([loaded], cache=None)
+    case = episode.make_case(task, None)
+    direct = episode.attack_case(task, case).rollout
+    environment = make(loaded)
+    for _ in range(2):
+        planner = episode.planner_of(task)
+        environment.reset(seed=loaded.seed)
+        planner.reset(environment.case, np.random.default_rng(0))
+        ended = steps = 0
+        while not ended:
+            _, _, *flags, info = environment.step(planner.act(environment.view))
+            ended, steps = any(flags), steps + 1
+        through = environment.attack.rollout
+        assert info == {"run_id": task.run_id, "step": 40, "outcome": "none", "ended": "time"}
+        assert steps == 30
+        assert flags == [False, True]
+        assert direct.tracks.position_m.tobytes() == through.tracks.position_m.tobytes()
+        assert direct.leaders == through.leaders
+
+
+def test_accelerations_are_driven_and_a_contact_ends_it(make, tiny):
+    path = tiny_network.spec(tiny, "racing", planner="sumo", duration_s="20.0")
+    environment = make(path)
+    observation, _ = environment.reset()
+    assert observation["path"][:3, 1] == pytest.approx([7.5, 12.5, 17.5], abs=0.6)
+    assert observation["agents"][0, 0] == 1.0
+    assert 20.0 < observation["agents"][0, 1] < 60.0
+    assert not observation["agents"][1:].any()
+    speeds, rewards = [observation["av"][0]], []
+    ended = False
+    while not ended:
+        observation, reward, terminated, late, _ = environment.step(np.array([2.0], np.float32))
+        speeds.append(observation["av"][0])
+        rewards.append(reward)
+        ended = terminated or late
+    assert np.diff(speeds[:10]) == pytest.approx(0.2, abs=0.01)
+    rollout = environment.attack.rollout
+    av = rollout.tracks.row(rollout.av_id)
+    there = rollout.tracks.valid[av, rollout.now + 1 :]
+    assert (rollout.driver[av, rollout.now + 1 :][there] == Driver.PLANNER).all()
+    assert rollout.contacts
+    assert rewards[-1] == -1.0
+    assert not any(rewards[:-1])
+    with pytest.raises(UsageError, match="call reset first"):
+        environment.step(np.zeros(1))
+
+
+def test_one_episode_a_process(make, loaded):
+    one, other = make(loaded), make(loaded)
+    one.reset()
+    with pytest.raises(UsageError, match="AsyncVectorEnv"):
+        other.reset()
+    one.close()
+    other.reset()
+    other.close()
+    other.close()  # twice does no harm
+
+
+def test_what_is_wrong_comes_out_and_the_next_episode_goes_on(make, tiny, loaded):
+    environment = make(loaded)
+    environment.reset()
+    with pytest.raises(PlannerError, match="speed_mps at step 10 is nan"):
+        environment.step(Command(kind="speed", speed_mps=float("nan")))
+    environment.reset(options={"scene": "tiny"})
+    with pytest.raises(UsageError, match=r"no scene 'huge'; e.g. tiny"):
+        environment.reset(options={"scene": "huge"})
+    environment.reset()
+    environment.close()
