@@ -97,30 +97,41 @@ _TELEPORT_M: Final = 1.0
 """A step that is so much longer than speed and lane change explain is a teleport."""
 
 
-class LaneChangeEnd:
-    """Ends the lane change of a vehicle that is about to be put somewhere.
+class HandOver:
+    """What SUMO must be told when a vehicle is put somewhere at each step, or driven by SUMO again.
 
-    With `lanechange.duration` SUMO moves a vehicle over by time, even while a client puts it
-    elsewhere. A vehicle that is put beyond the border of its lane before SUMO has it half way
-    across crashes SUMO 1.28, which looks for one more lane to move it to.
+    Two states crash SUMO 1.28 where a vehicle may be on two lanes at once (`lanechange.duration`,
+    sublane model):
+
+    - A lane change under way moves a vehicle over by time, even while a client puts it elsewhere.
+      If the vehicle is put beyond the border of its lane before SUMO has it half way across, SUMO
+      looks for one more lane to move it to. So the change is ended first.
+    - A vehicle that is put on a lane that its class may not use is taken off its own lane, but
+      stays listed on the lane beside it. So it may use every lane until SUMO drives it again, and
+      the vehicles of that lane see it.
     """
 
     def __init__(self, api: SumoApi) -> None:
         self._api = api
         self._hurried: tuple[AgentId, float] | None = None
+        self._class: dict[AgentId, str] = {}
 
-    def end(self, vehicle_id: AgentId) -> None:
-        """End it in the coming step, if one is under way.
+    def take(self, vehicle_id: AgentId) -> None:
+        """From the coming step on the vehicle is put somewhere."""
+        vehicle, option = self._api.vehicle, self._api.simulation.getOption
+        sublane = float(option("lateral-resolution")) > 0
+        if (sublane or float(option("lanechange.duration")) > 0) and vehicle_id not in self._class:
+            self._class[vehicle_id] = str(vehicle.getVehicleClass(vehicle_id))
+            vehicle.setVehicleClass(vehicle_id, "ignoring")
+        if float(vehicle.getLateralSpeed(vehicle_id)) != 0.0 and not sublane:
+            self._hurried = vehicle_id, float(vehicle.getMaxSpeedLat(vehicle_id))
+            vehicle.setMaxSpeedLat(vehicle_id, _AT_ONCE_MPS)
 
-        The sublane model has none: there a vehicle moves sideways as it likes.
-        """
-        vehicle = self._api.vehicle
-        if float(vehicle.getLateralSpeed(vehicle_id)) == 0.0:
-            return
-        if float(self._api.simulation.getOption("lateral-resolution")) > 0:
-            return
-        self._hurried = vehicle_id, float(vehicle.getMaxSpeedLat(vehicle_id))
-        vehicle.setMaxSpeedLat(vehicle_id, _AT_ONCE_MPS)
+    def give_back(self, vehicle_id: AgentId) -> None:
+        """From the coming step on SUMO drives the vehicle."""
+        permission = self._class.pop(vehicle_id, None)
+        if permission is not None:
+            self._api.vehicle.setVehicleClass(vehicle_id, permission)
 
     def after_step(self) -> None:
         """Restore the vehicle's own lateral speed."""
@@ -286,7 +297,7 @@ class Av:
         self.leaders: tuple[AgentId, ...] | None = None
         self._pose = start
         self._motion = ShownMotion(api, av_id, length_m)
-        self._lane_change = LaneChangeEnd(api)
+        self._hand_over = HandOver(api)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
         self._path: Floats | None = None
@@ -311,13 +322,15 @@ class Av:
     def drive(self, command: Command) -> None:
         """Ask for the command in the coming step."""
         driven, self.placed = self.placed is None, None
+        if not driven and command.kind != "pose":
+            self._hand_over.give_back(self.id)
         self.leaders = self._followed(command)
         commanded = None
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
         if command.kind == "pose":
             if driven:
-                self._lane_change.end(self.id)
+                self._hand_over.take(self.id)
             self._place(command)
         elif command.kind == "sumo":
             vehicle.setSpeedMode(self.id, _OWN_DECISION)
@@ -336,7 +349,7 @@ class Av:
     def after_step(self) -> None:
         """What SUMO has to be told after the step, and where the AV is now."""
         self._path_known = False
-        self._lane_change.after_step()
+        self._hand_over.after_step()
         if self.placed is not None:
             self._api.vehicle.setPreviousSpeed(self.id, max(0.0, self.placed.speed_mps))
             self._motion.restart()

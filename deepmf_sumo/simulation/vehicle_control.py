@@ -9,7 +9,7 @@ import numpy as np
 from deepmf_sumo.datatypes import AgentId, Bools, Event, Floats, Lane, RoadMap
 from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear, off_level
-from deepmf_sumo.simulation.av import LaneChangeEnd, move
+from deepmf_sumo.simulation.av import HandOver, move
 from deepmf_sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -81,7 +81,6 @@ class Places:
         me = frame.ids.index(agent)
         found = self._candidates(frame, me, float(size_m[me, 0]), route)
         speed_mps = float(np.hypot(*frame.velocity_mps[me]))
-        permission = self._api.vehicle.getVehicleClass(agent)
         for begin in range(0, len(found.lanes), _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
             limit = [lane.speed_limit_mps or speed_mps for lane in found.lanes[part]]
@@ -89,7 +88,7 @@ class Places:
             poses = found.front_m[part], found.heading_rad[part], speed, found.z_m[part]
             for row in np.flatnonzero(_free(poses, me, frame, size_m)):
                 lane = found.lanes[begin + row]
-                if self._permitted(lane.id, permission):
+                if _permitted(self._api, agent, lane.id):
                     x, y = found.front_m[begin + row]
                     return Place(
                         lane_id=lane.id,
@@ -140,12 +139,13 @@ class Places:
             point[order], z[order], direction[order], moved[order], [lanes[row] for row in order]
         )
 
-    def _permitted(self, lane_id: str, permission: str) -> bool:
-        lane = self._api.lane
-        allowed = lane.getAllowed(lane_id)
-        return (not allowed or permission in allowed) and (
-            permission not in lane.getDisallowed(lane_id)
-        )
+
+def _permitted(api: SumoApi, agent: AgentId, lane_id: str) -> bool:
+    """Whether a vehicle of this class may use the lane."""
+    permission, allowed = api.vehicle.getVehicleClass(agent), api.lane.getAllowed(lane_id)
+    return (not allowed or permission in allowed) and (
+        permission not in api.lane.getDisallowed(lane_id)
+    )
 
 
 def overlapped(agent: AgentId, frame: Frame, size_m: Floats, but: AgentId) -> bool:
@@ -233,7 +233,7 @@ class Takeover:
         self._events = events
         self._places = places
         self._may_remove = may_remove
-        self._lane_change = LaneChangeEnd(api)
+        self._hand_over = HandOver(api)
         self._taken: _Taken | None = None
         self._moved: tuple[_Taken, float] | None = None
         self._gone: set[AgentId] = set()
@@ -250,13 +250,13 @@ class Takeover:
         if self._taken is None or self._taken.agent != agent:  # the last one may have left
             route = tuple(self._api.vehicle.getRoute(agent))
             self._taken = _Taken(agent=agent, length_m=length_m, route=route, pose=pose)
-            self._lane_change.end(agent)
+            self._hand_over.take(agent)
         self._taken.pose = pose
         move(self._api, agent, pose, length_m, _MATCH_M)
 
     def after_step(self, step: int) -> None:
         """Tell SUMO the speed: it would otherwise be that of the jump, cut to what it allows."""
-        self._lane_change.after_step()
+        self._hand_over.after_step()
         there = self._api.vehicle.getIDList()
         if self._taken is not None and self._taken.agent in there:
             self._api.vehicle.setPreviousSpeed(self._taken.agent, self._taken.pose.speed_mps)
@@ -285,6 +285,7 @@ class Takeover:
         if taken is None or not self._present(step, agent):
             return
         self._taken = None
+        self._hand_over.give_back(agent)
         if self._places is None:
             self._hand_to_nearest_lane(step, taken)
         elif crowd is None or agent not in crowd.frame.ids:
@@ -304,7 +305,8 @@ class Takeover:
 
     def _hand_to_nearest_lane(self, step: int, taken: _Taken) -> None:
         vehicle, agent = self._api.vehicle, taken.agent
-        if vehicle.getLaneID(agent):
+        lane_id = vehicle.getLaneID(agent)
+        if lane_id and _permitted(self._api, agent, lane_id):
             self._note(step, agent, "handed_back", "SUMO drives on along the route")
             self._find_way(step, taken)
             return
@@ -320,7 +322,9 @@ class Takeover:
         """
         vehicle, agent = self._api.vehicle, taken.agent
         lane_id = vehicle.getLaneID(agent)
-        if not lane_id or overlapped(agent, crowd.frame, crowd.size_m, but=crowd.av_id):
+        if not lane_id or not _permitted(self._api, agent, lane_id):
+            return False
+        if overlapped(agent, crowd.frame, crowd.size_m, but=crowd.av_id):
             return False
         if places.askew_rad(lane_id, taken.pose) > _ASKEW_RAD:
             return False

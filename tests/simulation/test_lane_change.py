@@ -1,7 +1,8 @@
-"""Vehicles that are taken over in the middle of a lane change."""
+"""Vehicles that are taken over in the middle of a lane change, or put on a lane of another class."""
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -53,3 +54,53 @@ def test_who_is_put_over_the_border_of_its_lane_leaves_sumo_alive(tmp_path, who,
     first, last = [line.split() for line in done.stdout.splitlines() if line.startswith("ab_")]
     assert first == ["ab_0", "True"]  # before its middle
     assert last == ["ab_1", "True"]
+
+
+ARTERIAL = Path(__file__).resolve().parents[2] / "sumo_nets" / "arterial" / "arterial.sumocfg"
+BUS_LANE = """
+import sys
+import numpy as np
+import libsumo
+from deepmf_sumo.datatypes import Command
+from deepmf_sumo.simulation.av import Av, read_pose
+from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.vehicle_control import Takeover
+
+config, who = sys.argv[1:]
+libsumo.start(["sumo", "-c", config, "--seed", "2", "--no-step-log", "true",
+               "--no-warnings", "true"])
+vehicle, car = libsumo.vehicle, "flow_east.0"
+while "line_7.0" not in vehicle.getIDList() or vehicle.getLanePosition("line_7.0") < 300:
+    libsumo.simulationStep()
+takeover, av = Takeover(libsumo, []), Av(libsumo, car, 4.5, read_pose(libsumo, car, 4.5))
+path = zip(np.linspace(-266, -254, 60), np.linspace(-4.8, -8.0, 60), strict=True)
+for step, (x_m, y_m) in enumerate(path):
+    turned = -0.5 if step > 20 else 0.0
+    pose = Pose(x_m=x_m, y_m=y_m, heading_rad=turned, speed_mps=2.0)
+    if who == "opponent":
+        takeover.place(step, car, pose, 4.5)
+    else:
+        av.drive(Command(kind="pose", x_m=x_m, y_m=y_m, heading_rad=turned, speed_mps=2.0))
+    libsumo.simulationStep()
+    takeover.after_step(step) if who == "opponent" else av.after_step()
+    vehicle.getLeader("line_7.0", 100.0)
+print("put on", vehicle.getLaneID(car), vehicle.getLeader("line_7.0", 100.0)[0])
+if who == "opponent":
+    takeover.hand_back(60, car)
+else:
+    av.drive(Command(kind="sumo"))
+libsumo.simulationStep()
+print("then on", vehicle.getLaneID(car), vehicle.getVehicleClass(car))
+"""
+
+
+@pytest.mark.parametrize("who", ["opponent", "av"])
+def test_a_car_that_is_put_on_a_bus_lane_is_seen_there_and_leaves_sumo_alive(who):
+    command = [sys.executable, "-c", BUS_LANE, str(ARTERIAL), who]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (done.returncode, done.stderr)
+    put, then = [line.split() for line in done.stdout.splitlines() if " on " in line]
+    assert put[2:] == ["east_bay_0", "flow_east.0"]  # the bus follows the car
+    assert then[3] == "passenger"
+    if who == "opponent":
+        assert then[2] == "east_bay_1"

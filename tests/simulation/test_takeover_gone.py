@@ -6,7 +6,7 @@ from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.vehicle_control import Takeover
 
 
-def simulation(there):
+def sumo(there):
     vehicle = SimpleNamespace(
         getIDList=lambda: tuple(there),
         getRoute=lambda agent: ("ab",),
@@ -16,11 +16,12 @@ def simulation(there):
         setPreviousSpeed=lambda *_: None,
         getLateralSpeed=lambda _: 0.0,
     )
-    return SimpleNamespace(vehicle=vehicle)
+    simulation = SimpleNamespace(getOption=lambda _: "0")
+    return SimpleNamespace(vehicle=vehicle, simulation=simulation)
 
 
 def placed(there, events, places=None):
-    takeover = Takeover(simulation(there), events, places)
+    takeover = Takeover(sumo(there), events, places)
     takeover.place(1, "ov", Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=5), 4.5)
     takeover.after_step(1)
     return takeover
