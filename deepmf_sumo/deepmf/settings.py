@@ -29,15 +29,32 @@ _RANKED = frozenset({"argmax", "partner"})
 """Choices of the opponent that rank vehicles by a score."""
 _TRIED = 3
 _COMFORT = 1.0
+_PAPER: Final[dict[str, Any]] = {
+    "tried_opponents": 1,
+    "likelihood_weight": 1.0,
+    "comfort_weight": 0.0,
+    "goal_candidates": 0,
+    "shortlist": None,
+    "conditional": True,
+    "keep_tail": False,
+    "sector": None,
+    "aggressiveness": None,
+    "fair": False,
+    "lawful": False,
+    "constraints": (),
+}
+"""What ``form: paper`` means: keys with other values contradict it."""
+_PAPER_RULES: Final = ("expected", "pair")
+_PAPER_REACTIONS = 6
 
 
 class Settings(plugins.Settings):
     """How DeepMF attacks.
 
-    The paper's own form is ``tried_opponents: 1, goal_candidates: 0, reactions: 6``; the defaults
-    give it more to choose from, at the same cost.
-
     Attributes:
+        form: ``paper`` is the method as published: one opponent, the predictor's modes alone,
+            reactions to all of them, Eq. 5 (or the text's pair), no comfort and no constraint; keys
+            that contradict it are refused. ``extended`` adds what the keys below say.
         version: the paper's name of a period: G (one plan), S4, S2, S1.
         period_s: seconds between plans, a multiple of 0.1; null plans once (G).
         opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
@@ -58,7 +75,8 @@ class Settings(plugins.Settings):
         shortlist: maximum number of candidates to which the AV's reactions are predicted: those
             most likely to meet the unattacked AV, then the likeliest. Null: all, as always with
             constraints, which may leave few.
-        reactions: modes of the AV (N2); 6 as published.
+        reactions: modes of the AV (N2). The paper gives neither N1 nor N2; 16, and 6 with
+            ``form: paper``, as M2I, whose conditional predictor the paper follows.
         av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
             null follows the AV's planner (``human`` for ``replay``).
         conditional: False predicts the AV as if it knew nothing of the opponent's future, with the
@@ -79,6 +97,7 @@ class Settings(plugins.Settings):
         constraints: names of further constraints, see `deepmf.constraints`.
     """
 
+    form: Literal["paper", "extended"] = "extended"
     version: Literal["G", "S4", "S2", "S1"] | None = None
     period_s: float | None = Field(default=1.0, ge=DT_S)
     opponent: str = Field(default="argmax", min_length=1)
@@ -106,6 +125,24 @@ class Settings(plugins.Settings):
     def takes_turns(self) -> bool:
         """Whether one opponent can follow another in an episode: they are chosen by score."""
         return self.opponent in SCORED
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_published(cls, values: Any) -> Any:
+        """Fill in what ``form: paper`` means; refuse keys that contradict it."""
+        if not isinstance(values, dict) or values.get("form") != "paper":
+            return values
+        given = {key: values[key] for key in _PAPER.keys() & values.keys()}
+        other = [key for key in _PAPER if key in given and not _same(given[key], _PAPER[key])]
+        if values.get("rule", "expected") not in _PAPER_RULES:
+            other.append("rule")
+        if other:
+            wanted = _PAPER.get(other[0], " or ".join(_PAPER_RULES))
+            raise ValueError(
+                f"form 'paper' contradicts {other[0]}: {values[other[0]]!r}; leave {other[0]} out "
+                f"(it is {wanted}), or use form 'extended'"
+            )
+        return {"reactions": _PAPER_REACTIONS} | _PAPER | values
 
     @model_validator(mode="after")
     def _one_period(self) -> Self:
@@ -149,10 +186,12 @@ class Settings(plugins.Settings):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Results name further constraints only if there are any."""
+        """Results name the form and further constraints only where they are not the defaults."""
         values: dict[str, Any] = handler(self)
         if not self.constraints:
             del values["constraints"]
+        if self.form == "extended":
+            del values["form"]
         return values
 
     @property
@@ -204,3 +243,7 @@ class Settings(plugins.Settings):
     def wanted_sector(self) -> int | None:
         """0..7; None for any."""
         return SECTORS.index(self.sector) if isinstance(self.sector, str) else self.sector
+
+
+def _same(given: Any, wanted: Any) -> bool:
+    return list(given) == [] if wanted == () and given is not None else bool(given == wanted)
