@@ -1,4 +1,4 @@
-"""Vehicles that are taken over in the middle of a lane change, or put on a lane of another class."""
+"""Vehicles taken over in the middle of a lane change, or put on a lane of another class."""
 
 import subprocess
 import sys

@@ -1,6 +1,6 @@
 """Compares what is shown of vehicles with SUMO's own poses, in the same simulation.
 
-`python -m tests.support.shown_motion sumo_nets/*/*.sumocfg` prints a table: every vehicle is taken for an
+`python -m tests.support.shown_motion CONFIG...` prints a table: every vehicle is taken for an
 AV that SUMO drives without attack. ``--at-once`` switches SUMO's own spreading of lane changes off.
 """
 
