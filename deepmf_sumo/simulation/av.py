@@ -100,8 +100,8 @@ _TELEPORT_M: Final = 1.0
 class HandOver:
     """What SUMO must be told when a vehicle is put somewhere at each step, or driven by SUMO again.
 
-    Two states crash SUMO 1.28 where a vehicle may be on two lanes at once (`lanechange.duration`,
-    sublane model):
+    Two states crash SUMO 1.28 where a vehicle may be on two lanes at once (the first with
+    `lanechange.duration`, the second with the sublane model too):
 
     - A lane change under way moves a vehicle over by time, even while a client puts it elsewhere.
       If the vehicle is put beyond the border of its lane before SUMO has it half way across, SUMO
@@ -115,11 +115,13 @@ class HandOver:
         self._api = api
         self._hurried: tuple[AgentId, float] | None = None
         self._class: dict[AgentId, str] = {}
+        self._lost: set[AgentId] = set()
 
     def take(self, vehicle_id: AgentId) -> None:
         """From the coming step on the vehicle is put somewhere."""
         vehicle, option = self._api.vehicle, self._api.simulation.getOption
         sublane = float(option("lateral-resolution")) > 0
+        self._lost.discard(vehicle_id)
         if (sublane or float(option("lanechange.duration")) > 0) and vehicle_id not in self._class:
             self._class[vehicle_id] = str(vehicle.getVehicleClass(vehicle_id))
             vehicle.setVehicleClass(vehicle_id, "ignoring")
@@ -133,14 +135,22 @@ class HandOver:
         if permission is not None:
             self._api.vehicle.setVehicleClass(vehicle_id, permission)
 
+    def lose(self, vehicle_id: AgentId) -> None:
+        """The vehicle has left the road; if SUMO brings it back, SUMO drives it."""
+        if vehicle_id in self._class:
+            self._lost.add(vehicle_id)
+
     def after_step(self) -> None:
-        """Restore the vehicle's own lateral speed."""
-        if self._hurried is None:
+        """Restore the vehicle's own lateral speed, and the class of those that are back."""
+        if self._hurried is None and not self._lost:
             return
-        vehicle_id, speed_mps = self._hurried
+        there = self._api.vehicle.getIDList()
+        for vehicle_id in self._lost.intersection(there):
+            self._lost.remove(vehicle_id)
+            self.give_back(vehicle_id)
+        if self._hurried is not None and self._hurried[0] in there:
+            self._api.vehicle.setMaxSpeedLat(*self._hurried)
         self._hurried = None
-        if vehicle_id in self._api.vehicle.getIDList():
-            self._api.vehicle.setMaxSpeedLat(vehicle_id, speed_mps)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -260,7 +260,8 @@ class Takeover:
         there = self._api.vehicle.getIDList()
         if self._taken is not None and self._taken.agent in there:
             self._api.vehicle.setPreviousSpeed(self._taken.agent, self._taken.pose.speed_mps)
-        else:
+        elif self._taken is not None:
+            self._hand_over.lose(self._taken.agent)
             self._taken = None  # should SUMO bring it back, it is not where it was put
         if self._moved is not None and self._moved[0].agent in there:
             taken, speed_mps = self._moved

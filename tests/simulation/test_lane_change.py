@@ -59,23 +59,24 @@ def test_who_is_put_over_the_border_of_its_lane_leaves_sumo_alive(tmp_path, who,
 ARTERIAL = Path(__file__).resolve().parents[2] / "sumo_nets" / "arterial" / "arterial.sumocfg"
 BUS_LANE = """
 import sys
-import numpy as np
 import libsumo
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.vehicle_control import Takeover
 
-config, who = sys.argv[1:]
+config, who, *options = sys.argv[1:]
 libsumo.start(["sumo", "-c", config, "--seed", "2", "--no-step-log", "true",
-               "--no-warnings", "true"])
+               "--no-warnings", "true", *options])
 vehicle, car = libsumo.vehicle, "flow_east.0"
 while "line_7.0" not in vehicle.getIDList() or vehicle.getLanePosition("line_7.0") < 300:
     libsumo.simulationStep()
 takeover, av = Takeover(libsumo, []), Av(libsumo, car, 4.5, read_pose(libsumo, car, 4.5))
-path = zip(np.linspace(-266, -254, 60), np.linspace(-4.8, -8.0, 60), strict=True)
-for step, (x_m, y_m) in enumerate(path):
-    turned = -0.5 if step > 20 else 0.0
+path = [(-262.07, -4.07, -.07), (-260.87, -4.21, -.10), (-259.81, -4.46, -.18),
+        (-258.92, -4.80, -.27), (-258.21, -5.20, -.38), (-257.64, -5.60, -.47),
+        (-257.16, -5.91, -.51), (-256.76, -6.11, -.50), (-256.61, -6.19, -.49),
+        (-256.47, -6.25, -.48), (-256.36, -6.30, -.48)]
+for step, (x_m, y_m, turned) in enumerate(path + 20 * path[-1:]):
     pose = Pose(x_m=x_m, y_m=y_m, heading_rad=turned, speed_mps=2.0)
     if who == "opponent":
         takeover.place(step, car, pose, 4.5)
@@ -94,9 +95,14 @@ print("then on", vehicle.getLaneID(car), vehicle.getVehicleClass(car))
 """
 
 
+@pytest.mark.parametrize(
+    "options",
+    [("--lanechange.duration", "3"), ("--lanechange.duration", "0", "--lateral-resolution", "0.8")],
+    ids=["duration", "sublane"],
+)
 @pytest.mark.parametrize("who", ["opponent", "av"])
-def test_a_car_that_is_put_on_a_bus_lane_is_seen_there_and_leaves_sumo_alive(who):
-    command = [sys.executable, "-c", BUS_LANE, str(ARTERIAL), who]
+def test_a_car_that_is_put_on_a_bus_lane_is_seen_there_and_leaves_sumo_alive(who, options):
+    command = [sys.executable, "-c", BUS_LANE, str(ARTERIAL), who, *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, (done.returncode, done.stderr)
     put, then = [line.split() for line in done.stdout.splitlines() if " on " in line]

@@ -6,7 +6,7 @@ from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.vehicle_control import Takeover
 
 
-def sumo(there):
+def sumo(there, options=None, classes=None):
     vehicle = SimpleNamespace(
         getIDList=lambda: tuple(there),
         getRoute=lambda agent: ("ab",),
@@ -15,8 +15,10 @@ def sumo(there):
         setSpeedMode=lambda *_: None,
         setPreviousSpeed=lambda *_: None,
         getLateralSpeed=lambda _: 0.0,
+        getVehicleClass=lambda agent: classes[agent],
+        setVehicleClass=lambda agent, name: classes.update({agent: name}),
     )
-    simulation = SimpleNamespace(getOption=lambda _: "0")
+    simulation = SimpleNamespace(getOption=lambda name: (options or {}).get(name, "0"))
     return SimpleNamespace(vehicle=vehicle, simulation=simulation)
 
 
@@ -45,3 +47,16 @@ def test_one_on_no_road_is_not_moved():
     assert takeover.placed() is None
     (event,) = events
     assert (event.kind, event.detail) == ("opponent_gone", "SUMO has taken it off the road")
+
+
+def test_one_that_comes_back_has_its_own_class():
+    there, classes = ["ov"], {"ov": "taxi"}
+    takeover = Takeover(sumo(there, {"lanechange.duration": "3"}, classes), [])
+    takeover.place(1, "ov", Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=5), 4.5)
+    takeover.after_step(1)
+    assert classes == {"ov": "ignoring"}
+    there.clear()
+    takeover.after_step(2)
+    there.append("ov")
+    takeover.after_step(3)
+    assert classes == {"ov": "taxi"}
