@@ -128,21 +128,23 @@ class Settings(plugins.Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _as_published(cls, values: Any) -> Any:
-        """Fill in what ``form: paper`` means; refuse keys that contradict it."""
-        if not isinstance(values, dict) or values.get("form") != "paper":
-            return values
-        given = {key: values[key] for key in _PAPER.keys() & values.keys()}
-        other = [key for key in _PAPER if key in given and not _same(given[key], _PAPER[key])]
-        if values.get("rule", "expected") not in _PAPER_RULES:
-            other.append("rule")
-        if other:
-            wanted = _PAPER.get(other[0], " or ".join(_PAPER_RULES))
-            raise ValueError(
-                f"form 'paper' contradicts {other[0]}: {values[other[0]]!r}; leave {other[0]} out "
-                f"(it is {wanted}), or use form 'extended'"
-            )
-        return {"reactions": _PAPER_REACTIONS} | _PAPER | values
+    def _defaults_of_the_form(cls, values: Any) -> Any:
+        if isinstance(values, dict) and values.get("form") == "paper":
+            return _PAPER | {"reactions": _PAPER_REACTIONS} | values
+        return values
+
+    @model_validator(mode="after")
+    def _as_published(self) -> Self:
+        if self.form != "paper":
+            return self
+        allowed = {key: (value,) for key, value in _PAPER.items()} | {"rule": _PAPER_RULES}
+        for key, those in allowed.items():
+            if getattr(self, key) not in those:
+                raise ValueError(
+                    f"form 'paper' contradicts {key}: {getattr(self, key)!r}; leave {key} out "
+                    f"(it is {' or '.join(map(str, those))}), or use form 'extended'"
+                )
+        return self
 
     @model_validator(mode="after")
     def _one_period(self) -> Self:
@@ -243,7 +245,3 @@ class Settings(plugins.Settings):
     def wanted_sector(self) -> int | None:
         """0..7; None for any."""
         return SECTORS.index(self.sector) if isinstance(self.sector, str) else self.sector
-
-
-def _same(given: Any, wanted: Any) -> bool:
-    return list(given) == [] if wanted == () and given is not None else bool(given == wanted)
