@@ -1,4 +1,4 @@
-"""What attacks in somebody else's simulation cost and do to it: ``python -m tests.bench.live``.
+"""Costs and side effects of attacks in a foreign simulation: ``python -m tests.bench.live``.
 
 A grid with traffic is stepped by a script that drives nobody; a second client attaches. Printed:
 steps a second with a second client that only steps and with ours before any attack, and, with

@@ -1,4 +1,4 @@
-"""Size of a report, and how long a browser takes to show it: ``python tests/bench/page.py OUT``.
+"""Size of a report, and how long a browser takes to show it: ``python -m tests.bench.page OUT``.
 
 OUT is a result folder, say of ``deepmf-sumo attack ... --moments 1000``. Printed: runs, the time
 to write the page and its size, and how long headless Chromium takes from its start to a picture of

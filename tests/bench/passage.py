@@ -1,4 +1,4 @@
-"""What it saves that SUMO passes through traffic once: ``python tests/bench/passage.py OUT``.
+"""What it saves that SUMO passes through traffic once: ``python -m tests.bench.passage OUT``.
 
 OUT is a result folder of ``deepmf-sumo attack``. Some of its runs, spread over their moments, are
 done again in one process, as a worker does them: SUMO from the begin of the traffic for each, and

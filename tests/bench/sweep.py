@@ -1,4 +1,4 @@
-"""Throughput of a sweep by workers: ``python tests/bench/sweep.py``, on a machine that is idle.
+"""Throughput of a sweep by workers: ``python -m tests.bench.sweep``, on a machine that is idle.
 
 Runs a second from the first to the last run that ends, so without the start of the workers;
 efficiency is that of N workers over N times that of one. With ``--executor ray://HOST:PORT`` the
