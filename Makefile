@@ -21,6 +21,9 @@ setup: $(READY)  ## create .venv and install
 run: $(READY)  ## attack every scenario of scenarios/ and print what happened
 	$(RUN) run scenarios/*.yaml --out out/run --overwrite
 
+quick: $(READY)  ## the tests that start no program, not even SUMO: under a minute
+	$(PY) -m pytest -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
+
 test: $(READY) lint types  ## lint, types, import contracts and the tests
 	$(PY) -m pytest -q -n 2 -m "not slow"
 
@@ -157,4 +160,4 @@ docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results
+.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results

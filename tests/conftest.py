@@ -4,10 +4,42 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import tiny_network
+from tests.support import started_programs, tiny_network
 
 ROOT = Path(__file__).resolve().parents[1]
+RUN_COMMANDS = {"cli", "plans", "simulation"}
+"""Folders in which most tests run SUMO or a whole command: all their tests are marked `sumo`."""
 WOMD = ROOT.parent / "shared" / "womd"
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m`
+def pytest_collection_modifyitems(items) -> None:
+    for item in items:
+        folder = item.path.relative_to(ROOT / "tests").parts[0]
+        if folder in RUN_COMMANDS or started_programs.FIXTURE in item.fixturenames:
+            item.add_marker(started_programs.MARK)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    started_programs.check(item)
+    try:
+        return (yield)
+    finally:
+        started_programs.check(None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    result = yield
+    if sentence := started_programs.refusal():
+        pytest.fail(sentence, pytrace=False)
+    return result
+
+
+@pytest.fixture(scope="session")
+def starts_sumo() -> None:
+    """For fixtures that start SUMO or a process: marks the tests that use them."""
 
 
 @pytest.fixture(scope="session")
@@ -19,7 +51,7 @@ def womd() -> Path:
 
 
 @pytest.fixture(scope="session")
-def tiny(tmp_path_factory) -> Path:
+def tiny(tmp_path_factory, starts_sumo) -> Path:
     """Folder of a tiny network."""
     folder = tmp_path_factory.mktemp("tiny")
     tiny_network.build(folder)

@@ -11,6 +11,8 @@ from deepmf_sumo.cli import main
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.plans.compare import differences
 
+pytestmark = pytest.mark.sumo
+
 SCENARIO = Path(__file__).resolve().parents[1] / "scenarios" / "cut_in.yaml"
 
 

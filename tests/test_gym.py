@@ -13,6 +13,8 @@ from deepmf_sumo.sweep import episode
 
 from tests.support import tiny_network
 
+pytestmark = pytest.mark.sumo
+
 MODULE = "deepmf_sumo.gym"
 
 

@@ -35,6 +35,7 @@ def file(tmp_path):
     return tmp_path / "one.yaml"
 
 
+@pytest.mark.slow_unit
 @pytest.mark.parametrize(("text", "said"), SLOW.values(), ids=list(SLOW))
 def test_yaml_without_bounds_is_refused_soon(file, text, said):
     file.write_text(text)

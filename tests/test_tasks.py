@@ -8,6 +8,8 @@ from deepmf_sumo.errors import SpecError
 
 from tests.support import tiny_network
 
+pytestmark = pytest.mark.sumo
+
 
 @pytest.mark.parametrize(
     ("name", "slug"), [("Cut-in on  A_1", "cut-in-on-a-1"), ("dcf8d2b708", "dcf8d2b708")]

@@ -18,6 +18,8 @@ from tests.support.predictor_doubles import Doubles
 from tests.support.simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
 from tests.support.simulated_worlds import case_of as recorded_case_of
 
+pytestmark = pytest.mark.sumo
+
 NAMES = ("rule", "cat", "art")
 
 

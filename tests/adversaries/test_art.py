@@ -75,6 +75,7 @@ def turning_view():
     )
 
 
+@pytest.mark.slow_unit
 def test_without_a_limit_in_seconds_the_clock_ends_nothing(monkeypatch):
     """However slow the machine: a day between two looks at the clock."""
     clock = itertools.count(0.0, 86400.0)
@@ -103,6 +104,7 @@ class TestDescent:
             given["iterations"], given["deadline"],
         )  # fmt: skip
 
+    @pytest.mark.slow_unit
     @pytest.mark.parametrize(
         "bounds",
         [
@@ -197,6 +199,7 @@ class TestHistory:
             np.testing.assert_array_equal(before[0], after[0])
             assert np.abs(before[1, :-1] - after[1, :-1]).max() > 0.01
 
+    @pytest.mark.slow_unit
     def test_the_gradient_is_that_of_finite_differences(self, predictors, monkeypatch):
         doubled = as_batch
         monkeypatch.setattr(
@@ -297,6 +300,7 @@ class TestFuture:
         found = attack(world, {"seconds": 1e-6}, Budget(simulations=5))
         assert found.simulations == 2
 
+    @pytest.mark.slow_unit
     def test_a_standing_opponent(self):
         found = attack(World(opponent=(20.0, 3.5, 0.0, 0.0)))
         assert np.isfinite(found.rollout.plans[0].position_m).all()
@@ -324,6 +328,7 @@ class TestFuture:
         assert np.isfinite(found.offset_m).all()
 
 
+@pytest.mark.sumo
 def test_making_them_does_not_load_torch():
     program = """
 import sys

@@ -20,6 +20,7 @@ def test_adversary(name):
         plugins.settings("adversaries", name, {**NEEDED.get(name, {}), "no_such_key": 1})
 
 
+@pytest.mark.sumo
 @pytest.mark.parametrize("name", plugins.names("adversaries"))
 def test_checking_settings_does_not_load_torch(name):
     program = f"""

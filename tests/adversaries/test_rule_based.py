@@ -103,6 +103,7 @@ def test_one_attack_is_driven_whatever_the_budget():
     assert (found.simulations, len(found.trials)) == (2, 1)
 
 
+@pytest.mark.slow_unit
 def test_time_of_the_only_attack_is_no_search():
     class Slow(World):
         def __call__(self, policy):

@@ -191,6 +191,7 @@ class TestOptimisers:
         rng = np.random.default_rng(0)
         assert self.minimum(bbo.BayesianSearch(bbo.Settings(drawn=6), 2, rng), 12) < 0.02
 
+    @pytest.mark.slow_unit
     def test_optuna_does_it_too(self):
         rng = np.random.default_rng(0)
         assert self.minimum(bbo.OptunaSearch(6, 2, rng), 12) < 0.02
@@ -240,6 +241,7 @@ def test_settings_are_checked(name):
         plugins.settings("adversaries", name, {"cost": {"jrk": 1.0}})
 
 
+@pytest.mark.sumo
 def test_checking_settings_loads_nothing_heavy():
     program = f"""
 import sys
@@ -254,6 +256,7 @@ assert not {{"torch", "optuna", "scipy", "libsumo"}} & set(sys.modules)
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.sumo
 def test_traffic_of_a_sumo_network_is_attacked(tmp_path):
     case = network_case(tiny_network.build(tmp_path), 2.0, "av", 30)
     planner = idm.build(idm.Settings())

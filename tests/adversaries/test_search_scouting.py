@@ -27,6 +27,7 @@ def simulating(case, planner):
     return simulate
 
 
+@pytest.mark.sumo
 def test_a_recording_is_scouted(tmp_path):
     motions = {
         "av": straight_motion(60.0, 0.0, 0.0, 12.0),
@@ -43,6 +44,7 @@ def test_a_recording_is_scouted(tmp_path):
     assert np.abs(found.av.position_m - motions["av"][NOW + 1 :, :2]).max() < 0.01
 
 
+@pytest.mark.sumo
 def test_a_sumo_network_is_scouted(tmp_path):
     case = network_case(tiny_network.build(tmp_path), 2.0, "av", 30)
     found = scout(case, simulating(case, idm.build(idm.Settings())), lambda view, rng: "leader")
@@ -55,6 +57,7 @@ def test_a_sumo_network_is_scouted(tmp_path):
     assert found.av.valid.all()
 
 
+@pytest.mark.sumo
 def test_contact_with_the_opponent_does_not_end_the_scouting(tmp_path):
     motions = {
         "av": straight_motion(60.0, 0.0, 0.0, 12.0),

@@ -22,6 +22,8 @@ from deepmf_sumo.simulation import simulate as simulate_case
 from tests.support.predictor_doubles import Doubles
 from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
+pytestmark = pytest.mark.sumo
+
 WEIGHTS = Costs(others=40.0, road=4.0, prior=0.02, init=0.01)
 
 

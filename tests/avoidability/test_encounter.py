@@ -180,6 +180,7 @@ def test_a_standing_av_has_a_path():
     np.testing.assert_allclose(heading, 0.3)
 
 
+@pytest.mark.sumo
 def test_the_way_ahead_of_a_recorded_av_is_the_one_it_took(womd):
     found = readers.scenes([min((womd / "val").glob("*.gz"))])
     scene = next(one for one in found if isinstance(one, Scene) and _moves(one))

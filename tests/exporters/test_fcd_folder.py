@@ -15,6 +15,8 @@ from deepmf_sumo.simulation import simulate
 
 from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
+pytestmark = pytest.mark.sumo
+
 
 def poses(file):
     """(time, id) -> x, y, angle of an FCD file."""

@@ -4,6 +4,8 @@ import pytest
 
 from tests.fuzz import kinds, runner
 
+pytestmark = pytest.mark.sumo
+
 COUNT = 8
 
 

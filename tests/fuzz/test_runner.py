@@ -10,6 +10,8 @@ from deepmf_sumo.errors import ReaderError
 
 from tests.fuzz import mutators, runner
 
+pytestmark = pytest.mark.sumo
+
 
 def make(folder):
     (folder / "input").write_bytes(b"abc")

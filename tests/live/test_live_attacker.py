@@ -19,6 +19,8 @@ from deepmf_sumo.report import comparison
 
 from tests.support.live_policies import Keep
 
+pytestmark = pytest.mark.sumo
+
 libsumo = pytest.importorskip("libsumo")
 traci = pytest.importorskip("traci")
 

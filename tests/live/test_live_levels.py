@@ -10,6 +10,8 @@ from deepmf_sumo.geometry import boxes
 from tests.support import two_levels
 from tests.support.live_doubles import OPTIONS, session_on, step
 
+pytestmark = pytest.mark.sumo
+
 
 class North:
     """Drives a vehicle on to the north, over the bridge."""

@@ -14,6 +14,8 @@ from deepmf_sumo.simulation.frame import Frame
 from tests.support.live_doubles import OPTIONS, Brake, session_on, step
 from tests.support.tiny_network import build
 
+pytestmark = pytest.mark.sumo
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

@@ -16,6 +16,8 @@ from deepmf_sumo.metrics import conflict
 from deepmf_sumo.planners import sumo as sumo_planner
 from deepmf_sumo.simulation import network_case, simulate
 
+pytestmark = pytest.mark.sumo
+
 SUMO = Path(sumo.SUMO_HOME) / "bin"
 ENVIRONMENT = {**os.environ, "SUMO_HOME": sumo.SUMO_HOME}
 CONFIG = """<configuration><input><net-file value="net.net.xml"/>

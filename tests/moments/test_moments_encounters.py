@@ -51,7 +51,7 @@ def drive(ways, *, speed=10.0, permission="passenger", every_s=1.0, lengths=None
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory):
+def config(tmp_path_factory, starts_sumo):
     return build(tmp_path_factory.mktemp("crossing"))
 
 

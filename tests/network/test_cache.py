@@ -2,9 +2,12 @@ import multiprocessing
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from deepmf_sumo import network
 from deepmf_sumo.network.conversion import key
+
+pytestmark = pytest.mark.sumo
 
 
 def test_a_net_is_built_once(crossing, tmp_path):

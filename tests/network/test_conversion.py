@@ -15,6 +15,8 @@ from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network import plain_net, sumo_tools
 from deepmf_sumo.network.sumo_net import points, read_net
 
+pytestmark = pytest.mark.sumo
+
 
 @pytest.fixture(scope="module")
 def net(crossing, tmp_path_factory):

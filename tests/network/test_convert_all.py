@@ -10,6 +10,8 @@ from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import ConversionError, OutputError
 from deepmf_sumo.network.batch import convert_all
 
+pytestmark = pytest.mark.sumo
+
 
 @dataclass
 class Refused:

@@ -16,7 +16,7 @@ PLAIN = [kind for kind in generated.KINDS if kind != generated.MIX]
 
 
 @pytest.fixture(scope="module")
-def networks(tmp_path_factory):
+def networks(tmp_path_factory, starts_sumo):
     """One of each kind: kind -> configuration."""
     made = {}
     for kind in PLAIN:
@@ -92,6 +92,7 @@ def star(arms):
     return layout
 
 
+@pytest.mark.sumo
 def test_a_roundabout_is_a_ring_with_right_of_way(tmp_path, monkeypatch):
     monkeypatch.setattr(roundabouts, "_SHARE", 1.0)
     layout = star(4)

@@ -6,6 +6,8 @@ import pytest
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.network.sumo_road import road_of_net
 
+pytestmark = pytest.mark.sumo
+
 
 @pytest.fixture(scope="module", params=[False, True], ids=["right", "left"])
 def road(request, tmp_path_factory):

@@ -30,7 +30,7 @@ def joined_in(net, route):
 
 
 @pytest.fixture(scope="module")
-def net(crossing, tmp_path_factory):
+def net(crossing, tmp_path_factory, starts_sumo):
     return network.convert(crossing, tmp_path_factory.mktemp("nets") / "crossing")
 
 
@@ -108,6 +108,7 @@ def test_a_route_that_breaks_is_cut_there_and_says_so(net):
     assert net.lane_of[f"{route.edges[1]}_0"] == ("out0",)
 
 
+@pytest.mark.sumo
 def test_a_lane_change_within_an_edge_is_no_break(two_lanes, scene_of, tmp_path):
     net = network.convert(scene_of(two_lanes, path=[(5, 0), (100, 0)]), tmp_path / "net")
     route = checked_route(net, ["r1", "l1", "l2"], extend_m=0.0)
@@ -124,6 +125,7 @@ def test_no_lanes_no_route(net):
     assert start_lane(net, []) is None
 
 
+@pytest.mark.sumo
 def test_recorded_vehicles_get_routes_that_hold(womd, tmp_path):
     from deepmf_sumo import readers
     from deepmf_sumo.datatypes import Scene

@@ -14,6 +14,7 @@ OVER, UP, LEFT, RIGHT = (
 FOUR_WAY = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.net.xml"
 
 
+@pytest.mark.sumo
 @pytest.mark.parametrize("option", ["--lefthand", "--no-internal-links", "--no-turnarounds"])
 def test_ways_that_cross_or_end_on_one_edge_meet(tmp_path, option):
     """Without a rule, of which there is no request; ways of one edge are no encounter."""
@@ -39,6 +40,7 @@ def test_left_turns_meet_oncoming_traffic_and_right_turns_do_not():
     assert {pair for pair in pairs if oncoming == pair[0]} == {(oncoming, ways["l"])}
 
 
+@pytest.mark.sumo
 def test_a_junction_is_where_vehicles_of_several_edges_come_together(tmp_path):
     net = read_net(build(tmp_path).parent / "crossing.net.xml")
     assert junctions(net) == dict.fromkeys(("west", "south", "east", "north"), "mid")

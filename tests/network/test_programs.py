@@ -15,11 +15,13 @@ def test_an_unknown_program_is_an_error_that_names_it():
         sumo_tools.program("netrevert")
 
 
+@pytest.mark.sumo
 def test_what_a_program_complains_about_is_in_the_error(tmp_path):
     with pytest.raises(ConversionError, match=r"netconvert failed: Error: .*nothing\.net\.xml"):
         sumo_tools.run("netconvert", "-s", str(tmp_path / "nothing.net.xml"), "-o", "/dev/null")
 
 
+@pytest.mark.sumo
 def test_a_program_that_takes_too_long_is_ended(tmp_path):
     with pytest.raises(ConversionError, match="did not end within"):
         sumo_tools.run(

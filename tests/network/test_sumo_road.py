@@ -9,6 +9,8 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.network.sumo_road import road_of_net, road_once, signal_links
 
+pytestmark = pytest.mark.sumo
+
 
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory):

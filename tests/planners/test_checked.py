@@ -16,7 +16,7 @@ from tests.support.tiny_network import build
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory):
+def config(tmp_path_factory, starts_sumo):
     return build(tmp_path_factory.mktemp("tiny"))
 
 

@@ -21,7 +21,7 @@ READY = b'{"type": "ready", "protocol": 1}'
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory):
+def config(tmp_path_factory, starts_sumo):
     return build(tmp_path_factory.mktemp("tiny"))
 
 

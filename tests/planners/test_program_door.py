@@ -17,6 +17,8 @@ from deepmf_sumo.simulation import network_case, simulate
 
 from tests.support.tiny_network import build
 
+pytestmark = pytest.mark.sumo
+
 HOSTILE = Path(__file__).parents[1] / "support" / "hostile_planner.py"
 
 WRONG = {

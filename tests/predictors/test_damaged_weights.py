@@ -62,6 +62,7 @@ def flip(file, rng):
     file.write_bytes(content)
 
 
+@pytest.mark.slow_unit
 @pytest.mark.parametrize("network", ["opponent", "marginal", "conditional"])
 def test_one_flipped_bit_is_refused(folder, network):
     file = folder / f"{network}.safetensors"

@@ -62,6 +62,7 @@ def test_modes_are_goals_of_either_member(nets):
     assert found[1] - found[0]
 
 
+@pytest.mark.slow_unit
 def test_densities_are_those_of_the_mixture_with_each_members_kernels(nets):
     modes = Marginal(nets, 1.0).predict(view(), "av").modes(16).futures.position_m
     both, *alone = (Marginal(each, 1.0) for each in (nets, nets[:1], nets[1:]))

@@ -9,6 +9,7 @@ from deepmf_sumo.predictors.vectornet import Attention
 from deepmf_sumo.predictors.vgg import VGG16
 
 
+@pytest.mark.slow_unit
 def test_attention_with_own_elements_is_attention_to_all_of_them():
     torch.manual_seed(0)
     attention = Attention(16, 2)

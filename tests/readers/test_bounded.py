@@ -18,6 +18,8 @@ from deepmf_sumo.readers.protos import scenario_pb2 as pb
 
 from tests.support import recordings_by_hand as by_hand
 
+pytestmark = pytest.mark.sumo
+
 
 def forever():
     yield 1

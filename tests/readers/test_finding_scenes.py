@@ -38,6 +38,7 @@ def test_a_path_that_does_not_exist_is_an_error_at_once(data):
         readers.scenes([data, data / "nowhere"])
 
 
+@pytest.mark.sumo
 def test_scenes_of_all_formats_and_a_refusal_for_what_is_none(data):
     found = list(readers.scenes([data]))
     assert names(found) == ["x", "y", "z", "g"]
@@ -46,11 +47,13 @@ def test_scenes_of_all_formats_and_a_refusal_for_what_is_none(data):
     assert "has an unknown format; known are gpudrive, npz, scenarionet, womd" in refusal.reason
 
 
+@pytest.mark.sumo
 def test_the_only_file_must_be_a_recording(data):
     with pytest.raises(ReaderError, match="has an unknown format"):
         readers.scenes([data / "README"])
 
 
+@pytest.mark.sumo
 def test_scenes_come_one_at_a_time(tmp_path, monkeypatch):
     read = tmp_path / "read"
     original = womd._tfrecord.records
@@ -69,6 +72,7 @@ def test_scenes_come_one_at_a_time(tmp_path, monkeypatch):
     stream.close()
 
 
+@pytest.mark.sumo
 def test_ids_and_scenes_by_id(data, tmp_path):
     assert readers.ids(data) == ["x", "y", "z", "g"]
     for cache in (None, tmp_path / "cache"):
@@ -78,6 +82,7 @@ def test_ids_and_scenes_by_id(data, tmp_path):
         readers.scene(data, "w")
 
 
+@pytest.mark.sumo
 def test_a_scene_by_id_is_found_again_without_a_search(data, tmp_path, monkeypatch):
     file, cache = data / "b.tfrecord", tmp_path / "cache"
     first = readers.scene(file, "y", cache)
@@ -86,6 +91,7 @@ def test_a_scene_by_id_is_found_again_without_a_search(data, tmp_path, monkeypat
     assert again.source == first.source
 
 
+@pytest.mark.sumo
 def test_a_listed_scene_is_read_without_a_search(data, tmp_path, monkeypatch):
     refs = list(readers.records(data, tmp_path / "cache"))
     assert [(ref.name, ref.record, ref.reader) for ref in refs] == [
@@ -102,6 +108,7 @@ def test_a_listed_scene_is_read_without_a_search(data, tmp_path, monkeypatch):
     assert [readers.read(ref).name for ref in refs] == ["x", "y", "z", "g"]
 
 
+@pytest.mark.sumo
 def test_a_file_that_changed_after_it_was_listed_is_an_error(tmp_path):
     file = by_hand.shard(tmp_path / "one.tfrecord", *(by_hand.scenario(name=one) for one in "xy"))
     first, second = readers.records(file)
@@ -112,6 +119,7 @@ def test_a_file_that_changed_after_it_was_listed_is_an_error(tmp_path):
         readers.read(second)
 
 
+@pytest.mark.sumo
 def test_an_index_of_a_plug_in_that_is_not_there_is_made_again(data, tmp_path):
     file, cache = data / "b.tfrecord", tmp_path / "cache"
     expected = list(readers.records(file, cache))
@@ -120,6 +128,7 @@ def test_an_index_of_a_plug_in_that_is_not_there_is_made_again(data, tmp_path):
     assert list(readers.records(file, cache)) == expected
 
 
+@pytest.mark.sumo
 def test_a_changed_file_and_a_damaged_index_are_searched_again(data, tmp_path):
     file, cache = data / "b.tfrecord", tmp_path / "cache"
     assert readers.ids(file, cache) == ["x", "y", "z"]
@@ -131,6 +140,7 @@ def test_a_changed_file_and_a_damaged_index_are_searched_again(data, tmp_path):
     assert readers.scene(file, "new", cache).name == "new"
 
 
+@pytest.mark.sumo
 def test_a_refused_scene_asked_for_by_id_is_an_error_with_the_reason(tmp_path):
     message = by_hand.scenario(name="bad")
     del message.map_features[:]

@@ -66,6 +66,7 @@ def test_the_same_scene_is_the_same_file(scene, tmp_path):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
+@pytest.mark.slow_unit
 @given(
     width=st.none() | st.floats(0.1, 10),
     limit=st.none() | st.floats(0.1, 50),
@@ -111,6 +112,7 @@ def test_pickled_objects_are_refused(scene, tmp_path):
     assert isinstance(refusal, Refusal)
 
 
+@pytest.mark.slow_unit
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_damage_gives_the_scene_or_a_refusal(scene, data, tmp_path_factory):

@@ -9,6 +9,8 @@ import pytest
 from deepmf_sumo import readers
 from deepmf_sumo.readers import Refusal
 
+pytestmark = pytest.mark.sumo
+
 
 @pytest.fixture(scope="module")
 def index(womd):

@@ -39,6 +39,7 @@ def test_round_trip(file, payloads, packed):
         assert _tfrecord.record_at(file, one.offset, one.index) == one
 
 
+@pytest.mark.slow_unit
 @settings(max_examples=300, deadline=None)
 @given(payloads=PAYLOADS, data=st.data())
 def test_a_flipped_bit_never_gives_a_wrong_payload(file, payloads, data):

@@ -67,6 +67,7 @@ def test_a_rollout_is_read_as_it_was_written(folder):
     np.testing.assert_array_equal(read.plans[0].position_m, written.plans[0].position_m)
 
 
+@pytest.mark.sumo
 def test_all_figures_of_a_benchmark(folder):
     for method, speed in (("DeepMF-S1", 12.0), ("B$RS", 14.0)):
         folder.add("one", method=method, speed=speed, scores=SCORES, metrics=NATURAL)
@@ -81,6 +82,7 @@ def test_all_figures_of_a_benchmark(folder):
     assert "Not drawn: it takes two methods with at least 5 attacked runs" in index
 
 
+@pytest.mark.sumo
 def test_same_bytes_and_no_figures_of_earlier_runs(folder, monkeypatch):
     folder.add("one")
     monkeypatch.setattr(figures, "FIGURES", {"a": attacks.draw, "b": scores.draw})
@@ -93,6 +95,7 @@ def test_same_bytes_and_no_figures_of_earlier_runs(folder, monkeypatch):
     assert "<dc:date>" not in (folder.out / "figures" / "a.svg").read_text()
 
 
+@pytest.mark.sumo
 def test_print_is_legible(folder):
     for method in ("S1", "S2"):
         folder.add("one", method=method, scores=SCORES, sector=2)
@@ -117,6 +120,7 @@ def test_nothing_to_draw_says_why(folder):
         assert draw(figure, folder) == Skipped(why)
 
 
+@pytest.mark.sumo
 def test_scores_show_the_scenes_in_which_they_differ(folder):
     folder.add("alike", scores=dict.fromkeys("bcde", 0.5))
     folder.add("differ", scores=SCORES)
@@ -127,6 +131,7 @@ def test_scores_show_the_scenes_in_which_they_differ(folder):
     assert "Of 2 scenes" in sheet.caption
 
 
+@pytest.mark.sumo
 def test_attacks_take_turns_among_the_sides_and_clean_hits_first(folder):
     good = {"feasible": 1.0, "on_road": 1.0, "collision_clean": 1.0}
     folder.add("one", sector=0, metrics=good | {"on_road": 0.5})
@@ -140,6 +145,7 @@ def test_attacks_take_turns_among_the_sides_and_clean_hits_first(folder):
     assert "3 scenes with a hit by S1" in sheet.caption
 
 
+@pytest.mark.sumo
 def test_sectors_are_counted_and_the_absent_said(folder):
     folder.add("one", sector=0, metrics={"collision_speed": 3.0})
     folder.add("two", sector=0, metrics={"collision_speed": 5.0, "accident_type": 1.0})
@@ -155,6 +161,7 @@ def test_sectors_are_counted_and_the_absent_said(folder):
     assert "No hit on the rear." in sheet.caption
 
 
+@pytest.mark.sumo
 def test_attacks_that_asked_for_a_sector_come_first(folder):
     fast = {"collision_speed": 9.0}
     folder.add("one", sector=3, metrics=fast)
@@ -177,6 +184,7 @@ def test_the_av_drives_up_in_a_panel_of_a_sector(folder):
     np.testing.assert_allclose(step, [0.0, 1.0], atol=1e-9)
 
 
+@pytest.mark.sumo
 def test_methods_share_a_scene_in_which_they_differ(folder):
     for scene, courses in {"alike": (0.0, 0.0), "differ": (0.0, -0.3)}.items():
         for method, course in zip(("S1", "G"), courses, strict=True):
@@ -188,6 +196,7 @@ def test_methods_share_a_scene_in_which_they_differ(folder):
     assert "(b) G\nfront, 3.0 s, 4.5 m/s" in texts(sheet)
 
 
+@pytest.mark.sumo
 def test_nobody_attacked_is_drawn_too(folder):
     folder.add("one", method="S1", hit=False, opponent=None)
     folder.add("one", method="none", adversary="none", hit=False, opponent=None)
@@ -236,6 +245,7 @@ def test_curves_become_lines(folder):
     assert axes.get_xticks().tolist() == [8.0, 32.0, 320.0]
 
 
+@pytest.mark.sumo
 def test_the_road_of_a_lost_recording_is_that_of_the_network(folder, tmp_path):
     folder.add("one")
     run = reader.Results.of(folder.out).done[0]

@@ -86,6 +86,7 @@ def folder(tmp_path):
     return Folder(tmp_path)
 
 
+@pytest.mark.sumo
 def test_one_page_with_every_run_and_without_a_network(folder):
     folder.add("s1", scores={"b": 0.9, "c": 0.2}, metrics={"accident_type": 2.0, "ttc_min": 0.25})
     folder.add("s2", hit=False)
@@ -109,6 +110,7 @@ def test_one_page_with_every_run_and_without_a_network(folder):
     assert "http" not in parsed.scripts["run"].replace("http://www.w3.org/2000/svg", "")
 
 
+@pytest.mark.sumo
 def test_ids_are_unique_and_controls_have_names(folder):
     folder.add("s1")
     parsed = Parsed(page.write(folder.out))
@@ -118,6 +120,7 @@ def test_ids_are_unique_and_controls_have_names(folder):
     assert named <= set(ids)
 
 
+@pytest.mark.sumo
 def test_poses_are_those_of_the_tracks(folder):
     rollout = folder.add("s1", turn=0.0)
     replay = Parsed(page.write(folder.out)).details(0)["replay"]
@@ -135,6 +138,7 @@ def test_poses_are_those_of_the_tracks(folder):
         assert np.abs(turned).max() < 0.01
 
 
+@pytest.mark.sumo
 def test_who_drives_is_said_at_each_change(folder):
     folder.add("s1")
     agents = Parsed(page.write(folder.out)).details(0)["replay"]["agents"]
@@ -146,6 +150,7 @@ def test_who_drives_is_said_at_each_change(folder):
     assert found == "planner"
 
 
+@pytest.mark.sumo
 def test_agents_far_away_are_left_out_and_counted(folder, monkeypatch):
     monkeypatch.setattr("deepmf_sumo.report.page.replay.REACH_M", 10.0)
     folder.add("s1", speed=10.0, hit=False)
@@ -154,12 +159,14 @@ def test_agents_far_away_are_left_out_and_counted(folder, monkeypatch):
     assert {agent["id"] for agent in replay["agents"]} == {"av", "b", "c"}
 
 
+@pytest.mark.sumo
 def test_the_same_runs_give_the_same_page(folder):
     folder.add("s1", scores={"b": 0.9})
     first = page.write(folder.out).read_bytes()
     assert page.write(folder.out).read_bytes() == first
 
 
+@pytest.mark.sumo
 def test_one_road_for_all_runs_of_a_scene(folder):
     folder.add("s1")
     folder.add("s1", method="S2")
@@ -208,6 +215,7 @@ def test_a_lost_recording_is_said_and_the_rest_is_shown(folder):
     assert details["replay"]["agents"]
 
 
+@pytest.mark.sumo
 def test_places_of_chosen_moments_come_from_their_table(folder):
     folder.add("s1")
     folder.add("s2")
@@ -229,6 +237,7 @@ def test_texts_cannot_become_elements(folder):
     assert len(running) == 1
 
 
+@pytest.mark.sumo
 def test_candidates_that_are_kept_hold_the_chosen_one(folder, monkeypatch):
     monkeypatch.setattr("deepmf_sumo.report.page.replay.MOST_A_PLAN", 1)
     monkeypatch.setattr("deepmf_sumo.report.page.replay.FEWEST_A_PLAN", 1)
@@ -249,6 +258,7 @@ def test_no_result_folder(tmp_path, files, message):
         page.write(tmp_path)
 
 
+@pytest.mark.sumo
 def test_the_command_writes_the_page(folder, capsys):
     folder.add("s1")
     assert main._run(["report", str(folder.out)]) == 0
@@ -341,6 +351,7 @@ def test_texts_stand_out_in_both_themes():
                 assert (pair[1] + 0.05) / (pair[0] + 0.05) >= 4.5, (ink, ground)
 
 
+@pytest.mark.sumo
 def test_the_scripts_unpack_what_was_packed():
     values = {"a": [1, 2, 3], "text": "é</script>"}
     found = javascript(["packing"], f"await unpacked({json.dumps(packed(values))})")
@@ -350,6 +361,7 @@ def test_the_scripts_unpack_what_was_packed():
     assert javascript(["packing"], f"summed({stepwise(path, 0.1)}, 0.1)") == pytest.approx(path)
 
 
+@pytest.mark.sumo
 def test_intervals_of_the_page_are_those_of_the_tables():
     for hits, runs in ((0, 7), (3, 10), (10, 10)):
         found = javascript(["statistics"], f"wilson({hits}, {runs})")
@@ -361,6 +373,7 @@ def test_intervals_of_the_page_are_those_of_the_tables():
     )
 
 
+@pytest.mark.sumo
 def test_poses_between_steps_and_where_nobody_is():
     agent = {
         "every": 2,
@@ -371,6 +384,7 @@ def test_poses_between_steps_and_where_nobody_is():
     assert [pose and pose["x"] for pose in found] == [None, 0, 1, 4, 6, None]
 
 
+@pytest.mark.sumo
 def test_a_browser_shows_table_and_replay(folder):
     if BROWSER is None:
         pytest.skip("no Chromium")
@@ -411,6 +425,7 @@ def with_turns(folder):
     return file
 
 
+@pytest.mark.sumo
 def test_all_turns_are_there_and_the_decisive_one_is_said(folder):
     file = with_turns(folder)
     turns = Parsed(page.write(folder.out)).details(0)["turns"]
@@ -424,6 +439,7 @@ def test_all_turns_are_there_and_the_decisive_one_is_said(folder):
     assert [turn["decisive"] for turn in turns] == [False, True]
 
 
+@pytest.mark.sumo
 def test_timelines_are_those_of_each_turn_while_it_lasts(folder):
     file = with_turns(folder)
     replay = Parsed(page.write(folder.out)).details(0)["replay"]
@@ -442,6 +458,7 @@ def test_timelines_are_those_of_each_turn_while_it_lasts(folder):
     assert whole["gap"] != replay["timeline"]["gap"]
 
 
+@pytest.mark.sumo
 def test_a_line_breaks_between_turns():
     found = javascript(["charts"], "apart([[1, 5], [2, 6], [7, 1], [8, null]])")
     assert found == [[1, 5], [2, 6], [6, None], [7, 1], [8, None]]
@@ -454,6 +471,7 @@ def test_a_line_breaks_between_turns():
     assert javascript(["turns"], asked) == ["c", "c", None, "b"]
 
 
+@pytest.mark.sumo
 def test_a_browser_marks_turns_on_the_timelines(folder):
     if BROWSER is None:
         pytest.skip("no Chromium")
@@ -468,6 +486,7 @@ def test_a_browser_marks_turns_on_the_timelines(folder):
     assert text.count('class="turn hit"') == charts
 
 
+@pytest.mark.sumo
 @pytest.mark.parametrize("width", [1280, 420])
 def test_the_table_of_runs_is_not_cut(folder, width, tmp_path):
     if BROWSER is None:
@@ -489,6 +508,7 @@ def test_the_table_of_runs_is_not_cut(folder, width, tmp_path):
     assert "The same in all runs: method S1, planner replay, seed 0." in text
 
 
+@pytest.mark.sumo
 def test_rates_are_of_runs_with_an_opponent(folder):
     if BROWSER is None:
         pytest.skip("no Chromium")
@@ -513,6 +533,7 @@ def shown(address, *more):
     return re.sub(r"<script.*?</script>", "", done.stdout, flags=re.DOTALL)
 
 
+@pytest.mark.sumo
 def test_a_metric_without_a_unit_is_shown(folder):
     folder.add("s1", metrics={"min_gap": 1.0})
     file = next((folder.out / "runs").glob("*/result.json"))

@@ -42,6 +42,7 @@ def test_same_bytes_in_time(plan, tmp_path):
     assert min(size(tmp_path / "again.png")) > 700
 
 
+@pytest.mark.slow_unit
 def test_the_attack_shows(plan, tmp_path):
     case = case_of(PATHS)
     pictures = set()

@@ -90,6 +90,7 @@ def test_a_damaged_result_is_one_sentence(folder):
         Results.open(folder.out).frame()
 
 
+@pytest.mark.sumo
 def test_it_is_imported_when_it_is_asked_for():
     assert deepmf_sumo.Results is Results
     code = "import sys, deepmf_sumo; sys.exit('pandas' in sys.modules)"

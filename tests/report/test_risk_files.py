@@ -83,6 +83,7 @@ def test_movements_are_edge_relations(made):
     assert one.get("began_hits") == one.get("hits") == "1"
 
 
+@pytest.mark.sumo
 def test_sumo_reads_network_and_polygons_without_a_word(made):
     """Ids with blanks, for instance, it drops with a warning."""
     done = subprocess.run(
@@ -103,6 +104,7 @@ def test_a_risk_has_one_colour_in_every_map():
     assert numbers == [[0.0], [0.0], [0.05], [0.1], [0.25], [0.5], [0.75], [0.75]]
 
 
+@pytest.mark.sumo
 def test_places_without_a_hit_have_no_colour(nothing, made):
     shapes = list(ET.parse(nothing.folder / "polygons.add.xml").iter("poly"))
     assert shapes
@@ -115,6 +117,7 @@ def test_places_without_a_hit_have_no_colour(nothing, made):
     assert 'class="place"' in browsed(made)
 
 
+@pytest.mark.sumo
 def test_small_places_keep_their_size_and_a_pick_zooms_there(made):
     seen = """
       const on = (name, what) =>
@@ -134,6 +137,7 @@ def test_small_places_keep_their_size_and_a_pick_zooms_there(made):
     assert width < 1000.0
 
 
+@pytest.mark.sumo
 def test_attacks_at_no_place_are_counted_in_words(tmp_path):
     for number, sentence in (
         (1, "1 attack is counted at no place: when it was decided, the centre of the AV was"),
@@ -158,6 +162,7 @@ def test_the_page_needs_nothing_else(made):
     assert [attack[2] for attack in content["attacks"]] == [1, 0, 1]
 
 
+@pytest.mark.sumo
 def test_a_browser_lists_the_worst_place_first(made):
     shown = browsed(made)
     cells = re.findall(r'<td class="name"[^>]*><button type="button">([^<]*)<', shown)

@@ -21,7 +21,7 @@ with opened(Path(sys.argv[1]), resume=False) as folder:
 
 
 @pytest.fixture
-def holder(tmp_path):
+def holder(tmp_path, starts_sumo):
     """Another process that fills ``tmp_path / "out"``."""
     command = [sys.executable, "-c", HOLDER, str(tmp_path / "out")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

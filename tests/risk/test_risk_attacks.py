@@ -97,7 +97,7 @@ def test_it_is_known_where_the_opponent_was(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def without_lanes_inside(tmp_path_factory):
+def without_lanes_inside(tmp_path_factory, starts_sumo):
     """The junction as a network that has no lanes in it."""
     net = tmp_path_factory.mktemp("net") / "bare.net.xml"
     sumo_tools.run("netconvert", "-s", str(NET), "--no-internal-links", "-o", str(net))

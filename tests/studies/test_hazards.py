@@ -27,7 +27,7 @@ BUILD, RANK, STUDY = _script("build"), _script("rank"), _script("study")
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory):
+def config(tmp_path_factory, starts_sumo):
     return BUILD.build(tmp_path_factory.mktemp("hazards"))
 
 

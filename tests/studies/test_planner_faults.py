@@ -182,6 +182,7 @@ def test_the_halves_are_frozen():
     assert halves(reversed(FAULTS)) == halves(FAULTS)
 
 
+@pytest.mark.sumo
 def test_the_command_lists_all_faults_with_their_halves():
     done = subprocess.run(
         [sys.executable, "-m", "studies.planner_faults", "list"],

@@ -25,6 +25,7 @@ def test_there_are_at_least_five_networks():
         assert (NETS / name / "SOURCE.md").is_file()
 
 
+@pytest.mark.sumo
 @pytest.mark.parametrize("name", NAMES)
 def test_the_committed_network_is_what_its_sources_give(name, tmp_path):
     net = _builder().build(NETS / name / f"{name}.netccfg", tmp_path)
@@ -32,6 +33,7 @@ def test_the_committed_network_is_what_its_sources_give(name, tmp_path):
     assert b"generated on" not in net.read_bytes()
 
 
+@pytest.mark.sumo
 @pytest.mark.parametrize("name", NAMES)
 def test_traffic_flows_for_300_s_without_teleports_or_collisions(name, tmp_path):
     statistics, summary = tmp_path / "statistics.xml", tmp_path / "summary.xml"

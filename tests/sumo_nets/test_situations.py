@@ -61,6 +61,7 @@ def test_every_spec_is_described_here():
     assert sorted(path.stem for path in SCENARIOS.glob("*.yaml")) == sorted(SITUATIONS)
 
 
+@pytest.mark.sumo
 @pytest.mark.parametrize("name", SITUATIONS)
 def test_the_opponent_stands_where_the_spec_says(name):
     path = SCENARIOS / f"{name}.yaml"

@@ -14,6 +14,8 @@ from deepmf_sumo.sweep import batch, workers
 
 from tests.support import tiny_network
 
+pytestmark = pytest.mark.sumo
+
 ROOT = Path(__file__).resolve().parents[2]
 CUT_IN = ROOT / "scenarios" / "cut_in.yaml"
 

@@ -15,6 +15,8 @@ from deepmf_sumo.sweep import batch, fork, workers
 
 from tests.support import tiny_network
 
+pytestmark = pytest.mark.sumo
+
 PLANNERS = """
 import os, signal, sys, threading, time
 from deepmf_sumo.planners.idm import Settings, build as build_idm

@@ -66,6 +66,7 @@ def do(runs, wanted, jobs=2, **limits):
     return list(Cluster(jobs=jobs).run(Writes(runs), wanted, Limits(**limits)))
 
 
+@pytest.mark.sumo
 def test_folders_come_home_and_a_crash_costs_one_task(runs, use):
     ray = use(Ray())
     endings = do(runs, tasks("a", "crash", "b", "hang", "c"), timeout_s=1.0)
@@ -79,6 +80,7 @@ def test_folders_come_home_and_a_crash_costs_one_task(runs, use):
     assert not ray.running
 
 
+@pytest.mark.sumo
 def test_a_lost_machine_costs_its_task_a_second_try(runs, use):
     ray = use(Ray(lost={0: 4}))
     endings = do(runs, tasks(*"abcdef"))
@@ -89,6 +91,7 @@ def test_a_lost_machine_costs_its_task_a_second_try(runs, use):
     assert len(ray.actors) == 3, "one in the place of the lost one"
 
 
+@pytest.mark.sumo
 def test_a_task_whose_machine_is_lost_again_and_again_is_a_failed_one(runs, use):
     use(Ray(lost=dict.fromkeys(range(3), 2)))
     endings = do(runs, tasks("a", "b"), jobs=1)
@@ -110,12 +113,14 @@ class OneMachine(Ray):
         return super().wait(calls, **options)
 
 
+@pytest.mark.sumo
 def test_a_task_is_not_given_to_idle_actors_of_a_lost_machine(runs, use):
     use(OneMachine(cpus=4))
     endings = do(runs, tasks(*"abcd"), jobs=4)
     assert Counter(one.status for one in endings) == {"done": 4, "lost": 1}
 
 
+@pytest.mark.sumo
 def test_a_machine_without_the_files_is_refused(runs, tmp_path, use):
     net = tmp_path / "net.xml"
     net.write_text("one")
@@ -165,6 +170,7 @@ def test_a_lost_head_is_a_sentence(runs, use, monkeypatch):
     assert not ray.running
 
 
+@pytest.mark.sumo
 def test_closing_leaves_no_process_and_begins_nothing(runs, use):
     ray = use(Ray())
     endings = Cluster(jobs=2).run(Writes(runs), tasks("a", "hang", "hang"), Limits())
@@ -176,6 +182,7 @@ def test_closing_leaves_no_process_and_begins_nothing(runs, use):
     assert not ray.running
 
 
+@pytest.mark.sumo
 def test_no_task_is_begun_after_the_last_minute(runs, use):
     use(Ray())
     assert do(runs, tasks("a", "b"), minutes=1e-9) == []
@@ -223,6 +230,7 @@ BUSY = (
 )
 
 
+@pytest.mark.sumo
 def test_a_cluster_that_is_busy_is_asked_again(runs, use):
     use(Shy(BUSY, BUSY))
     assert [one.status for one in do(runs, tasks("a"))] == ["done"]

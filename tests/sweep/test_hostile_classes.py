@@ -106,7 +106,10 @@ BLAMED = {
 FINE = ("Forks", "Leaves", "Looks")
 TAG = f"left-by-a-planner-{os.getpid()}"
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="copies of processes are Linux's")
+pytestmark = [
+    pytest.mark.sumo,
+    pytest.mark.skipif(sys.platform != "linux", reason="copies of processes are Linux's"),
+]
 
 
 def specs(tiny, names):

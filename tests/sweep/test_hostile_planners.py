@@ -10,6 +10,8 @@ from deepmf_sumo.sweep import batch
 
 from tests.support import tiny_network
 
+pytestmark = pytest.mark.sumo
+
 HOSTILE = Path(__file__).parents[1] / "support" / "hostile_planner.py"
 
 ENDS = {

@@ -2,10 +2,14 @@
 
 import shutil
 
+import pytest
+
 from deepmf_sumo import spec, tasks
 from deepmf_sumo.sweep.inputs import fingerprinted
 
 from tests.support import tiny_network
+
+pytestmark = pytest.mark.sumo
 
 
 def read(path, sets=()):

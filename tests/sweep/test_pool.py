@@ -11,6 +11,8 @@ import pytest
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.sweep import workers
 
+pytestmark = pytest.mark.sumo
+
 KEPT = []
 
 

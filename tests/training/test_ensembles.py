@@ -19,6 +19,8 @@ from deepmf_sumo.training.samples.feature_cache import Data
 
 from tests.support.synthetic import scene, view
 
+pytestmark = pytest.mark.slow_unit
+
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), profiles=7)
 
 

@@ -326,6 +326,7 @@ def test_the_command_shows_tables_and_writes_json(predictors, given, tmp_path):
         assert text in found.output
 
 
+@pytest.mark.slow_unit
 def test_main_figures_go_onto_the_cards(predictors, given, tmp_path, monkeypatch):
     given(*SCENES)
     monkeypatch.setattr(weights, "find", lambda _: tmp_path)
@@ -353,6 +354,7 @@ def test_a_file_that_cannot_be_written_is_named(predictors, given, tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["folder"]
 
 
+@pytest.mark.slow_unit
 def test_real_networks_and_clusters_go_through(monkeypatch, given, tmp_path):
     rng = np.random.default_rng(0)
     fitted = clusters.fit(

@@ -11,6 +11,8 @@ from deepmf_sumo.training.samples.feature_cache import Data, Features
 
 from tests.support.synthetic import scene
 
+pytestmark = pytest.mark.sumo
+
 
 def samples(scene):
     """Two small samples a scene that moves; at the top of the module, for other processes."""

@@ -19,6 +19,8 @@ from deepmf_sumo.training.samples import graph
 
 from tests.support.synthetic import scene
 
+pytestmark = pytest.mark.slow_unit
+
 
 def of_dataset(name, made):
     return replace(made, source=replace(made.source, dataset=name))

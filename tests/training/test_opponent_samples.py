@@ -76,6 +76,7 @@ def test_labels_are_those_of_all_times_against_all_times():
     assert 5 < sum(found) < 25
 
 
+@pytest.mark.slow_unit
 def test_training_on_a_few_samples_lowers_both_losses(samples):
     torch.manual_seed(0)
     net = weights.build("opponent", replace(LIGHT, raster=False, vectors=False))

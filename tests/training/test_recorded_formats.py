@@ -3,10 +3,14 @@
 import json
 import pickle
 
+import pytest
+
 from deepmf_sumo.cli import main
 from deepmf_sumo.predictors import weights
 
 from tests.support import recordings_by_hand as by_hand
+
+pytestmark = pytest.mark.sumo
 
 
 def test_tfrecords_and_scenarionet_folders_are_trained_on_together(tmp_path):

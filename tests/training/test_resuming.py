@@ -14,6 +14,8 @@ from deepmf_sumo.training.fit.loop import Schedule
 
 from tests.support import tiny_training
 
+pytestmark = pytest.mark.slow_unit
+
 SCHEDULE = Schedule(steps=60, batch=16, evaluate_every=15, average=0.95, rate=0.02)
 
 

@@ -26,6 +26,8 @@ from deepmf_sumo.training.samples.feature_cache import Data
 
 from tests.support.synthetic import scene
 
+pytestmark = pytest.mark.slow_unit
+
 
 @pytest.fixture
 def recordings(monkeypatch, tmp_path):
