@@ -21,8 +21,8 @@ setup: $(READY)  ## create .venv and install
 run: $(READY)  ## attack every scenario of scenarios/ and print what happened
 	$(RUN) run scenarios/*.yaml --out out/run --overwrite
 
-quick: $(READY)  ## the tests that start no program, not even SUMO: under a minute
-	$(PY) -m pytest -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
+quick: $(READY)  ## the tests that start no program, not even SUMO: about a minute
+	OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
 
 test: $(READY) lint types  ## lint, types, import contracts and the tests
 	$(PY) -m pytest -q -n 2 -m "not slow"
