@@ -1,6 +1,7 @@
 """Python planners that misbehave, and what the guard lets pass."""
 
 import os
+import signal
 import sys
 from types import SimpleNamespace
 
@@ -86,7 +87,11 @@ def test_a_planner_is_closed_however_the_episode_ends(config):
     assert closed == [4, 3]
 
 
-def test_an_interrupt_is_nobodys_error():
+@pytest.mark.parametrize(
+    ("handler", "error"),
+    [(signal.default_int_handler, KeyboardInterrupt), (signal.SIG_IGN, PlannerError)],
+)
+def test_an_interrupt_is_the_planners_error_only_where_none_can_come_from_outside(handler, error):
     def interrupt(view):
         raise KeyboardInterrupt
 
@@ -95,8 +100,12 @@ def test_an_interrupt_is_nobodys_error():
     view = SimpleNamespace(step=3)
     for _ in range(2):
         guard.act(view)
-    with pytest.raises(KeyboardInterrupt):
-        guard.act(view)
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        with pytest.raises(error):
+            guard.act(view)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_what_was_fixed_before_may_jump():
