@@ -3,6 +3,7 @@
 What ``__all__`` lists is public; everything else may change.
 
 - `run`: run specs and write a result folder.
+- `attack`: attack vehicles of SUMO configurations at moments that are chosen; no spec needed.
 - `Results`: the runs of result folders; ``frame()`` is a pandas table.
 - `Attacker`: attacks in a SUMO that a TraCI script steps.
 - `AttackEnv`: a Gymnasium environment in which the AV is attacked (extra ``gym``).
@@ -14,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deepmf_sumo.api import read_scenes, run
+    from deepmf_sumo.api import attack, read_scenes, run
     from deepmf_sumo.gym import AttackEnv
     from deepmf_sumo.live.attacker import Attacker
     from deepmf_sumo.predictors.weights import load as load_predictors
@@ -26,6 +27,7 @@ __all__ = [
     "Attacker",
     "Results",
     "__version__",
+    "attack",
     "load_predictors",
     "read_scenes",
     "run",
@@ -35,6 +37,7 @@ _PLACES = {
     "AttackEnv": ("gym", "AttackEnv"),
     "Attacker": ("live.attacker", "Attacker"),
     "Results": ("results.reader", "Results"),
+    "attack": ("api", "attack"),
     "load_predictors": ("predictors.weights", "load"),
     "read_scenes": ("api", "read_scenes"),
     "run": ("api", "run"),

@@ -5,8 +5,11 @@ from pathlib import Path
 
 from deepmf_sumo import readers, spec
 from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.moments import attack as attack_moments
+from deepmf_sumo.moments import find, requests
 from deepmf_sumo.readers import Refusal
 from deepmf_sumo.report import picture
+from deepmf_sumo.results import folder
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.sweep import batch
 
@@ -45,15 +48,88 @@ def run(
     loaded = [spec.load(Path(path), list(sets)) for path in paths]
     if seeds:
         loaded = [one.model_copy(update={"seed": seed}) for one in loaded for seed in seeds]
-    options = batch.Options(
+    options = _options(out, jobs, pictures, resume, overwrite)
+    batch.run(loaded, options)
+    return Results.of(Path(out))
+
+
+def attack(
+    configs: str | Path | Sequence[str | Path],
+    out: str | Path = "results",
+    *,
+    moments: int | None = None,
+    av: str | None = None,
+    av_type: str | None = None,
+    at_s: Sequence[float] = (),
+    until_s: float | None = None,
+    encounters: bool = False,
+    sets: Sequence[str] = (),
+    sumo_options: Sequence[str] = (),
+    jobs: int = 1,
+    pictures: bool = False,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> Results:
+    """Attack vehicles of SUMO configurations, as ``deepmf-sumo attack --no-risk`` does.
+
+    Runs are done in worker processes, so a script calls this below ``if __name__ == "__main__":``.
+
+    Args:
+        configs: a .sumocfg file, or several.
+        out: the result folder.
+        moments: number of attacks of each configuration; None means one for each of ``at_s``, else
+            10.
+        av: attack only this vehicle.
+        av_type: attack only vehicles of this type.
+        at_s: attack only at these times of the simulation, in seconds.
+        until_s: look for moments up to this time only.
+        encounters: at each place, prefer moments before another vehicle crosses the AV's path.
+        sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``, ``seed=3``.
+        sumo_options: added to SUMO's command line.
+        jobs: number of runs at a time.
+        pictures: draw each run as ``picture.png``.
+        resume: keep the runs that an earlier call finished.
+        overwrite: delete earlier results in ``out``; with neither they are refused.
+
+    Returns all runs, those that failed included: see ``status``.
+
+    Raises UsageError, SpecError or SimulationError for what is wrong, before anything is attacked;
+    OutputError for a folder that cannot be used; RunError where no worker starts.
+    """
+    paths = [Path(path) for path in ([configs] if isinstance(configs, str | Path) else configs)]
+    wanted = requests(
+        paths,
+        {},
+        sets,
+        sumo_options=sumo_options,
+        until_s=until_s,
+        count=moments,
+        av=av,
+        av_type=av_type,
+        at_s=tuple(at_s),
+        prefer="encounters" if encounters else "spread",
+    )
+    options = _options(out, jobs, pictures, resume, overwrite)
+    folder.check(options.out, resume=resume, overwrite=overwrite)
+    found = [(one.spec, find(one.scouting, one.wish, options.timeout_s).moments) for one in wanted]
+    attack_moments(found, options, _silent)
+    return Results.of(Path(out))
+
+
+def _silent(progress: batch.Progress) -> None:
+    pass
+
+
+def _options(
+    out: str | Path, jobs: int, pictures: bool, resume: bool, overwrite: bool
+) -> batch.Options:
+    return batch.Options(
         out=Path(out),
         jobs=jobs,
         draw=picture.draw if pictures else None,
         resume=resume,
         overwrite=overwrite,
     )
-    batch.run(loaded, options)
-    return Results.of(Path(out))
 
 
 def read_scenes(*paths: str | Path) -> Iterator[Scene | Refusal]:

@@ -8,7 +8,7 @@ import pytest
 
 import deepmf_sumo
 from deepmf_sumo.cli import main
-from deepmf_sumo.errors import OutputError
+from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.plans.compare import differences
 
 pytestmark = pytest.mark.sumo
@@ -22,6 +22,7 @@ def test_the_public_names_are_these():
         "Attacker",
         "Results",
         "__version__",
+        "attack",
         "load_predictors",
         "read_scenes",
         "run",
@@ -50,6 +51,27 @@ def test_run_writes_what_the_command_writes(tmp_path):
     assert differences(tmp_path / "a", tmp_path / "b") == []
     with pytest.raises(OutputError, match="--overwrite"):
         deepmf_sumo.run(SCENARIO, tmp_path / "a", sets=["adversary=none"])
+
+
+def test_attack_writes_what_the_command_writes(tiny, tmp_path):
+    config = tiny / "tiny.sumocfg"
+    sets = ["adversary=rule", "seed=3"]
+    found = deepmf_sumo.attack(config, tmp_path / "a", moments=2, sets=sets)
+    assert [run.status for run in found.runs] == ["ok", "ok"]
+    arguments = ["attack", str(config), "-n", "2", "--no-risk", "--no-pictures"]
+    arguments += ["--set", sets[0], "--seed", "3", "--out", str(tmp_path / "b")]
+    assert main._run(arguments) == 0
+    assert differences(tmp_path / "a", tmp_path / "b") == []
+    moments = [(tmp_path / name / "moments.csv").read_bytes() for name in "ab"]
+    assert moments[0] == moments[1]
+    with pytest.raises(OutputError, match="--overwrite"):
+        deepmf_sumo.attack(config, tmp_path / "a", moments=2, sets=sets)
+
+
+def test_attack_refuses_before_it_simulates(tiny, tmp_path):
+    with pytest.raises(UsageError, match="no such vehicle"):
+        deepmf_sumo.attack(tiny / "tiny.sumocfg", tmp_path / "a", av="gone")
+    assert not (tmp_path / "a").exists()
 
 
 def test_read_scenes_reads_what_run_wrote(tmp_path):

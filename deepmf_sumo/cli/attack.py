@@ -1,15 +1,16 @@
 """``deepmf-sumo attack``: .sumocfgs -> result folder, without a spec."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from deepmf_sumo.cli._parameters import FiniteRange
 from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepmf_sumo import moments
 
 _AFTER: Final = "after --"
 
@@ -102,11 +103,9 @@ def command(
         _refuse_others(configs, **wanted)
         wanted["again"] = moments.read(again)
     common = {key: wanted.pop(key) for key in _KEYS}
-    names = moments.names_of(configs)
-    asked = [  # of all of them, before the first of them is simulated
-        _asked(config, name, ctx.meta[_AFTER], common, sets, until_s, **wanted)
-        for config, name in zip(configs, names, strict=True)
-    ]
+    asked = moments.requests(
+        configs, _keys(**common), sets, sumo_options=ctx.meta[_AFTER], until_s=until_s, **wanted
+    )
     chosen = [(one.spec, _found(one, sweep.timeout)) for one in asked]
     with progress() as report:
         results = moments.attack(chosen, batch, report)
@@ -116,47 +115,12 @@ def command(
     ctx.exit(code)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Asked:
-    """What the runs on a configuration have in common, and which moments of it are wanted."""
-
-    configuration: Any
-    spec: Any
-    scouting: Any
-    wish: Any
-
-
-def _asked(
-    config: Path,
-    name: str,
-    sumo_options: tuple[str, ...],
-    common: dict[str, Any],
-    sets: tuple[str, ...],
-    until_s: float | None,
-    **wanted: Any,
-) -> _Asked:
-    """Raises SimulationError or UsageError for what is known to be wrong without a simulation."""
-    from deepmf_sumo import moments
-    from deepmf_sumo.simulation.sumo_config import read_configuration
-    from deepmf_sumo.simulation.traffic_survey import Scouting
-
-    configuration = read_configuration(config, sumo_options)
-    keys = _keys(lambda: configuration.seed, **common)
-    spec = moments.base_spec(config, keys, sets, sumo_options, name)
-    scouting = Scouting(config=config, sumo_options=sumo_options, seed=spec.seed, until_s=until_s)
-    named = wanted["at_s"] or wanted.get("again", ())
-    count = wanted.pop("count") or len(named) or 10
-    wish = moments.Wish(count=count, duration_s=spec.duration_s, seed=spec.seed, **wanted)
-    moments.check(configuration, wish)
-    return _Asked(configuration=configuration, spec=spec, scouting=scouting, wish=wish)
-
-
-def _found(asked: _Asked, timeout_s: float) -> Any:
+def _found(asked: "moments.Request", timeout_s: float) -> Any:
     """The moments of a configuration; says how they were found."""
-    from deepmf_sumo import moments
     from deepmf_sumo.cli._screen import announce_moments
+    from deepmf_sumo.moments import find
 
-    found = moments.find(asked.scouting, asked.wish, timeout_s)
+    found = find(asked.scouting, asked.wish, timeout_s)
     announce_moments(asked.configuration, found, asked.wish)
     return found.moments
 
@@ -182,12 +146,7 @@ def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
         )
 
 
-def _keys(own_seed: Callable[[], int], planner: str | None, **given: Any) -> dict[str, Any]:
-    """Keys of the spec that are given; the seed else is the configuration's, asked for then only.
-
-    A configuration whose seed cannot be used is refused where it would be used.
-    """
+def _keys(planner: str | None, **given: Any) -> dict[str, Any]:
+    """Keys of the spec that are given."""
     keys = {key: value for key, value in given.items() if value is not None}
-    if "seed" not in keys:
-        keys["seed"] = own_seed()
     return keys if planner is None else {**keys, "planner": {"name": planner}}

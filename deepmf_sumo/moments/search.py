@@ -39,6 +39,66 @@ class _Search:
     answer: Path
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """Which moments of a configuration are wanted, and what all runs on it have in common."""
+
+    configuration: Configuration
+    spec: Spec
+    scouting: Scouting
+    wish: Wish
+
+
+def requests(
+    configs: Sequence[Path],
+    keys: dict[str, Any],
+    sets: Sequence[str] = (),
+    *,
+    sumo_options: Sequence[str] = (),
+    until_s: float | None = None,
+    count: int | None = None,
+    **wanted: Any,
+) -> list[Request]:
+    """What is wanted of each configuration, checked before the first of them is simulated.
+
+    Args:
+        configs: .sumocfg files.
+        keys: of the spec of all runs; ``seed`` is the configuration's own if it is not there.
+        sets: ``key=value`` over them.
+        sumo_options: beside the configurations.
+        until_s: see `Scouting`.
+        count: attacks of each configuration; None means one a time that is named, else 10.
+        wanted: further fields of `Wish`.
+
+    Raises SimulationError, UsageError or SpecError for what is known to be wrong by now.
+    """
+    return [
+        _request(config, name, keys, sets, tuple(sumo_options), until_s, count, wanted)
+        for config, name in zip(configs, names_of(configs), strict=True)
+    ]
+
+
+def _request(
+    config: Path,
+    name: str,
+    keys: dict[str, Any],
+    sets: Sequence[str],
+    sumo_options: tuple[str, ...],
+    until_s: float | None,
+    count: int | None,
+    wanted: dict[str, Any],
+) -> Request:
+    configuration = read_configuration(config, sumo_options)
+    if "seed" not in keys:  # a seed that cannot be used is refused only where it would be used
+        keys = {**keys, "seed": configuration.seed}
+    spec = base_spec(config, keys, sets, sumo_options, name)
+    count = count or len(wanted.get("at_s", ()) or wanted.get("again", ())) or 10
+    wish = Wish(count=count, duration_s=spec.duration_s, seed=spec.seed, **wanted)
+    check(configuration, wish)
+    scouting = Scouting(config=config, sumo_options=sumo_options, seed=spec.seed, until_s=until_s)
+    return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish)
+
+
 def find(scouting: Scouting, wish: Wish, timeout_s: float | None = None) -> Found:
     """Simulate the configuration once, and choose moments of it.
 
