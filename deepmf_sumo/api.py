@@ -6,7 +6,7 @@ from pathlib import Path
 from deepmf_sumo import readers, spec
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.moments import attack as attack_moments
-from deepmf_sumo.moments import find, requests
+from deepmf_sumo.moments import find, prepare
 from deepmf_sumo.readers import Refusal
 from deepmf_sumo.report import picture
 from deepmf_sumo.results import folder
@@ -63,6 +63,7 @@ def attack(
     at_s: Sequence[float] = (),
     until_s: float | None = None,
     encounters: bool = False,
+    seed: int | None = None,
     sets: Sequence[str] = (),
     sumo_options: Sequence[str] = (),
     jobs: int = 1,
@@ -84,7 +85,8 @@ def attack(
         at_s: attack only at these times of the simulation, in seconds.
         until_s: look for moments up to this time only.
         encounters: at each place, prefer moments before another vehicle crosses the AV's path.
-        sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``, ``seed=3``.
+        seed: of all choices and of SUMO; None means the configuration's own.
+        sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.
         jobs: number of runs at a time.
         pictures: draw each run as ``picture.png``.
@@ -97,9 +99,9 @@ def attack(
     OutputError for a folder that cannot be used; RunError where no worker starts.
     """
     paths = [Path(path) for path in ([configs] if isinstance(configs, str | Path) else configs)]
-    wanted = requests(
+    wanted = prepare(
         paths,
-        {},
+        {} if seed is None else {"seed": seed},
         sets,
         sumo_options=sumo_options,
         until_s=until_s,
@@ -112,12 +114,8 @@ def attack(
     options = _options(out, jobs, pictures, resume, overwrite)
     folder.check(options.out, resume=resume, overwrite=overwrite)
     found = [(one.spec, find(one.scouting, one.wish, options.timeout_s).moments) for one in wanted]
-    attack_moments(found, options, _silent)
+    attack_moments(found, options)
     return Results.of(Path(out))
-
-
-def _silent(progress: batch.Progress) -> None:
-    pass
 
 
 def _options(

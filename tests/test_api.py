@@ -55,8 +55,8 @@ def test_run_writes_what_the_command_writes(tmp_path):
 
 def test_attack_writes_what_the_command_writes(tiny, tmp_path):
     config = tiny / "tiny.sumocfg"
-    sets = ["adversary=rule", "seed=3"]
-    found = deepmf_sumo.attack(config, tmp_path / "a", moments=2, sets=sets)
+    sets = ["adversary=rule"]
+    found = deepmf_sumo.attack(config, tmp_path / "a", moments=2, seed=3, sets=sets)
     assert [run.status for run in found.runs] == ["ok", "ok"]
     arguments = ["attack", str(config), "-n", "2", "--no-risk", "--no-pictures"]
     arguments += ["--set", sets[0], "--seed", "3", "--out", str(tmp_path / "b")]
@@ -65,13 +65,21 @@ def test_attack_writes_what_the_command_writes(tiny, tmp_path):
     moments = [(tmp_path / name / "moments.csv").read_bytes() for name in "ab"]
     assert moments[0] == moments[1]
     with pytest.raises(OutputError, match="--overwrite"):
-        deepmf_sumo.attack(config, tmp_path / "a", moments=2, sets=sets)
+        deepmf_sumo.attack(config, tmp_path / "a", moments=2, seed=3, sets=sets)
 
 
 def test_attack_refuses_before_it_simulates(tiny, tmp_path):
     with pytest.raises(UsageError, match="no such vehicle"):
         deepmf_sumo.attack(tiny / "tiny.sumocfg", tmp_path / "a", av="gone")
+    for wrong in ({"moments": 0}, {"at_s": [float("nan")]}, {"until_s": -1.0}):
+        with pytest.raises(UsageError, match="give"):
+            deepmf_sumo.attack(tiny / "tiny.sumocfg", tmp_path / "a", **wrong)
     assert not (tmp_path / "a").exists()
+
+
+def test_an_attack_without_moments_has_no_runs(tiny, tmp_path):
+    found = deepmf_sumo.attack(tiny / "tiny.sumocfg", tmp_path / "a", until_s=1)
+    assert found.runs == ()
 
 
 def test_read_scenes_reads_what_run_wrote(tmp_path):

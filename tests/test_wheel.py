@@ -1,4 +1,4 @@
-"""The wheel, built and used in an empty folder as by a user who has no checkout."""
+"""The wheel, built, and run from an empty folder without the checkout."""
 
 import os
 import subprocess

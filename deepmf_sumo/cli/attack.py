@@ -103,7 +103,7 @@ def command(
         _refuse_others(configs, **wanted)
         wanted["again"] = moments.read(again)
     common = {key: wanted.pop(key) for key in _KEYS}
-    asked = moments.requests(
+    asked = moments.prepare(
         configs, _keys(**common), sets, sumo_options=ctx.meta[_AFTER], until_s=until_s, **wanted
     )
     chosen = [(one.spec, _found(one, sweep.timeout)) for one in asked]

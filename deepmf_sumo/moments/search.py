@@ -49,7 +49,7 @@ class Request:
     wish: Wish
 
 
-def requests(
+def prepare(
     configs: Sequence[Path],
     keys: dict[str, Any],
     sets: Sequence[str] = (),
@@ -72,6 +72,12 @@ def requests(
 
     Raises SimulationError, UsageError or SpecError for what is known to be wrong by now.
     """
+    if count is not None and count < 1:
+        raise UsageError(f"{count} moments are wanted; give 1 or more.")
+    times = wanted.get("at_s", ())
+    for time_s in (*times, *(() if until_s is None else (until_s,))):
+        if not (math.isfinite(time_s) and time_s >= 0):
+            raise UsageError(f"{time_s} s is not a time of a simulation; give seconds from 0 on.")
     return [
         _request(config, name, keys, sets, tuple(sumo_options), until_s, count, wanted)
         for config, name in zip(configs, names_of(configs), strict=True)
@@ -284,7 +290,7 @@ def base_spec(
 def attack(
     chosen: Sequence[tuple[Spec, Sequence[Moment]]],
     options: batch.Options,
-    report: Callable[[batch.Progress], None],
+    report: Callable[[batch.Progress], None] = lambda _: None,
 ) -> list[Result]:
     """Attack each moment, and write the result folder; ``moments.csv`` says where they are.
 
