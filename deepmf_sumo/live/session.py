@@ -84,6 +84,7 @@ class Session:
         self._counts = True
         self._parts = parts_of_a_step(float(scenery.api.simulation.getDeltaT()))
         self._part = 0
+        self._teleported = False
         self._history: deque[Sighting] = deque(maxlen=HISTORY_STEPS)
         self._attack: Engagement | None = None
         self._begin_s = 0.0
@@ -120,6 +121,8 @@ class Session:
         """See what has become of the step, and begin or end an attack."""
         if self._attack is not None:
             self._attack.settle()
+            moved = self._scenery.api.simulation.getStartingTeleportIDList()
+            self._teleported |= self._scenery.av_id in moved
         self._part = (self._part + 1) % self._parts
         if self._part:
             return
@@ -128,7 +131,7 @@ class Session:
         if self._may_sleep():
             self._sleep()
             return
-        sighting = self._scenery.observer.look()
+        sighting = None if self._teleported else self._scenery.observer.look()
         self.av_present = sighting is not None
         if sighting is None:
             self._lose_sight()
@@ -186,6 +189,7 @@ class Session:
             self.av_seen |= self.av_present
 
     def _lose_sight(self) -> None:
+        self._teleported = False
         self._history.clear()
         if self._attack is not None:
             self._attack.stop(av_gone=True)

@@ -319,6 +319,12 @@ class Av:
         return self.id in self._api.vehicle.getIDList()
 
     @property
+    def teleported(self) -> bool:
+        """Whether SUMO took the AV for stuck in the last step, and moved it on or off the road."""
+        moved = self._api.simulation.getStartingTeleportIDList()
+        return self.placed is None and self.id in moved
+
+    @property
     def on_lane(self) -> bool:
         """Whether the AV is matched to a lane: off every lane SUMO cannot drive it."""
         return bool(self._api.vehicle.getLaneID(self.id))

@@ -58,6 +58,7 @@ class NetworkStage:
         self._api = api
         self._reader = TrafficReader(api)
         self._step = HISTORY_STEPS - 1
+        self._av_teleported = False
         self._ground = ground_of(case.road)
         self._note_step_length(configuration)
         _check_start(case, configuration)
@@ -90,8 +91,8 @@ class NetworkStage:
         return self._av.path()
 
     def av_present(self) -> bool:
-        """Whether SUMO still simulates the AV."""
-        return self._av.present
+        """Whether SUMO still simulates the AV, and has not teleported it."""
+        return self._av.present and not self._av_teleported
 
     def av_leaders(self) -> tuple[AgentId, ...] | None:
         """Whom the planner named or SUMO's model followed in the last step."""
@@ -112,6 +113,12 @@ class NetworkStage:
         self._opponent.after_step(self._step)
         poses = self._reader.read()
         av = self._av.id
+        if self._av.teleported:
+            self._av_teleported = True
+            self.events.append(
+                Event(step=self._step, agent_id=av, kind="av_teleported", detail="it was stuck")
+            )
+            poses.pop(av, None)  # what comes after is not the same motion
         if av in poses:
             put = self._av.placed is not None
             shown = self._raised(av, self._av.pose, poses[av][0].z_m, put=put)

@@ -170,6 +170,23 @@ def test_contact_ends_the_attack_and_is_recorded(folder, sumo):
     assert api.vehicle.getSpeed("av") == pytest.approx(13.0)
 
 
+def test_an_av_that_sumo_teleports_ends_the_attack_and_may_be_attacked_again(
+    folder, sumo, monkeypatch
+):
+    api = sumo()
+    session, fought = session_on(api, folder, Brake())
+    step(api, session, 15)
+    assert session.attacking == "leader"
+    with monkeypatch.context() as patched:
+        patched.setattr(api.simulation, "getStartingTeleportIDList", lambda: ("av",))
+        step(api, session, 1)
+    assert session.attacking is None
+    step(api, session, 80)
+    assert fought[0].rollout.ended == "av_gone"
+    assert session.av_present
+    assert len(fought) > 1
+
+
 def test_an_av_that_vanishes_ends_the_attack_and_may_come_back(folder, sumo):
     api = sumo()
     session, fought = session_on(api, folder, Brake())

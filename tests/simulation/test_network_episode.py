@@ -1,5 +1,7 @@
 """Episodes of a user's SUMO scenario."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from deepmf_sumo.simulation import network_case, simulate
 from tests.support.tiny_network import build
 
 NOW = HISTORY_STEPS - 1
+_STUCK = ("--time-to-teleport", "3")
+NETWORKS = Path(__file__).resolve().parents[2] / "sumo_nets"
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +126,20 @@ def test_missing_av_says_when_it_departs_and_who_is_there(config):
 def test_av_that_arrives_ends_the_episode(config):
     rollout = run(network_case(config, 20.0, "av", 300, seed=0), sumo.build(sumo.Settings()))
     assert rollout.ended == "av_gone"
+
+
+def test_an_av_that_sumo_teleports_ends_the_episode_where_it_stood():
+    config = NETWORKS / "four_way" / "four_way.sumocfg"
+    case = network_case(config, 51.0, "av", 90, seed=23423, sumo_options=_STUCK)
+    rollout = run(case, sumo.build(sumo.Settings()))
+    assert rollout.ended == "av_gone"
+    (told,) = [event for event in rollout.events if event.kind == "av_teleported"]
+    assert told.step == rollout.tracks.steps - 1 < NOW + 90
+    row = rollout.tracks.row("av")
+    assert rollout.tracks.valid[row, NOW:-1].all()
+    assert not rollout.tracks.valid[row, -1]
+    position_m = rollout.tracks.position_m[row, NOW:-1]
+    assert np.hypot(*np.diff(position_m, axis=0).T).max() < 2.0
 
 
 def test_replay_planner_needs_a_recording(config):
