@@ -94,7 +94,10 @@ _STEPS: Final = 30
 """A lane change is shown within 3 s. It goes on while the vehicle stands: SUMO has already given
 its place on the old lane to the vehicles behind it."""
 _TELEPORT_M: Final = 1.0
-"""A step that is so much longer than speed and lane change explain is a teleport."""
+"""A step that is longer than speed and lane change explain by more than this is a teleport."""
+_ASKEW_RAD: Final = 0.6
+"""A vehicle that is turned against its lane by more than this is still in a turn, beside both lanes
+of a change: that change is shown as SUMO makes it."""
 
 
 class HandOver:
@@ -228,8 +231,13 @@ class ShownMotion:
         across = self._across(before.lane, now.lane, now.front_m)
         moved = before.front_m - now.front_m
         explained = np.hypot(*across) + (before.speed_mps + now.speed_mps) * DT_S + _TELEPORT_M
-        if _jumped(moved, across) and np.hypot(*moved) < explained:
+        if _jumped(moved, across) and np.hypot(*moved) < explained and not self._askew(before):
             self._changes.append(_Change(origin=before.lane, target=now.lane))
+
+    def _askew(self, state: _State) -> bool:
+        lane_rad = polylines.project(self._line(state.lane), state.front_m).heading_rad
+        heading_rad = np.arctan2(*(state.front_m - state.rear_m)[::-1])
+        return bool(abs(frames.difference(heading_rad, lane_rad)) > _ASKEW_RAD)
 
     def _go_on(self, lane: str, step_m: float) -> None:
         left_m = float(self._api.lane.getLength(lane))
@@ -257,11 +265,14 @@ class ShownMotion:
         return self._foot(origin, start) - start
 
     def _foot(self, lane: str, at_m: Floats) -> Floats:
-        if lane not in self._shapes:
-            self._shapes[lane] = np.array(self._api.lane.getShape(lane), float)[:, :2]
-        line = self._shapes[lane]
+        line = self._line(lane)
         point: Floats = polylines.points_at(line, polylines.project(line, at_m).along_m)[0]
         return point
+
+    def _line(self, lane: str) -> Floats:
+        if lane not in self._shapes:
+            self._shapes[lane] = np.array(self._api.lane.getShape(lane), float)[:, :2]
+        return self._shapes[lane]
 
 
 def _jumped(moved_m: Floats, across_m: Floats) -> bool:

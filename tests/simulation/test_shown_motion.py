@@ -70,6 +70,15 @@ def test_it_goes_on_while_the_vehicle_stands(road, motion):
     assert shown[-1] == pytest.approx(3.2)
 
 
+def test_it_is_not_spread_while_the_vehicle_is_still_in_a_turn(road, motion):
+    for heading, shown_m in ((0.5, 0.0), (0.7, 3.2), (-0.7, 3.2)):
+        motion.restart()
+        road.drive(motion, "ab_0", 9.0, heading=heading)
+        front = 2.5 * np.sin(heading)
+        changed = road.drive(motion, "ab_1", 10.0, heading=heading).y_m + front
+        assert changed == pytest.approx(shown_m, abs=0.2)
+
+
 def test_it_ends_with_the_edge(road, motion):
     road.drive(motion, "ab_0", 289.0)
     shown = [road.drive(motion, "ab_1", 290.0 + step).y_m for step in range(11)]

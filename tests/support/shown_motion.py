@@ -57,7 +57,7 @@ class Row:
         vehicles, turns, changes: how many there were.
         spread: changes in which SUMO's vehicle jumped and the shown one did not.
         apart_m: largest distance outside lane changes.
-        between_m: how far a shown centre is outside the two lanes' centre lines where SUMO jumps.
+        between_m: how far a shown centre is outside the two lanes' centre lines in spread changes.
         back_m: largest step away from the new lane during a change.
         beyond_m: how much farther beyond the lanes it used a shown centre is than SUMO's.
         beyond_sumo_m: how far SUMO's own centre is beyond them.
@@ -147,8 +147,9 @@ def _judge(
         changing |= during
         step = int(np.argmax(during)) - 1
         jumped = step >= 0 and sumos[step] > 1.0
-        row.spread += bool(jumped and ours[step] < 1.0)
-        if jumped and origin in recorded.lines and len(changes) == 1:
+        spread = bool(jumped and ours[step] < 1.0)
+        row.spread += spread
+        if spread and origin in recorded.lines and len(changes) == 1:
             there = [vehicle.lanes[one] for one in np.flatnonzero(during)]
             ways = np.array(list(_ways(recorded, origin, there, shown[during]))).reshape(-1, 2)
             row.note(between_m=ways[:, 0].max(initial=0), back_m=np.diff(ways[:, 1]).max(initial=0))
