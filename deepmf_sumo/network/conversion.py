@@ -21,6 +21,7 @@ import numpy as np
 import shapely
 
 import deepmf_sumo
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import ConversionReport, Floats, LanePiece, RoadMap, Scene, SumoNet
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network import mapping, plain_net, sumo_tools
@@ -120,16 +121,8 @@ def convert(scene: Scene, folder: Path) -> SumoNet:
     """
     began = time.perf_counter()
     _check_replaceable(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with files.whole_folder(folder) as beside:
         net = _build(scene, beside)
-        beside.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        beside.replace(folder)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
     assert net.report is not None
     return replace(
         net,
