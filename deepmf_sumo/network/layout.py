@@ -1,10 +1,12 @@
 """Edges and junctions of the network to build: parallel lanes become one edge."""
 
-from collections.abc import Hashable, Set
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.network.lane_graph import (
@@ -78,26 +80,6 @@ def _in_frame(offset: Floats, direction: Floats) -> tuple[float, float]:
 Group = tuple[str, ...]
 
 
-class Partition:
-    """Disjoint sets that grow together."""
-
-    def __init__(self) -> None:
-        self._above: dict[Hashable, Hashable] = {}
-
-    def find(self, item: Hashable) -> Hashable:
-        """The representative of the item's set."""
-        above = self._above
-        above.setdefault(item, item)
-        while above[item] != item:
-            above[item] = above[above[item]]
-            item = above[item]
-        return item
-
-    def join(self, one: Hashable, two: Hashable) -> None:
-        """Make one set of two."""
-        self._above[self.find(two)] = self.find(one)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:
     """The plan of the network, before it has shapes.
@@ -167,22 +149,18 @@ def _junctions(
     crossing: list[tuple[str, str]],
     inside: Set[str],
 ) -> tuple[list[int], list[int]]:
-    """Numbers of the junctions at the start and the end of each group."""
+    """Numbers of the junctions at the start and the end of each group, in the order of groups."""
     group_of = {lane_id: index for index, group in enumerate(groups) for lane_id in group}
-    meet = Partition()
+    # Of group i the start is 2i and the end 2i + 1; lanes inside junctions follow.
+    inner = {lane_id: number for number, lane_id in enumerate(inside, start=2 * len(groups))}
+    meet = [(inner[one], inner[two]) for one, two in crossing if one in inside and two in inside]
     for way in found:
-        end = ("end", group_of[way.origin])
-        meet.join(end, ("start", group_of[way.target]))
-        for lane_id in way.path:
-            meet.join(end, ("inside", lane_id))
-    for one, two in crossing:
-        if one in inside and two in inside:
-            meet.join(("inside", one), ("inside", two))
-    number: dict[Hashable, int] = {}
-    starts: list[int] = []
-    ends: list[int] = []
-    for index in range(len(groups)):
-        for side, numbers in (("start", starts), ("end", ends)):
-            root = meet.find((side, index))
-            numbers.append(number.setdefault(root, len(number)))
-    return starts, ends
+        end = 2 * group_of[way.origin] + 1
+        meet += [(end, 2 * group_of[way.target]), *((end, inner[lane_id]) for lane_id in way.path)]
+    one, two = np.array(meet, int).reshape(-1, 2).T
+    size = 2 * len(groups) + len(inner)
+    joins = coo_array((np.ones(len(one), bool), (one, two)), (size, size))
+    _, junction = connected_components(joins, directed=False)
+    order: dict[int, int] = {}
+    numbers = [order.setdefault(key, len(order)) for key in junction[: 2 * len(groups)].tolist()]
+    return numbers[::2], numbers[1::2]

@@ -20,7 +20,15 @@ from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.errors import SimulationError
 
 _LARGEST: Final = 2**32
-"""Bytes of a network, unpacked; that of a country is some GB."""
+"""Limit of an unpacked network in bytes; that of a country has a few GB."""
+
+Way = tuple[str, str]
+"""The edge before a junction and the one behind it."""
+
+
+def edge_of(lane: str) -> str:
+    """The edge of a SUMO lane."""
+    return lane.rpartition("_")[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,6 +91,16 @@ class NetLink:
     def onto(self) -> str:
         """The lane that comes next."""
         return self.via or self.target
+
+    @property
+    def starts_inside(self) -> bool:
+        """Whether it continues another link, from a lane inside a junction."""
+        return self.origin.startswith(":")
+
+    @property
+    def edges(self) -> "Way":
+        """The edges of its two lanes."""
+        return edge_of(self.origin), edge_of(self.target)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -292,10 +310,10 @@ def going_first(net: NetFile) -> dict[str, tuple[str, ...]]:
     junction has several lanes: all of them stand for it, on both sides. Links that give way to
     nobody are left out. At lights it holds while both are green.
     """
-    after = {link.origin: link.via for link in net.links if link.origin.startswith(":")}
+    after = {link.origin: link.via for link in net.links if link.starts_inside}
     chains: dict[str, tuple[str, ...]] = {}
     for link in net.links:
-        if link.via and not link.origin.startswith(":"):
+        if link.via and not link.starts_inside:
             chain = [link.via]
             while after.get(chain[-1]) and after[chain[-1]] not in chain:
                 chain.append(after[chain[-1]])
@@ -312,10 +330,6 @@ def going_first(net: NetFile) -> dict[str, tuple[str, ...]]:
     return found
 
 
-Way = tuple[str, str]
-"""The edge before a junction and the one behind it."""
-
-
 def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]]:
     """Of the ways those pairs, in both orders, that come from two edges and cross or end on one.
 
@@ -326,10 +340,10 @@ def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]
     links: dict[Way, list[NetLink]] = defaultdict(list)
     inside: dict[str, NetLink] = {}
     for link in net.links:
-        if link.origin.startswith(":"):
+        if link.starts_inside:
             inside[link.origin] = link
         else:
-            links[_edge_of_lane(link.origin), _edge_of_lane(link.target)].append(link)
+            links[link.edges].append(link)
     at: dict[str, list[Way]] = defaultdict(list)
     lines = {}
     for way in sorted(set(ways)):
@@ -355,11 +369,11 @@ def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]
 
 def waiting_ways(net: NetFile) -> frozenset[Way]:
     """Those with a place to wait inside the junction: two lanes there follow each other."""
-    onward = {link.origin: link for link in net.links if link.origin.startswith(":")}
+    onward = {link.origin: link for link in net.links if link.starts_inside}
     return frozenset(
-        (_edge_of_lane(link.origin), _edge_of_lane(link.target))
+        link.edges
         for link in net.links
-        if not link.origin.startswith(":") and link.via in onward and onward[link.via].via
+        if not link.starts_inside and link.via in onward and onward[link.via].via
     )
 
 
@@ -369,8 +383,8 @@ def junctions(net: NetFile) -> dict[str, str]:
     An edge to another end counts to the junction that it comes from; left out is who does neither.
     """
     approaches: dict[str, set[str]] = defaultdict(set)
-    for link in (link for link in net.links if not link.origin.startswith(":")):
-        approaches[net.edges[_edge_of_lane(link.origin)].end].add(_edge_of_lane(link.origin))
+    for link in (link for link in net.links if not link.starts_inside):
+        approaches[net.edges[edge_of(link.origin)].end].add(edge_of(link.origin))
     return {
         edge.id: node
         for edge in net.edges.values()
@@ -392,10 +406,4 @@ def _line(net: NetFile, inside: dict[str, NetLink], link: NetLink) -> Floats:
 
 
 def _shape(net: NetFile, lane: str) -> Floats:
-    return next(one.shape_m for one in net.edges[_edge_of_lane(lane)].lanes if one.id == lane)[
-        :, :2
-    ]
-
-
-def _edge_of_lane(lane: str) -> str:
-    return lane.rpartition("_")[0]
+    return next(one.shape_m for one in net.edges[edge_of(lane)].lanes if one.id == lane)[:, :2]

@@ -188,7 +188,7 @@ def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:
     links: dict[str, list[SignalLink]] = defaultdict(list)
     for link in read_once(net_file).links:
         # Links that begin inside a junction are pedestrians'.
-        if link.light and not link.origin.startswith(":"):
+        if link.light and not link.starts_inside:
             links[link.onto].append(SignalLink(light=link.light, index=link.index))
     return {lane_id: tuple(row) for lane_id, row in links.items()}
 

@@ -6,15 +6,15 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.network.generated import demand, motorway, roundabouts, skeleton
-from deepmf_sumo.network.generated.dressing import dress
+from deepmf_sumo.network.generated import demand, motorway, roundabouts, street_graph
 from deepmf_sumo.network.generated.layout import Layout, build
+from deepmf_sumo.network.generated.street_attributes import dress
 
 __all__ = ["KINDS", "MIX", "generate", "kinds_of"]
 
 
 def _streets(
-    make: Callable[[np.random.Generator], skeleton.Skeleton],
+    make: Callable[[np.random.Generator], street_graph.StreetGraph],
 ) -> Callable[[np.random.Generator], Layout]:
     def layout(rng: np.random.Generator) -> Layout:
         dressed = dress(make(rng), rng)
@@ -25,10 +25,10 @@ def _streets(
 
 
 _MAKERS: Final[dict[str, Callable[[np.random.Generator], Layout]]] = {
-    "grid": _streets(skeleton.grid),
-    "spider": _streets(skeleton.spider),
-    "random": _streets(skeleton.random_net),
-    "junctions": _streets(skeleton.crossing),
+    "grid": _streets(street_graph.grid),
+    "spider": _streets(street_graph.spider),
+    "random": _streets(street_graph.random_net),
+    "junctions": _streets(street_graph.crossing),
     "motorway": motorway.motorway,
 }
 MIX: Final = "mix"

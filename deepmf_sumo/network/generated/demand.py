@@ -69,8 +69,8 @@ def _reach(layout: Layout, net: Path) -> dict[str, set[str]]:
     """Where one can get to from each edge: SUMO's vehicles without a way on block the road."""
     after: dict[str, set[str]] = {}
     for link in read_once(net).links:
-        if not link.origin.startswith(":"):
-            origin, target = link.origin.rpartition("_")[0], link.target.rpartition("_")[0]
+        if not link.starts_inside:
+            origin, target = link.edges
             after.setdefault(origin, set()).add(target)
     reach = {}
     for name in layout.edges:

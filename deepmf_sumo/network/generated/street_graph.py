@@ -16,7 +16,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Skeleton:
+class StreetGraph:
     """Places by name, and pairs of places with a street between them, each pair once."""
 
     places: dict[str, Point]
@@ -31,32 +31,32 @@ class Skeleton:
         return arms
 
 
-def grid(rng: np.random.Generator) -> Skeleton:
+def grid(rng: np.random.Generator) -> StreetGraph:
     """Blocks of 70 to 190 m, not quite rectangular; streets lead on at the rim."""
     across, along = rng.uniform(70.0, 190.0, 2)
     columns, rows = rng.integers(2, 5, 2)
-    skeleton = _netgenerate(
+    graph = _netgenerate(
         rng,
         *("--grid", "--grid.x-number", str(columns), "--grid.y-number", str(rows)),
         *("--grid.x-length", f"{across:.1f}", "--grid.y-length", f"{along:.1f}"),
         *("--grid.attach-length", f"{rng.uniform(120, 200):.1f}"),
     )
-    return _shaken(skeleton, rng, rng.uniform(0.0, 0.1) * min(across, along))
+    return _shaken(graph, rng, rng.uniform(0.0, 0.1) * min(across, along))
 
 
-def spider(rng: np.random.Generator) -> Skeleton:
+def spider(rng: np.random.Generator) -> StreetGraph:
     """Streets out of a middle, and rings across them."""
-    skeleton = _netgenerate(
+    graph = _netgenerate(
         rng,
         *("--spider", "--spider.arm-number", str(rng.integers(3, 7))),
         *("--spider.circle-number", str(rng.integers(1, 4))),
         *("--spider.space-radius", f"{rng.uniform(80, 150):.1f}"),
         *("--spider.attach-length", f"{rng.uniform(120, 180):.1f}"),
     )
-    return _shaken(skeleton, rng, rng.uniform(0.0, 8.0))
+    return _shaken(graph, rng, rng.uniform(0.0, 8.0))
 
 
-def random_net(rng: np.random.Generator) -> Skeleton:
+def random_net(rng: np.random.Generator) -> StreetGraph:
     """Streets that grew at random."""
     return _netgenerate(
         rng,
@@ -66,7 +66,7 @@ def random_net(rng: np.random.Generator) -> Skeleton:
     )
 
 
-def crossing(rng: np.random.Generator) -> Skeleton:
+def crossing(rng: np.random.Generator) -> StreetGraph:
     """One junction of 3 to 5 arms, or two of them a short way apart."""
     places: dict[str, Point] = {}
     streets: list[tuple[str, str]] = []
@@ -88,21 +88,21 @@ def crossing(rng: np.random.Generator) -> Skeleton:
             end = centre + rng.uniform(140, 240) * np.array([np.cos(angle), np.sin(angle)])
             places[f"{name}{number}"] = (float(end[0]), float(end[1]))
             streets.append((name, f"{name}{number}"))
-    return Skeleton(places=places, streets=tuple(streets))
+    return StreetGraph(places=places, streets=tuple(streets))
 
 
-def _shaken(skeleton: Skeleton, rng: np.random.Generator, by_m: float) -> Skeleton:
+def _shaken(graph: StreetGraph, rng: np.random.Generator, by_m: float) -> StreetGraph:
     """Turned by a random angle, and each place moved a little."""
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     places = {}
-    for name, position in skeleton.places.items():
+    for name, position in graph.places.items():
         x, y = turn @ np.array(position) + rng.normal(0, by_m, 2)
         places[name] = (float(x), float(y))
-    return Skeleton(places=places, streets=skeleton.streets)
+    return StreetGraph(places=places, streets=graph.streets)
 
 
-def _netgenerate(rng: np.random.Generator, *options: str) -> Skeleton:
+def _netgenerate(rng: np.random.Generator, *options: str) -> StreetGraph:
     seed = str(rng.integers(1, 2**31 - 1))
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         prefix = Path(folder) / "plain"
@@ -119,4 +119,4 @@ def _netgenerate(rng: np.random.Generator, *options: str) -> Skeleton:
     streets = tuple(sorted({(min(pair), max(pair)) for pair in pairs}))
     if not streets:
         raise ConversionError(f"netgenerate made no street with {' '.join(options)}.")
-    return Skeleton(places=places, streets=streets)
+    return StreetGraph(places=places, streets=streets)
