@@ -1,4 +1,4 @@
-"""Edges and junctions of the network to build: parallel lanes become one edge."""
+"""Layout of the network to build: parallel lanes become one edge, their ends junctions."""
 
 from collections.abc import Set
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ from deepmf_sumo.network.lane_graph import (
 )
 
 AHEAD_M: Final = 6.0
-"""How far the ends of two lanes of an edge may be apart lengthways."""
+"""Largest longitudinal distance of the ends of two lanes of an edge."""
 BESIDE_M: Final = (1.5, 7.0)
-"""How far they may be apart sideways."""
+"""Range of their lateral distance."""
 LENGTH_DIFFERENCE: Final = 0.1
 LENGTH_DIFFERENCE_M: Final = 3.0
 
@@ -52,7 +52,7 @@ def parallel_groups(graph: LaneGraph, lane_ids: Set[str]) -> list[tuple[str, ...
 
 
 def _side_by_side(graph: LaneGraph, lane_id: str, right: str) -> float | None:
-    """Mean sideways distance of two lanes that fit into one edge; None where they do not."""
+    """Mean lateral distance of two lanes that fit into one edge; None if they do not."""
     here, there = graph.lanes[lane_id], graph.lanes[right]
     if lane_id == right or (here.kind == "bike") != (there.kind == "bike"):
         return None
@@ -86,9 +86,9 @@ class Layout:
 
     Attributes:
         groups: lanes of each edge, from right to left.
-        movements: ways through junctions.
+        movements: through junctions.
         starts, ends: junction at either end of each group.
-        halved: groups that begin and end in one junction: they become two edges in a row, because
+        halved: groups that start and end at one junction: they become two successive edges, because
             SUMO has no edge from a junction to itself.
         inside: lanes inside junctions.
     """
@@ -102,14 +102,14 @@ class Layout:
 
 
 def layout(graph: LaneGraph, signalled: Set[str]) -> Layout:
-    """Distribute the lanes.
+    """Assign the lanes to edges and junctions.
 
-    An edge whose two ends fall into one junction goes inside it, if it can; that may join further
-    junctions, so this is repeated until nothing changes. Each round moves a lane in for the first
-    time, pins one as an edge, or halves a group: it ends.
+    An edge with both ends at one junction moves inside it, if possible; that may join further
+    junctions, so this is repeated until nothing changes. It terminates: each round moves a lane
+    inside for the first time, or pins one as an edge.
     """
     crossing = crossings(graph.shapes)
-    # The way across a gap is not the scene's: the lanes at its ends stay apart from it, as edges.
+    # A bridge across a gap is not in the scene: the lanes at its ends stay separate, as edges.
     pinned = {lane_id for pair in graph.gaps for lane_id in pair}
     inside = inner_lanes(graph, crossing, signalled) - pinned
     while True:

@@ -1,4 +1,4 @@
-"""Networks made up at random from a seed, with traffic on them."""
+"""Networks drawn at random from a seed, with traffic on them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +34,7 @@ _MAKERS: Final[dict[str, Callable[[np.random.Generator], Layout]]] = {
 MIX: Final = "mix"
 KINDS: Final = (*_MAKERS, MIX)
 _MIXED: Final = ("grid", "junctions", "random", "grid", "junctions", "spider", "motorway")
-"""What a mix consists of, one after the other."""
+"""Kinds of a mix, in turn."""
 
 
 def kinds_of(kind: str, count: int) -> list[str]:
@@ -43,15 +43,15 @@ def kinds_of(kind: str, count: int) -> list[str]:
 
 
 def generate(kind: str, seed: int, number: int, folder: Path) -> Path:
-    """Make a network and traffic for it; returns the .sumocfg. The same numbers, the same bytes.
+    """Draw a network and its traffic; returns the .sumocfg. The same arguments give the same bytes.
 
     Args:
-        kind: one of ``KINDS`` but the mix.
+        kind: one of ``KINDS``, except the mix.
         seed: of all networks.
         number: of this one among them.
-        folder: exists; is written to.
+        folder: an existing folder to write to.
 
-    Raises ConversionError where SUMO's programs refuse what was drawn.
+    Raises ConversionError if SUMO's programs refuse the network.
     """
     rng = np.random.default_rng([seed, number, sorted(_MAKERS).index(kind)])
     layout = _MAKERS[kind](rng)

@@ -1,4 +1,4 @@
-"""What the streets of a graph are like: lanes, limits, bends, right of way, turn lanes."""
+"""Attributes of the streets of a graph: lanes, limits, bends, right of way, turn lanes."""
 
 import math
 from collections import defaultdict
@@ -14,7 +14,7 @@ from deepmf_sumo.network.generated.layout import Edge, Layout, Node
 from deepmf_sumo.network.generated.street_graph import StreetGraph
 
 _STRAIGHT_RAD: Final = 0.6
-"""A street that bends less at a junction is the same street there, with the same lanes."""
+"""A street that bends less at a junction continues there, with the same lanes."""
 _LANES: Final = (1, 1, 1, 1, 2, 2, 2, 3, 3)
 _LIMITS_MPS: Final = {
     1: (8.9, 11.2, 13.4, 13.4, 15.6, 17.9),
@@ -67,7 +67,7 @@ def _options(rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def _courses(graph: StreetGraph) -> list[list[Street]]:
-    """Streets grouped into those that go straight on through their junctions."""
+    """Groups of streets that continue each other straight through junctions."""
     number = {street: index for index, street in enumerate(graph.streets)}
     straight: list[tuple[int, int]] = []
     for place, others in graph.arms().items():
@@ -98,7 +98,7 @@ def _street(one: str, other: str) -> Street:
 
 
 def _junction(rng: np.random.Generator, widths: list[int]) -> str:
-    """Who gives way: lights where streets are wide, anything where they are narrow."""
+    """Type of a junction: lights if streets are wide, any type if they are narrow."""
     if max(widths) > 2:
         chances = {"traffic_light": 0.7, "traffic_light_right_on_red": 0.2, "priority": 0.1}
     elif max(widths) > 1:
@@ -119,7 +119,7 @@ def _turn_lane(rng: np.random.Generator, length_m: float, arms: int, lanes: int)
 
 
 def _bent(graph: StreetGraph, street: Street, rng: np.random.Generator) -> Floats | None:
-    """(P, 2) a bow or an S between the two places, straight at both ends; None: no bend."""
+    """(P, 2) a bow or an S between the two nodes, straight at both ends; None: no bend."""
     start, end = (np.array(graph.places[name]) for name in street)
     size, snakes, bends = rng.uniform(-0.12, 0.12), rng.random() < 0.3, rng.random() < _BEND_SHARE
     if not bends:

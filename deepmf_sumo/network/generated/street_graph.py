@@ -1,4 +1,4 @@
-"""Which places are joined by streets: by SUMO's netgenerate, or single crossings of our own."""
+"""Street graphs: drawn by SUMO's netgenerate, or single crossings drawn here."""
 
 import tempfile
 import xml.etree.ElementTree as ET
@@ -17,13 +17,13 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreetGraph:
-    """Places by name, and pairs of places with a street between them, each pair once."""
+    """Nodes by name, and pairs of nodes with a street between them, each pair once."""
 
     places: dict[str, Point]
     streets: tuple[tuple[str, str], ...]
 
     def arms(self) -> dict[str, list[str]]:
-        """The neighbours of each place."""
+        """The neighbours of each node."""
         arms: dict[str, list[str]] = defaultdict(list)
         for one, other in self.streets:
             arms[one].append(other)
@@ -32,7 +32,7 @@ class StreetGraph:
 
 
 def grid(rng: np.random.Generator) -> StreetGraph:
-    """Blocks of 70 to 190 m, not quite rectangular; streets lead on at the rim."""
+    """Blocks of 70 to 190 m, not quite rectangular; streets continue at the rim."""
     across, along = rng.uniform(70.0, 190.0, 2)
     columns, rows = rng.integers(2, 5, 2)
     graph = _netgenerate(
@@ -45,7 +45,7 @@ def grid(rng: np.random.Generator) -> StreetGraph:
 
 
 def spider(rng: np.random.Generator) -> StreetGraph:
-    """Streets out of a middle, and rings across them."""
+    """Radial streets, and rings across them."""
     graph = _netgenerate(
         rng,
         *("--spider", "--spider.arm-number", str(rng.integers(3, 7))),
@@ -57,7 +57,7 @@ def spider(rng: np.random.Generator) -> StreetGraph:
 
 
 def random_net(rng: np.random.Generator) -> StreetGraph:
-    """Streets that grew at random."""
+    """Streets that netgenerate grows at random."""
     return _netgenerate(
         rng,
         *("--rand", "--rand.iterations", str(rng.integers(12, 30))),
@@ -67,7 +67,7 @@ def random_net(rng: np.random.Generator) -> StreetGraph:
 
 
 def crossing(rng: np.random.Generator) -> StreetGraph:
-    """One junction of 3 to 5 arms, or two of them a short way apart."""
+    """One junction of 3 to 5 arms, or two of them close to each other."""
     places: dict[str, Point] = {}
     streets: list[tuple[str, str]] = []
     first, axis = rng.uniform(0, 2 * np.pi, 2)
@@ -84,7 +84,7 @@ def crossing(rng: np.random.Generator) -> StreetGraph:
         angles += rng.uniform(-0.25, 0.25, count) * (np.arange(count) > 0)
         for number, angle in enumerate(angles):
             if taken is not None and number == 0:
-                continue  # there the other junction is
+                continue  # the arm to the other junction
             end = centre + rng.uniform(140, 240) * np.array([np.cos(angle), np.sin(angle)])
             places[f"{name}{number}"] = (float(end[0]), float(end[1]))
             streets.append((name, f"{name}{number}"))
@@ -92,7 +92,7 @@ def crossing(rng: np.random.Generator) -> StreetGraph:
 
 
 def _shaken(graph: StreetGraph, rng: np.random.Generator, by_m: float) -> StreetGraph:
-    """Turned by a random angle, and each place moved a little."""
+    """The graph, rotated by a random angle, with nodes shifted by about ``by_m``."""
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     places = {}
