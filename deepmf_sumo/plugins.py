@@ -78,10 +78,13 @@ def settings(kind: Kind, name: str, values: dict[str, Any]) -> Any:
         raise PluginError(f"{kind} '{name}': {explain(error, schema)}") from None
 
 
-def explain(error: ValidationError, schema: type[BaseModel]) -> str:
-    """One sentence for the first problem that pydantic found, with the nearest key."""
+def explain(error: ValidationError, schema: type[BaseModel], *, tagged: bool = False) -> str:
+    """One sentence for the first problem that pydantic found, with the nearest key.
+
+    ``tagged``: ``schema`` was chosen from a discriminated union, whose tag leads all locations.
+    """
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
+    key = ".".join(str(part) for part in first["loc"][tagged:])
     if first["type"] == "extra_forbidden":
         hint = nearest(str(first["loc"][-1]), schema.model_fields)
         return f"unknown key '{key}'.{hint} Known: {', '.join(schema.model_fields)}."

@@ -7,13 +7,18 @@ from deepmf_sumo.datatypes import Case, Rollout
 
 
 class Exporter(Protocol):
-    """One format."""
+    """One format, usually a module.
 
-    @property
-    def suffix(self) -> str:
-        """Ending of the file that is written, or ``/`` for a folder."""
-        ...
+    Attributes:
+        FILE: name of what is written in a run's folder; ends with ``/`` for a folder.
+    """
+
+    FILE: str
 
     def write(self, rollout: Rollout, case: Case, path: Path) -> None:
-        """Write the rollout to ``path``, which appears whole. Raises OutputError."""
+        """Write a rollout to ``path``; the same rollout gives the same bytes.
+
+        ``path`` appears whole, and replaces what was there: `files.write` and `files.whole_folder`
+        do both. Raises OutputError where it cannot be written.
+        """
         ...

@@ -1,25 +1,25 @@
-"""A folder that SUMO opens: the net, everybody's type, FCD, and a .sumocfg that replays it.
+"""A folder that SUMO opens: the net, vehicle types, FCD, and a .sumocfg that replays it.
 
 SUMO's `fcd-replay` device puts every vehicle where the FCD has it, sideways too (sublane model).
-What it cannot do: agents that stand off every lane are drawn as polygons instead; agents that move
-off every lane (most pedestrians) are in the FCD but not in the replay; in the step in which it
-appears a vehicle is on the middle of its lane; one whose track ends drives on to its edge's end.
+Its limits: agents that stand off the lanes are drawn as polygons instead; agents that move off the
+lanes (most pedestrians) are in the FCD but not in the replay; in the step in which it appears, a
+vehicle is on the middle of its lane; a vehicle whose track ends drives on to its edge's end.
 """
 
 import os
 import shutil
-import tempfile
 from pathlib import Path
+from typing import Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import shapely
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import Bools, Case, RecordedCase, RoadMap, Rollout, Tracks
-from deepmf_sumo.errors import OutputError
 from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.plugins import Settings as PluginSettings
 
+FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
 FCD, REPLAY, CONFIG, VIEW = "fcd.xml", "replay.fcd.xml", "replay.sumocfg", "view.xml"
 _COLOURS = {"av": "200,30,30", "opponent": "240,140,0", "other": "120,130,150"}
@@ -30,25 +30,6 @@ _ON_LANE_M = 1.65
 """Half a lane: farther than this and half its width from a lane's centre, a box is beside it."""
 
 
-class Settings(PluginSettings):
-    """No settings."""
-
-
-class FcdExporter:
-    """Writes the ``sumo/`` folder of a run."""
-
-    suffix = "/"
-
-    def write(self, rollout: Rollout, case: Case, path: Path) -> None:
-        """Write the folder; see `write`."""
-        write(rollout, case, path)
-
-
-def build(settings: Settings) -> FcdExporter:
-    """The exporter."""
-    return FcdExporter()
-
-
 def write(rollout: Rollout, case: Case, path: Path) -> None:
     """Write the folder ``path``, replacing one that was there.
 
@@ -56,19 +37,8 @@ def write(rollout: Rollout, case: Case, path: Path) -> None:
 
     Raises OutputError where the network cannot be read or the folder cannot be written.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-        try:
-            _fill(beside, rollout, case)
-            beside.chmod(0o755)
-            if path.exists():
-                shutil.rmtree(path)
-            beside.replace(path)
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
-    except OSError as error:
-        raise OutputError(f"'{path}' cannot be written: {error}.") from None
+    with files.writing(path), files.whole_folder(path) as folder:
+        _fill(folder, rollout, case)
 
 
 def _fill(folder: Path, rollout: Rollout, case: Case) -> None:
@@ -87,7 +57,7 @@ def _fill(folder: Path, rollout: Rollout, case: Case) -> None:
     (folder / TYPES).write_text(_types(rollout), "utf-8")
     (folder / SHAPES).write_text(_shapes(rollout, replayed), "utf-8")
     (folder / FCD).write_text(_fcd(rollout, tracks.valid), "utf-8")
-    if (replayed == tracks.valid).all():  # it is most of what a run takes on the disk
+    if (replayed == tracks.valid).all():  # most of a run's disk space
         _same(folder / FCD, folder / REPLAY)
     else:
         (folder / REPLAY).write_text(_fcd(rollout, replayed), "utf-8")
@@ -122,7 +92,7 @@ def _on_lane(tracks: Tracks, road: RoadMap) -> Bools:
 
 
 def _from_first(on_lane: Bools) -> Bools:
-    """From the first step on a lane on: SUMO inserts nobody elsewhere."""
+    """All steps since the first on a lane: SUMO inserts vehicles only there."""
     begun: Bools = np.logical_or.accumulate(on_lane, axis=1)
     return begun
 
@@ -138,7 +108,7 @@ def _types(rollout: Rollout) -> str:
     for row, agent in enumerate(tracks.ids):
         length, width, height = tracks.size_m[row]
         shape = _SHAPE_OF.get(tracks.kinds[row], "passenger")
-        # vClass "ignoring": a recording has vehicles on lanes for others, too
+        # vClass "ignoring": recordings have vehicles on lanes of other classes, too
         lines.append(
             f'    <vType id="type_{row}" vClass="ignoring" guiShape="{shape}" '
             f'length="{length:.3f}" width="{width:.3f}" height="{max(height, 0.1):.3f}" '
@@ -149,7 +119,7 @@ def _types(rollout: Rollout) -> str:
 
 
 def _shapes(rollout: Rollout, replayed: Bools) -> str:
-    """Polygons of those that stand off every lane."""
+    """Polygons of agents that stand off the lanes."""
     tracks, lines = rollout.tracks, []
     for row in np.flatnonzero(~replayed.any(axis=1) & tracks.valid.any(axis=1)):
         steps = np.flatnonzero(tracks.valid[row])
@@ -173,7 +143,7 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
     tracks = rollout.tracks
     front, angle = frames.to_sumo(tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0])
     begun = [f'        <vehicle id={quoteattr(agent)} x="' for agent in tracks.ids]
-    # Lists, for formatting numbers of numpy takes several times as long.
+    # Lists: formatting numbers of numpy takes several times as long.
     values = np.concatenate(
         [front, angle[..., None], tracks.speed_mps[..., None], tracks.z_m[..., None]], axis=-1
     )

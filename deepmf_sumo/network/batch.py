@@ -1,4 +1,4 @@
-"""Many scenes into nets: a folder a scene, and a table of how it went."""
+"""Conversion of many scenes: one folder per scene, and a table of the results."""
 
 import csv
 import multiprocessing
@@ -18,11 +18,11 @@ from deepmf_sumo.texts import cell
 
 TABLE: Final = "convert.csv"
 _AHEAD: Final = 2
-"""Scenes that are read ahead for each worker: enough to keep it busy, few to keep in memory."""
+"""Scenes read ahead per worker: enough to keep it busy, few enough for the memory."""
 
 
 class Refused(Protocol):
-    """A record that its reader could not use."""
+    """A record that its reader rejected."""
 
     @property
     def name(self) -> str:
@@ -37,7 +37,7 @@ class Refused(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One scene of the table; figures are None where there is no net."""
+    """One scene of the table; figures are None if there is no net."""
 
     scene: str
     status: Literal["ok", "failed"]
@@ -59,15 +59,15 @@ class Row:
 def convert_all(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[Row]:
     """Convert scenes into folders of ``out``; rows in the order of the scenes.
 
-    A scene that fails is a row with the reason; the others go on. The table ``convert.csv`` is
-    there when the iterator ends, also when it is closed before.
+    A scene that fails is a row with the reason; the others continue. The table ``convert.csv`` is
+    written when the iterator ends or is closed.
 
     Args:
         scenes: as readers give them.
-        out: made if need be.
+        out: created if it is missing.
         jobs: worker processes; 1 converts in this one.
 
-    Raises OutputError where ``out`` cannot be written.
+    Raises OutputError if ``out`` cannot be written.
     """
     beside = out / f".{TABLE}"
     try:
@@ -119,7 +119,7 @@ def _rows(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[R
 
 
 def _named(scenes: Iterable[Scene | Refused], out: Path) -> Iterator[tuple[Scene | Refused, Path]]:
-    """Each scene with its folder; scenes of one name get numbers."""
+    """Each scene with its folder; scenes with the same name get numbers."""
     count: Counter[str] = Counter()
     for scene in scenes:
         name = re.sub(r"[^\w.-]", "_", scene.name).lstrip(".") or "scene"

@@ -1,9 +1,7 @@
 """Assembly of a network from a layout: edges, connections, traffic lights, and the off-lane edge.
 
-The ghost edge: the AV's recorded path as an edge of its own.
-
-In parking lots and where the map lacks a lane, the AV drives where no lane is. SUMO can drive it
-only on one, so the recorded path becomes one, joined to no other.
+In parking lots and where the map lacks a lane, the AV drives off the lanes. SUMO can drive it only
+on a lane, so its recorded path becomes a separate edge that joins no other (the ghost edge).
 """
 
 import re
@@ -34,14 +32,14 @@ from deepmf_sumo.network.plain_net import (
 JOINT_M: Final = 0.1
 """SUMO's shortest lane. A link between two lanes that touch is drawn on the end of the first."""
 POINT_M: Final = 0.01
-"""Lanes inside a junction that are shorter than this have no shape of their own."""
+"""Lanes inside a junction that are shorter than this have no separate shape."""
 WIDTH_M: Final = 3.3
 BIKE_WIDTH_M: Final = 1.5
 DEFAULT_SPEED_MPS: Final = {"freeway": 29.06, "street": 13.89, "unknown": 13.89, "bike": 8.33}
-"""Where the limit is unknown: 65 mph, 50 km/h, 30 km/h."""
+"""For lanes without a limit: 65 mph, 50 km/h, 30 km/h."""
 PRIORITY: Final = {"freeway": 10, "street": 5, "unknown": 5, "bike": 1}
 EXTENSION_M: Final = 200.0
-"""Beyond the recorded map a vehicle drives on for the longest episode, straight ahead."""
+"""Beyond the recorded map vehicles drive straight on, far enough for the longest episode."""
 
 
 def sumo_id(prefix: str, lane_id: str) -> str:
@@ -60,7 +58,7 @@ def lane_width_m(lane: Lane) -> float:
 
 
 class Assembly:
-    """Edges and links of the scene's lanes, and where each lane begins and ends in SUMO.
+    """Edges and connections of the scene's lanes, and the first and last SUMO lane of each.
 
     Attributes:
         edges: by id. links: in the order of the scene's lanes.
@@ -89,7 +87,7 @@ class Assembly:
         return self.edges[ref[0]].lanes[ref[1]]
 
     def node_positions(self) -> dict[str, Floats]:
-        """(2) of each junction: amid the lane ends that meet there."""
+        """(2) position of each junction: the mean of the lane ends that meet there."""
         points: dict[str, list[Floats]] = defaultdict(list)
         for edge in self.edges.values():
             points[edge.start] += [lane.shape_m[0] for lane in edge.lanes]
@@ -129,7 +127,7 @@ class Assembly:
                 self.ends[lane.scene_lane] = (key, index)
 
     def _add_halves(self, group: Group, start: str, end: str) -> None:
-        """Two edges in a row, for SUMO has none that returns to its junction."""
+        """Two successive edges, since SUMO has none that returns to its junction."""
         first, second = sumo_id("e", group[0]), sumo_id("e", group[0]) + "_h"
         self._add_edge(first, (start, f"{first}_m"), self._lane_plans(group, 0.0, 0.5))
         self._add_edge(second, (f"{first}_m", end), self._lane_plans(group, 0.5, 1.0))
@@ -137,7 +135,7 @@ class Assembly:
             self._add_link((first, index), (second, index), ())
 
     def _add_link(self, origin: LaneRef, target: LaneRef, path: tuple[str, ...]) -> None:
-        """A link, unless there is one already: SUMO has one between two lanes."""
+        """Add a connection, unless the two lanes have one already: SUMO allows only one."""
         if (origin, target) in self._linked:
             return
         self._linked.add((origin, target))
@@ -159,7 +157,7 @@ class Assembly:
         )
 
     def _extend(self) -> None:
-        """Straight edges behind the lanes at which the recorded map ends."""
+        """Add straight edges after the lanes at which the recorded map ends."""
         linked = {link.origin for link in self.links}
         for edge in list(self.edges.values()):
             loose = [index for index in range(len(edge.lanes)) if (edge.id, index) not in linked]
@@ -183,7 +181,7 @@ class Assembly:
 
 GHOST_EDGE: Final = "ghost_av"
 OFF_LANE_M: Final = 3.0
-"""Nearly a lane from the centre of any lane of its direction: the AV has left them. Lane changes
+"""At nearly a lane's width from any lane of its direction the AV has left the lanes. Lane changes
 stay below it."""
 OFF_STEPS: Final = 5
 SPACING_M: Final = 1.0
@@ -195,8 +193,8 @@ OFF_LANE_SPEED_MPS: Final = 13.89
 def leaves_lanes(scene: Scene) -> bool:
     """Whether the AV's recorded path, from the present on, leads off the lanes.
 
-    It does where the AV is far from any lane for half a second, or goes on on a lane that neither
-    follows nor adjoins the one before.
+    It does if the AV is far from any lane for half a second, or continues on a lane that is neither
+    a successor nor a neighbour of the lane before.
     """
     row = scene.tracks.row(scene.av_id)
     valid = scene.tracks.valid[row].copy()
@@ -231,7 +229,7 @@ def ghost_edge(scene: Scene) -> tuple[EdgePlan, tuple[NodePlan, NodePlan]]:
 
 
 def ghost_path(scene: Scene) -> Floats:
-    """(P, 2) the AV's path, begun behind its first pose and continued straight ahead."""
+    """(P, 2) the AV's path, from behind its first pose, continued straight ahead."""
     row = scene.tracks.row(scene.av_id)
     valid = scene.tracks.valid[row]
     positions = scene.tracks.position_m[row][valid]
@@ -241,9 +239,9 @@ def ghost_path(scene: Scene) -> Floats:
         if np.hypot(*(position - path[-1])) >= SPACING_M:
             path.append(position)
     before = path[0] - BEHIND_M * frames.unit(headings[0])
-    way = np.array([before, *path])
-    ahead = frames.unit(headings[-1]) if len(path) == 1 else lane_graph.end_direction(way)
-    return np.vstack([way, way[-1] + AHEAD_M * ahead])
+    line = np.array([before, *path])
+    ahead = frames.unit(headings[-1]) if len(path) == 1 else lane_graph.end_direction(line)
+    return np.vstack([line, line[-1] + AHEAD_M * ahead])
 
 
 STOP_PRIORITY = 1
@@ -251,7 +249,7 @@ STOP_PRIORITY = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Control:
-    """Kinds of the junctions that are not plain ones, and the links of each signalled lane.
+    """Types of junctions other than ``priority``, and the connections of each signalled lane.
 
     Attributes:
         kinds: by node id.
@@ -265,7 +263,7 @@ class Control:
 
 
 def control(assembly: Assembly, signalled: Iterable[str], signs: Iterable[StopSign]) -> Control:
-    """Junction kinds; edges before a stop sign lose their priority in ``assembly``."""
+    """Types of junctions; edges before a stop sign lose their priority in ``assembly``."""
     kinds = _stop_kinds(assembly, _stop_edges(assembly, signs))
     links: dict[str, tuple[tuple[LaneRef, LaneRef], ...]] = {}
     lost = []
@@ -283,7 +281,7 @@ def control(assembly: Assembly, signalled: Iterable[str], signs: Iterable[StopSi
 
 
 def _governed(assembly: Assembly, lane_id: str) -> list[LinkPlan]:
-    """Links onto a lane: a light stands at the first point of the lane it is recorded for."""
+    """Connections to a lane: a light stands at the first point of its recorded lane."""
     begin = assembly.begins.get(lane_id)
     return [
         link
@@ -309,7 +307,7 @@ def _stop_edges(assembly: Assembly, signs: Iterable[StopSign]) -> set[str]:
 
 
 def _stop_kinds(assembly: Assembly, stopping: set[str]) -> dict[str, NodeKind]:
-    """All-way stops where every edge has a sign, else stops for those that have one."""
+    """All-way stops if every edge has a sign, else stops for the edges that have one."""
     arriving: dict[str, set[str]] = defaultdict(set)
     for link in assembly.links:
         arriving[assembly.edges[link.origin[0]].end].add(link.origin[0])

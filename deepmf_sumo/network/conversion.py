@@ -1,11 +1,9 @@
 """Conversion of a recorded scene into a SUMO network: built, checked against the scene, cached.
 
-Scene -> SUMO network.
-
 ::
 
-    lanes --graph--> simplified, joined --layout--> edges, junctions --assembly--> blueprint
-          --plain, netconvert--> net --shapes--> the scene's shapes put back --quality--> errors
+    lanes --lane_graph--> simplified, joined --layout--> edges, junctions --build--> blueprint
+          --plain_net, netconvert--> net --shapes--> the scene's shapes restored --> errors
 """
 
 import hashlib
@@ -21,6 +19,7 @@ import numpy as np
 import shapely
 
 import deepmf_sumo
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import ConversionReport, Floats, LanePiece, RoadMap, Scene, SumoNet
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network import mapping, plain_net, sumo_tools
@@ -39,11 +38,11 @@ def distances(
     lane_of: Mapping[str, tuple[str, ...]],
     shapes: Mapping[str, Floats],
 ) -> Floats:
-    """Distances both ways, in one array.
+    """Distances in both directions, in one array.
 
-    Every recorded point of a lane to the nearest of that lane's pieces, and points of the SUMO
-    lanes, 0.5 m apart, to the nearest of the scene's lanes that they are made of. Lanes that only
-    SUMO has (extensions, the ghost edge) are not counted.
+    From every recorded point of a lane to the nearest of that lane's pieces, and from points of the
+    SUMO lanes, 0.5 m apart, to the nearest of the scene's lanes that they are made of. Lanes that
+    only SUMO has (extensions, the ghost edge) are left out.
 
     Args:
         road: the scene's, as recorded.
@@ -111,25 +110,16 @@ _NO_WAY: Final = "another way leads between the same two SUMO lanes"
 def convert(scene: Scene, folder: Path) -> SumoNet:
     """Build the SUMO network of a scene.
 
-    The folder, made or replaced as a whole, holds the net, the plain XML that it was made of,
-    polygons to draw, a configuration, and the side file ``mapping.json``. The same scene gives the
-    same bytes.
+    The folder, created or replaced as a whole, contains the net, its plain XML, polygons to draw, a
+    configuration, and the side file ``mapping.json``. The same scene gives the same bytes.
 
-    Raises ConversionError where the scene has no lane that could be driven, SUMO refuses, or the
-    folder holds something else.
+    Raises ConversionError if the scene has no lane that can be driven, SUMO refuses, or the folder
+    contains something else.
     """
     began = time.perf_counter()
     _check_replaceable(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with files.whole_folder(folder) as beside:
         net = _build(scene, beside)
-        beside.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        beside.replace(folder)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
     assert net.report is not None
     return replace(
         net,
@@ -188,7 +178,7 @@ def _build(scene: Scene, folder: Path) -> SumoNet:
 
 
 def _blueprint(scene: Scene, graph: LaneGraph) -> tuple[Blueprint, tuple[tuple[str, str], ...]]:
-    """The net to build, and the signalled lanes without a link."""
+    """The net to build, and the signalled lanes without a connection."""
     plan = layout(graph, set(scene.signals.lane_ids))
     if not plan.groups:
         raise ConversionError(
@@ -250,10 +240,11 @@ def _report(
 
 
 def cached(scene: Scene, cache: Path) -> SumoNet:
-    """The scene's net from the cache, built there if need be.
+    """The scene's net from the cache, built there if it is missing.
 
     The key is a hash of what the net is made of (road, signalled lanes, the AV's path) and of the
-    versions that make it. Several processes may ask for the same net at the same time.
+    versions of the programs. Several processes may call this for the same scene. A net that was
+    just built is read back, so that it has the rounded values of a cached one.
 
     Raises ConversionError as `convert` does.
     """
@@ -271,7 +262,7 @@ def cached(scene: Scene, cache: Path) -> SumoNet:
 
 
 def _move(built: Path, folder: Path) -> None:
-    """Put a net in its place, unless another process was first; a broken one is replaced."""
+    """Move a net into the cache, unless another process was faster; replace a broken one."""
     try:
         built.replace(folder)
     except OSError:

@@ -1,4 +1,4 @@
-"""What a road map has near a way: recorded scenes know no more of a road than that."""
+"""Parts of a road map near a path: recorded scenes contain no more of a road."""
 
 from collections.abc import Container, Iterable
 from dataclasses import replace
@@ -20,13 +20,12 @@ class Excerpts:
         shapes += [sign.position_m.reshape(1, 2) for sign in road.stop_signs]
         self._tree = shapely.STRtree([_geometry(shape) for shape in shapes])
 
-    def near(self, way_m: Floats, radius_m: float) -> RoadMap:
-        """The features that come within a radius of a way (P, 2), each in full.
+    def near(self, path_m: Floats, radius_m: float) -> RoadMap:
+        """The features within a radius of a path (P, 2), each as a whole.
 
-        Lanes that are left out are nobody's neighbour, successor or predecessor any more; the
-        borders of lanes do not name lines that are left out.
+        Lanes do not refer to neighbours, successors, predecessors and lines that are left out.
         """
-        found = self._tree.query(_geometry(way_m), predicate="dwithin", distance=radius_m)
+        found = self._tree.query(_geometry(path_m), predicate="dwithin", distance=radius_m)
         kept = np.zeros(len(self._tree.geometries), bool)
         kept[found] = True
         road, taken = self._road, iter(kept.tolist())
@@ -48,13 +47,13 @@ class Excerpts:
 
 
 def _geometry(points_m: Floats) -> shapely.Geometry:
-    # a line without a length is near nothing
+    # shapely finds no line without a length
     still = bool((points_m == points_m[0]).all())
     return shapely.Point(points_m[0]) if still else shapely.LineString(points_m)
 
 
 def _without(lane: Lane, lanes: Container[str], borders: Container[str]) -> Lane:
-    """The lane, naming nobody who was left out."""
+    """The lane, without references to lanes and lines that are left out."""
 
     def neighbours(beside: Iterable[Neighbour]) -> tuple[Neighbour, ...]:
         return tuple(one for one in beside if one.lane_id in lanes)

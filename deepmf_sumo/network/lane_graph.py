@@ -1,10 +1,8 @@
-"""The lanes of a recorded road map as a graph: which movements cross, where lanes are cut.
-
-Which lanes lie inside junctions, and the ways through them.
+"""The lanes of a recorded road map as a graph: crossings, joins, and movements through junctions.
 
 A lane that only joins two others, or that crosses another near a split or a merge, becomes part of
-a junction: SUMO knows right of way only between the lanes inside one. A *movement* is one way
-through: from a lane of an edge, over lanes inside, to a lane of an edge.
+a junction: SUMO knows right of way only between the lanes inside one. A *movement* leads
+from a lane of an edge, over lanes inside, to a lane of an edge.
 """
 
 from collections import defaultdict
@@ -19,9 +17,9 @@ from deepmf_sumo.datatypes import Floats, Lane, RoadMap
 from deepmf_sumo.geometry import frames, polylines
 
 OVERPASS_M: Final = 2.5
-"""Lanes farther apart in height are a road and its overpass."""
+"""Lanes with a larger difference of height are a road and its overpass."""
 END_M: Final = 0.5
-"""Lanes that meet nearer to an end join there; they do not cross."""
+"""Lanes that meet closer to an end join there; they do not cross."""
 PARALLEL_SINE: Final = 0.09
 """Centre lines that meet at less than 5 degrees diverge or merge; they do not cross."""
 
@@ -83,7 +81,7 @@ def _inside(share: Floats) -> np.ndarray:
 LATERAL_MPS2: Final = 5.5
 """Sideways acceleration in turns, netconvert's default."""
 BEND_M: Final = 5
-"""Over so many metres a turn is measured; the corners of a simplified line say nothing."""
+"""Distance over which a turn is measured; single corners of a simplified line are not bends."""
 
 
 def part(points_m: Floats, start_m: float, end_m: float) -> Floats:
@@ -148,11 +146,11 @@ TOLERANCE_M: Final = 0.02
 """Douglas-Peucker tolerance. Recorded points lie 0.5 m apart; SUMO's map matching takes time in
 proportion to the points, and 0.02 m leaves a tenth of them."""
 TOUCH_M: Final = 1.0
-"""Lanes that join have ends nearer than this; where they have not, a lane between them is missing
-in the recording, and the join needs a way of its own."""
+"""Lanes that join have ends closer than this; otherwise a lane between them is missing in the
+recording, and the join needs a bridge."""
 WIDEST_GAP_M: Final = 100.0
 SHARPEST_TURN_RAD: Final = 2.9
-"""A way across a gap that turns more than this is none that a vehicle could drive."""
+"""No vehicle can drive a bridge across a gap that turns more than this."""
 SAME_POINT_M: Final = 1e-3
 
 
@@ -161,7 +159,7 @@ class LaneGraph:
     """Lanes that can be driven, and how they join.
 
     Attributes:
-        lanes: the scene's own, those that have a place in the graph.
+        lanes: the scene's lanes that are in the graph.
         shapes: (P, 3) simplified centre line; P = 1 for lanes of one point.
         lengths_m: arc length of the shapes.
         following, preceding: lane ids by lane id.
@@ -290,10 +288,10 @@ def _gap(shapes: dict[str, Floats], first: str, second: str) -> Floats:
 def _without_loose_points(
     shapes: dict[str, Floats], pairs: list[tuple[str, str]]
 ) -> tuple[dict[str, tuple[str, bool]], list[str], list[tuple[str, str]]]:
-    """Take out the one-point lanes that join nothing on one side: they are ends, not ways.
+    """Remove one-point lanes with no predecessor or no successor: they are dead ends.
 
-    Returns those that touch a lane, with it and whether at its end; those that touch none; and the
-    joins of all others.
+    Returns those that touch a lane, with that lane and whether at its end; those that touch none;
+    and the joins of all others.
     """
     loose: dict[str, tuple[str, bool]] = {}
     alone: list[str] = []
@@ -328,7 +326,7 @@ MOST_MOVEMENTS: Final = 3000
 
 @dataclass(frozen=True, slots=True)
 class Movement:
-    """A way through a junction; ``path`` holds the lanes inside it, in driving order."""
+    """A movement through a junction; ``path``: the lanes inside it, in driving order."""
 
     origin: str
     path: tuple[str, ...]
@@ -338,14 +336,14 @@ class Movement:
 def inner_lanes(
     graph: LaneGraph, crossing: Iterable[tuple[str, str]], signalled: Set[str]
 ) -> set[str]:
-    """Lanes to begin with as the inside of junctions."""
+    """First estimate of the lanes inside junctions."""
     crosses = {lane_id for pair in crossing for lane_id in pair}
     approaches = {before for lane_id in signalled for before in graph.preceding.get(lane_id, ())}
     inside = set()
     for lane_id in graph.shapes:
         if not (graph.following[lane_id] and graph.preceding[lane_id]):
             continue
-        # A light stands where its lane begins: what leads to it is an edge.
+        # A light stands at the start of its lane: the lane before it is an edge.
         joins = _joins(graph, lane_id, lane_id in crosses, lane_id in signalled)
         if graph.is_point(lane_id) or (joins and lane_id not in approaches):
             inside.add(lane_id)
@@ -365,7 +363,7 @@ def _joins(graph: LaneGraph, lane_id: str, crosses: bool, signalled: bool) -> bo
 
 
 def movements(graph: LaneGraph, inside: Set[str]) -> list[Movement]:
-    """All ways from edge lane to edge lane over lanes inside, in the scene's order."""
+    """All movements from edge lane to edge lane over lanes inside, in the scene's order."""
     found: list[Movement] = []
     for origin in graph.shapes:
         if origin in inside:
@@ -382,10 +380,10 @@ def movements(graph: LaneGraph, inside: Set[str]) -> list[Movement]:
 
 
 def lanes_to_pin(graph: LaneGraph, inside: Set[str], found: list[Movement]) -> set[str]:
-    """Lanes that have to be edges after all.
+    """Lanes inside junctions that have to be edges.
 
     They are on no movement; or on the second of two movements between the same two lanes, of which
-    SUMO has but one; or so many movements lead over them that junctions would not end.
+    SUMO has only one; or they carry so many movements that the junction would grow without bound.
     """
     used = {lane_id for movement in found for lane_id in movement.path}
     pinned = {lane_id for lane_id in inside - used if not graph.is_point(lane_id)}

@@ -1,10 +1,12 @@
-"""Edges and junctions of the network to build: parallel lanes become one edge."""
+"""Layout of the network to build: parallel lanes become one edge, their ends junctions."""
 
-from collections.abc import Hashable, Set
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.network.lane_graph import (
@@ -17,9 +19,9 @@ from deepmf_sumo.network.lane_graph import (
 )
 
 AHEAD_M: Final = 6.0
-"""How far the ends of two lanes of an edge may be apart lengthways."""
+"""Largest longitudinal distance of the ends of two lanes of an edge."""
 BESIDE_M: Final = (1.5, 7.0)
-"""How far they may be apart sideways."""
+"""Range of their lateral distance."""
 LENGTH_DIFFERENCE: Final = 0.1
 LENGTH_DIFFERENCE_M: Final = 3.0
 
@@ -50,7 +52,7 @@ def parallel_groups(graph: LaneGraph, lane_ids: Set[str]) -> list[tuple[str, ...
 
 
 def _side_by_side(graph: LaneGraph, lane_id: str, right: str) -> float | None:
-    """Mean sideways distance of two lanes that fit into one edge; None where they do not."""
+    """Mean lateral distance of two lanes that fit into one edge; None if they do not."""
     here, there = graph.lanes[lane_id], graph.lanes[right]
     if lane_id == right or (here.kind == "bike") != (there.kind == "bike"):
         return None
@@ -78,35 +80,15 @@ def _in_frame(offset: Floats, direction: Floats) -> tuple[float, float]:
 Group = tuple[str, ...]
 
 
-class Partition:
-    """Disjoint sets that grow together."""
-
-    def __init__(self) -> None:
-        self._above: dict[Hashable, Hashable] = {}
-
-    def find(self, item: Hashable) -> Hashable:
-        """The representative of the item's set."""
-        above = self._above
-        above.setdefault(item, item)
-        while above[item] != item:
-            above[item] = above[above[item]]
-            item = above[item]
-        return item
-
-    def join(self, one: Hashable, two: Hashable) -> None:
-        """Make one set of two."""
-        self._above[self.find(two)] = self.find(one)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:
     """The plan of the network, before it has shapes.
 
     Attributes:
         groups: lanes of each edge, from right to left.
-        movements: ways through junctions.
+        movements: through junctions.
         starts, ends: junction at either end of each group.
-        halved: groups that begin and end in one junction: they become two edges in a row, because
+        halved: groups that start and end at one junction: they become two successive edges, because
             SUMO has no edge from a junction to itself.
         inside: lanes inside junctions.
     """
@@ -120,14 +102,14 @@ class Layout:
 
 
 def layout(graph: LaneGraph, signalled: Set[str]) -> Layout:
-    """Distribute the lanes.
+    """Assign the lanes to edges and junctions.
 
-    An edge whose two ends fall into one junction goes inside it, if it can; that may join further
-    junctions, so this is repeated until nothing changes. Each round moves a lane in for the first
-    time, pins one as an edge, or halves a group: it ends.
+    An edge with both ends at one junction moves inside it, if possible; that may join further
+    junctions, so this is repeated until nothing changes. It terminates: each round moves a lane
+    inside for the first time, or pins one as an edge.
     """
     crossing = crossings(graph.shapes)
-    # The way across a gap is not the scene's: the lanes at its ends stay apart from it, as edges.
+    # A bridge across a gap is not in the scene: the lanes at its ends stay separate, as edges.
     pinned = {lane_id for pair in graph.gaps for lane_id in pair}
     inside = inner_lanes(graph, crossing, signalled) - pinned
     while True:
@@ -167,22 +149,18 @@ def _junctions(
     crossing: list[tuple[str, str]],
     inside: Set[str],
 ) -> tuple[list[int], list[int]]:
-    """Numbers of the junctions at the start and the end of each group."""
+    """Numbers of the junctions at the start and the end of each group, in the order of groups."""
     group_of = {lane_id: index for index, group in enumerate(groups) for lane_id in group}
-    meet = Partition()
+    # Of group i the start is 2i and the end 2i + 1; lanes inside junctions follow.
+    inner = {lane_id: number for number, lane_id in enumerate(inside, start=2 * len(groups))}
+    meet = [(inner[one], inner[two]) for one, two in crossing if one in inside and two in inside]
     for way in found:
-        end = ("end", group_of[way.origin])
-        meet.join(end, ("start", group_of[way.target]))
-        for lane_id in way.path:
-            meet.join(end, ("inside", lane_id))
-    for one, two in crossing:
-        if one in inside and two in inside:
-            meet.join(("inside", one), ("inside", two))
-    number: dict[Hashable, int] = {}
-    starts: list[int] = []
-    ends: list[int] = []
-    for index in range(len(groups)):
-        for side, numbers in (("start", starts), ("end", ends)):
-            root = meet.find((side, index))
-            numbers.append(number.setdefault(root, len(number)))
-    return starts, ends
+        end = 2 * group_of[way.origin] + 1
+        meet += [(end, 2 * group_of[way.target]), *((end, inner[lane_id]) for lane_id in way.path)]
+    one, two = np.array(meet, int).reshape(-1, 2).T
+    size = 2 * len(groups) + len(inner)
+    joins = coo_array((np.ones(len(one), bool), (one, two)), (size, size))
+    _, junction = connected_components(joins, directed=False)
+    order: dict[int, int] = {}
+    numbers = [order.setdefault(key, len(order)) for key in junction[: 2 * len(groups)].tolist()]
+    return numbers[::2], numbers[1::2]

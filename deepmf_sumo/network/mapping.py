@@ -1,4 +1,4 @@
-"""Which lane of the recording became which lane of the network; stored beside the network."""
+"""The files beside a converted network: which lane became which, polygons, a configuration."""
 
 import json
 from dataclasses import asdict
@@ -16,11 +16,11 @@ NET_FILE: Final = "net.net.xml"
 ADDITIONAL_FILE: Final = "additional.xml"
 MAPPING_FILE: Final = "mapping.json"
 FORMAT: Final = 2
-"""Raised when nets are built in another way, so that cached ones are built anew."""
+"""Increased when nets are built differently, so that cached ones are rebuilt."""
 
 
 def write(net: SumoNet, folder: Path) -> None:
-    """Write the side file into the net's folder. Seconds are left out: same scene, same bytes."""
+    """Write the side file into the net's folder, without times: same scene, same bytes."""
     report = asdict(net.report) if net.report else {}
     report.pop("seconds", None)
     document = {
@@ -47,7 +47,7 @@ def write(net: SumoNet, folder: Path) -> None:
 def read(folder: Path) -> SumoNet:
     """The net that was converted into a folder.
 
-    Raises ConversionError where the folder holds none, or one of another format.
+    Raises ConversionError if the folder has no net, or one of another format.
     """
     file = folder / MAPPING_FILE
     try:

@@ -22,7 +22,7 @@ from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SumoNet
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
 from deepmf_sumo.network.lane_graph import simplified
-from deepmf_sumo.network.sumo_net import NetFile, NetLink, read_once
+from deepmf_sumo.network.sumo_net import NetFile, NetLink, Way, edge_of, read_once
 
 NEAR_M: Final = 4.0
 TURNED_RAD: Final = 1.0
@@ -277,17 +277,6 @@ def checked_route(net: SumoNet, lane_ids: Sequence[str], extend_m: float = 200.0
     return EdgeRoute(edges=tuple(route), broken_at=broken_at)
 
 
-def start_lane(net: SumoNet, lane_ids: Sequence[str]) -> str | None:
-    """SUMO lane on which a vehicle with this sequence begins; None where it begins on none."""
-    pieces = net.pieces.get(lane_ids[0], ()) if lane_ids else ()
-    return pieces[0].sumo_lane if pieces else None
-
-
-def edge_of(sumo_lane: str) -> str:
-    """The edge of a SUMO lane."""
-    return sumo_lane.rpartition("_")[0]
-
-
 class _Stage(NamedTuple):
     """A lane of the sequence: its edges, and its lanes inside junctions."""
 
@@ -319,23 +308,23 @@ class _Joins:
 
     def __init__(self, net: NetFile) -> None:
         self._links: dict[str, list[NetLink]] = defaultdict(list)
-        self._around: dict[str, list[tuple[str, str]]] = defaultdict(list)
+        self._around: dict[str, list[Way]] = defaultdict(list)
         self._after: dict[str, set[str]] = defaultdict(set)
         self._length_m = {
             edge.id: max(lane.length_m for lane in edge.lanes)
             for edge in net.edges.values()
             if edge.lanes
         }
-        onward = {link.origin: link.via for link in net.links if link.origin.startswith(":")}
+        onward = {link.origin: link.via for link in net.links if link.starts_inside}
         for link in net.links:
-            if link.origin.startswith(":"):
+            if link.starts_inside:
                 continue
-            ends = edge_of(link.origin), edge_of(link.target)
-            self._after[ends[0]].add(ends[1])
-            self._links[ends[0]].append(link)
+            before, after = link.edges
+            self._after[before].add(after)
+            self._links[before].append(link)
             via = link.via
             while via:
-                self._around[via].append(ends)
+                self._around[via].append(link.edges)
                 via = onward.get(via, "")
 
     def along(self, route: list[str], edges: list[str]) -> list[str] | None:

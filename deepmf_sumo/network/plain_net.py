@@ -1,8 +1,6 @@
-"""The network in SUMO's plain XML: what is to be written, and the files for netconvert.
+"""The network to build in SUMO's terms (nodes, edges with lanes, connections), as plain XML.
 
-The network to build, in SUMO's terms: nodes, edges with lanes, links.
-
-It is written as plain XML, and its shapes are put back after netconvert has changed them.
+netconvert changes its shapes; `shapes` restores them.
 """
 
 from collections.abc import Iterable
@@ -21,7 +19,7 @@ LaneRef = tuple[str, int]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NodePlan:
-    """A junction at (2) a position."""
+    """A junction; ``position_m`` (2)."""
 
     id: str
     position_m: Floats
@@ -34,7 +32,7 @@ class LanePlan:
 
     Attributes:
         shape_m: (P, 2).
-        start_m: where on the scene's lane it begins.
+        start_m: arc length of its start on the scene's lane.
     """
 
     shape_m: Floats
@@ -58,14 +56,14 @@ class EdgePlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinkPlan:
-    """A way from lane to lane.
+    """A connection of two lanes.
 
     Attributes:
         shape_m: (P, 2).
         path: the scene's lanes that the shape consists of.
-        kind: made of the ``path``'s lanes; a ``joint`` of two lanes that touch, drawn on the end of
-            the first; or a ``bridge`` over a gap in the scene's map.
-        speed_mps: what can be driven there at least.
+        kind: ``path``: made of the path's lanes; ``joint``: two lanes that touch, drawn on the end
+            of the first; ``bridge``: over a gap in the scene's map.
+        speed_mps: lower bound of its speed limit.
     """
 
     origin: LaneRef
@@ -78,11 +76,11 @@ class LinkPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Blueprint:
-    """All of it.
+    """The whole network.
 
     Attributes:
         edges: by id.
-        signalled: scene lane -> (origin, target) of the links that carry its light.
+        signalled: scene lane -> (origin, target) of the connections that carry its light.
     """
 
     nodes: tuple[NodePlan, ...]
@@ -102,7 +100,7 @@ def write(blueprint: Blueprint, folder: Path) -> tuple[Path, Path, Path]:
     nodes.write_text(_document("nodes", map(_node, blueprint.nodes)), encoding="utf-8")
     edges.write_text(_document("edges", map(_edge, blueprint.edges.values())), encoding="utf-8")
     linked = {link.origin[0] for link in blueprint.links}
-    # An edge without successors has to be named, else netconvert makes some up.
+    # An edge without successors has to be named, else netconvert guesses some.
     ends = (f'    <connection from="{key}"/>' for key in blueprint.edges if key not in linked)
     links.write_text(
         _document("connections", [*map(_link, blueprint.links), *ends]), encoding="utf-8"

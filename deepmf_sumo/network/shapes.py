@@ -1,7 +1,7 @@
-"""Put the scene's shapes back into the net, and note which SUMO lane is which part of which lane.
+"""Restores the scene's shapes in the net, and maps SUMO lanes to parts of the scene's lanes.
 
 netconvert shortens lanes at junctions and gives all lanes of an edge one length. Both are undone
-here, lane by lane; the links and their right of way stay as netconvert made them.
+here, lane by lane; connections and right of way stay as netconvert made them.
 """
 
 import xml.etree.ElementTree as ET
@@ -26,14 +26,14 @@ _LinkKey = tuple[LaneRef, LaneRef]
 
 @dataclass(kw_only=True)
 class Placement:
-    """Where the scene's lanes are in the net.
+    """Places of the scene's lanes in the net.
 
     Attributes:
         pieces: scene lane -> its pieces in driving order.
         lane_of: SUMO lane -> scene lanes on it, in driving order.
         signals: scene lane -> links that carry its light.
-        covered: joins of scene lanes that some link of the net leads over.
-        dropped: joins of links that netconvert left out.
+        covered: joins of scene lanes that a connection of the net leads over.
+        dropped: joins of connections that netconvert left out.
     """
 
     pieces: dict[str, list[LanePiece]] = field(default_factory=lambda: defaultdict(list))
@@ -44,7 +44,7 @@ class Placement:
 
 
 class NetShapes:
-    """A net as netconvert wrote it, whose lanes get new shapes."""
+    """A net of netconvert, whose lanes get new shapes."""
 
     def __init__(self, file: Path) -> None:
         self.root = ET.parse(file).getroot()  # noqa: S314 (netconvert wrote it a moment ago)
@@ -71,15 +71,15 @@ class NetShapes:
         lane.set("length", f"{max(length, JOINT_M):.3f}")
         lane.set("shape", coordinates(shape_m))
         if lane_id in self._inner:
-            # An internal junction has the id of the lane that begins there.
+            # An internal junction has the id of the lane that starts there.
             for axis, value in zip("xy", shape_m[0], strict=True):
                 self._inner[lane_id].set(axis, f"{value:.3f}")
 
     def allow_speed(self, lane_id: str, speed_mps: float) -> None:
-        """Raise a lane's limit where it is lower.
+        """Raise a lane's limit if it is lower.
 
-        netconvert takes the direction from the edges at large, and so finds sharp turns where two
-        lanes just touch.
+        netconvert takes directions from whole edges, and so finds sharp turns where two lanes only
+        touch.
         """
         lane = self._lanes[lane_id]
         if float(str(lane.get("speed"))) < speed_mps:
@@ -90,7 +90,7 @@ class NetShapes:
         return self._links.get((plan.origin, plan.target))
 
     def chain(self, link: ET.Element) -> list[str]:
-        """The internal lanes of a link: two where cars wait amid the junction."""
+        """The internal lanes of a connection: two if cars wait inside the junction."""
         lanes = []
         via = link.get("via", "")
         while via:
@@ -99,14 +99,14 @@ class NetShapes:
         return lanes
 
     def chain_bounds(self, chain: list[str], length_m: float) -> Floats:
-        """Arc lengths (n + 1) at which the lanes of a chain begin and end, netconvert's shares."""
+        """(n + 1) arc lengths of the ends of a chain's lanes, in netconvert's proportions."""
         lengths = [float(str(self._lanes[lane_id].get("length"))) for lane_id in chain]
         bounds = np.concatenate([[0.0], np.cumsum(lengths)])
         scaled: Floats = bounds * (length_m / bounds[-1])
         return scaled
 
     def write(self, file: Path) -> None:
-        """Write the net without netconvert's comment, which holds the date."""
+        """Write the net without netconvert's comment, which contains the date."""
         text = ET.tostring(self.root, encoding="unicode")
         file.write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
 
@@ -118,7 +118,7 @@ class NetShapes:
 
 
 def place(net: NetShapes, blueprint: Blueprint, graph: LaneGraph) -> Placement:
-    """Give all lanes their shapes back."""
+    """Restore the shapes of all lanes."""
     placement = Placement()
     for edge in blueprint.edges.values():
         for index, lane in enumerate(edge.lanes):
@@ -149,7 +149,7 @@ def _place_link(
 ) -> None:
     link = net.link(plan)
     origin, target = (blueprint.lane(ref).scene_lane for ref in (plan.origin, plan.target))
-    if blueprint.lane(plan.target).start_m == 0.0:  # else it joins the two halves of a lane
+    if blueprint.lane(plan.target).start_m == 0.0:  # otherwise it joins the two halves of a lane
         row = [lane_id for lane_id in (origin, *plan.path, target) if lane_id]
         joins = placement.dropped if link is None else placement.covered
         joins |= set(pairwise(row))
@@ -174,7 +174,7 @@ def _place_link(
 
 
 def _intervals(graph: LaneGraph, path: tuple[str, ...]) -> Iterator[tuple[str, float, float]]:
-    """Where the lanes of a path begin and end on it."""
+    """Start and end of each lane of a path, as arc lengths on the path."""
     along = 0.0
     for lane_id in path:
         length = graph.lengths_m[lane_id]

@@ -20,7 +20,15 @@ from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.errors import SimulationError
 
 _LARGEST: Final = 2**32
-"""Bytes of a network, unpacked; that of a country is some GB."""
+"""Limit of an unpacked network in bytes; that of a country has a few GB."""
+
+Way = tuple[str, str]
+"""The edge before a junction and the one behind it."""
+
+
+def edge_of(lane: str) -> str:
+    """The edge of a SUMO lane."""
+    return lane.rpartition("_")[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,16 +92,26 @@ class NetLink:
         """The lane that comes next."""
         return self.via or self.target
 
+    @property
+    def starts_inside(self) -> bool:
+        """Whether it continues another link, from a lane inside a junction."""
+        return self.origin.startswith(":")
+
+    @property
+    def edges(self) -> "Way":
+        """The edges of its two lanes."""
+        return edge_of(self.origin), edge_of(self.target)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetJunction:
     """A ``<junction>`` with its outline (P, 2).
 
     Attributes:
-        inner_lanes: lanes inside, one a link over the junction: of links that wait in the middle
-            the last one.
-        goes_first: for each of these links the rows of those that it gives way to.
-        name: as people call it, or empty.
+        inner_lanes: lanes inside, one per connection over the junction: the last one of those that
+            wait in the middle.
+        goes_first: for each of these connections, the rows of those that it gives way to.
+        name: its street name, or empty.
     """
 
     id: str
@@ -121,7 +139,7 @@ class NetFile:
 def read_net(file: Path) -> NetFile:
     """Read a .net.xml or .net.xml.gz.
 
-    Raises SimulationError where the file cannot be read or is no SUMO network.
+    Raises SimulationError if the file cannot be read or is not a SUMO network.
     """
     edges: dict[str, NetEdge] = {}
     links: list[NetLink] = []
@@ -146,7 +164,7 @@ def read_net(file: Path) -> NetFile:
 
 
 def _keeps_left(file: Path) -> bool:
-    """Of a file that has been read: what its first element says."""
+    """Whether the first element of a file says so."""
     with _opened(file) as stream:
         _, top = next(ET.iterparse(stream, events=("start",)))  # noqa: S314 (the user's own)
         return top.get("lefthand", "") in {"true", "1", "yes", "on", "x", "t"}
@@ -165,16 +183,18 @@ def _read_stamped(file: Path, _stamp: int) -> NetFile:
 def elements(file: Path, kind: str) -> Iterator[ET.Element]:
     """Children of an XML file's root, one at a time.
 
-    Networks begin with ``<net>``; of additional files SUMO does not mind how the root is called.
+    The root of a network is ``<net>``; SUMO accepts any root in additional files.
 
-    Raises SimulationError where the file cannot be read, or is no network where it should be one.
+    Raises SimulationError if the file cannot be read, or is not a network but should be one.
     """
     try:
         with _opened(file) as stream:
             parser = ET.iterparse(stream, events=("start", "end"))  # noqa: S314 (the user's own)
             _, top = next(parser)
             if kind == "net" and top.tag != kind:
-                raise SimulationError(f"{file} holds <{top.tag}>, not <net>: it is no network.")
+                raise SimulationError(
+                    f"{file} contains <{top.tag}>, not <net>: it is not a network."
+                )
             depth = 0
             for event, element in parser:
                 depth += 1 if event == "start" else -1
@@ -186,9 +206,9 @@ def elements(file: Path, kind: str) -> Iterator[ET.Element]:
 
 
 def points(text: str) -> Floats:
-    """(P, 3) of SUMO's ``x,y x,y,z``; z = 0 where it is left out.
+    """(P, 3) of SUMO's ``x,y x,y,z``; z = 0 if it is left out.
 
-    Raises ValueError where that is no list of finite numbers.
+    Raises ValueError if that is not a list of finite numbers.
     """
     rows = [pair.split(",") for pair in text.split()]
     if not rows:
@@ -236,7 +256,7 @@ def _edge(element: ET.Element) -> NetEdge:
 
 
 def _name(element: ET.Element) -> str:
-    """In one line, whatever blanks are in it."""
+    """The name in one line, with single blanks."""
     return " ".join(element.get("name", "").split())
 
 
@@ -288,14 +308,14 @@ def _link(element: ET.Element) -> NetLink:
 def going_first(net: NetFile) -> dict[str, tuple[str, ...]]:
     """Lanes inside a junction whose traffic goes first, by the lane inside that gives way.
 
-    From the ``response`` of the junctions' ``<request>``. A link that waits in the middle of the
-    junction has several lanes: all of them stand for it, on both sides. Links that give way to
-    nobody are left out. At lights it holds while both are green.
+    From the ``response`` of the junctions' ``<request>``. A connection that waits in the middle of
+    the junction has several lanes, and each of them counts. Connections that give way to no other
+    are left out. At lights this holds while both are green.
     """
-    after = {link.origin: link.via for link in net.links if link.origin.startswith(":")}
+    after = {link.origin: link.via for link in net.links if link.starts_inside}
     chains: dict[str, tuple[str, ...]] = {}
     for link in net.links:
-        if link.via and not link.origin.startswith(":"):
+        if link.via and not link.starts_inside:
             chain = [link.via]
             while after.get(chain[-1]) and after[chain[-1]] not in chain:
                 chain.append(after[chain[-1]])
@@ -312,10 +332,6 @@ def going_first(net: NetFile) -> dict[str, tuple[str, ...]]:
     return found
 
 
-Way = tuple[str, str]
-"""The edge before a junction and the one behind it."""
-
-
 def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]]:
     """Of the ways those pairs, in both orders, that come from two edges and cross or end on one.
 
@@ -326,10 +342,10 @@ def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]
     links: dict[Way, list[NetLink]] = defaultdict(list)
     inside: dict[str, NetLink] = {}
     for link in net.links:
-        if link.origin.startswith(":"):
+        if link.starts_inside:
             inside[link.origin] = link
         else:
-            links[_edge_of_lane(link.origin), _edge_of_lane(link.target)].append(link)
+            links[link.edges].append(link)
     at: dict[str, list[Way]] = defaultdict(list)
     lines = {}
     for way in sorted(set(ways)):
@@ -354,23 +370,23 @@ def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]
 
 
 def waiting_ways(net: NetFile) -> frozenset[Way]:
-    """Those with a place to wait inside the junction: two lanes there follow each other."""
-    onward = {link.origin: link for link in net.links if link.origin.startswith(":")}
+    """Movements that can wait inside the junction: on the first of two successive lanes there."""
+    onward = {link.origin: link for link in net.links if link.starts_inside}
     return frozenset(
-        (_edge_of_lane(link.origin), _edge_of_lane(link.target))
+        link.edges
         for link in net.links
-        if not link.origin.startswith(":") and link.via in onward and onward[link.via].via
+        if not link.starts_inside and link.via in onward and onward[link.via].via
     )
 
 
 def junctions(net: NetFile) -> dict[str, str]:
-    """Where vehicles of several edges come together, by the edges that lead there.
+    """The junction with several approaching edges at the end of each edge.
 
-    An edge to another end counts to the junction that it comes from; left out is who does neither.
+    An edge that ends elsewhere counts to such a junction at its start; other edges are left out.
     """
     approaches: dict[str, set[str]] = defaultdict(set)
-    for link in (link for link in net.links if not link.origin.startswith(":")):
-        approaches[net.edges[_edge_of_lane(link.origin)].end].add(_edge_of_lane(link.origin))
+    for link in (link for link in net.links if not link.starts_inside):
+        approaches[net.edges[edge_of(link.origin)].end].add(edge_of(link.origin))
     return {
         edge.id: node
         for edge in net.edges.values()
@@ -380,7 +396,7 @@ def junctions(net: NetFile) -> dict[str, str]:
 
 
 def _line(net: NetFile, inside: dict[str, NetLink], link: NetLink) -> Floats:
-    """(P, 2) from the end of the lane before the junction to the beginning of the one behind."""
+    """(P, 2) from the end of the lane before the junction to the start of the lane after it."""
     parts = [_shape(net, link.origin)[-1:]]
     lane, seen = link.via, set[str]()
     while lane and lane not in seen:
@@ -392,10 +408,4 @@ def _line(net: NetFile, inside: dict[str, NetLink], link: NetLink) -> Floats:
 
 
 def _shape(net: NetFile, lane: str) -> Floats:
-    return next(one.shape_m for one in net.edges[_edge_of_lane(lane)].lanes if one.id == lane)[
-        :, :2
-    ]
-
-
-def _edge_of_lane(lane: str) -> str:
-    return lane.rpartition("_")[0]
+    return next(one.shape_m for one in net.edges[edge_of(lane)].lanes if one.id == lane)[:, :2]

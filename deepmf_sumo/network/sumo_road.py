@@ -36,7 +36,7 @@ BROKEN_WHITE: Final = 1
 SOLID_DOUBLE_YELLOW: Final = 7
 BOUNDARY: Final = 1
 MOUTH_M: Final = 1.0
-"""A side of a junction's outline that passes a lane's end this closely is the lane's mouth."""
+"""A side of a junction's outline this close to a lane's end is the lane's mouth."""
 
 
 def borders(
@@ -44,9 +44,9 @@ def borders(
 ) -> tuple[tuple[Polyline, ...], tuple[Polyline, ...]]:
     """Lines and road edges.
 
-    Between the lanes of an edge a broken white line; to its left a double yellow one where the
-    opposite direction adjoins, else a road edge; to its right a road edge (where traffic keeps
-    left, the other way round); around junctions their outline without the mouths of the roads.
+    Between the lanes of an edge a broken white line; to its left a double yellow one if the
+    opposite direction adjoins, else a road edge; to its right a road edge (mirrored if traffic
+    keeps left); around junctions their outline without the mouths of the roads.
     """
     drivable = set(lane_ids)
     roads = [edge for edge in net.edges.values() if not edge.function]
@@ -131,7 +131,7 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         additional: additional files; their polygons of type crosswalk, speed_bump or driveway are
             taken.
 
-    Raises SimulationError where a file cannot be read or is of another kind.
+    Raises SimulationError if a file cannot be read or is of another kind.
     """
     net = read_once(net_file)
     lanes = {
@@ -168,7 +168,7 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
 def road_once(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
     """As `road_of_net`; the last roads are kept as long as their files stay as they are.
 
-    Attacks on one network follow one another, and what is derived of a road is kept with it.
+    Successive attacks use one network, and what is derived from a road is kept with it.
     """
     files = (net_file, *additional)
     stamps = tuple(file.stat().st_mtime_ns if file.exists() else -1 for file in files)
@@ -183,12 +183,12 @@ def _road_stamped(files: tuple[Path, ...], _stamps: tuple[int, ...]) -> RoadMap:
 def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:
     """Links of traffic lights, by the lane behind the light: a lane of the net's road map.
 
-    Raises SimulationError where the file cannot be read or is no SUMO network.
+    Raises SimulationError if the file cannot be read or is not a SUMO network.
     """
     links: dict[str, list[SignalLink]] = defaultdict(list)
     for link in read_once(net_file).links:
-        # Links that begin inside a junction are pedestrians'.
-        if link.light and not link.origin.startswith(":"):
+        # Connections that start inside a junction are for pedestrians.
+        if link.light and not link.starts_inside:
             links[link.onto].append(SignalLink(light=link.light, index=link.index))
     return {lane_id: tuple(row) for lane_id, row in links.items()}
 
@@ -258,7 +258,7 @@ def _crossings(net: NetFile) -> list[Polygon]:
 
 
 def _polygons(file: Path) -> list[Polygon]:
-    """Polygons of an additional file that are of a kind that road maps know."""
+    """Polygons of an additional file, of the kinds that road maps have."""
     found = []
     for element in elements(file, "additional"):
         kind = element.get("type", "")

@@ -1,4 +1,4 @@
-"""SUMO's own programs: where they are and how they are run."""
+"""SUMO's programs: where they are, and running them."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ def home() -> Path:
 
 
 def program(name: str) -> Path:
-    """Path of a SUMO program, e.g. ``netconvert``. Raises ConversionError if it is not there."""
+    """Path of a SUMO program, e.g. ``netconvert``. Raises ConversionError if it is missing."""
     for file in (home() / "bin" / name, home() / "bin" / f"{name}.exe"):
         if file.is_file():
             return file
@@ -40,7 +40,7 @@ def environment() -> dict[str, str]:
 def run(name: str, *arguments: str, timeout_s: float = 120.0) -> str:
     """Run a SUMO program to its end and return what it wrote to stderr.
 
-    Raises ConversionError with its first error message where it fails or takes too long.
+    Raises ConversionError with its first error message if it fails or takes too long.
     """
     command = [str(program(name)), *arguments]
     try:

@@ -1,4 +1,4 @@
-"""What a planner is: whatever drives the AV."""
+"""Planners: what drives the AV."""
 
 from typing import Protocol, runtime_checkable
 
@@ -8,10 +8,10 @@ from deepmf_sumo.datatypes import Case, Command, Floats, VehicleModel, View
 
 
 class Planner(Protocol):
-    """Drives the AV, one command a step.
+    """Drives the AV, one command per step.
 
-    A plug-in whose AV drives as a person did, in a recording, says so by ``DRIVER = "human"`` in
-    its module or class: people react otherwise than automated planners.
+    A plug-in whose AV drives as a person did in a recording sets ``DRIVER = "human"`` in its module
+    or class: people react differently from automated planners.
     """
 
     @property
@@ -30,10 +30,10 @@ class Planner(Protocol):
 
 @runtime_checkable
 class FixedPlanner(Planner, Protocol):
-    """A planner whose AV does the same whatever happens around it.
+    """A planner whose AV does not react to anything around it.
 
-    Where the traffic does not react either, episodes are put together from these poses without
-    SUMO and without asking `act`, which is fifty times as fast.
+    If the traffic does not react either, episodes are assembled from these poses without SUMO and
+    without calls of `act`, which is fifty times as fast.
     """
 
     def fixed_poses(self, steps: int) -> Floats:
@@ -43,8 +43,8 @@ class FixedPlanner(Planner, Protocol):
 
 @runtime_checkable
 class ClosingPlanner(Planner, Protocol):
-    """A planner that holds something beyond its memory, e.g. a process."""
+    """A planner with resources to release, e.g. a process."""
 
     def close(self) -> None:
-        """End of an episode, also of one that failed; `reset` may follow."""
+        """End of an episode, whether it succeeded or failed; `reset` may follow."""
         ...

@@ -1,4 +1,4 @@
-"""The AV goes straight on at its present velocity, whatever comes: the simplest baseline."""
+"""The AV keeps its present velocity and reacts to nothing: the simplest baseline."""
 
 import numpy as np
 
@@ -36,11 +36,11 @@ class ConstantVelocityPlanner:
         start = self._start
         if self._follow_route:
             return Command(kind="speed", speed_mps=start.speed_mps)
-        way = start.speed_mps * view.dt_s * (view.step + 1 - self._step)
+        moved_m = start.speed_mps * view.dt_s * (view.step + 1 - self._step)
         return Command(
             kind="pose",
-            x_m=start.x_m + way * float(np.cos(start.heading_rad)),
-            y_m=start.y_m + way * float(np.sin(start.heading_rad)),
+            x_m=start.x_m + moved_m * float(np.cos(start.heading_rad)),
+            y_m=start.y_m + moved_m * float(np.sin(start.heading_rad)),
             heading_rad=start.heading_rad,
             speed_mps=start.speed_mps,
         )

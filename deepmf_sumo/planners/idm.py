@@ -1,11 +1,11 @@
-"""SUMO's Intelligent Driver Model drives the AV, with one of two ways of perceiving.
+"""SUMO's Intelligent Driver Model drives the AV, with one of two kinds of perception.
 
-``lane``: the AV sees what SUMO's model sees: vehicles matched to its lane, lights, right of way. A
-car that cuts in is seen when its front crosses the lane's border. Where the recording leaves the
-lanes the AV drives on a lane of its own, from which SUMO's model sees nobody: there ``lane`` is
-``corridor``.
-``corridor``: besides, the AV follows the nearest box (vehicles, pedestrians and cyclists, on lanes
-or off them) that reaches into the corridor that it is going to sweep.
+``lane``: the AV sees what SUMO's model sees: vehicles matched to its lane, lights, right of way. It
+sees a car that cuts in as soon as the car's front crosses the lane's border. Where the recording
+leaves the lanes, the AV drives on a separate lane from which SUMO's model sees no other vehicle:
+there ``lane`` means ``corridor``.
+``corridor``: in addition, the AV follows the nearest box (vehicle, pedestrian or cyclist, on a lane
+or off the lanes) that reaches into the corridor that it is going to sweep.
 """
 
 from typing import Literal
@@ -31,18 +31,18 @@ METADRIVE = VehicleModel(
     exponent=10.0,
     desired_mps=40 / 3.6,
 )
-"""The parameters of MetaDrive's TrajectoryIDMPolicy, in SUMO's IDM. Not taken over: its look-ahead
-of 20 m, its decisions every fifth step, its mixture of km/h and m/s."""
+"""The parameters of MetaDrive's TrajectoryIDMPolicy, in SUMO's IDM. Left out: its look-ahead of
+20 m, its decisions at every fifth step, its mixture of km/h and m/s."""
 
 
 class Settings(PluginSettings):
-    """What is given besides ``parameters`` overrides them.
+    """Single parameters override those of the set ``parameters``.
 
     Attributes:
         perception: ``lane`` or ``corridor``.
         parameters: ``treiber`` or ``metadrive``.
         margin_m: the corridor is wider than the AV by this on both sides.
-        desired_mps: without it the larger of the speed limit and the recorded maximum.
+        desired_mps: if null, the larger of the speed limit and the recorded maximum.
     """
 
     perception: Literal["lane", "corridor"] = "lane"
@@ -71,7 +71,7 @@ class IdmPlanner:
         return self._model
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
-        """Which perception: on a lane of its own (the ghost edge) SUMO sees nobody."""
+        """Choose the perception: on the off-lane (ghost) edge SUMO sees no other vehicle."""
         ghost = isinstance(case, RecordedCase) and case.net.ghost_edge is not None
         self._corridor = ghost or self._settings.perception == "corridor"
 
@@ -104,7 +104,7 @@ def _model(settings: Settings) -> VehicleModel:
     return VehicleModel(
         accel_mps2=pick(settings.accel_mps2, base.accel_mps2),
         decel_mps2=pick(settings.decel_mps2, base.decel_mps2),
-        # SUMO takes no emergency deceleration below the comfortable one
+        # SUMO refuses an emergency deceleration below the comfortable one
         emergency_mps2=max(
             pick(settings.emergency_mps2, base.emergency_mps2),
             pick(settings.decel_mps2, base.decel_mps2),

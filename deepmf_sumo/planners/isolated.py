@@ -1,28 +1,29 @@
-"""A Python planner in a process of its own, with a time limit for each step.
+"""A Python planner in a separate process, with a time limit for each step.
 
-For planners that may hang or crash, or that hold libraries which must not meet SUMO's in one
-process. It is told what `remote.protocol` says and no more: recordings stay with the simulation.
+For planners that may hang or crash, or whose libraries must not share a process with SUMO's. It is
+sent the messages of `remote.protocol` and nothing else: recordings stay with the simulation.
 """
 
 import json
 import os
 import sys
+from functools import partial
 from typing import Any, Self
 
 from pydantic import Field, model_validator
 
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PluginError
-from deepmf_sumo.planners.remote.http_client import DoorSettings
-from deepmf_sumo.planners.remote.process import ProgramPlanner
+from deepmf_sumo.planners.remote.client import RemotePlanner, RemoteSettings
+from deepmf_sumo.planners.remote.process import Process
 
 
-class Settings(DoorSettings):
-    """Which planner.
+class Settings(RemoteSettings):
+    """Choice of the planner.
 
     Attributes:
         planner: ``my_package.my_module:MyPlanner``, or a plug-in.
-        settings: its own.
+        settings: of that planner.
     """
 
     planner: str
@@ -37,11 +38,12 @@ class Settings(DoorSettings):
         return self
 
 
-def build(settings: Settings) -> ProgramPlanner:
+def build(settings: Settings) -> RemotePlanner:
     """The planner."""
     command = [
         *(sys.executable, "-m", "deepmf_sumo.planners.remote.serve", settings.planner),
         *("--settings", json.dumps(settings.settings)),
         *("--path", os.pathsep.join(sys.path)),
     ]
-    return ProgramPlanner(f"planner '{settings.planner}'", command, settings)
+    name = f"planner '{settings.planner}'"
+    return RemotePlanner(name, settings, partial(Process, name, command))

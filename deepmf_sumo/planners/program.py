@@ -1,30 +1,31 @@
-"""A program of the user's drives the AV: it reads views and writes commands, a line of JSON each.
+"""A program drives the AV: it reads views and writes commands, one line of JSON each.
 
 The protocol is in `remote.protocol`. What the program writes to stderr goes to the run's
-``log.txt``. A program that is late, ends, or answers what cannot be driven fails the run
-(`PlannerError`): nobody drives in its place, so that no result is that of a planner nobody asked
-for.
+``log.txt``. A program that is late, ends, or answers with a command that cannot be driven fails the
+run (`PlannerError`): no other planner takes over, so that every result is that of the planner that
+was asked for.
 """
 
 import os
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Self
 
 from pydantic import Field, model_validator
 
-from deepmf_sumo.planners.remote.http_client import DoorSettings
-from deepmf_sumo.planners.remote.process import ProgramPlanner, command_of
+from deepmf_sumo.planners.remote.client import RemotePlanner, RemoteSettings
+from deepmf_sumo.planners.remote.process import Process, command_of
 
 
-class Settings(DoorSettings):
+class Settings(RemoteSettings):
     """``file`` or ``command`` is needed.
 
     Attributes:
-        file: the program, relative to the spec; a ``.py`` file is run by the Python that runs
-            this, unless ``command`` says by what.
-        command: what runs the file, e.g. ``[node]``, or all there is to start.
-        arguments: further ones.
+        file: the program, relative to the spec; without a ``command``, this Python runs ``.py``
+            files.
+        command: what runs the file, e.g. ``[node]``, or the whole command line.
+        arguments: further arguments.
     """
 
     file: str | None = None
@@ -40,13 +41,13 @@ class Settings(DoorSettings):
         first = command_of(self.file, self.command, self.arguments)[0]
         if shutil.which(first) is None:
             known = Path(first).is_file() and not os.access(first, os.X_OK)
-            why = "is not executable" if known else "is no program on the path"
+            why = "is not executable" if known else "is not a program on the path"
             raise ValueError(f"'{first}' {why}")
         return self
 
 
-def build(settings: Settings) -> ProgramPlanner:
+def build(settings: Settings) -> RemotePlanner:
     """The planner."""
     command = command_of(settings.file, settings.command, settings.arguments)
     name = f"program '{Path(settings.file or command[0]).name}'"
-    return ProgramPlanner(name, command, settings)
+    return RemotePlanner(name, settings, partial(Process, name, command))

@@ -1,4 +1,4 @@
-"""The AV does what it did in the recording."""
+"""The AV drives as it did in the recording."""
 
 from typing import Final
 
@@ -25,7 +25,7 @@ class Settings(PluginSettings):
 
 
 class ReplayPlanner:
-    """The log's poses; where the log ends or has a gap the AV stays where it was."""
+    """Poses of the log; after its end and in its gaps the AV stands still."""
 
     def __init__(self) -> None:
         self._now = 0
@@ -37,7 +37,7 @@ class ReplayPlanner:
         return None
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
-        """Take the case's recording. Raises SimulationError where there is none."""
+        """Read the case's recording. Raises SimulationError if it has none."""
         if not isinstance(case, RecordedCase):
             raise SimulationError(
                 f"The planner 'replay' needs a recording, and case '{case.name}' is a SUMO "

@@ -1,4 +1,4 @@
-"""Whatever the AV's vehicle type in SUMO says drives the AV."""
+"""The car-following model of the AV's vehicle type in SUMO drives the AV."""
 
 import numpy as np
 

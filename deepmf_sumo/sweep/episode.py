@@ -32,9 +32,8 @@ from deepmf_sumo.metrics import measure
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
-from deepmf_sumo.readers import RecordRef, npz
+from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.results import artifacts, result
-from deepmf_sumo.results.artifacts import scene_of
 from deepmf_sumo.results.result import Result, first_contact
 from deepmf_sumo.spec import Expect, FromNetwork
 from deepmf_sumo.sweep import fork
@@ -154,7 +153,7 @@ class Episode:
         if self.sumo or isinstance(task.spec.source, FromNetwork):
             plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")
         if self.scenes:
-            npz.write(scene_of(rollout, case), folder / "scene.npz")
+            plugins.load("exporters", "scene").write(rollout, case, folder / "scene.npz")
         if self.draw:
             self.draw(*decisive, folder / "picture.png")
         wall_s = time.perf_counter() - begin

@@ -7,7 +7,7 @@ import pytest
 
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network import generated, sumo_tools
-from deepmf_sumo.network.generated import dressing, motorway, roundabouts, skeleton
+from deepmf_sumo.network.generated import motorway, roundabouts, street_attributes, street_graph
 from deepmf_sumo.network.generated.layout import Edge, Layout, Node, build
 from deepmf_sumo.network.sumo_net import read_net
 from deepmf_sumo.network.sumo_road import road_of_net
@@ -66,7 +66,7 @@ def test_junctions_lanes_and_limits_of_every_sort_are_drawn():
     kinds, lanes, turn_lanes, bends = set(), set(), 0, 0
     for seed in range(150):
         rng = np.random.default_rng(seed)
-        layout = dressing.dress(skeleton.crossing(rng), rng)
+        layout = street_attributes.dress(street_graph.crossing(rng), rng)
         kinds |= {node.kind for node in layout.nodes.values()}
         lanes |= {edge.lanes for edge in layout.edges.values()}
         turn_lanes += sum(edge.turn_lane_m > 0 for edge in layout.edges.values())

@@ -10,7 +10,6 @@ from deepmf_sumo.network.matching import (
     edge_route,
     lane_sequence,
     match,
-    start_lane,
 )
 from deepmf_sumo.network.sumo_net import read_net
 
@@ -21,11 +20,7 @@ def track(scene_of, road, path):
 
 
 def joined_in(net, route):
-    joins = {
-        (edge_of(link.origin), edge_of(link.target))
-        for link in read_net(net.file).links
-        if not link.origin.startswith(":")
-    }
+    joins = {link.edges for link in read_net(net.file).links if not link.starts_inside}
     return all(pair in joins for pair in pairwise(route))
 
 
@@ -93,7 +88,7 @@ def test_a_route_over_the_junction_goes_on_to_the_end_of_the_net(net):
 def test_a_route_that_begins_in_the_junction_has_the_edges_around_it(net):
     route = edge_route(net, ["L0", "out1"], extend_m=0.0)
     assert [net.lane_of[f"{edge}_0"] for edge in route] == [("in0",), ("out1",)]
-    assert start_lane(net, ["L0", "out1"]).startswith(":")
+    assert net.pieces["L0"][0].sumo_lane.startswith(":")
 
 
 def test_a_route_that_ends_in_the_junction_leaves_it(net):
@@ -122,7 +117,6 @@ def test_a_lane_change_within_an_edge_is_no_break(two_lanes, scene_of, tmp_path)
 def test_no_lanes_no_route(net):
     assert edge_route(net, []) == ()
     assert edge_route(net, ["unheard of"]) == ()
-    assert start_lane(net, []) is None
 
 
 @pytest.mark.sumo

@@ -45,9 +45,12 @@ def fork(view):
     [
         (lambda view: 1 / 0, "ZeroDivisionError: division by zero (see log.txt)"),
         (lambda view: sys.exit(3), "SystemExit: 3"),
-        (lambda view: None, "the planner's answer at step 12 is no Command: None"),
-        (lambda view: [1.0, 2.0], "is no Command: [1.0, 2.0]"),
-        (lambda view: Command(kind="fly"), "kind at step 12 is 'fly'; known: pose, speed"),
+        (lambda view: None, "the planner returned None at step 12, which is not a Command"),
+        (lambda view: [1.0, 2.0], "returned [1.0, 2.0] at step 12, which is not a Command"),
+        (
+            lambda view: Command(kind="fly"),
+            "kind at step 12 is 'fly'; known: sumo, speed, leader, pose",
+        ),
         (
             lambda view: Command(kind="speed", speed_mps=float("nan")),
             "speed_mps at step 12 is nan, not a finite number",

@@ -29,7 +29,7 @@ WRONG = {
     "fast": "'speed_mps' is 1000000000.0: Input should be less than or equal to 150",
     "exit": "ended with exit code 3",
     "gigabyte": "answered step 12 with a line of more than 65536 bytes",
-    "gigabyte_of_lines": "answered 'hello', which is not JSON; what is not an answer belongs on",
+    "gigabyte_of_lines": "answered 'hello', which is not JSON; write everything but answers to std",
     "gigabyte_of_complaints": "did not answer step 12 within 0.8 s",
     "fork": "ended with exit code 0",
     "close_stdin": "did not answer step 12 within 0.8 s",
@@ -138,7 +138,7 @@ def test_a_program_that_never_reads_is_late_however_much_it_is_told():
     process = Process("program 'sleep'", ["sleep", "600"])
     begin = time.monotonic()
     with pytest.raises(PlannerError, match=r"the reset within 0\.3 s"):
-        process.ask(b"x" * 10_000_000 + b"\n", 0.3, "the reset")
+        process.ask("reset", b"x" * 10_000_000 + b"\n", 0.3, "the reset")
     process.close()
     assert time.monotonic() - begin < 5.0
 
@@ -169,7 +169,7 @@ def test_all_ends_when_the_simulation_is_killed(tmp_path):
         "import sys, time\n"
         "from deepmf_sumo.planners.remote.process import Process\n"
         "one = Process('orphan', sys.argv[1:])\n"
-        'one.ask(b\'{"type": "reset"}\\n\', 30, "the reset")\n'
+        'one.ask("reset", b\'{"type": "reset"}\\n\', 30, "the reset")\n'
         "print('ready', flush=True)\ntime.sleep(600)\n"
     )
     command = [sys.executable, "-c", hold, sys.executable, str(copy), "hang"]
@@ -188,7 +188,7 @@ def test_all_ends_when_the_simulation_is_killed(tmp_path):
     [
         ({}, "needs 'file' or 'command'"),
         ({"file": "none.py"}, "there is no file 'none.py'"),
-        ({"command": ["no-such-program"]}, "'no-such-program' is no program on the path"),
+        ({"command": ["no-such-program"]}, "'no-such-program' is not a program on the path"),
         ({"command": ["sh"], "step_budget_s": 0.0}, "'step_budget_s' is 0.0"),
         ({"command": ["sh"], "step_budget": 1.0}, "Did you mean 'step_budget_s'"),
     ],

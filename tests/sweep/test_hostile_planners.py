@@ -24,7 +24,7 @@ ENDS = {
     "gigabyte": "answered step 12 with a line of more than 65536 bytes.",
     "fork": "ended with exit code 0 (see log.txt) before it answered step 12.",
     "close_stdin": "did not answer step 12 within 1 s.",
-    "not_json": "which is not JSON; what is not an answer belongs on stderr.",
+    "not_json": "which is not JSON; write everything but answers to stderr.",
     "huge_line": "answered step 12 with a line of more than 65536 bytes.",
     "wrong_types": "'speed_mps' is 'fast': Input should be a valid number.",
 }

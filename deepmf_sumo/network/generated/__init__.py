@@ -1,4 +1,4 @@
-"""Networks made up at random from a seed, with traffic on them."""
+"""Networks drawn at random from a seed, with traffic on them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,15 +6,15 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.network.generated import demand, motorway, roundabouts, skeleton
-from deepmf_sumo.network.generated.dressing import dress
+from deepmf_sumo.network.generated import demand, motorway, roundabouts, street_graph
 from deepmf_sumo.network.generated.layout import Layout, build
+from deepmf_sumo.network.generated.street_attributes import dress
 
 __all__ = ["KINDS", "MIX", "generate", "kinds_of"]
 
 
 def _streets(
-    make: Callable[[np.random.Generator], skeleton.Skeleton],
+    make: Callable[[np.random.Generator], street_graph.StreetGraph],
 ) -> Callable[[np.random.Generator], Layout]:
     def layout(rng: np.random.Generator) -> Layout:
         dressed = dress(make(rng), rng)
@@ -25,16 +25,16 @@ def _streets(
 
 
 _MAKERS: Final[dict[str, Callable[[np.random.Generator], Layout]]] = {
-    "grid": _streets(skeleton.grid),
-    "spider": _streets(skeleton.spider),
-    "random": _streets(skeleton.random_net),
-    "junctions": _streets(skeleton.crossing),
+    "grid": _streets(street_graph.grid),
+    "spider": _streets(street_graph.spider),
+    "random": _streets(street_graph.random_net),
+    "junctions": _streets(street_graph.crossing),
     "motorway": motorway.motorway,
 }
 MIX: Final = "mix"
 KINDS: Final = (*_MAKERS, MIX)
 _MIXED: Final = ("grid", "junctions", "random", "grid", "junctions", "spider", "motorway")
-"""What a mix consists of, one after the other."""
+"""Kinds of a mix, in turn."""
 
 
 def kinds_of(kind: str, count: int) -> list[str]:
@@ -43,15 +43,15 @@ def kinds_of(kind: str, count: int) -> list[str]:
 
 
 def generate(kind: str, seed: int, number: int, folder: Path) -> Path:
-    """Make a network and traffic for it; returns the .sumocfg. The same numbers, the same bytes.
+    """Draw a network and its traffic; returns the .sumocfg. The same arguments give the same bytes.
 
     Args:
-        kind: one of ``KINDS`` but the mix.
+        kind: one of ``KINDS``, except the mix.
         seed: of all networks.
         number: of this one among them.
-        folder: exists; is written to.
+        folder: an existing folder to write to.
 
-    Raises ConversionError where SUMO's programs refuse what was drawn.
+    Raises ConversionError if SUMO's programs refuse the network.
     """
     rng = np.random.default_rng([seed, number, sorted(_MAKERS).index(kind)])
     layout = _MAKERS[kind](rng)

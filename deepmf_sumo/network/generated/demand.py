@@ -1,4 +1,4 @@
-"""Traffic for a generated network: trips that SUMO finds the way for, and parked cars."""
+"""Traffic for a generated network: trips that SUMO routes, and parked cars."""
 
 from pathlib import Path
 from typing import Final
@@ -10,21 +10,21 @@ from deepmf_sumo.network.generated.layout import Layout
 from deepmf_sumo.network.sumo_net import read_once
 
 _LONGEST_S: Final = 900.0
-"""Trips depart until then."""
+"""Latest departure of a trip."""
 _MOST_TRIPS: Final = 900
 _FILL_S: Final = 20.0
-"""Within the first seconds the net fills with those who are under way."""
+"""Time in which the net fills to the usual density."""
 _MOST_VEHICLES: Final = 80
-"""Under way at the same time: more makes SUMO slow, and crossings jam."""
+"""Limit of vehicles present at a time: more would slow SUMO down and jam crossings."""
 _PER_LANE_KM: Final = (2.0, 8.0)
 _PER_FREEWAY_LANE_KM: Final = (2.0, 9.0)
-"""More, and the merges of hesitant drivers jam."""
+"""With more, hesitant drivers jam the merges."""
 _FREEWAY_MPS: Final = 24.0
 _INNER_WEIGHT: Final = 0.12
 _INNER_FREEWAY_WEIGHT: Final = 0.01
 _WIDTH_POWER: Final = 1.7
 _CLEAR_M: Final = 15.0
-"""Nobody parks so near to a junction."""
+"""Distance of parked cars from junctions."""
 _FASTEST_PARKING_MPS: Final = 14.0
 _LEAVING_SHARE: Final = 0.2
 _CLASSES: Final = {
@@ -35,7 +35,7 @@ _CLASSES: Final = {
     "motorcycle": 0.04,
 }
 _LENGTH_M: Final = {"passenger": 5.0, "delivery": 6.5, "truck": 12.0, "bus": 12.5}
-"""Room that SUMO gives them at their start; who drives is drawn when they are there."""
+"""Length for which SUMO needs room at insertion; the vehicle itself is drawn later."""
 
 
 def write(layout: Layout, net: Path, folder: Path, name: str, rng: np.random.Generator) -> Path:
@@ -66,11 +66,11 @@ def _depart(line: str) -> float:
 
 
 def _reach(layout: Layout, net: Path) -> dict[str, set[str]]:
-    """Where one can get to from each edge: SUMO's vehicles without a way on block the road."""
+    """Edges that can be reached from each edge: vehicles without a route block the road in SUMO."""
     after: dict[str, set[str]] = {}
     for link in read_once(net).links:
-        if not link.origin.startswith(":"):
-            origin, target = link.origin.rpartition("_")[0], link.target.rpartition("_")[0]
+        if not link.starts_inside:
+            origin, target = link.edges
             after.setdefault(origin, set()).add(target)
     reach = {}
     for name in layout.edges:
@@ -101,8 +101,8 @@ def _trips(layout: Layout, reach: dict[str, set[str]], rng: np.random.Generator)
     targets = _targets(names, origins, goal, reach, rng)
     start = np.array([layout.shape_m(name)[0] for name in names])
     end = np.array([layout.shape_m(name)[-1] for name in names])
-    way_m = 1.25 * np.hypot(*(end[targets] - start[origins]).T) + 50.0
-    lasts_s = float(np.mean(way_m / ((0.9 if freeway else 0.55) * speed[origins])))
+    route_m = 1.25 * np.hypot(*(end[targets] - start[origins]).T) + 50.0
+    lasts_s = float(np.mean(route_m / ((0.9 if freeway else 0.55) * speed[origins])))
     departs = _departures(present, lasts_s, rng)
     kinds = rng.choice(list(_CLASSES), _MOST_TRIPS, p=list(_CLASSES.values()))
     lane = "free" if freeway else "best"
@@ -120,7 +120,7 @@ def _trips(layout: Layout, reach: dict[str, set[str]], rng: np.random.Generator)
 
 
 def _departures(present: float, lasts_s: float, rng: np.random.Generator) -> Floats:
-    """Times of departure: so many soon, then one whenever one should have arrived."""
+    """Times of departure: ``present`` vehicles at first, then one for each that should arrive."""
     soon = np.sort(rng.uniform(0.0, _FILL_S, int(present)))
     gap_s = lasts_s / max(present, 4.0)
     return np.concatenate([soon, _FILL_S + gap_s * np.arange(_MOST_TRIPS)])
@@ -133,7 +133,7 @@ def _targets(
     reach: dict[str, set[str]],
     rng: np.random.Generator,
 ) -> Ints:
-    """For each origin one of the edges that can be reached, or the origin where there is none."""
+    """For each origin an edge that can be reached, or the origin if there is none."""
     targets = origins.copy()
     for origin in np.unique(origins):
         can = np.array([name in reach[names[origin]] for name in names])
@@ -145,7 +145,7 @@ def _targets(
 
 
 def _ends(layout: Layout) -> tuple[Bools, Bools]:
-    """Which edges come from outside, and which lead there."""
+    """Edges that start outside the net, and edges that end there."""
     edges = list(layout.edges.values())
     beside: dict[str, set[str]] = {}
     for edge in edges:
@@ -154,7 +154,7 @@ def _ends(layout: Layout) -> tuple[Bools, Bools]:
     rim = {node for node, others in beside.items() if len(others) == 1}
     first = np.array([edge.origin in rim for edge in edges])
     last = np.array([edge.target in rim for edge in edges])
-    # a net without a rim: from anywhere to anywhere
+    # a net without a rim: from any edge to any other
     return (first, last) if first.any() else (~first, ~last)
 
 

@@ -1,4 +1,4 @@
-"""A network as it is to be built: nodes, one-way edges, and their plain XML for netconvert."""
+"""A generated network: nodes, one-way edges, and their plain XML for netconvert."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +15,7 @@ NET_FILE: Final = "net.net.xml"
 _OPTIONS: Final = (
     "--offset.disable-normalization",
     "--no-turnarounds",
-    # limits are those of the street, as in recordings; drivers slow down for turns by themselves
+    # limits are those of the street, as in recordings; drivers slow down for turns anyway
     *("--junctions.limit-turn-speed", "-1"),
     *("--junctions.internal-link-detail", "8"),
     *("--xml-validation", "never"),
@@ -37,7 +37,7 @@ class Edge:
 
     Attributes:
         shape_m: (P, 2) from node to node, or None for the straight line.
-        turn_lane_m: length of one more lane on the left at its end; 0 for none.
+        turn_lane_m: length of an additional left lane at its end; 0 for none.
     """
 
     origin: str
@@ -51,7 +51,7 @@ class Edge:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Connection:
-    """A way from a lane of an edge to a lane of the next; lanes count from the right."""
+    """A connection of two lanes of successive edges; lanes count from the right."""
 
     origin: str
     target: str
@@ -64,9 +64,9 @@ class Layout:
     """A whole network.
 
     Attributes:
-        connections: those of edges whose connections netconvert must not guess.
+        connections: of edges whose connections netconvert must not guess.
         roundabouts: (nodes, edges) of each ring.
-        options: more options of netconvert.
+        options: further options of netconvert.
     """
 
     nodes: dict[str, Node] = field(default_factory=dict)
@@ -89,7 +89,7 @@ class Layout:
 
 
 def build(layout: Layout, folder: Path) -> Path:
-    """Write the plain XML and have netconvert make the net of it; returns the net's file.
+    """Write the plain XML and run netconvert; returns the net's file.
 
     Raises ConversionError where netconvert refuses.
     """

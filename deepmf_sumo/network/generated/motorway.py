@@ -10,13 +10,13 @@ from deepmf_sumo.geometry import polylines
 from deepmf_sumo.network.generated.layout import Connection, Edge, Layout, Node
 
 _GAP_M: Final = 5.0
-"""Between a carriageway's left border and the middle of the motorway."""
+"""From a carriageway's left border to the middle of the motorway."""
 _SPACING_M: Final = 20.0
 _EXIT_SHARE: Final = 0.6
 
 
 def motorway(rng: np.random.Generator) -> Layout:
-    """Two carriageways along one gently curved line, each with ramps of its own."""
+    """Two carriageways with separate ramps along one gently curved line."""
     lanes, limit_mps = int(rng.integers(2, 5)), float(rng.choice([24.6, 26.8, 29.1, 31.3]))
     line = _curved(rng, length_m=rng.uniform(1300.0, 1900.0))
     layout = Layout(options=("--default.lanewidth", f"{rng.uniform(3.4, 3.75):.2f}"))
@@ -33,7 +33,7 @@ def _carriageway(
     limit_mps: float,
     rng: np.random.Generator,
 ) -> None:
-    """Pieces of the main road; one with a lane more begins at an entry, and may end at an exit."""
+    """Pieces of the main road; a piece after an entry has one more lane, and may end at an exit."""
     along, length_m = 0.0, polylines.arc_lengths(line)[-1]
     place = _node(layout, f"{name}0", line, 0.0)
     before, number, extra = "", 0, False
@@ -64,7 +64,7 @@ def _carriageway(
 
 
 def _join(layout: Layout, before: str, here: str, lanes: int, shift: int) -> None:
-    """Main lanes go on beside each other; the lane more is the one on the right."""
+    """Main lanes continue side by side; the additional lane is on the right."""
     for lane in range(lanes):
         layout.connections.append(
             Connection(
@@ -77,7 +77,7 @@ def _join(layout: Layout, before: str, here: str, lanes: int, shift: int) -> Non
 
 
 def _close(layout: Layout, before: str, here: str, place: str) -> None:
-    """The lane more ends: its vehicles and those beside them go on in turn."""
+    """The additional lane ends: vehicles of the two right lanes merge alternately."""
     layout.nodes[place] = replace(layout.nodes[place], kind="zipper")
     layout.connections.append(Connection(origin=before, target=here, origin_lane=0, target_lane=0))
 
@@ -102,7 +102,7 @@ def _ramp(
     share = np.linspace(0.0, 1.0, 15)[:, None]
     sideways = lanes_m + aside_m * share**2
     shape = np.array([x, y]) + back * length_m * share * ahead + sideways * right
-    # both ends of an edge are its nodes; the way aside from the main road's node is inside it
+    # an edge ends at its nodes; the offset from the main road's node lies inside the junction
     far = f"{place}_{'in' if enters else 'out'}"
     layout.nodes[far] = Node(position_m=(float(shape[-1, 0]), float(shape[-1, 1])))
     speed = float(rng.choice([15.6, 17.9, 20.1]))
@@ -121,7 +121,7 @@ def _ramp(
 
 
 def _curved(rng: np.random.Generator, length_m: float) -> Floats:
-    """(P, 2) a line whose radius is nowhere below 350 m."""
+    """(P, 2) a line with a radius of at least 350 m."""
     count = int(length_m / _SPACING_M) + 1
     along = np.linspace(0.0, length_m, count)
     wave = np.sin(2 * np.pi * along / rng.uniform(700.0, 1600.0) + rng.uniform(0, 2 * np.pi))

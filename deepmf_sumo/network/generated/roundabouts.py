@@ -13,11 +13,11 @@ _LEAST_ARM_M: Final = 70.0
 _SHARE: Final = 0.15
 _LIMIT_MPS: Final = 11.0
 _PRIORITY: Final = 20
-"""Above every street's: who is in the ring goes first."""
+"""Above every street's: traffic in the ring goes first."""
 
 
 def add(layout: Layout, rng: np.random.Generator) -> None:
-    """Make some of the junctions that have room for it roundabouts, each in turn with a chance."""
+    """Turn junctions with enough room into roundabouts, each with the same probability."""
     for place in list(layout.nodes):
         out = [name for name, edge in layout.edges.items() if edge.origin == place]
         room = all(layout.length_m(name) > _LEAST_ARM_M for name in out)
@@ -57,7 +57,7 @@ def _ring(layout: Layout, place: str, radius_m: float, speed_mps: float) -> None
 
 
 def _shorten_arms(layout: Layout, place: str, at: dict[str, str]) -> int:
-    """Let the streets end at the ring's nodes; returns how many lanes the widest has."""
+    """Let the streets end at the ring's nodes; returns the number of lanes of the widest one."""
     wide = 1
     for name, edge in list(layout.edges.items()):
         if place not in (edge.origin, edge.target):

@@ -1,4 +1,4 @@
-"""What is in the AV's way: boxes that reach into the corridor that the AV is going to sweep."""
+"""Boxes that reach into the corridor that the AV is going to sweep."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import off_level
 
 _SPACING_M = 1.0
-"""Distance of the points that stand for a box's outline: well below any corridor's width."""
+"""Spacing of points on a box's outline: well below any corridor's width."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,9 +22,9 @@ class Leader:
 
 
 def nearest_in_corridor(view: View, path_m: Floats, margin_m: float) -> Leader | None:
-    """The nearest box, of whatever kind, that reaches into the swept corridor; None if clear.
+    """The nearest box of any kind that reaches into the swept corridor; None if it is clear.
 
-    What is on a road above or below does not.
+    Boxes on a road above or below do not count.
 
     Args:
         view: the present.
@@ -52,7 +52,7 @@ def nearest_in_corridor(view: View, path_m: Floats, margin_m: float) -> Leader |
 def entries(
     path_m: Floats, half_m: float, centre_m: Floats, heading_rad: Floats, size_m: Floats
 ) -> tuple[Floats, Floats]:
-    """Where N boxes reach into a corridor.
+    """Points where N boxes reach into a corridor.
 
     Args:
         path_m: (P, 2) middle of the corridor.
@@ -62,7 +62,7 @@ def entries(
         size_m: (N, 2) length and width.
 
     Returns:
-        (N) distance along the path to the first point of each box inside, inf where there is none,
+        (N) distance along the path to the first point of each box inside, inf for boxes outside,
         and (N) direction of the path there.
     """
     gap, direction = np.full(len(centre_m), np.inf), np.zeros(len(centre_m))

@@ -1,4 +1,4 @@
-"""A planner as a process: its start, and answers in time."""
+"""A planner program: started with its reaper, asked within time limits, ended with its children."""
 
 import contextlib
 import os
@@ -9,49 +9,45 @@ import time
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
 from deepmf_sumo.errors import PlannerError
-from deepmf_sumo.planners.remote import http_client, protocol, reaper
-from deepmf_sumo.planners.remote.http_client import DoorSettings
+from deepmf_sumo.planners.remote import reaper
 from deepmf_sumo.planners.remote.protocol import LONGEST_BYTES
 
 LOGGED_BYTES: Final = 1_000_000
-"""Of what the program writes to stderr in an episode; the rest is dropped, and said to be."""
+"""Limit of what is kept of the program's stderr in an episode."""
 
 _CHUNK: Final = 65_536
 _LEAVE_S: Final = 0.2
-"""For the program to end by itself when its stdin does."""
+"""Time for the program to end by itself after its stdin is closed."""
 _GRACE_S: Final = 1.0
-"""For the reaper to end everything, before it is ended itself."""
+"""Time for the reaper to end all processes, before it is killed."""
 
 
 class Process:
-    """A running program.
+    """A running program, which answers one line of stdout for each line of stdin.
 
     Args:
-        name: of the program in messages.
-        command: what to start.
+        name: of the program in error messages.
+        command: the command line.
     """
 
     def __init__(self, name: str, command: list[str]) -> None:
         self._name = name
         self._answers = b""
         self._logged = 0
-        theirs, self._leash = os.pipe()
+        leash, self._leash = os.pipe()
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-I", "-S", reaper.__file__, str(theirs), *command],
+                [sys.executable, "-I", "-S", reaper.__file__, str(leash), *command],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 bufsize=0,
-                pass_fds=[theirs],
-                start_new_session=True,  # else it would be killed before it has ended the program
+                pass_fds=[leash],
+                start_new_session=True,  # else Ctrl-C could kill it before it has ended the program
             )
         finally:
-            os.close(theirs)
+            os.close(leash)
         streams = (self._process.stdin, self._process.stdout, self._process.stderr)
         self._stdin, self._stdout, self._stderr = (
             stream.fileno() for stream in streams if stream is not None
@@ -59,14 +55,8 @@ class Process:
         for stream in (self._stdin, self._stdout, self._stderr):
             os.set_blocking(stream, False)
 
-    def ask(self, line: bytes, limit_s: float, what: str) -> bytes:
-        """The program's next line. Raises PlannerError where none comes in time.
-
-        Args:
-            line: what is said to it first.
-            limit_s: for saying it and hearing the answer.
-            what: is asked, for messages.
-        """
+    def ask(self, path: str, line: bytes, limit_s: float, what: str) -> bytes:
+        """The program's next line; see `client.Connection`. The line itself says what is asked."""
         deadline = time.monotonic() + limit_s
         with selectors.DefaultSelector() as selector:
             selector.register(self._stdin, selectors.EVENT_WRITE)
@@ -81,7 +71,7 @@ class Process:
         return answer
 
     def close(self) -> None:
-        """End the program and all that it started."""
+        """End the program and all processes that it started."""
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
                 stream.close()
@@ -99,11 +89,11 @@ class Process:
         self._process.stderr.close()
 
     def _serve(self, selector: selectors.BaseSelector, fd: int, line: bytes, what: str) -> bytes:
-        """Do what a stream is ready for; what is left to be said."""
+        """Read or write a stream that is ready; returns what is still to be written."""
         if fd == self._stdin:
             try:
                 line = line[os.write(fd, line) :]
-            except BrokenPipeError:  # it may still answer, or say on stderr why not
+            except BrokenPipeError:  # it may still answer, or give a reason on stderr
                 line = b""
             if not line:
                 selector.unregister(fd)
@@ -131,7 +121,7 @@ class Process:
         return None
 
     def _ending(self) -> str:
-        """How it ended, in words; its last words on stderr go to the log."""
+        """How the program ended, in words; the rest of its stderr goes to the log."""
         try:
             code = self._process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
@@ -143,66 +133,21 @@ class Process:
         return f"ended with exit code {code} (see log.txt)"
 
     def _log(self, data: bytes) -> None:
-        """Pass on what it writes to stderr: this process's goes to log.txt."""
+        """Copy its stderr to that of this process, which goes to log.txt."""
         kept = data[: max(0, LOGGED_BYTES - self._logged)]
         self._logged += len(kept)
         if kept:
             sys.stderr.write(kept.decode(errors="replace"))
         if len(kept) < len(data) and self._logged == LOGGED_BYTES:
-            self._logged += 1  # said once
+            self._logged += 1  # reported once
             sys.stderr.write(f"\n{self._name}: more than {LOGGED_BYTES} bytes, dropped\n")
 
 
 def command_of(file: str | None, program: tuple[str, ...], arguments: tuple[str, ...]) -> list[str]:
-    """The command line: ``.py`` files are run by this Python where no program is named."""
+    """The command line: this Python runs ``.py`` files if no program is named."""
     first = list(program)
     if file is not None:
         if not first and Path(file).suffix == ".py":
             first = [sys.executable]
         first.append(file)
     return [*first, *arguments]
-
-
-class ProgramPlanner:
-    """Starts the program for every episode, and ends it afterwards with all that it started.
-
-    Args:
-        name: of the program in messages.
-        command: what to start.
-        settings: limits.
-    """
-
-    def __init__(self, name: str, command: list[str], settings: DoorSettings) -> None:
-        self._name = name
-        self._command = command
-        self._settings = settings
-        self._process: Process | None = None
-        self._episode = ""
-        self._model: VehicleModel | None = None
-
-    @property
-    def model(self) -> VehicleModel | None:
-        """What the program asked for when it was ready."""
-        return self._model
-
-    def reset(self, case: Case, rng: np.random.Generator) -> None:
-        """Start the program. Its seed is the case's: ``rng`` also serves the adversary."""
-        self.close()
-        self._episode = http_client.episode_of(case)
-        self._process = Process(self._name, self._command)
-        line = http_client.reset_message(case, road=self._settings.road)
-        answer = self._process.ask(line, self._settings.start_budget_s, "the reset")
-        self._model = protocol.read_ready(self._name, answer)
-
-    def act(self, view: View) -> Command:
-        """The program's command. Raises PlannerError."""
-        assert self._process is not None
-        line = http_client.view_message(self._episode, view, self._settings.history_steps)
-        answer = self._process.ask(line, self._settings.step_budget_s, f"step {view.step}")
-        return protocol.read_command(self._name, answer, view.step)
-
-    def close(self) -> None:
-        """End the program, and all that it started."""
-        if self._process is not None:
-            self._process.close()
-            self._process = None

@@ -1,6 +1,4 @@
-"""Messages between this program and a remote planner, and what they must contain.
-
-The protocol between a simulation and a planner outside it: one JSON object a message.
+"""Messages between the simulation and a planner outside it: one JSON object each.
 
 ::
 
@@ -12,43 +10,21 @@ The protocol between a simulation and a planner outside it: one JSON object a me
     {"type": "view", "step": 11, ...}     ->  ...
 
 Metres, seconds, radians counter-clockwise from +x, box centres. Numbers are finite; floats are
-written so that they are read back bit for bit.
+written so that they are read back bit for bit. `client` is the simulation's side, `serve` that of a
+Python planner.
 """
 
-import json
-from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, get_args
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from pydantic.json_schema import models_json_schema
-
-from deepmf_sumo.datatypes import (
-    Case,
-    Command,
-    Floats,
-    Lane,
-    Polygon,
-    Polyline,
-    RecordedCase,
-    RoadMap,
-    Scene,
-    Signals,
-    SignalState,
-    Source,
-    StopSign,
-    SumoNet,
-    Tracks,
-    TrafficCase,
-    VehicleModel,
-    View,
-)
-from deepmf_sumo.errors import PlannerError
-from deepmf_sumo.plugins import explain
 
 PROTOCOL: Final = 1
 FASTEST_MPS: Final = 150.0
-"""Beyond any road vehicle: a command above it is an error of the planner, not a wish."""
+"""Faster than any road vehicle: a command above it is an error of the planner."""
+
+LONGEST_BYTES: Final = 65_536
+"""Limit of an answer; a command takes a few hundred bytes."""
 
 
 class Message(BaseModel):
@@ -77,28 +53,31 @@ class Ready(Message):
     model: Model | None = None
 
 
-class _Answer(Message):
-    """``step``: of the view that it answers. ``leader_id``: whom the planner reacts to, if any."""
+class CommandAnswer(Message):
+    """Answer to `ViewMessage`; its kind says which numbers it has.
+
+    ``step``: of the view that it answers. ``leader_id``: whom the planner reacts to, if any.
+    """
 
     type: Literal["command"]
     step: int
     leader_id: str | None = None
 
 
-class SumoAnswer(_Answer):
+class SumoAnswer(CommandAnswer):
     """SUMO's own model drives this step."""
 
     kind: Literal["sumo"]
 
 
-class SpeedAnswer(_Answer):
+class SpeedAnswer(CommandAnswer):
     """Drive along the route at this speed after the step."""
 
     kind: Literal["speed"]
     speed_mps: float = Field(ge=0, le=FASTEST_MPS)
 
 
-class LeaderAnswer(_Answer):
+class LeaderAnswer(CommandAnswer):
     """SUMO's model drives behind this leader: gap from bumper to box, its speed along the path."""
 
     kind: Literal["leader"]
@@ -106,7 +85,7 @@ class LeaderAnswer(_Answer):
     leader_mps: float = Field(ge=-FASTEST_MPS, le=FASTEST_MPS)
 
 
-class PoseAnswer(_Answer):
+class PoseAnswer(CommandAnswer):
     """The AV's box centre, heading and speed (signed) after the step."""
 
     kind: Literal["pose"]
@@ -116,13 +95,19 @@ class PoseAnswer(_Answer):
     speed_mps: float = Field(ge=-FASTEST_MPS, le=FASTEST_MPS)
 
 
-CommandAnswer = SumoAnswer | SpeedAnswer | LeaderAnswer | PoseAnswer
-ANSWERS: Final[dict[str, type[CommandAnswer]]] = {
-    "sumo": SumoAnswer,
-    "speed": SpeedAnswer,
-    "leader": LeaderAnswer,
-    "pose": PoseAnswer,
+AnyCommand = SumoAnswer | SpeedAnswer | LeaderAnswer | PoseAnswer
+COMMANDS: Final[dict[str, type[AnyCommand]]] = {
+    get_args(model.model_fields["kind"].annotation)[0]: model for model in get_args(AnyCommand)
 }
+"""The message of each kind of command."""
+COMMAND: Final[TypeAdapter[AnyCommand]] = TypeAdapter(
+    Annotated[AnyCommand, Field(discriminator="kind")]
+)
+NUMBERS: Final[dict[str, tuple[str, ...]]] = {
+    kind: tuple(name for name, field in model.model_fields.items() if field.annotation is float)
+    for kind, model in COMMANDS.items()
+}
+"""Names of the numbers of each kind of command."""
 
 Points = list[list[float]]
 
@@ -179,9 +164,9 @@ class Reset(Message):
     """Start of an episode, answered by `Ready`.
 
     Attributes:
-        episode: which one; the same in all of its messages. A server may drive several at a time.
+        episode: its id, in all of its messages: a server may drive several at a time.
         first_step: step of the first view. steps: how many follow.
-        own_lane: the AV drives on a lane of its own, from which SUMO's model sees nobody.
+        own_lane: the AV drives on a separate lane, from which SUMO's model sees no other vehicle.
     """
 
     type: Literal["reset"]
@@ -235,7 +220,7 @@ class ViewMessage(Message):
 
 def schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of all messages, under ``$defs``."""
-    models: list[type[BaseModel]] = [Reset, Ready, ViewMessage, *ANSWERS.values()]
+    models: list[type[BaseModel]] = [Reset, Ready, ViewMessage, *COMMANDS.values()]
     _, document = models_json_schema([(model, "validation") for model in models])
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -244,229 +229,7 @@ def schema() -> dict[str, Any]:
     }
 
 
-ASKED: Final[TypeAdapter[Reset | ViewMessage]] = TypeAdapter(
-    Annotated[Reset | ViewMessage, Discriminator("type")]
+QUESTION: Final[TypeAdapter[Reset | ViewMessage]] = TypeAdapter(
+    Annotated[Reset | ViewMessage, Field(discriminator="type")]
 )
 """Reads what a planner is asked."""
-
-
-_NOWHERE: Final = Path("told-to-a-planner")
-
-
-def read(text: bytes) -> Reset | ViewMessage:
-    """What is asked. Raises PlannerError where it is none of the protocol's questions."""
-    try:
-        return ASKED.validate_json(text)
-    except ValidationError as error:
-        raise PlannerError(f"not a question of protocol {PROTOCOL}: {error}") from None
-
-
-def case_of(told: Reset) -> Case:
-    """The case, without what planners are not told: recordings, networks, who drives the others."""
-    known: dict[str, Any] = {
-        "name": told.case,
-        "road": _road(told.road),
-        "av_id": told.av_id,
-        "duration_steps": told.steps,
-        "seed": told.seed,
-    }
-    if told.own_lane:
-        net = SumoNet(file=_NOWHERE, ghost_edge="told")
-        return RecordedCase(**known, traffic="sumo", scene=_nobody(told), net=net)
-    return TrafficCase(**known, config=_NOWHERE, start_s=0.0, net_file=_NOWHERE)
-
-
-def view_of(told: ViewMessage, road: RoadMap) -> View:
-    """The view, equal to the simulation's but for what the map leaves out, and who drove before."""
-    agents = told.agents
-    steps = len(agents[0].valid) if agents else 0
-    shape = (len(agents), steps)
-    columns = {
-        name: np.array([getattr(one, name) for one in agents], float).reshape(shape)
-        for name in ("x_m", "y_m", "z_m", "heading_rad", "vx_mps", "vy_mps")
-    }
-    return View(
-        step=told.step,
-        dt_s=told.dt_s,
-        av_id=told.av_id,
-        history=Tracks(
-            ids=tuple(one.id for one in agents),
-            kinds=tuple(one.kind for one in agents),
-            size_m=np.array([one.size_m for one in agents], float).reshape(-1, 3),
-            position_m=np.stack([columns["x_m"], columns["y_m"]], -1),
-            z_m=columns["z_m"],
-            heading_rad=columns["heading_rad"],
-            velocity_mps=np.stack([columns["vx_mps"], columns["vy_mps"]], -1),
-            valid=np.array([one.valid for one in agents], bool).reshape(shape),
-        ),
-        road=road,
-        signals={lane: SignalState[name] for lane, name in told.signals.items()},
-        steps_left=told.steps_left,
-        av_path_m=None if told.av_path_m is None else np.array(told.av_path_m, float),
-    )
-
-
-def ready_answer(model: VehicleModel | None) -> dict[str, object]:
-    """Answer to a reset."""
-    names = VehicleModel.__dataclass_fields__
-    told = None if model is None else {name: getattr(model, name) for name in names}
-    return {"type": "ready", "protocol": PROTOCOL, "model": told}
-
-
-def command_answer(command: Command, step: int) -> dict[str, object]:
-    """Answer to a view."""
-    used = {
-        "sumo": (),
-        "speed": ("speed_mps",),
-        "leader": ("gap_m", "leader_mps"),
-        "pose": ("x_m", "y_m", "heading_rad", "speed_mps"),
-    }[command.kind]
-    return {
-        "type": "command",
-        "step": step,
-        "kind": command.kind,
-        "leader_id": command.leader_id,
-        **{name: float(getattr(command, name)) for name in used},
-    }
-
-
-def _road(told: RoadMessage | None) -> RoadMap:
-    if told is None:
-        return RoadMap(lanes={})
-    return RoadMap(
-        lanes={one.id: _lane(one) for one in told.lanes},
-        lines=tuple(_line(one) for one in told.lines),
-        edges=tuple(_line(one) for one in told.edges),
-        polygons=tuple(
-            Polygon(
-                id=one.id, kind=one.kind, points_m=_points(one.points_m), z_m=_flat(one.points_m)
-            )
-            for one in told.areas
-        ),
-        stop_signs=tuple(
-            StopSign(
-                id=one.id,
-                position_m=np.array(one.position_m),
-                z_m=0.0,
-                lane_ids=tuple(one.lane_ids),
-            )
-            for one in told.stop_signs
-        ),
-    )
-
-
-def _lane(told: LaneMessage) -> Lane:
-    return Lane(
-        id=told.id,
-        kind=told.kind,
-        centre_m=_points(told.centre_m),
-        z_m=_flat(told.centre_m),
-        width_m=told.width_m,
-        speed_limit_mps=told.speed_limit_mps,
-        next=tuple(told.next),
-        previous=tuple(told.previous),
-    )
-
-
-def _line(told: LineMessage) -> Polyline:
-    return Polyline(
-        id=told.id, kind=told.kind, points_m=_points(told.points_m), z_m=_flat(told.points_m)
-    )
-
-
-def _points(told: list[list[float]]) -> Floats:
-    return np.array(told, float).reshape(-1, 2)
-
-
-def _flat(told: list[list[float]]) -> Floats:
-    return np.zeros(len(told))
-
-
-def _nobody(told: Reset) -> Scene:
-    """A recording in which the AV alone stands at the origin: nothing of the real one is told."""
-    one = np.zeros((1, 1))
-    return Scene(
-        name=told.case,
-        source=Source(dataset="", file="", record=0, sha256=""),
-        dt_s=told.dt_s,
-        now=0,
-        timestamps_s=np.zeros(1),
-        tracks=Tracks(
-            ids=(told.av_id,),
-            kinds=("vehicle",),
-            size_m=np.zeros((1, 3)),
-            position_m=np.zeros((1, 1, 2)),
-            z_m=one,
-            heading_rad=one,
-            velocity_mps=np.zeros((1, 1, 2)),
-            valid=np.ones((1, 1), bool),
-        ),
-        road=_road(told.road),
-        signals=Signals(
-            lane_ids=(),
-            state=np.zeros((0, 1), np.uint8),
-            seen=np.zeros((0, 1), bool),
-            stop_m=np.zeros((0, 2)),
-        ),
-        av_id=told.av_id,
-    )
-
-
-LONGEST_BYTES: Final = 65_536
-"""Of an answer; a command has some hundred."""
-
-M = TypeVar("M", bound=BaseModel)
-
-
-def read_ready(who: str, text: bytes) -> VehicleModel | None:
-    """The vehicle model that a planner asks for. Raises PlannerError naming ``who``."""
-    values = _object(who, text)
-    if values.get("protocol") != PROTOCOL:
-        raise PlannerError(
-            f"{who} speaks protocol {_short(values.get('protocol'))}, this is {PROTOCOL}: answer"
-            f' the reset with {{"type": "ready", "protocol": {PROTOCOL}}}.'
-        )
-    model = _checked(who, Ready, values).model
-    return None if model is None else VehicleModel(**model.model_dump())
-
-
-def read_command(who: str, text: bytes, step: int) -> Command:
-    """The command for a step. Raises PlannerError naming ``who``, key, value and rule."""
-    values = _object(who, text)
-    kind = values.get("kind")
-    if not isinstance(kind, str) or kind not in ANSWERS:
-        raise PlannerError(
-            f"{who} answered kind {_short(kind)} at step {step}; known: {', '.join(ANSWERS)}."
-        )
-    answer = _checked(f"{who} at step {step}", ANSWERS[kind], values)
-    if answer.step != step:
-        raise PlannerError(f"{who} answered for step {answer.step} when asked for step {step}.")
-    return Command(**answer.model_dump(exclude={"type", "step"}))
-
-
-def _object(who: str, text: bytes) -> dict[str, Any]:
-    try:
-        values = json.loads(text)
-    except (ValueError, RecursionError):
-        raise PlannerError(
-            f"{who} answered {_short(text.decode(errors='replace'))}, which is not JSON; what is"
-            " not an answer belongs on stderr."
-        ) from None
-    if not isinstance(values, dict):
-        raise PlannerError(f"{who} answered {_short(values)}, which is not a JSON object.")
-    return values
-
-
-def _checked(who: str, model: type[M], values: dict[str, Any]) -> M:
-    try:
-        return model.model_validate(values)
-    except ValidationError as error:
-        raise PlannerError(f"{who} answered wrongly: {_cut(explain(error, model), 300)}") from None
-
-
-def _short(value: object) -> str:
-    return _cut(repr(value), 80)
-
-
-def _cut(text: str, longest: int) -> str:
-    return text if len(text) <= longest else f"{text[: longest - 3]}..."

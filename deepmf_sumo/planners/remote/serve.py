@@ -1,9 +1,7 @@
-"""`serve`: a planner class of this package behind standard input and output, or HTTP.
+"""A Python planner as a program or a server: ``python -m deepmf_sumo.planners.remote.serve NAME``.
 
-A Python planner as a program or a server: ``python -m deepmf_sumo.planners.remote.serve NAME``.
-
-So a planner runs in a process of its own, with its own memory and within a time limit, and a
-planner in another language has something to be compared with. ``NAME`` is a plug-in (``idm``) or
+It runs in a separate process, with its own memory and within a time limit. Planners in other
+languages can be compared with it. ``NAME`` is a plug-in (``idm``) or
 ``my_package.my_module:MyPlanner``; ``--settings`` is a JSON object; ``--port`` makes it a server on
 127.0.0.1 (0 chooses a port; its address is the first line on stdout).
 """
@@ -12,32 +10,60 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Lock, Thread
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
+from pydantic import ValidationError
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Case, Command, RoadMap, VehicleModel, View
-from deepmf_sumo.errors import DeepmfError, PlannerError, UsageError
+from deepmf_sumo.datatypes import (
+    Case,
+    Command,
+    Floats,
+    Lane,
+    Polygon,
+    Polyline,
+    RecordedCase,
+    RoadMap,
+    Scene,
+    Signals,
+    SignalState,
+    Source,
+    StopSign,
+    SumoNet,
+    Tracks,
+    TrafficCase,
+    VehicleModel,
+    View,
+)
+from deepmf_sumo.errors import DeepmfError, PlannerError
 from deepmf_sumo.planners.base import Planner
-from deepmf_sumo.planners.remote import protocol
-from deepmf_sumo.planners.remote.protocol import Reset, ViewMessage
+from deepmf_sumo.planners.remote.protocol import (
+    NUMBERS,
+    PROTOCOL,
+    QUESTION,
+    LaneMessage,
+    LineMessage,
+    Points,
+    Reset,
+    RoadMessage,
+    ViewMessage,
+)
 
 _LARGEST: Final = 2**28
-"""Bytes of a question: the map of a city is some 10 MB."""
+"""Limit of a message in bytes: the map of a city is about 10 MB."""
 
 _EPISODES: Final = 64
-"""A server forgets the oldest episodes beyond so many: nobody says that one has ended."""
+"""Number of episodes that a server keeps: no message says that one has ended."""
 
 
 class Answerer:
-    """Answers the protocol's questions with planners of a name, one for each episode."""
+    """Answers messages with planners of one plug-in, one planner for each episode."""
 
     def __init__(self, name: str, settings: dict[str, Any]) -> None:
         self._plugin = plugins.load("planners", name)
@@ -48,31 +74,31 @@ class Answerer:
     def answer(self, text: bytes) -> bytes:
         """The answer, as a line of JSON."""
         with self._lock:
-            asked = protocol.read(text)
-            told = self._begin(asked) if isinstance(asked, Reset) else self._act(asked)
-        return json.dumps(told, allow_nan=False).encode() + b"\n"
+            message = read(text)
+            answer = self._reset(message) if isinstance(message, Reset) else self._act(message)
+        return json.dumps(answer, allow_nan=False).encode() + b"\n"
 
-    def _begin(self, told: Reset) -> dict[str, object]:
+    def _reset(self, message: Reset) -> dict[str, object]:
         planner: Planner = self._plugin.build(self._settings)
-        case = protocol.case_of(told)
-        planner.reset(case, np.random.default_rng(told.seed))
+        case = case_of(message)
+        planner.reset(case, np.random.default_rng(message.seed))
         for oldest in list(self._episodes)[: 1 - _EPISODES]:
             del self._episodes[oldest]
-        self._episodes[told.episode] = (planner, case.road)
-        return protocol.ready_answer(planner.model)
+        self._episodes[message.episode] = (planner, case.road)
+        return ready_answer(planner.model)
 
-    def _act(self, told: ViewMessage) -> dict[str, object]:
-        if told.episode not in self._episodes:
-            raise PlannerError(f"a view of episode '{told.episode}' before its reset.")
-        planner, road = self._episodes[told.episode]
-        command = planner.act(protocol.view_of(told, road))
-        return protocol.command_answer(command, told.step)
+    def _act(self, message: ViewMessage) -> dict[str, object]:
+        if message.episode not in self._episodes:
+            raise PlannerError(f"a view of episode '{message.episode}' before its reset.")
+        planner, road = self._episodes[message.episode]
+        command = planner.act(view_of(message, road))
+        return command_answer(command, message.step)
 
 
 def on_streams(answerer: Answerer) -> None:
-    """Answer on stdout what is asked on stdin, until that ends.
+    """Answer messages from stdin on stdout, until stdin ends.
 
-    What the planner prints goes to stderr, so that it does not stand between the answers.
+    What the planner prints goes to stderr, so that stdout has nothing but answers.
     """
     with os.fdopen(os.dup(1), "wb", buffering=0) as answers:
         os.dup2(2, 1)
@@ -81,7 +107,7 @@ def on_streams(answerer: Answerer) -> None:
 
 
 def on_port(answerer: Answerer, port: int) -> ThreadingHTTPServer:
-    """A server that answers posts; ``serve_forever`` begins."""
+    """A server that answers POST requests once ``serve_forever`` is called."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -89,13 +115,13 @@ def on_port(answerer: Answerer, port: int) -> ThreadingHTTPServer:
         wbufsize = -1
 
         def do_POST(self) -> None:
-            """A question."""
+            """Answer a message."""
             length = self.headers.get("Content-Length", "0")
             known = length.isascii() and length.isdecimal() and len(length) < 20
             body = self.rfile.read(int(length)) if known and int(length) <= _LARGEST else None
             try:
                 if body is None:
-                    self.close_connection = True  # what follows is not read
+                    self.close_connection = True  # the body is not read
                     raise PlannerError(
                         f"Content-Length is {length!r:.80}; it must be a number of bytes, at most"
                         f" {_LARGEST}."
@@ -112,18 +138,179 @@ def on_port(answerer: Answerer, port: int) -> ThreadingHTTPServer:
             self.wfile.write(answer)
 
         def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - http.server's
-            """No line a step."""
+            """Print no line for each step."""
 
     return ThreadingHTTPServer(("127.0.0.1", port), Handler)
 
 
+_NOWHERE: Final = Path("told-to-a-planner")
+
+
+def read(text: bytes) -> Reset | ViewMessage:
+    """The message. Raises PlannerError for one that is not in the protocol."""
+    try:
+        return QUESTION.validate_json(text)
+    except ValidationError as error:
+        raise PlannerError(f"not a message of protocol {PROTOCOL}: {error}") from None
+
+
+def case_of(message: Reset) -> Case:
+    """The case, without recordings, networks and the drivers of other vehicles."""
+    known: dict[str, Any] = {
+        "name": message.case,
+        "road": _road(message.road),
+        "av_id": message.av_id,
+        "duration_steps": message.steps,
+        "seed": message.seed,
+    }
+    if message.own_lane:
+        net = SumoNet(file=_NOWHERE, ghost_edge="told")
+        return RecordedCase(**known, traffic="sumo", scene=_lone_av(message), net=net)
+    return TrafficCase(**known, config=_NOWHERE, start_s=0.0, net_file=_NOWHERE)
+
+
+def view_of(message: ViewMessage, road: RoadMap) -> View:
+    """The simulation's view, without parts of the map and the AV's recorded steps."""
+    agents = message.agents
+    steps = len(agents[0].valid) if agents else 0
+    shape = (len(agents), steps)
+    columns = {
+        name: np.array([getattr(one, name) for one in agents], float).reshape(shape)
+        for name in ("x_m", "y_m", "z_m", "heading_rad", "vx_mps", "vy_mps")
+    }
+    return View(
+        step=message.step,
+        dt_s=message.dt_s,
+        av_id=message.av_id,
+        history=Tracks(
+            ids=tuple(one.id for one in agents),
+            kinds=tuple(one.kind for one in agents),
+            size_m=np.array([one.size_m for one in agents], float).reshape(-1, 3),
+            position_m=np.stack([columns["x_m"], columns["y_m"]], -1),
+            z_m=columns["z_m"],
+            heading_rad=columns["heading_rad"],
+            velocity_mps=np.stack([columns["vx_mps"], columns["vy_mps"]], -1),
+            valid=np.array([one.valid for one in agents], bool).reshape(shape),
+        ),
+        road=road,
+        signals={lane: SignalState[name] for lane, name in message.signals.items()},
+        steps_left=message.steps_left,
+        av_path_m=None if message.av_path_m is None else np.array(message.av_path_m, float),
+    )
+
+
+def ready_answer(model: VehicleModel | None) -> dict[str, object]:
+    """Answer to a reset."""
+    return {
+        "type": "ready",
+        "protocol": PROTOCOL,
+        "model": None if model is None else asdict(model),
+    }
+
+
+def command_answer(command: Command, step: int) -> dict[str, object]:
+    """Answer to a view."""
+    return {
+        "type": "command",
+        "step": step,
+        "kind": command.kind,
+        "leader_id": command.leader_id,
+        **{name: float(getattr(command, name)) for name in NUMBERS[command.kind]},
+    }
+
+
+def _road(message: RoadMessage | None) -> RoadMap:
+    if message is None:
+        return RoadMap(lanes={})
+    return RoadMap(
+        lanes={one.id: _lane(one) for one in message.lanes},
+        lines=tuple(_line(one) for one in message.lines),
+        edges=tuple(_line(one) for one in message.edges),
+        polygons=tuple(
+            Polygon(
+                id=one.id, kind=one.kind, points_m=_points(one.points_m), z_m=_flat(one.points_m)
+            )
+            for one in message.areas
+        ),
+        stop_signs=tuple(
+            StopSign(
+                id=one.id,
+                position_m=np.array(one.position_m),
+                z_m=0.0,
+                lane_ids=tuple(one.lane_ids),
+            )
+            for one in message.stop_signs
+        ),
+    )
+
+
+def _lane(message: LaneMessage) -> Lane:
+    return Lane(
+        id=message.id,
+        kind=message.kind,
+        centre_m=_points(message.centre_m),
+        z_m=_flat(message.centre_m),
+        width_m=message.width_m,
+        speed_limit_mps=message.speed_limit_mps,
+        next=tuple(message.next),
+        previous=tuple(message.previous),
+    )
+
+
+def _line(message: LineMessage) -> Polyline:
+    return Polyline(
+        id=message.id,
+        kind=message.kind,
+        points_m=_points(message.points_m),
+        z_m=_flat(message.points_m),
+    )
+
+
+def _points(points_m: Points) -> Floats:
+    return np.array(points_m, float).reshape(-1, 2)
+
+
+def _flat(points_m: Points) -> Floats:
+    return np.zeros(len(points_m))
+
+
+def _lone_av(message: Reset) -> Scene:
+    """A recording of a lone AV at the origin: planners get nothing of the real one."""
+    one = np.zeros((1, 1))
+    return Scene(
+        name=message.case,
+        source=Source(dataset="", file="", record=0, sha256=""),
+        dt_s=message.dt_s,
+        now=0,
+        timestamps_s=np.zeros(1),
+        tracks=Tracks(
+            ids=(message.av_id,),
+            kinds=("vehicle",),
+            size_m=np.zeros((1, 3)),
+            position_m=np.zeros((1, 1, 2)),
+            z_m=one,
+            heading_rad=one,
+            velocity_mps=np.zeros((1, 1, 2)),
+            valid=np.ones((1, 1), bool),
+        ),
+        road=_road(message.road),
+        signals=Signals(
+            lane_ids=(),
+            state=np.zeros((0, 1), np.uint8),
+            seen=np.zeros((0, 1), bool),
+            stop_m=np.zeros((0, 2)),
+        ),
+        av_id=message.av_id,
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Read the command line and answer until nobody asks any more."""
+    """Read the command line and answer messages until there are no more."""
     parser = argparse.ArgumentParser(prog="python -m deepmf_sumo.planners.remote.serve")
     parser.add_argument("name", help="a planner: a plug-in, or package.module:Class")
     parser.add_argument("--settings", default="{}", type=json.loads, help="JSON object")
     parser.add_argument("--port", type=int, help="be a server on 127.0.0.1 (0: any port)")
-    parser.add_argument("--path", help="where modules are looked for, instead of the usual places")
+    parser.add_argument("--path", help="search path of modules, instead of Python's")
     chosen = parser.parse_args(arguments)
     sys.path[:] = chosen.path.split(os.pathsep) if chosen.path else [str(Path.cwd()), *sys.path]
     try:
@@ -141,85 +328,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 if __name__ == "__main__":
     main()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ended:
-    """The episode is over; ``result`` is what its function returned."""
-
-    result: Any
-
-
-class _LeftError(DeepmfError):
-    """The other thread does not go on with the episode."""
-
-
-_LEAVE: Final = object()
-
-
-class Turns:
-    """Turns an episode inside out: here the simulation waits for the planner.
-
-    Args:
-        episode: simulates one with a planner, in a thread of its own; returns what came of it.
-        model: parameters of the AV's IDM in SUMO.
-    """
-
-    def __init__(self, episode: Callable[[Planner], Any], model: VehicleModel | None) -> None:
-        self._model = model
-        self._views: SimpleQueue[View | Ended | BaseException] = SimpleQueue()
-        self._commands: SimpleQueue[Any] = SimpleQueue()
-        self._begun = False
-        self._thread = Thread(target=self._run, args=(episode,), daemon=True)
-        self._thread.start()
-
-    def next(self, command: Command | None = None) -> View | Ended:
-        """The view after a command (None: the first view), or that the episode has ended.
-
-        What is raised in the simulation comes out here.
-        """
-        if command is not None:
-            self._commands.put(command)
-        came = self._views.get()
-        if isinstance(came, BaseException):
-            self._thread.join()
-            raise came
-        if isinstance(came, Ended):
-            self._thread.join()
-        return came
-
-    def leave(self) -> None:
-        """End the episode here, if it goes on."""
-        self._commands.put(_LEAVE)
-        self._thread.join()
-
-    @property
-    def model(self) -> VehicleModel | None:
-        """Parameters of the AV's IDM."""
-        return self._model
-
-    def reset(self, case: Case, rng: np.random.Generator) -> None:
-        """Start of the episode. Raises UsageError for adversaries that simulate several."""
-        if self._begun:
-            raise UsageError(
-                "This adversary simulates an attack more than once before it decides, and an"
-                " environment is stepped through once; use deepmf or none."
-            )
-        self._begun = True
-
-    def act(self, view: View) -> Command:
-        """The other thread's command."""
-        self._views.put(view)
-        command = self._commands.get()
-        if command is _LEAVE:
-            raise _LeftError
-        checked: Command = command
-        return checked
-
-    def _run(self, episode: Callable[[Planner], Any]) -> None:
-        try:
-            ended = Ended(result=episode(self))
-        except BaseException as error:  # noqa: BLE001 - it is raised again in the other thread
-            self._views.put(error)
-        else:
-            self._views.put(ended)

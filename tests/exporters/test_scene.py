@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepmf_sumo.datatypes import Plan
-from deepmf_sumo.results.artifacts import scene_of
+from deepmf_sumo.exporters.scene import scene_of
 
 from tests.support.rollout_doubles import case_of, rollout_of, straight
 

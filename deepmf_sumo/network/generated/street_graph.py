@@ -1,4 +1,4 @@
-"""Which places are joined by streets: by SUMO's netgenerate, or single crossings of our own."""
+"""Street graphs: drawn by SUMO's netgenerate, or single crossings drawn here."""
 
 import tempfile
 import xml.etree.ElementTree as ET
@@ -16,14 +16,14 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Skeleton:
-    """Places by name, and pairs of places with a street between them, each pair once."""
+class StreetGraph:
+    """Nodes by name, and pairs of nodes with a street between them, each pair once."""
 
     places: dict[str, Point]
     streets: tuple[tuple[str, str], ...]
 
     def arms(self) -> dict[str, list[str]]:
-        """The neighbours of each place."""
+        """The neighbours of each node."""
         arms: dict[str, list[str]] = defaultdict(list)
         for one, other in self.streets:
             arms[one].append(other)
@@ -31,33 +31,33 @@ class Skeleton:
         return arms
 
 
-def grid(rng: np.random.Generator) -> Skeleton:
-    """Blocks of 70 to 190 m, not quite rectangular; streets lead on at the rim."""
+def grid(rng: np.random.Generator) -> StreetGraph:
+    """Blocks of 70 to 190 m, not quite rectangular; streets continue at the rim."""
     across, along = rng.uniform(70.0, 190.0, 2)
     columns, rows = rng.integers(2, 5, 2)
-    skeleton = _netgenerate(
+    graph = _netgenerate(
         rng,
         *("--grid", "--grid.x-number", str(columns), "--grid.y-number", str(rows)),
         *("--grid.x-length", f"{across:.1f}", "--grid.y-length", f"{along:.1f}"),
         *("--grid.attach-length", f"{rng.uniform(120, 200):.1f}"),
     )
-    return _shaken(skeleton, rng, rng.uniform(0.0, 0.1) * min(across, along))
+    return _shaken(graph, rng, rng.uniform(0.0, 0.1) * min(across, along))
 
 
-def spider(rng: np.random.Generator) -> Skeleton:
-    """Streets out of a middle, and rings across them."""
-    skeleton = _netgenerate(
+def spider(rng: np.random.Generator) -> StreetGraph:
+    """Radial streets, and rings across them."""
+    graph = _netgenerate(
         rng,
         *("--spider", "--spider.arm-number", str(rng.integers(3, 7))),
         *("--spider.circle-number", str(rng.integers(1, 4))),
         *("--spider.space-radius", f"{rng.uniform(80, 150):.1f}"),
         *("--spider.attach-length", f"{rng.uniform(120, 180):.1f}"),
     )
-    return _shaken(skeleton, rng, rng.uniform(0.0, 8.0))
+    return _shaken(graph, rng, rng.uniform(0.0, 8.0))
 
 
-def random_net(rng: np.random.Generator) -> Skeleton:
-    """Streets that grew at random."""
+def random_net(rng: np.random.Generator) -> StreetGraph:
+    """Streets that netgenerate grows at random."""
     return _netgenerate(
         rng,
         *("--rand", "--rand.iterations", str(rng.integers(12, 30))),
@@ -66,8 +66,8 @@ def random_net(rng: np.random.Generator) -> Skeleton:
     )
 
 
-def crossing(rng: np.random.Generator) -> Skeleton:
-    """One junction of 3 to 5 arms, or two of them a short way apart."""
+def crossing(rng: np.random.Generator) -> StreetGraph:
+    """One junction of 3 to 5 arms, or two of them close to each other."""
     places: dict[str, Point] = {}
     streets: list[tuple[str, str]] = []
     first, axis = rng.uniform(0, 2 * np.pi, 2)
@@ -84,25 +84,25 @@ def crossing(rng: np.random.Generator) -> Skeleton:
         angles += rng.uniform(-0.25, 0.25, count) * (np.arange(count) > 0)
         for number, angle in enumerate(angles):
             if taken is not None and number == 0:
-                continue  # there the other junction is
+                continue  # the arm to the other junction
             end = centre + rng.uniform(140, 240) * np.array([np.cos(angle), np.sin(angle)])
             places[f"{name}{number}"] = (float(end[0]), float(end[1]))
             streets.append((name, f"{name}{number}"))
-    return Skeleton(places=places, streets=tuple(streets))
+    return StreetGraph(places=places, streets=tuple(streets))
 
 
-def _shaken(skeleton: Skeleton, rng: np.random.Generator, by_m: float) -> Skeleton:
-    """Turned by a random angle, and each place moved a little."""
+def _shaken(graph: StreetGraph, rng: np.random.Generator, by_m: float) -> StreetGraph:
+    """The graph, rotated by a random angle, with nodes shifted by about ``by_m``."""
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     places = {}
-    for name, position in skeleton.places.items():
+    for name, position in graph.places.items():
         x, y = turn @ np.array(position) + rng.normal(0, by_m, 2)
         places[name] = (float(x), float(y))
-    return Skeleton(places=places, streets=skeleton.streets)
+    return StreetGraph(places=places, streets=graph.streets)
 
 
-def _netgenerate(rng: np.random.Generator, *options: str) -> Skeleton:
+def _netgenerate(rng: np.random.Generator, *options: str) -> StreetGraph:
     seed = str(rng.integers(1, 2**31 - 1))
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         prefix = Path(folder) / "plain"
@@ -119,4 +119,4 @@ def _netgenerate(rng: np.random.Generator, *options: str) -> Skeleton:
     streets = tuple(sorted({(min(pair), max(pair)) for pair in pairs}))
     if not streets:
         raise ConversionError(f"netgenerate made no street with {' '.join(options)}.")
-    return Skeleton(places=places, streets=streets)
+    return StreetGraph(places=places, streets=streets)

@@ -7,7 +7,7 @@ import pytest
 
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.planners.remote.serve import Ended, Turns
+from deepmf_sumo.gym import Ended, SteppedEpisode
 
 GO = Command(kind="sumo")
 
@@ -24,10 +24,10 @@ def test_views_and_commands_take_turns_until_the_end():
         heard.extend(planner.act(view) for view in views(3))
         return "over"
 
-    turns = Turns(episode, None)
-    came = [turns.next()]
+    stepped = SteppedEpisode(episode, None)
+    came = [stepped.next()]
     while not isinstance(came[-1], Ended):
-        came.append(turns.next(GO))
+        came.append(stepped.next(GO))
     assert [view.step for view in came[:-1]] == [0, 1, 2]
     assert came[-1].result == "over"
     assert heard == [GO, GO, GO]
@@ -43,9 +43,9 @@ def test_leaving_unwinds_the_simulation():
         finally:
             closed.set()
 
-    turns = Turns(episode, None)
-    turns.next()
-    turns.leave()
+    stepped = SteppedEpisode(episode, None)
+    stepped.next()
+    stepped.leave()
     assert closed.is_set()
 
 
@@ -55,7 +55,7 @@ def test_a_search_over_episodes_is_refused():
             planner.reset(None, None)
             planner.act(views(1)[0])
 
-    turns = Turns(episode, None)
-    turns.next()
+    stepped = SteppedEpisode(episode, None)
+    stepped.next()
     with pytest.raises(UsageError, match="simulates an attack more than once"):
-        turns.next(GO)
+        stepped.next(GO)

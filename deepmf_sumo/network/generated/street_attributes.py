@@ -1,17 +1,20 @@
-"""What the streets of a skeleton are like: lanes, limits, bends, right of way, turn lanes."""
+"""Attributes of the streets of a graph: lanes, limits, bends, right of way, turn lanes."""
 
 import math
+from collections import defaultdict
 from itertools import combinations
 from typing import Final
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.network.generated.layout import Edge, Layout, Node
-from deepmf_sumo.network.generated.skeleton import Skeleton
+from deepmf_sumo.network.generated.street_graph import StreetGraph
 
 _STRAIGHT_RAD: Final = 0.6
-"""A street that bends less at a junction is the same street there, with the same lanes."""
+"""A street that bends less at a junction continues there, with the same lanes."""
 _LANES: Final = (1, 1, 1, 1, 2, 2, 2, 3, 3)
 _LIMITS_MPS: Final = {
     1: (8.9, 11.2, 13.4, 13.4, 15.6, 17.9),
@@ -24,24 +27,24 @@ _TURN_LANE_SHARE: Final = 0.5
 Street = tuple[str, str]
 
 
-def dress(skeleton: Skeleton, rng: np.random.Generator) -> Layout:
+def dress(graph: StreetGraph, rng: np.random.Generator) -> Layout:
     """A network with random lanes, limits, bends and junctions on the given streets."""
     layout = Layout(options=_options(rng))
-    arms = skeleton.arms()
+    arms = graph.arms()
     lanes, limits = {}, {}
-    for course in _courses(skeleton):
+    for course in _courses(graph):
         count = int(rng.choice(_LANES))
         limit = float(rng.choice(_LIMITS_MPS[count]))
         for street in course:
             lanes[street], limits[street] = count, limit
-    for place, position in skeleton.places.items():
+    for place, position in graph.places.items():
         widths = [lanes[_street(place, other)] for other in arms[place]]
         kind = _junction(rng, widths) if len(widths) > 2 else "priority"
         layout.nodes[place] = Node(position_m=position, kind=kind)
-    for street in skeleton.streets:
-        shape = _bent(skeleton, street, rng)
+    for street in graph.streets:
+        shape = _bent(graph, street, rng)
         for origin, target in (street, street[::-1]):
-            length = math.dist(skeleton.places[origin], skeleton.places[target])
+            length = math.dist(graph.places[origin], graph.places[target])
             layout.edges[f"{origin}_{target}"] = Edge(
                 origin=origin,
                 target=target,
@@ -63,18 +66,13 @@ def _options(rng: np.random.Generator) -> tuple[str, ...]:
     )
 
 
-def _courses(skeleton: Skeleton) -> list[list[Street]]:
-    """Streets grouped into those that go straight on through their junctions."""
-    group = {street: street for street in skeleton.streets}
-
-    def root(street: Street) -> Street:
-        while group[street] != street:
-            street = group[street]
-        return street
-
-    for place, others in skeleton.arms().items():
-        here = np.array(skeleton.places[place])
-        ways = {other: np.array(skeleton.places[other]) - here for other in others}
+def _courses(graph: StreetGraph) -> list[list[Street]]:
+    """Groups of streets that continue each other straight through junctions."""
+    number = {street: index for index, street in enumerate(graph.streets)}
+    straight: list[tuple[int, int]] = []
+    for place, others in graph.arms().items():
+        here = np.array(graph.places[place])
+        ways = {other: np.array(graph.places[other]) - here for other in others}
         out = {other: float(np.arctan2(way[1], way[0])) for other, way in ways.items()}
         bends = sorted(
             (abs(abs((out[one] - out[other]) % (2 * np.pi)) - np.pi), one, other)
@@ -84,10 +82,14 @@ def _courses(skeleton: Skeleton) -> list[list[Street]]:
         for bend, one, other in bends:
             if bend < _STRAIGHT_RAD and {one, other} <= free:
                 free -= {one, other}
-                group[root(_street(place, one))] = root(_street(place, other))
-    courses: dict[Street, list[Street]] = {}
-    for street in skeleton.streets:
-        courses.setdefault(root(street), []).append(street)
+                straight.append((number[_street(place, one)], number[_street(place, other)]))
+    one_of, other_of = np.array(straight, int).reshape(-1, 2).T
+    joins = coo_array((np.ones(len(one_of), bool), (one_of, other_of)), 2 * (len(number),))
+    courses: dict[int, list[Street]] = defaultdict(list)
+    for street, course in zip(
+        graph.streets, connected_components(joins, directed=False)[1].tolist(), strict=True
+    ):
+        courses[course].append(street)
     return list(courses.values())
 
 
@@ -96,7 +98,7 @@ def _street(one: str, other: str) -> Street:
 
 
 def _junction(rng: np.random.Generator, widths: list[int]) -> str:
-    """Who gives way: lights where streets are wide, anything where they are narrow."""
+    """Type of a junction: lights if streets are wide, any type if they are narrow."""
     if max(widths) > 2:
         chances = {"traffic_light": 0.7, "traffic_light_right_on_red": 0.2, "priority": 0.1}
     elif max(widths) > 1:
@@ -116,9 +118,9 @@ def _turn_lane(rng: np.random.Generator, length_m: float, arms: int, lanes: int)
     return float(turn_lane_m) if wanted and fits else 0.0
 
 
-def _bent(skeleton: Skeleton, street: Street, rng: np.random.Generator) -> Floats | None:
-    """(P, 2) a bow or an S between the two places, straight at both ends; None: no bend."""
-    start, end = (np.array(skeleton.places[name]) for name in street)
+def _bent(graph: StreetGraph, street: Street, rng: np.random.Generator) -> Floats | None:
+    """(P, 2) a bow or an S between the two nodes, straight at both ends; None: no bend."""
+    start, end = (np.array(graph.places[name]) for name in street)
     size, snakes, bends = rng.uniform(-0.12, 0.12), rng.random() < 0.3, rng.random() < _BEND_SHARE
     if not bends:
         return None

@@ -1,0 +1,115 @@
+"""A recorded scene, as ``scene.npz``: attacks become training data.
+
+The package's own format, see `readers.npz`.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo import files
+from deepmf_sumo.datatypes import (
+    ROLLOUT,
+    Case,
+    RecordedCase,
+    Rollout,
+    Scene,
+    Signals,
+    Source,
+    Tracks,
+    frozen,
+)
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.readers import npz
+
+FILE: Final = "scene.npz"
+
+
+def write(rollout: Rollout, case: Case, path: Path) -> None:
+    """Write the scene, see `scene_of`. Raises OutputError."""
+    with files.writing(path):
+        npz.write(scene_of(rollout, case), path)
+
+
+def scene_of(rollout: Rollout, case: Case) -> Scene:
+    """The rollout as a scene whose labelled pair is the AV and its opponent.
+
+    After a contact the AV is not valid, since its further motion is unknown; the opponent's last
+    plan continues, since the AV reacted to it. Signals of recordings are kept; a rollout has none
+    of network cases, so there they are unknown.
+    """
+    steps = max(rollout.tracks.steps, rollout.now + 1 + case.duration_steps)
+    tracks = _with_plan(_padded(rollout.tracks, steps), rollout)
+    interest = (rollout.av_id, rollout.opponent_id) if rollout.opponent_id else ()
+    if isinstance(case, RecordedCase):
+        source = replace(case.scene.source, dataset=ROLLOUT)
+        signals = _continued(case.scene.signals, steps)
+    else:
+        source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
+        signals = _unknown(steps)
+    return Scene(
+        name=case.name,
+        source=source,
+        dt_s=rollout.dt_s,
+        now=rollout.now,
+        timestamps_s=frozen(np.arange(steps) * rollout.dt_s),
+        tracks=tracks,
+        road=case.road,
+        signals=signals,
+        av_id=rollout.av_id,
+        interest=interest,
+    )
+
+
+def _padded(tracks: Tracks, steps: int) -> Tracks:
+    """The tracks with steps at the end in which no agent is valid."""
+    flat, vector = [(0, 0), (0, steps - tracks.steps)], [(0, 0), (0, steps - tracks.steps), (0, 0)]
+    return replace(
+        tracks,
+        position_m=np.pad(tracks.position_m, vector),
+        z_m=np.pad(tracks.z_m, flat),
+        heading_rad=np.pad(tracks.heading_rad, flat),
+        velocity_mps=np.pad(tracks.velocity_mps, vector),
+        valid=np.pad(tracks.valid, flat),
+    )
+
+
+def _with_plan(tracks: Tracks, rollout: Rollout) -> Tracks:
+    """The opponent's last plan after the end of the episode."""
+    if not rollout.plans or rollout.opponent_id not in tracks.ids:
+        return tracks
+    plan, row, begin = rollout.plans[-1], tracks.row(str(rollout.opponent_id)), rollout.tracks.steps
+    stop = min(tracks.steps, plan.first_step + len(plan.position_m))
+    if stop <= begin:
+        return tracks
+    of_plan = slice(begin - plan.first_step, stop - plan.first_step)
+    position, heading = tracks.position_m.copy(), tracks.heading_rad.copy()
+    velocity, valid = tracks.velocity_mps.copy(), tracks.valid.copy()
+    heading_plan, speed = plan.heading_rad[of_plan], plan.speed_mps[of_plan]
+    position[row, begin:stop] = plan.position_m[of_plan]
+    heading[row, begin:stop] = heading_plan
+    velocity[row, begin:stop] = speed[:, None] * frames.unit(heading_plan)
+    valid[row, begin:stop] = True
+    return replace(
+        tracks, position_m=position, heading_rad=heading, velocity_mps=velocity, valid=valid
+    )
+
+
+def _continued(signals: Signals, steps: int) -> Signals:
+    pad = [(0, 0), (0, max(0, steps - signals.seen.shape[1]))]
+    return replace(
+        signals,
+        state=np.pad(signals.state, pad)[:, :steps],
+        seen=np.pad(signals.seen, pad)[:, :steps],
+    )
+
+
+def _unknown(steps: int) -> Signals:
+    return Signals(
+        lane_ids=(),
+        state=np.zeros((0, steps), np.uint8),
+        seen=np.zeros((0, steps), bool),
+        stop_m=np.zeros((0, 2)),
+    )

@@ -1,0 +1,93 @@
+"""The exam that every exporter found must pass."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import SumoNet
+from deepmf_sumo.errors import OutputError
+
+from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of, straight
+
+NAMES = plugins.names("exporters")
+
+
+def attacked():
+    """A contact with the opponent; an agent that is there for a while, with an id to escape."""
+    paths = {"av": straight(0, 0, 10, steps=41), "b": straight(30, 3, 5, steps=41)}
+    rollout = rollout_of({**paths, 'a "<&>,\n': straight(0, -9, 0, steps=41)}, [contact_of()])
+    valid = rollout.tracks.valid.copy()
+    valid[2, :20] = False
+    return replace(rollout, tracks=replace(rollout.tracks, valid=valid))
+
+
+def unattacked():
+    return rollout_of({"av": straight(0, 0, 10)}, opponent_id=None)
+
+
+def raised():
+    rollout = attacked()
+    heights = np.full(rollout.tracks.z_m.shape, 8.0)
+    return replace(rollout, tracks=replace(rollout.tracks, z_m=heights))
+
+
+def recorded(folder):
+    net = folder / "net.net.xml"
+    net.write_text("<net/>")
+    return replace(case_of(), net=SumoNet(file=net))
+
+
+def traffic(folder):
+    net = recorded(folder).net.file
+    return replace(in_traffic(case_of()), net_file=net)
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """Bytes of a file, or of all files of a folder, by relative path."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    return {str(file.relative_to(path)): file.read_bytes() for file in files}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_says_what_it_writes(name):
+    exporter = plugins.load("exporters", name)
+    assert exporter.FILE.rstrip("/") == Path(exporter.FILE).name
+    assert exporter.__doc__
+    assert exporter.write.__doc__
+
+
+@pytest.mark.parametrize("case_in", [recorded, traffic])
+@pytest.mark.parametrize("rollout_of_kind", [attacked, unattacked, raised])
+@pytest.mark.parametrize("name", NAMES)
+def test_it_writes_every_kind_of_rollout_and_case(name, rollout_of_kind, case_in, tmp_path):
+    exporter, path = plugins.load("exporters", name), tmp_path / "out"
+    path.mkdir()
+    path /= exporter.FILE.rstrip("/")
+    exporter.write(rollout_of_kind(), case_in(tmp_path), path)
+    assert path.is_dir() == exporter.FILE.endswith("/")
+    assert any(contents(path).values())
+    assert list(path.parent.iterdir()) == [path]  # nothing is left beside it
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_writing_again_replaces_it_and_gives_the_same_bytes(name, tmp_path):
+    exporter = plugins.load("exporters", name)
+    path, case = tmp_path / "out", recorded(tmp_path)
+    exporter.write(attacked(), case, path)
+    before = contents(path)
+    exporter.write(unattacked(), case, path)
+    assert contents(path) != before
+    exporter.write(attacked(), case, path)
+    assert contents(path) == before
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_path_that_cannot_be_written_is_an_error_that_names_it(name, tmp_path):
+    case = recorded(tmp_path)
+    path = tmp_path / "file" / "out"
+    path.parent.write_text("not a folder")
+    with pytest.raises(OutputError, match=r"file/out cannot be written: "):
+        plugins.load("exporters", name).write(attacked(), case, path)
