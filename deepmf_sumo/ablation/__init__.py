@@ -1,7 +1,8 @@
 """``deepmf-sumo ablate``: variants of networks and attack, each with its quality and its cost."""
 
 from deepmf_sumo.ablation.plan import Plan, Variant, load
-from deepmf_sumo.ablation.study import Options, Row, cells, headings, notes, run, write
+from deepmf_sumo.ablation.study import Options, run
+from deepmf_sumo.ablation.table import Row, cells, headings, notes, write
 
 __all__ = [
     "Options",

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import Any, Final, Self
 
 import yaml
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo import spec
@@ -17,10 +17,10 @@ from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import ExistingPath, Strict
 from deepmf_sumo.tasks import slug
 from deepmf_sumo.training import config
-from deepmf_sumo.training.config import Config, DataEntry
+from deepmf_sumo.training.config import Config, DataEntries
 
 BASE: Final = "base"
-"""Name of the variant that changes nothing; the others share what they do not change with it."""
+"""Name of the variant that changes nothing."""
 
 
 class Variant(Strict):
@@ -36,21 +36,17 @@ class Variant(Strict):
     )
 
 
-def _entry(value: Any) -> Any:
-    return {"path": value} if isinstance(value, str) else value
-
-
 class Plan(Config):
-    """A training much as ``train --config`` takes it, what to measure it on, and its variants.
+    """A training as for ``train --config``, what to measure it on, and its variants.
 
     Attributes:
-        test: recordings, none of them in ``data``, to evaluate and to attack.
+        test: recordings to evaluate and to attack, none of them in ``data``.
         study: the spec of the attack; its source and its weights are replaced.
-        planners: under attack, by the name that the table gives them: keys of the study, with
-            dots, and their values.
+        planners: planners to attack, by their name in the table: dotted keys of the study and
+            their values.
     """
 
-    data: list[Annotated[DataEntry, BeforeValidator(_entry)]] = Field(min_length=1)
+    data: DataEntries
     begin_from: None = Field(
         default=None, description="variants of other sizes start from random weights"
     )
@@ -73,7 +69,7 @@ class Plan(Config):
             )
             if twice:
                 raise _wrong(
-                    key, f"'{twice}' stands twice; '{BASE}' is the row that changes nothing"
+                    key, f"two {key} are named '{twice}'; '{BASE}' is the row that changes nothing"
                 )
         return self
 
@@ -90,16 +86,16 @@ class Plan(Config):
         return (Variant(name=BASE), *self.variants)
 
     def trained_for(self, variant: Variant) -> Variant:
-        """The first variant of the same sizes: its networks serve this one too."""
+        """The first variant of the same sizes, whose networks this one uses too."""
         return next(one for one in self.all_variants if one.sizes == variant.sizes)
 
     def preset_of(self, variant: Variant) -> Preset:
-        """Sizes of a variant's networks. Raises WeightsError for sizes that cannot be."""
+        """Sizes of a variant's networks. Raises WeightsError for impossible sizes."""
         base = preset_named(self.preset)
         return changed(base, slug(variant.name), variant.sizes) if variant.sizes else base
 
     def spec_of(self, variant: Variant, planner: str, weights: Path | None = None) -> Spec:
-        """The attack on one planner; without weights, with those that the study names.
+        """The attack on one planner, by default with the weights that the study names.
 
         Its name, and so the random numbers of its runs, are the same for all variants. Raises
         SpecError.
@@ -116,8 +112,8 @@ class Plan(Config):
 def load(file: Path, sets: Sequence[str] = ()) -> Plan:
     """The plan in a file, with ``key=value`` assignments over it; paths are relative to the file.
 
-    Raises SpecError for anything wrong, with file, line and key, down to the settings of each
-    attack: nothing is to be found wrong after hours of training.
+    Raises SpecError for anything wrong, with file, line and key. The settings of all attacks are
+    checked too, so that no error appears after hours of training.
     """
     document = read(file)
     for assignment in sets:

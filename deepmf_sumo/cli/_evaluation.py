@@ -1,14 +1,16 @@
-"""What `evaluate` shows: a table for each predictor."""
+"""What `evaluate` shows: views of the table of figures."""
 
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Final
 
 from rich.table import Table
 
 from deepmf_sumo.cli._screen import escape, wide
+from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.training.evaluation import Evaluation, Figure
 
-_SECONDS: Final = ("1.0", "2.0", "3.0", "5.0", "8.0")
-_LATE: Final = ("3.0", "5.0", "8.0")
+_SECONDS: Final = (1.0, 2.0, 3.0, 5.0, 8.0)
 _BASELINES: Final = {
     "constant_velocity": "constant velocity",
     "lane_following": "lane following, constant speed",
@@ -20,36 +22,48 @@ _RULES: Final = {
     "nearest_moving": "nearest moving vehicle",
     "constant_velocity": "constant-velocity approach",
 }
-
+_CONDITIONS: Final = {
+    "marginal": "marginal network",
+    "given_nothing": "conditional, given nothing",
+    "given_true": "conditional, given the true future",
+    "given_shuffled": "conditional, given a shuffled one",
+}
+_GROUPS: Final = {"all": "both", "av": "AV", "partner": "partner"}
+_GAINS: Final = {
+    "log_likelihood_gain": "marginal network",
+    "log_likelihood_gain_over_nothing": "given nothing",
+}
+_PATHS: Final = {
+    "min_ade": "mean error up to then, m",
+    "miss_rate": "miss rate",
+    "overlap_free": "share of modes without overlap",
+    "on_road": "share of modes on the road",
+}
 _CERTAINTY: Final = {
-    "ece": "ECE",
-    "ece_if_right": "  so many right ones would show",
+    "ece": "ECE of 6 modes",
+    "ece_if_right": "  expected if the probabilities are right",
     "ece_if_right_95": "  at most, in 95 %",
     "ece_of_horizon": "  modes chosen for each time",
     "ece_uncalibrated": "ECE at temperature 1",
     "negative_log_likelihood": "negative log likelihood, nats",
-    "log_likelihood_standard_error": "  ±",
 }
 
+Line = tuple[str, str, str, str]
+"""Label, quantity, condition and group: a row for each number of modes."""
 
-def show(found: dict[str, Any]) -> None:
-    """All tables, of the nested figures that `training.evaluation.evaluate` gives."""
+
+def show(found: Evaluation) -> None:
+    """Print all tables of an evaluation."""
     console = wide()
-    data, refused = ", ".join(found["data"]), found["refused"]
+    data, refused = ", ".join(found.data), found.refused
     console.print(
-        escape(f"weights {found['weights']} on {data}: {found['scenes']} scenes, {refused} refused")
+        escape(f"weights {found.weights} on {data}: {found.scenes} scenes, {refused} refused")
     )
-    for reason in found["refusals"]:
+    for reason in found.refusals:
         console.print(escape(f"  refused: {reason}"), style="yellow", soft_wrap=True)
-    if refused > len(found["refusals"]):
-        console.print(f"  and {refused - len(found['refusals'])} more", style="yellow")
-    parts = [
-        *_opponent(found["opponent"]),
-        *_marginal(found["marginal"], found["modes"]),
-        *_conditional(found["conditional"], found["modes"]),
-        *_reactions(found["conditional"]["reactions"]),
-    ]
-    for part in parts:
+    if refused > len(found.refusals):
+        console.print(f"  and {refused - len(found.refusals)} more", style="yellow")
+    for part in (*_opponent(found), *_marginal(found), *_conditional(found)):
         if isinstance(part, str):
             console.print(escape(part), soft_wrap=True)
         else:
@@ -57,161 +71,139 @@ def show(found: dict[str, Any]) -> None:
             console.print(part)
 
 
-def _opponent(found: dict[str, Any]) -> list[Table | str]:
-    if not found["scenes"]:
-        return ["Opponent: all scenes are simulated attacks, which have made their own labels."]
-    scenes, partners = found["scenes"], found["scenes_with_partner"]
-    table = _table(
-        "Opponent", "AUROC", "AP", f"first is a positive /{scenes}",
-        "among first 3", f"partner first /{partners}", f"among first 3 /{partners}",
-    )  # fmt: skip
-    for group, label in ((found, "all"), (found["attackable"], "attackable")):
-        table.add_row(f"network, {label} {group['candidates']} candidates", *_ranks(group))
-        for name, title in _RULES.items():
-            table.add_row(f"  {title}", *_ranks(group["baselines"][name]))
-    note = (
-        f"{found['positives']} positives in {found['scenes_with_positive']} scenes. The attack "
-        f"leaves {found['parked']} parked candidates out ({found['positives_parked']} positives, "
-        f"{found['partners_parked']} partners). "
-        f"ECE {_number(found['ece'])}, at temperature 1 {_number(found['ece_uncalibrated'])}; "
-        f"so many right scores would show {_number(found['ece_if_right'])}, "
-        f"at most {_number(found['ece_if_right_95'])} in 95 %."
-    )
-    return [table, note]
-
-
-def _ranks(found: dict[str, Any]) -> list[str]:
-    counts = (
-        "top1_positive_scenes", "top3_positive_scenes", "partner_top1_scenes",
-        "partner_top3_scenes",
-    )  # fmt: skip
-    return [
-        _number(found["auroc"]),
-        _number(found["average_precision"]),
-        *(_number(found.get(name)) for name in counts),
-    ]
-
-
-def _marginal(found: dict[str, Any], modes: Sequence[int]) -> list[Table | str]:
-    ends = _table("Marginal: least error", "modes", *(f"{key} s" for key in _SECONDS), "± at 8.0 s")
-    ways = _whole_ways("Marginal: the whole way", "network", found, modes)
-    for count in map(str, modes):
-        ends.add_row("network", count, *_ends(found, count))
-    for count in map(str, modes):
-        chosen = (_number(found[key]["min_fde_of_horizon"][count]) for key in _SECONDS)
-        ends.add_row("  modes chosen for each time", count, *chosen)
-    likeliest = (_number(found[key]["most_probable_fde"]) for key in _SECONDS)
-    ends.add_row("  most probable mode", "1", *likeliest)
-    for name, title in _BASELINES.items():
-        known = {key: found[key]["baselines"].get(name) for key in _SECONDS}
-        for count in known["8.0"]["min_fde"] if known["8.0"] else ():
-            ends.add_row(f"  {title}", count, *_ends(known, count))
-            ways.add_row(f"  {title}", count, *_ways(known, count))
-    note = f"{found['targets']} objects; metres. Map-blind clusters: {found['clusters']}."
-    return [ends, note, ways, _calibration("Marginal", found)]
-
-
-def _whole_ways(title: str, name: str, found: dict[str, Any], modes: Sequence[int]) -> Table:
-    """Mean errors and misses at three times, and how plausible the modes are, and what happened."""
-    table = _table(
-        title, "modes", *(f"ADE {key}" for key in _LATE), *(f"miss {key}" for key in _LATE),
-        "clear 8.0", "on road 8.0",
-    )  # fmt: skip
-    shares = [found["8.0"][kind] for kind in ("overlap_free", "on_road")]
-    for count in map(str, modes):
-        table.add_row(name, count, *_ways(found, count), *(_number(s[count]) for s in shares))
-    table.add_row("  recorded", *[""] * 7, *(_number(share["recorded"]) for share in shares))
-    return table
-
-
-def _calibration(title: str, found: dict[str, Any]) -> Table:
-    table = _table(f"{title}: certainty of 6 modes", *(f"{key} s" for key in _LATE))
-    for name, label in _CERTAINTY.items():
-        if name in found["8.0"]:
-            table.add_row(label, *(_number(found[key][name]) for key in _LATE))
-    return table
-
-
-def _ends(found: dict[str, Any], count: str) -> list[str]:
-    """Cells of one number of modes: minFDE at five times, and its standard error at 8 s."""
-    return [
-        *(_number(found[key]["min_fde"][count]) for key in _SECONDS),
-        _number(found["8.0"]["min_fde_standard_error"][count]),
-    ]
-
-
-def _ways(found: dict[str, Any], count: str) -> list[str]:
-    """Cells of one number of modes: minADE and miss rate at three times."""
-    cells = [(found[key], name) for name in ("min_ade", "miss_rate") for key in _LATE]
-    return [_number(each[name][count]) for each, name in cells]
-
-
-def _conditional(found: dict[str, Any], modes: Sequence[int]) -> list[Table | str]:
-    if not found["targets"]:
-        return ["Conditional: nobody comes near anybody in these recordings; nothing to measure."]
-    names = {
-        "marginal": "marginal network",
-        "given_nothing": "conditional, given nothing",
-        "given_true": "conditional, given the true future",
-        "given_shuffled": "conditional, given a shuffled one",
+def _opponent(found: Evaluation) -> Iterator[Table | str]:
+    of = partial(found.of, "opponent")
+    scenes, partners = of("scenes").value, of("scenes_with_partner").value
+    if not scenes:
+        yield "Opponent: all scenes are simulated attacks, which have made their own labels."
+        return
+    quantities = {
+        "auroc": "AUROC",
+        "average_precision": "AP",
+        "top1_positive_scenes": f"first is a positive /{scenes}",
+        "top3_positive_scenes": "among first 3",
+        "partner_top1_scenes": f"partner first /{partners}",
+        "partner_top3_scenes": "among first 3",
     }
-    errors = _table(
-        f"Conditional: least error, {found['targets']} objects", "modes",
-        *(f"{key} s" for key in _SECONDS), "± at 8.0 s",
-    )  # fmt: skip
-    for name, title in names.items():
-        for count in map(str, modes):
-            cells = [_number(found[key][f"min_fde_{name}"][count]) for key in _SECONDS]
-            error = found["8.0"][f"min_fde_{name}_standard_error"][count]
-            errors.add_row(title, count, *cells, _number(error))
-        cells = [_number(found[key]["most_probable_fde"][name]) for key in _SECONDS]
-        errors.add_row("  most probable mode", "1", *cells)
-    title = "Conditional, given the truth"
-    ways = _whole_ways(f"{title}: the whole way", "network", found, modes)
-    return [errors, ways, _calibration(title, found), _gains(found)]
-
-
-def _gains(found: dict[str, Any]) -> Table:
-    table = _table(
-        "Conditional: gain in log likelihood, nats", "at 8.0 s", *(f"{key} s" for key in _LATE)
+    table = _grid("Opponent", *quantities.values())
+    for group in ("all", "attackable"):
+        network = f"network, {group} {of('candidates', group=group).value} candidates"
+        scores = {network: ("label_head", "partner_head")}
+        scores |= {f"  {title}": (rule, rule) for rule, title in _RULES.items()}
+        for label, (by_label, by_partner) in scores.items():
+            conditions = [by_partner if "partner" in name else by_label for name in quantities]
+            table.add_row(label, *(
+                _cell(of(quantity, condition=condition, group=group))
+                for quantity, condition in zip(quantities, conditions, strict=True)
+            ))  # fmt: skip
+    yield table
+    ece = {
+        name: _cell(of(name, condition="label_head", group="attackable"))
+        for name in ("ece", "ece_uncalibrated", "ece_if_right", "ece_if_right_95")
+    }
+    yield (
+        f"{of('positives').value} positives in {of('scenes_with_positive').value} scenes. The "
+        f"attack excludes {of('parked').value} parked candidates "
+        f"({of('positives_parked').value} positives, {of('partners_parked').value} partners). "
+        f"ECE {ece['ece']}, at temperature 1 {ece['ece_uncalibrated']}; if the scores were right, "
+        f"{ece['ece_if_right']} would be expected, and at most {ece['ece_if_right_95']} in 95 %."
     )
-    for role, title in (("both", "both"), ("av", "AV"), ("partner", "partner")):
-        groups = [found[key] if role == "both" else found[key]["by_role"][role] for key in _LATE]
-        if not any(each["objects"] for each in groups):
-            continue
-        for given in ("true", "shuffled"):
-            for suffix, against in (("", "marginal network"), ("_over_nothing", "given nothing")):
-                label = f"log_likelihood_gain_{given}{suffix}"
-                cells = [
-                    f"{_signed(each[label])} ± {_number(each[f'{label}_standard_error'])}"
-                    for each in groups
-                ]
-                name = f"{title}: given {given} - {against}"
-                table.add_row(name, str(groups[-1]["log_likelihood_objects"]), *cells)
+
+
+def _marginal(found: Evaluation) -> Iterator[Table | str]:
+    yield _table(found, "marginal", "Marginal: least final error, m", [
+        ("network", "min_fde", "network", "all"),
+        ("  modes chosen for each time", "min_fde_of_horizon", "network", "all"),
+        ("  most probable mode", "most_probable_fde", "network", "all"),
+        *((f"  {title}", "min_fde", name, "all") for name, title in _BASELINES.items()),
+    ])  # fmt: skip
+    yield f"{found.of('marginal', 'targets').value} objects. Map-blind clusters: {found.clusters}."
+    others = _BASELINES | {"recorded": "recorded"}
+    yield _table(
+        found, "marginal", "Marginal: whole path and certainty", _shapes("network", others)
+    )
+
+
+def _conditional(found: Evaluation) -> Iterator[Table | str]:
+    if not found.of("conditional", "targets").value:
+        yield "Conditional: no two vehicles come near each other in these recordings."
+        return
+    both = (("min_fde", ""), ("most_probable_fde", "  most probable mode"))
+    yield _table(found, "conditional", "Conditional: least final error, m", [
+        (label or title, quantity, condition, "all")
+        for condition, title in _CONDITIONS.items()
+        for quantity, label in both
+    ])  # fmt: skip
+    title = "Conditional, given the true future: whole path and certainty"
+    shapes = _shapes("given_true", {"recorded": "recorded"})
+    yield _table(found, "conditional", title, shapes)
+    yield _table(found, "conditional", "Conditional: gain in log likelihood, nats", [
+        (f"{title}: given {given} - {against}", quantity, f"given_{given}", group)
+        for group, title in _GROUPS.items()
+        for given in ("true", "shuffled")
+        for quantity, against in _GAINS.items()
+    ])  # fmt: skip
+    attacked = [
+        *(
+            (label or title, quantity, condition, "attacked")
+            for condition, title in _CONDITIONS.items()
+            for quantity, label in both
+        ),
+        *(
+            (
+                label or "gain over given nothing",
+                f"{name}_gain_over_nothing",
+                "given_true",
+                "attacked",
+            )
+            for name, label in both
+        ),
+    ]
+    if found.pivot("conditional", *attacked[0][1:]):
+        title = "Conditional: AVs attacked in simulation, least final error, m"
+        yield _table(found, "conditional", title, attacked, _SECONDS[:3])
+
+
+def _shapes(condition: str, others: dict[str, str]) -> list[Line]:
+    """Lines of a network's paths and certainty, with other conditions below."""
+    return [
+        *(
+            line
+            for quantity, title in _PATHS.items()
+            for line in (
+                (title, quantity, condition, "all"),
+                *((f"  {label}", quantity, name, "all") for name, label in others.items()),
+            )
+        ),
+        *((label, quantity, condition, "all") for quantity, label in _CERTAINTY.items()),
+    ]
+
+
+def _table(
+    found: Evaluation,
+    network: Network,
+    title: str,
+    lines: list[Line],
+    horizons: Sequence[float] = _SECONDS,
+) -> Table:
+    """Rows by label and number of modes, columns by horizon."""
+    last = f"{horizons[-1]} s"
+    columns = [f"{seconds} s" for seconds in horizons]
+    table = _grid(title, "modes", *columns, f"± at {last}", f"objects at {last}")
+    for label, quantity, condition, group in lines:
+        for modes, figures in found.pivot(network, quantity, condition, group).items():
+            row = [figures.get(seconds, Figure()) for seconds in horizons]
+            table.add_row(
+                label,
+                "" if modes is None else str(modes),
+                *(_cell(figure, signed="gain" in quantity) for figure in row),
+                _cell(Figure(row[-1].standard_error)),
+                _cell(Figure(row[-1].objects)),
+            )
     return table
 
 
-def _reactions(found: dict[str, Any]) -> list[Table | str]:
-    if not any(each["objects"] for each in found.values()):
-        return []
-    table = _table(
-        "Conditional: AVs attacked in simulation, m", "s", "objects", "given the opponent",
-        "given nothing", "marginal network", "gain",
-    )  # fmt: skip
-    for key, each in found.items():
-        for name in ("most_probable", "best_of_6"):
-            cells = each[name]
-            table.add_row(
-                name.replace("_", " "),
-                key,
-                str(each["objects"]),
-                *(_number(cells[label]) for label in ("reactive", "blind", "marginal")),
-                f"{_signed(cells['gain'])} ± {_number(cells['gain_standard_error'])}",
-            )
-    return [table]
-
-
-def _table(title: str, *headings: str) -> Table:
+def _grid(title: str, *headings: str) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column(title, no_wrap=True)
     for heading in headings:
@@ -219,11 +211,11 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
-def _number(value: float | None) -> str:
+def _cell(figure: Figure, *, signed: bool = False) -> str:
+    """A value; with its standard error if it is ``signed``."""
+    value, error = figure.value, figure.standard_error
     if value is None:
         return "-"
+    if signed:
+        return f"{value:+.3f} ± {'-' if error is None else f'{error:.3f}'}"
     return str(value) if isinstance(value, int) else f"{value:.3f}"
-
-
-def _signed(value: float | None) -> str:
-    return "-" if value is None else f"{value:+.3f}"

@@ -22,7 +22,7 @@ from rich.table import Table
 from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
-    from deepmf_sumo.ablation.study import Row as VariantRow
+    from deepmf_sumo.ablation.table import Row as VariantRow
     from deepmf_sumo.gate.verdict import Verdict
     from deepmf_sumo.live.attacker import Attached
     from deepmf_sumo.moments.moment import Found, Wish
@@ -440,7 +440,7 @@ def _study_cells(row: MethodRow, more: Iterable[str]) -> list[str]:
 
 def show_ablation(notes: Sequence[str], rows: Sequence[VariantRow], out: Path) -> None:
     """The table as in ``ablation.md``."""
-    from deepmf_sumo.ablation.study import cells, headings
+    from deepmf_sumo.ablation.table import cells, headings
 
     console = wide(240)
     for note in notes:

@@ -7,9 +7,9 @@ where the scenes are, and can keep that in a cache folder; `read` reads one of t
 
 import hashlib
 import json
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, TypeVar
@@ -225,7 +225,8 @@ def _records(path: Path, cache: Path | None) -> list[RecordRef]:
             return known
         found.extend(_guarded(path, lambda: _listed(path)))  # what came before an error stays
         if entry:
-            _write_index(entry, found)
+            with suppress(OSError):  # on a read-only or full disk, files are listed every time
+                _write_index(entry, found)
     except _bounded.EndedError:
         # Named, so that it has a row in a sweep, which gives the reason.
         count = len(found)
@@ -288,5 +289,11 @@ def _write_index(entry: Path, refs: Sequence[RecordRef]) -> None:
     with tempfile.NamedTemporaryFile(
         "w", dir=entry.parent, prefix=entry.name, suffix=".part", delete=False, encoding="utf-8"
     ) as file:
-        json.dump(content, file)
-    os.replace(file.name, entry)  # noqa: PTH105 - `file.name` is text
+        part = Path(file.name)
+        try:
+            json.dump(content, file)
+            file.close()
+            part.replace(entry)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise

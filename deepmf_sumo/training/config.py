@@ -103,13 +103,15 @@ def _entry(value: Any) -> Any:
     return {"path": value} if isinstance(value, str) else value
 
 
+DataEntries = Annotated[list[Annotated[DataEntry, BeforeValidator(_entry)]], Field(min_length=1)]
+"""At least one source; a path alone is one without a weight."""
+
+
 class Config(Optimisation):
     """A training: its data, how to optimise, and the same for single networks."""
 
     version: Literal[1]
-    data: list[Annotated[DataEntry, BeforeValidator(_entry)]] | None = Field(
-        default=None, min_length=1
-    )
+    data: DataEntries | None = None
     preset: str | None = None
     begin_from: str | None = Field(
         default=None, description="set of weights whose networks give the initial weights"

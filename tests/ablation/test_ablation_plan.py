@@ -87,7 +87,7 @@ def test_a_key_can_be_set_from_outside(folder):
         ("raster: false}}", "raster_pixels: 16}}", "plan.yaml:9", "'raster_pixels'"),
         ("candidates: 16,", "candidate: 16,", "plan.yaml:10", "Did you mean 'candidates'"),
         ("perception: lane", "perception: road", "plan.yaml:4", "planner 'idm, lane'"),
-        ("name: N1 16", "name: raster_off", "plan.yaml:8", "stands twice"),
+        ("name: N1 16", "name: raster_off", "plan.yaml:8", "two variants are named"),
         ("name: N1 16", "name: base", "plan.yaml:8", "'base' is the row"),
         ("version: 1\n", "version: 1\nbegin_from: open\n", "plan.yaml:2", "begin_from"),
         ("variants:", "preset: heavy\nvariants:", "plan.yaml:4", "no preset 'heavy'"),

@@ -8,6 +8,7 @@ import pytest
 from deepmf_sumo import ablation
 from deepmf_sumo.ablation import study
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.training.evaluation import Evaluation
 
 PLAN = """version: 1
 data: [train]
@@ -22,7 +23,7 @@ STUDY = "{version: 1, name: attacked, source: {recording: val}, adversary: S2, s
 
 
 class Work:
-    """In place of training, evaluation and attacks: what was asked for."""
+    """Records the calls of training, evaluation and attacks, which it replaces."""
 
     def __init__(self, monkeypatch):
         self.trained, self.evaluated, self.attacked = [], [], []
@@ -43,8 +44,20 @@ class Work:
     def evaluate(self, data, *, name, file, **_):
         self.evaluated.append((data[0].name, Path(name).name))
         file.parent.mkdir(exist_ok=True)
-        file.write_text(json.dumps({"of": Path(name).name}), encoding="utf-8")
-        return {"of": Path(name).name}
+        found = Evaluation(
+            data=["val"],
+            weights=Path(name).name,
+            scenes=1,
+            attacked_scenes=0,
+            refused=0,
+            refusals=[],
+            labelled_objects=0,
+            modes=(6,),
+            clusters="",
+            figures={},
+        )
+        file.write_text(json.dumps(found.record()), encoding="utf-8")
+        return found
 
     def attack(self, specs, options, report):
         (spec,) = specs
@@ -71,7 +84,7 @@ def rows_of(plan, *sets):
     return list(ablation.run(ablation.load(plan, sets), options, lambda _: None))
 
 
-def test_sizes_are_trained_anew_and_settings_are_not(plan, monkeypatch):
+def test_sizes_are_trained_and_settings_are_not(plan, monkeypatch):
     work = Work(monkeypatch)
     rows = rows_of(plan)
     every = ("opponent", "marginal", "conditional")
@@ -95,7 +108,7 @@ def test_sizes_are_trained_anew_and_settings_are_not(plan, monkeypatch):
         ("Raster off", "Raster off"),
         ("N1 16", "base"),
     ]
-    assert [row[3]["of"] for row in rows] == ["base", "raster-off", "base"]
+    assert [row[3].weights for row in rows] == ["base", "raster-off", "base"]
     assert rows[1][2]["opponent"]["made"] == "opponent 0 light"
     assert rows[1][2]["marginal"]["made"] == "marginal 0 raster-off"
 
@@ -115,6 +128,15 @@ def test_finished_figures_are_those_of_these_networks_and_recordings(plan, monke
     rows_of(plan)
     assert len({attack[0] for attack in work.attacked}) == 18
     assert len(work.evaluated) == 6
+
+
+def test_figures_of_an_earlier_version_are_measured_again(plan, monkeypatch):
+    work = Work(monkeypatch)
+    rows_of(plan)
+    for file in (plan.parent / "out" / "evaluation").iterdir():
+        file.write_text(json.dumps({"marginal": {"8.0": {}}}), encoding="utf-8")
+    rows_of(plan)
+    assert len(work.evaluated) == 4
 
 
 def test_a_folder_that_cannot_be_written_is_named(plan, monkeypatch):

@@ -1,3 +1,4 @@
+import errno
 import json
 import os
 
@@ -138,6 +139,30 @@ def test_a_changed_file_and_a_damaged_index_are_searched_again(data, tmp_path):
     for entry in (cache / "index").iterdir():
         entry.write_text("{")
     assert readers.scene(file, "new", cache).name == "new"
+
+
+@pytest.mark.sumo
+def test_an_index_that_cannot_be_written_hides_no_scene(data, tmp_path):
+    expected = list(readers.records(data))
+    file = tmp_path / "a file, in which no folder can be made"
+    file.write_text("")
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    (folder / "index").write_text("not a folder either")
+    for cache in (file, folder):
+        assert list(readers.records(data, cache)) == expected
+        assert readers.ids(data / "b.tfrecord", cache) == ["x", "y", "z"]
+        assert readers.scene(data, "y", cache).name == "y"
+
+
+@pytest.mark.sumo
+def test_an_index_that_cannot_be_completed_leaves_no_part(data, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(readers.json, "dump", full)
+    assert readers.ids(data / "b.tfrecord", tmp_path / "cache") == ["x", "y", "z"]
+    assert list((tmp_path / "cache" / "index").iterdir()) == []
 
 
 @pytest.mark.sumo

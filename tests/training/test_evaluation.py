@@ -26,7 +26,7 @@ SCENES = [scene(shift=3.0 * number, av_speed=8.0 + number) for number in range(3
 
 
 def truth(view, agent_id):
-    """What an agent does: everyone in these scenes keeps its velocity."""
+    """What an agent does: all agents of these scenes keep their velocity."""
     row = view.history.row(agent_id)
     times = np.arange(1, 81)[:, None] * 0.1
     start, velocity = view.history.position_m[row, -1], view.history.velocity_mps[row, -1]
@@ -34,7 +34,7 @@ def truth(view, agent_id):
 
 
 def forecast(view, agent_id, modes, off_m, temperature):
-    """Modes side by side, 10 m apart, the best off by so much at all times."""
+    """Modes side by side, 10 m apart; the best one is off by ``off_m`` at all times."""
     way = truth(view, agent_id) + np.array([off_m, 0.0])
     row = view.history.row(agent_id)
     positions = np.stack([way + np.array([0.0, 10.0 * mode]) for mode in range(modes)])
@@ -134,104 +134,133 @@ def evaluate(report=lambda _: None, **options):
     return evaluation.evaluate([Path("here")], "double", report, **options)
 
 
-def test_who_is_compared_with_whom(predictors, given):
+class Of:
+    """The values of one network; by default at 8 s, of the network itself."""
+
+    def __init__(self, found, network, condition="network"):
+        self.found, self.network, self.condition = found, network, condition
+
+    def figure(self, quantity, modes=None, condition=None, seconds=8.0, group="all"):
+        return self.found.of(
+            self.network, quantity, seconds, modes, condition or self.condition, group
+        )
+
+    def __call__(self, *key, **more):
+        return self.figure(*key, **more).value
+
+    def by_modes(self, quantity, condition=None, seconds=8.0):
+        table = self.found.pivot(self.network, quantity, condition or self.condition)
+        return {modes: figures[seconds].value for modes, figures in table.items()}
+
+
+def test_the_conditions_that_are_compared(predictors, given):
     given(*SCENES)
     found = evaluate()
-    at_8 = found["conditional"]["8.0"]
-    assert found["conditional"]["targets"] == at_8["objects"] == 6
-    assert at_8["min_fde_marginal"] == {"6": 2.0, "16": 2.0, "32": 2.0}
-    assert at_8["min_fde_given_nothing"]["6"] == 3.0
-    assert at_8["min_fde_given_true"]["6"] == pytest.approx(0.0, abs=1e-6)
-    assert at_8["min_fde_change_true"]["6"] == pytest.approx(-2.0)
-    assert at_8["log_likelihood_gain_true"] == pytest.approx(0.5)  # 2**2 / 8
-    assert at_8["log_likelihood_gain_true_standard_error"] == pytest.approx(0.0, abs=1e-6)
-    assert at_8["log_likelihood_gain_true_over_nothing"] == pytest.approx(1.125)  # 3**2 / 8
-    assert at_8["log_likelihood_gain_nothing"] == pytest.approx(0.5 - 1.125)
+    of = Of(found, "conditional", "given_true")
+    fde = of.figure("min_fde", 6)
+    assert found.of("conditional", "targets").value == fde.objects == 6
+    assert of.by_modes("min_fde", "marginal") == {6: 2.0, 16: 2.0, 32: 2.0}
+    assert of("min_fde", 6, "given_nothing") == 3.0
+    assert fde.value == pytest.approx(0.0, abs=1e-6)
+    assert of("min_fde_gain", 6) == pytest.approx(2.0)
+    gain = of.figure("log_likelihood_gain")
+    assert gain.value == pytest.approx(0.5)  # 2**2 / 8
+    assert gain.standard_error == pytest.approx(0.0, abs=1e-6)
+    assert of("log_likelihood_gain_over_nothing") == pytest.approx(1.125)  # 3**2 / 8
+    assert of("log_likelihood_gain", None, "given_nothing") == pytest.approx(0.5 - 1.125)
     for role in ("av", "partner"):
-        assert at_8["by_role"][role]["objects"] == 3
-        assert at_8["by_role"][role]["log_likelihood_gain_true"] == pytest.approx(0.5)
-    assert found["conditional"]["3.0"]["log_likelihood_gain_true"] > 0.5
+        assert of.figure("min_fde", 6, group=role).objects == 3
+        assert of("log_likelihood_gain", group=role) == pytest.approx(0.5)
+    assert of("log_likelihood_gain", seconds=3.0) > 0.5
 
 
 def test_what_is_said_given_the_truth_is_judged_as_any_forecast(predictors, given):
     given(*SCENES)
     found = evaluate()
-    informed, alone = found["conditional"]["8.0"], found["marginal"]["8.0"]
-    assert informed["min_ade"]["6"] == pytest.approx(0.0, abs=1e-3)
-    assert alone["min_ade"]["6"] > 0.5
-    assert informed["miss_rate"] == {"6": 0.0, "16": 0.0, "32": 0.0}
-    assert informed["negative_log_likelihood"] == pytest.approx(0.0, abs=1e-6)
-    assert informed["ece"] == alone["ece"], "the modes of both doubles have the same chances"
-    assert informed["ece_if_right_95"] == alone["ece_if_right_95"]
-    early = found["conditional"]["3.0"]
-    assert informed["ece_of_horizon"] == informed["ece"], "modes for 8 s serve at 8 s"
-    assert early["ece_of_horizon"] == early["ece_uncalibrated"] != early["ece"]
+    informed, alone = Of(found, "conditional", "given_true"), Of(found, "marginal")
+    assert informed("min_ade", 6) == pytest.approx(0.0, abs=1e-3)
+    assert alone("min_ade", 6) > 0.5
+    assert informed.by_modes("miss_rate") == {6: 0.0, 16: 0.0, 32: 0.0}
+    assert informed("negative_log_likelihood") == pytest.approx(0.0, abs=1e-6)
+    assert informed("ece") == alone("ece"), "the modes of both doubles have the same chances"
+    assert informed("ece_if_right_95") == alone("ece_if_right_95")
+    assert informed("ece_of_horizon") == informed("ece"), "modes for 8 s serve at 8 s"
+    early = {name: informed(name, seconds=3.0) for name in ("ece", "ece_of_horizon")}
+    assert early["ece_of_horizon"] == informed("ece_uncalibrated", seconds=3.0) != early["ece"]
     for share in ("on_road", "overlap_free"):
-        assert informed[share]["recorded"] == alone[share]["recorded"]
-        assert informed[share].keys() == {"6", "16", "32", "recorded"}
-        assert 0.0 < informed[share]["6"] < 1.0, "some modes leave the lane, or meet somebody"
+        assert informed(share, None, "recorded") == alone(share, None, "recorded") is not None
+        assert informed.by_modes(share).keys() == {6, 16, 32}
+        assert 0.0 < informed(share, 6) < 1.0, "some modes leave the lane, or meet a vehicle"
 
 
 def test_the_shuffled_future_is_another_scene_s_partner_in_the_same_role(predictors, given):
     given(*SCENES)
-    at_8 = evaluate()["conditional"]["8.0"]
+    of = Of(evaluate(), "conditional", "given_shuffled")
     # South drives at 9 m/s in all scenes, so that the AV is given the truth even when shuffled. Its
     # own speed is 8, 9, 10 m/s: the partner is given a motion that ends 16, 8, 8 m from the truth.
-    assert at_8["by_role"]["av"]["min_fde"]["given_shuffled"] == pytest.approx(0.0, abs=1e-6)
-    partner = at_8["by_role"]["partner"]["min_fde"]["given_shuffled"]
-    assert partner == pytest.approx((16 + 8 + 8) / 3, abs=0.01)
-    assert at_8["by_role"]["partner"]["log_likelihood_gain_shuffled"] < 0
+    assert of("min_fde", 6, group="av") == pytest.approx(0.0, abs=1e-6)
+    assert of("min_fde", 6, group="partner") == pytest.approx((16 + 8 + 8) / 3, abs=0.01)
+    assert of("log_likelihood_gain", group="partner") < 0
 
 
 def test_a_single_scene_cannot_be_shuffled(predictors, given):
     given(SCENES[0])
-    at_8 = evaluate()["conditional"]["8.0"]
-    assert at_8["min_fde_given_true"]["6"] == pytest.approx(0.0, abs=1e-6)
-    assert at_8["min_fde_given_shuffled"]["6"] is None
-    assert at_8["log_likelihood_gain_shuffled"] is None
-    assert at_8["log_likelihood_gain_true"] == pytest.approx(0.5)
+    of = Of(evaluate(), "conditional", "given_true")
+    assert of("min_fde", 6) == pytest.approx(0.0, abs=1e-6)
+    assert of("min_fde", 6, "given_shuffled") is None
+    assert of("log_likelihood_gain", None, "given_shuffled") is None
+    assert of("log_likelihood_gain") == pytest.approx(0.5)
 
 
 def test_marginal_figures_and_calibration_before_and_after(predictors, given):
     given(*SCENES)
-    found = evaluate()["marginal"]
-    at_8 = found["8.0"]
-    assert at_8["objects"] == 6
-    assert at_8["most_probable_fde"] == 2.0
+    found = evaluate()
+    of = Of(found, "marginal")
+    assert of.figure("min_fde", 6).objects == 6
+    assert of("most_probable_fde", 1) == 2.0
     # The likeliest mode is always the nearest. At temperature 1 the six have 6/21 ... 1/21: two of
     # them in each of the bins from 0.2, 0.1, 0 on.
-    assert at_8["ece_uncalibrated"] == pytest.approx((1 - 11 / 21 + 7 / 21 + 3 / 21) / 6, abs=1e-4)
-    assert at_8["ece"] > at_8["ece_uncalibrated"]
-    assert at_8["negative_log_likelihood"] == pytest.approx(0.5)
-    assert at_8["baselines"]["constant_velocity"]["min_fde"]["1"] == pytest.approx(0.0, abs=1e-6)
-    assert at_8["baselines"]["lane_following"]["min_fde"]["1"] < 0.5
-    assert "clusters" not in at_8["baselines"]
-    assert "not fitted" in found["clusters"]
-    assert at_8["on_road"]["recorded"] == 1.0
-    assert 0.1 < at_8["on_road"]["6"] < 0.9  # one of six modes is on the lane, some cross another
-    assert found["1.0"]["min_fde"] == {"6": 2.0, "16": 2.0, "32": 2.0}
-    assert found["1.0"]["min_fde_of_horizon"] == {"6": 0.25, "16": 0.25, "32": 0.25}
+    assert of("ece_uncalibrated") == pytest.approx((1 - 11 / 21 + 7 / 21 + 3 / 21) / 6, abs=1e-4)
+    assert of("ece") > of("ece_uncalibrated")
+    assert of("negative_log_likelihood") == -of("log_likelihood") == pytest.approx(0.5)
+    assert of("min_fde", 1, "constant_velocity") == pytest.approx(0.0, abs=1e-6)
+    assert of("min_fde", 1, "lane_following") < 0.5
+    assert "clusters" not in {key.condition for key in found.figures}
+    assert "not fitted" in found.clusters
+    assert of("on_road", None, "recorded") == 1.0
+    assert 0.1 < of("on_road", 6) < 0.9  # one of six modes is on the lane, some cross another
+    assert of.by_modes("min_fde", seconds=1.0) == {6: 2.0, 16: 2.0, 32: 2.0}
+    assert of.by_modes("min_fde_of_horizon", seconds=1.0) == {6: 0.25, 16: 0.25, 32: 0.25}
     # Modes for 8 s serve at 8 s; so few draws are far from their probability even if it is right.
-    assert at_8["ece_of_horizon"] == at_8["ece"]
-    assert 0.05 < at_8["ece_if_right"] < at_8["ece_if_right_95"] < 1.0
-    assert at_8["min_fde_of_horizon"]["6"] == 2.0
+    assert of("ece_of_horizon") == of("ece")
+    assert 0.05 < of("ece_if_right") < of("ece_if_right_95") < 1.0
+    assert of("min_fde_of_horizon", 6) == 2.0
 
 
 def test_opponent_figures_among_all_and_among_scored(predictors, given):
     given(*SCENES)
-    found = evaluate()["opponent"]
-    assert (found["candidates"], found["parked"]) == (6, 3)  # south and the parked one
-    assert (found["positives"], found["positives_parked"]) == (3, 0)
-    assert found["auroc"] == found["average_precision"] == 1.0
-    assert found["top1_positive_scenes"] == found["partner_top1_scenes"] == 3
-    assert found["attackable"]["candidates"] == 3
-    assert found["attackable"]["auroc"] is None  # there are only positives
-    assert found["baselines"]["nearest"]["partner_top1"] == 0.0
-    assert found["baselines"]["nearest_moving"]["partner_top1"] == 1.0
+    found = evaluate()
+
+    def of(quantity, condition="label_head", group="all"):
+        return found.of("opponent", quantity, condition=condition, group=group).value
+
+    def count(quantity, group="all"):
+        return of(quantity, "network", group)
+
+    assert (count("candidates"), count("parked")) == (6, 3)  # south and the parked one
+    assert (count("positives"), count("positives_parked")) == (3, 0)
+    assert of("auroc") == of("average_precision") == 1.0
+    assert of("top1_positive_scenes") == of("partner_top1_scenes", "partner_head") == 3
+    assert count("candidates", "attackable") == 3
+    assert of("auroc", group="attackable") is None  # there are only positives
+    assert of("partner_top1", "nearest") == 0.0
+    assert of("partner_top1", "nearest_moving") == 1.0
     sigmoid = 1 / (1 + np.exp(-1.0))
-    assert found["ece"] == pytest.approx(1 - sigmoid, abs=1e-4)
-    assert found["ece_uncalibrated"] == pytest.approx(1 / (1 + np.exp(2.0)), abs=1e-4)
-    assert 0.0 < found["ece_if_right"] < found["ece_if_right_95"] < 1.0
+    right = {name: of(name, group="attackable") for name in ("ece_if_right", "ece_if_right_95")}
+    assert of("ece", group="attackable") == pytest.approx(1 - sigmoid, abs=1e-4)
+    uncalibrated = of("ece_uncalibrated", group="attackable")
+    assert uncalibrated == pytest.approx(1 / (1 + np.exp(2.0)), abs=1e-4)
+    assert 0.0 < right["ece_if_right"] < right["ece_if_right_95"] < 1.0
 
 
 def test_what_right_probabilities_show_of_few_draws():
@@ -255,8 +284,13 @@ def test_of_events_that_exclude_each_other_one_happens():
 def test_other_numbers_of_modes_are_measured_too(predictors, given):
     given(SCENES[0])
     found = evaluate(candidates=24)
-    assert list(found["marginal"]["8.0"]["min_fde"]) == ["6", "16", "24", "32"]
-    assert found["modes"] == [6, 16, 24, 32]
+    assert list(Of(found, "marginal").by_modes("min_fde")) == [6, 16, 24, 32]
+    assert found.modes == (6, 16, 24, 32)
+
+
+def evaluate_again(given, *scenes):
+    given(*scenes)
+    return evaluate()
 
 
 def attacked(number):
@@ -267,23 +301,27 @@ def attacked(number):
 def test_attacked_avs_are_predicted_reactively_and_blindly(predictors, given):
     given(attacked(0), attacked(1), SCENES[2])
     found = evaluate()
-    assert found["attacked_scenes"] == 2
-    assert found["opponent"]["scenes"] == 1
-    at_2 = found["conditional"]["reactions"]["2.0"]
-    assert at_2["objects"] == 2
-    for name in ("most_probable", "best_of_6"):
-        assert at_2[name]["reactive"] == pytest.approx(0.0, abs=1e-6)
-        assert (at_2[name]["blind"], at_2[name]["marginal"]) == (3.0, 2.0)
-        assert at_2[name]["gain"] == pytest.approx(3.0)
+    assert found.attacked_scenes == 2
+    assert found.of("opponent", "scenes").value == 1
+    of = Of(found, "conditional", "given_true")
+    at_2 = {"seconds": 2.0, "group": "attacked"}
+    for name, modes in (("most_probable_fde", 1), ("min_fde", 6)):
+        reactive = of.figure(name, modes, **at_2)
+        assert reactive.objects == 2
+        assert reactive.value == pytest.approx(0.0, abs=1e-6)
+        assert of(name, modes, "given_nothing", **at_2) == 3.0
+        assert of(name, modes, "marginal", **at_2) == 2.0
+        assert of(f"{name}_gain_over_nothing", modes, **at_2) == pytest.approx(3.0)
 
 
-def test_scenes_without_labels_have_the_av_and_who_moves_near_it(predictors, given):
+def test_scenes_without_labels_have_the_av_and_vehicles_that_move_near_it(predictors, given):
     given(scene(labelled=False, shift=20.0))  # south is 56 m away, `far` 90 m
     found = evaluate()
-    assert found["labelled_objects"] == 0
-    assert found["marginal"]["targets"] == 1
-    assert found["opponent"]["scenes_with_partner"] == 0
-    assert found["opponent"]["partner_top1"] is None
+    assert found.labelled_objects == 0
+    assert found.of("marginal", "targets").value == 1
+    assert found.of("opponent", "scenes_with_partner").value == 0
+    partner = found.of("opponent", "partner_top1", condition="partner_head")
+    assert (partner.value, partner.objects) == (None, 0)
 
 
 def test_broken_records_are_counted_and_named(predictors, given):
@@ -293,9 +331,9 @@ def test_broken_records_are_counted_and_named(predictors, given):
     bad = Refusal(file="a.tfrecord", record=7, name="", reason="the checksum is wrong")
     given(bad, SCENES[0], lost)
     found = evaluate()
-    assert (found["scenes"], found["refused"]) == (1, 2)
-    assert found["refusals"][0] == "a.tfrecord, record 7: the checksum is wrong"
-    assert "AV is not there" in found["refusals"][1]
+    assert (found.scenes, found.refused) == (1, 2)
+    assert found.refusals[0] == "a.tfrecord, record 7: the checksum is wrong"
+    assert "AV is not there" in found.refusals[1]
 
 
 def test_no_usable_scene_is_an_error(predictors, given):
@@ -313,7 +351,9 @@ def test_the_command_shows_tables_and_writes_json(predictors, given, tmp_path):
     file = tmp_path / "new" / "figures.json"
     found = CliRunner().invoke(command, ["here", "--json", str(file), "--threads", "1"])
     assert found.exit_code == 0, found.output
-    assert json.loads(file.read_text(encoding="utf-8"))["scenes"] == 4
+    written = evaluation.Evaluation.from_record(json.loads(file.read_text(encoding="utf-8")))
+    assert written.scenes == 4
+    assert written.figures == evaluate_again(given, *SCENES, attacked(0), bad).figures
     for text in (
         "4 scenes, 1 refused",
         "a.tfrecord, record 7: torn [here]",
@@ -340,7 +380,10 @@ def test_main_figures_go_onto_the_cards(predictors, given, tmp_path, monkeypatch
         results = weights.read_card(tmp_path, network)["results"]
         assert results["data"] == ["here"]
         assert len(json.dumps(results)) < 3000
-    assert results["8.0"]["min_fde_marginal"] == found["conditional"]["8.0"]["min_fde_marginal"]
+    marginal = Of(found, "conditional").by_modes("min_fde", "marginal")
+    assert results["8.0"]["min_fde_marginal"] == {str(m): value for m, value in marginal.items()}
+    assert results["8.0"]["on_road"].keys() == {"6", "16", "32", "recorded"}
+    assert results["8.0"]["log_likelihood_gain_true"] == pytest.approx(0.5)
 
 
 def test_a_file_that_cannot_be_written_is_named(predictors, given, tmp_path):
@@ -365,10 +408,10 @@ def test_real_networks_and_clusters_go_through(monkeypatch, given, tmp_path):
     monkeypatch.setattr(weights, "load", lambda _: made)
     given(SCENES[0])
     found = evaluate()
-    at_8 = found["marginal"]["8.0"]
-    assert set(at_8["baselines"]["clusters"]["min_fde"]) == {"6", "16", "32"}
-    assert found["marginal"]["clusters"] == "fitted on 40 trajectories"
-    errors = list(at_8["min_fde"].values())
+    of = Of(found, "marginal")
+    assert of.by_modes("min_fde", "clusters").keys() == {6, 16, 32}
+    assert found.clusters == "fitted on 40 trajectories"
+    errors = list(of.by_modes("min_fde").values())
     assert errors[0] == max(errors)  # of 6 modes; 16 and 32 are not nested
-    assert np.isfinite(found["conditional"]["8.0"]["log_likelihood_gain_true"])
-    assert 0 <= at_8["ece"] <= 1
+    assert np.isfinite(Of(found, "conditional", "given_true")("log_likelihood_gain"))
+    assert 0 <= of("ece") <= 1

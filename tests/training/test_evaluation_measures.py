@@ -9,12 +9,12 @@ from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.training.evaluation import forecasts, marginal, measures, opponent
 from deepmf_sumo.training.evaluation.forecasts import targets
 from deepmf_sumo.training.evaluation.measures import (
-    DisplacementErrors,
-    ModeCalibration,
     difference,
-    error_summary,
     expected_error,
+    final_errors,
     mean,
+    nearest_modes,
+    path_errors,
     standard_error,
 )
 from deepmf_sumo.training.evaluation.opponent import (
@@ -23,6 +23,7 @@ from deepmf_sumo.training.evaluation.opponent import (
     average_precision,
     vehicles_near,
 )
+from deepmf_sumo.training.evaluation.table import Key, Samples
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.windows import Future
 
@@ -67,7 +68,7 @@ def test_average_precision_does_not_depend_on_the_order_of_ties():
     assert first == last == pytest.approx((1 + 2 / 4) / 2)
 
 
-def test_the_partner_s_place_counts_and_who_is_not_scored_is_never_found():
+def test_the_partner_s_place_counts_and_a_vehicle_without_a_score_is_never_found():
     ranking = Ranking()
     scores = np.array([0.5, 2.0, -np.inf])
     ranking.add(scores, np.array([False, True, True]))
@@ -75,9 +76,10 @@ def test_the_partner_s_place_counts_and_who_is_not_scored_is_never_found():
         ranking.add_partner(scores, partner)
     assert ranking.places == [0.0, 1.0, np.inf, np.inf]
     found = ranking.by_partner()
-    assert (found["partner_top1"], found["partner_top3"]) == (0.25, 0.5)
-    assert found["partner_top3_scenes"] == 2
-    assert ranking.by_label()["top1_positive_scenes"] == 1
+    assert (found["partner_top1"].value, found["partner_top3"].value) == (0.25, 0.5)
+    assert found["partner_top1"].objects == 4
+    assert found["partner_top3_scenes"].value == 2
+    assert ranking.by_label()["top1_positive_scenes"].value == 1
 
 
 def test_a_positive_may_be_second_or_third():
@@ -85,43 +87,59 @@ def test_a_positive_may_be_second_or_third():
     for place in range(4):
         ranking.add(np.array([4.0, 3.0, 2.0, 1.0]), np.arange(4) == place)
     found = ranking.by_label()
-    assert (found["top1_positive"], found["top3_positive"]) == (0.25, 0.75)
-    assert found["top3_positive_scenes"] == 3
+    assert (found["top1_positive"].value, found["top3_positive"].value) == (0.25, 0.75)
+    assert found["top3_positive_scenes"].value == 3
 
 
 def test_a_scene_without_scored_candidates_has_no_first():
     ranking = Ranking()
     ranking.add(np.array([-np.inf]), np.array([True]))
     ranking.add(np.zeros(0), np.zeros(0, bool))
-    assert ranking.by_label()["top1_positive"] == 0.0
+    assert ranking.by_label()["top1_positive"].value == 0.0
 
 
 def test_errors_and_misses_by_hand():
-    errors, valid = DisplacementErrors(), np.ones(80, bool)
     modes = np.stack([STRAIGHT + np.array([0, 4.0]), STRAIGHT + np.array([7.0, 0])])
-    errors.add(modes, STRAIGHT, np.zeros(80), valid, 20.0)
-    assert errors.fde["8.0"] == errors.fde["1.0"] == [4.0]
-    assert errors.ade["3.0"] == [4.0]
-    assert errors.missed["8.0"] == [1.0]  # 4 m beside, 7 m ahead: outside 3 and 6
-    errors.add(STRAIGHT[None] + [5.0, 0], STRAIGHT, np.zeros(80), valid, 20.0)
-    assert errors.missed["8.0"][-1] == 0.0
-    assert errors.missed["3.0"][-1] == 1.0
-    errors.add(STRAIGHT[None] + [5.0, 0], STRAIGHT, np.zeros(80), valid, 0.0)
-    assert errors.missed["8.0"][-1] == 1.0  # thresholds are halved at low speed
-    errors.add(STRAIGHT[None], STRAIGHT, np.zeros(80), np.arange(80) < 60, 0.0)
-    assert len(errors.fde["8.0"]) == 3
-    assert len(errors.fde["5.0"]) == 4
+    future = future_of(STRAIGHT)
+    fde = final_errors(modes, future, "min_fde")
+    assert fde["min_fde", 8.0] == fde["min_fde", 1.0] == 4.0
+    found = path_errors(modes, future, 20.0)
+    assert found["min_ade", 3.0] == 4.0
+    assert found["miss_rate", 8.0] == 1.0  # 4 m beside, 7 m ahead: outside 3 and 6
+    ahead = STRAIGHT[None] + [5.0, 0]
+    assert path_errors(ahead, future, 20.0)["miss_rate", 8.0] == 0.0
+    assert path_errors(ahead, future, 20.0)["miss_rate", 3.0] == 1.0
+    assert path_errors(ahead, future, 0.0)["miss_rate", 8.0] == 1.0  # half thresholds at low speed
+    cut = future_of(STRAIGHT, np.arange(80) < 60)
+    assert ("min_fde", 8.0) not in final_errors(STRAIGHT[None], cut, "min_fde")
+    assert ("min_fde", 5.0) in final_errors(STRAIGHT[None], cut, "min_fde")
+    assert ("miss_rate", 8.0) not in path_errors(STRAIGHT[None], cut, 0.0)
+    assert path_errors(STRAIGHT[None], cut, 0.0)["min_ade", 8.0] == 0.0
 
 
-def test_a_summary_has_standard_errors_and_no_miss_rule_before_three_seconds():
-    errors, valid = DisplacementErrors(), np.ones(80, bool)
+def test_figures_have_standard_errors_and_no_miss_rule_before_three_seconds():
+    samples, future = Samples("marginal"), future_of(STRAIGHT)
     for off in (1.0, 3.0):
-        errors.add(STRAIGHT[None] + [0, off], STRAIGHT, np.zeros(80), valid, 0.0)
-    late, early = error_summary({1: errors}, "8.0"), error_summary({1: errors}, "2.0")
-    assert late["min_fde"] == {"1": 2.0}
-    assert late["min_fde_standard_error"] == {"1": 1.0}
-    assert late["miss_rate"] == {"1": 0.5}
-    assert "miss_rate" not in early
+        modes = STRAIGHT[None] + [0, off]
+        samples.add(final_errors(modes, future, "min_fde"), 1)
+        samples.add(path_errors(modes, future, 0.0), 1)
+    figures = samples.figures()
+    assert figures[Key("marginal", "min_fde", 8.0, 1)] == (2.0, 1.0, 2)
+    assert figures[Key("marginal", "miss_rate", 8.0, 1)].value == 0.5
+    assert Key("marginal", "min_fde", 2.0, 1) in figures
+    assert Key("marginal", "miss_rate", 2.0, 1) not in figures
+
+
+def test_gains_are_paired_and_need_the_same_objects():
+    samples = Samples("conditional")
+    for condition, values in (("a", (1.0, 5.0)), ("b", (0.0, 4.0)), ("c", (3.0,))):
+        for value in values:
+            samples.add({("min_fde", 8.0): value}, 6, condition)
+    gains = samples.gains("min_fde", -1, "gain", "a")
+    assert gains == {
+        Key("conditional", "gain", 8.0, 6, "b"): (1.0, 0.0, 2),
+        Key("conditional", "gain", 8.0, 6, "c"): (None, None, 1),
+    }
 
 
 def test_differences_are_paired():
@@ -140,16 +158,18 @@ def test_calibration_error_by_hand():
 
 
 def test_the_event_of_a_mode_is_to_be_nearest_at_the_horizon():
-    found = ModeCalibration()
+    samples = Samples("marginal")
     slower = STRAIGHT * 0.5
     modes = np.stack([STRAIGHT, slower])
     truth = np.where(np.arange(80)[:, None] < 40, STRAIGHT, slower)
-    found.add(forecast_of(modes, [0.9, 0.1]), future_of(truth, np.arange(80) < 60))
-    assert found.nearest["3.0"][0].tolist() == [True, False]
-    assert found.nearest["5.0"][0].tolist() == [False, True]
-    assert found.error("3.0") == pytest.approx(0.1)
-    assert found.error("5.0") == pytest.approx(0.9)
-    assert found.error("8.0") is None
+    found = nearest_modes(forecast_of(modes, [0.9, 0.1]), future_of(truth, np.arange(80) < 60))
+    assert found["nearest", 3.0].tolist() == [True, False]
+    assert found["nearest", 5.0].tolist() == [False, True]
+    samples.add(found, 2)
+    figures = samples.figures()
+    assert figures[Key("marginal", "ece", 3.0)].value == pytest.approx(0.1)
+    assert figures[Key("marginal", "ece", 5.0)].value == pytest.approx(0.9)
+    assert Key("marginal", "ece", 8.0) not in figures
 
 
 def test_likelihood_of_modes_is_a_density_and_grows_with_probability():
@@ -177,11 +197,10 @@ def test_the_end_is_judged_by_all_goals_and_what_is_unknown_not_at_all():
 
     forecast = forecast_of(STRAIGHT[None], [1.0])
     known = measures.log_likelihoods(forecast, future_of(STRAIGHT), density)
-    assert known["8.0"] == -3.0
+    assert known["log_likelihood", 8.0] == -3.0
     assert asked[0][0].tolist() == [[80.0, 0.0]]
     cut = measures.log_likelihoods(forecast, future_of(STRAIGHT, np.arange(80) < 30), density)
-    assert cut["3.0"] is not None
-    assert cut["5.0"] is cut["8.0"] is None
+    assert cut.keys() == {("log_likelihood", 3.0)}
 
 
 def test_modes_that_meet_others_are_not_clear():

@@ -1,8 +1,8 @@
-"""The marginal network: its modes, their likelihood, and baselines beside them."""
+"""The marginal network: its modes, their likelihood, and baselines without a network."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -11,17 +11,21 @@ from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.marginal import Marginal, MarginalPrediction
 from deepmf_sumo.predictors.paths import path_set
-from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastModes, Target, compare
+from deepmf_sumo.training.evaluation.forecasts import FEW, Target, add_shapes
 from deepmf_sumo.training.evaluation.measures import (
-    EARLY,
-    HORIZONS,
     STEPS,
-    DisplacementErrors,
-    ModeCalibration,
-    error_summary,
+    Measured,
+    final_errors,
     log_likelihoods,
-    mean,
-    standard_error,
+    nearest_modes,
+    path_errors,
+)
+from deepmf_sumo.training.evaluation.table import (
+    NETWORK,
+    Figure,
+    Figures,
+    Key,
+    Samples,
 )
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.networks.clusters import Clusters
@@ -33,111 +37,71 @@ _TURN_STEPS: Final = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marginals:
-    """Predictions for a target: forecasts by number of modes, log likelihoods by horizon.
-
-    A log likelihood is None where the target is not known at the horizon.
-    """
+    """Predictions for a target: forecasts by number of modes, log likelihoods by horizon."""
 
     forecasts: dict[int, Forecast]
-    log_likelihood: dict[str, float | None]
+    log_likelihood: dict[Measured, float]
 
 
-@dataclass(slots=True)
 class MarginalFigures:
-    """What has been measured of the marginal network.
+    """Measures the marginal network.
 
-    Attributes:
+    Args:
         modes: numbers of modes, `FEW` among them.
         fitted: map-blind clusters, if there are any beside the weights.
-        chosen: its modes, which cover 8 s.
-        of_horizon: final errors by horizon and number of modes, chosen to cover that horizon.
-        calibrated_of_horizon: of modes that cover the horizon, at the fitted temperature.
     """
 
-    modes: Sequence[int]
-    fitted: Clusters | None
-    chosen: ForecastModes = field(init=False)
-    of_horizon: dict[tuple[str, int], list[float]] = field(default_factory=dict)
-    baselines: dict[str, dict[int, DisplacementErrors]] = field(init=False)
-    calibrated_of_horizon: ModeCalibration = field(default_factory=ModeCalibration)
-    log_likelihood: dict[str, list[float]] = field(
-        default_factory=lambda: {key: [] for key in HORIZONS}
-    )
-    targets: int = 0
-
-    def __post_init__(self) -> None:
-        self.chosen = ForecastModes(self.modes)
-        self.baselines = {
-            "constant_velocity": {1: DisplacementErrors()},
-            "lane_following": {1: DisplacementErrors()},
-        }
-        if self.fitted is not None:
-            self.baselines["clusters"] = {modes: DisplacementErrors() for modes in clusters.MODES}
+    def __init__(self, modes: Sequence[int], fitted: Clusters | None) -> None:
+        self.modes, self.fitted = modes, fitted
+        self.samples = Samples("marginal")
+        self.targets = 0
 
     def add(self, marginal: Marginal, target: Target) -> Marginals:
         """Add one target; returns its predictions for comparison."""
+        future = target.future
         prediction = marginal.predict(target.view, target.agent_id)
         found = {modes: prediction.modes(modes) for modes in self.modes}
-        self.chosen.add(target, found, replace(prediction, temperature=1.0).modes(FEW))
-        self._of_horizons(prediction, target)
-        self._baselines(target)
-        logs = log_likelihoods(found[max(found)], target.future, prediction.end_density)
-        for key, value in logs.items():
-            if value is not None:
-                self.log_likelihood[key].append(value)
+        for forecast in found.values():
+            self._add_errors(forecast.futures.position_m, target)
+        likeliest = found[FEW].futures.position_m[:1]
+        self.samples.add(final_errors(likeliest, future, "most_probable_fde"), 1)
+        add_shapes(self.samples, target, found, replace(prediction, temperature=1.0).modes(FEW))
+        self._add_of_horizons(prediction, target)
+        self._add_baselines(target)
+        logs = log_likelihoods(found[max(found)], future, prediction.end_density)
+        self.samples.add(logs)
         self.targets += 1
         return Marginals(forecasts=found, log_likelihood=logs)
 
-    def _of_horizons(self, prediction: MarginalPrediction, target: Target) -> None:
+    def _add_errors(self, modes_m: Floats, target: Target, condition: str = NETWORK) -> None:
+        errors = final_errors(modes_m, target.future, "min_fde")
+        errors |= path_errors(modes_m, target.future, target.speed_mps)
+        self.samples.add(errors, len(modes_m), condition)
+
+    def _add_of_horizons(self, prediction: MarginalPrediction, target: Target) -> None:
         """Errors of modes chosen for each horizon; those for 8 s are too far apart at 3 s."""
-        for key, step in STEPS.items():
+        for seconds, step in STEPS.items():
             if not target.future.valid[step]:
                 continue
             found = {modes: prediction.modes(modes, chosen_at=step) for modes in self.modes}
             for modes, forecast in found.items():
-                off = forecast.futures.position_m[:, step] - target.future.position_m[step]
-                least = float(np.hypot(*off.T).min())
-                self.of_horizon.setdefault((key, modes), []).append(least)
-            self.calibrated_of_horizon.add(found[FEW], target.future, (key,))
+                errors = final_errors(
+                    forecast.futures.position_m, target.future, "min_fde_of_horizon", (seconds,)
+                )
+                self.samples.add(errors, modes)
+            nearest = nearest_modes(found[FEW], target.future, "_of_horizon", (seconds,))
+            self.samples.add(nearest, FEW)
 
-    def _baselines(self, target: Target) -> None:
-        known = self.baselines
-        compare(known["constant_velocity"][1], constant_velocity(target), target)
-        compare(known["lane_following"][1], lane_following(target), target)
+    def _add_baselines(self, target: Target) -> None:
+        self._add_errors(constant_velocity(target), target, "constant_velocity")
+        self._add_errors(lane_following(target), target, "lane_following")
         if self.fitted is not None:
-            for modes, errors in known["clusters"].items():
-                compare(errors, map_blind(self.fitted, target, modes), target)
+            for modes in clusters.MODES:
+                self._add_errors(map_blind(self.fitted, target, modes), target, "clusters")
 
-    def summary(self) -> dict[str, Any]:
-        """Figures by horizon."""
-        found: dict[str, Any] = {
-            "targets": self.targets,
-            "clusters": "not fitted: there is no file beside the weights"
-            if self.fitted is None
-            else f"fitted on {self.fitted.samples} trajectories",
-        }
-        for key in (*EARLY, *HORIZONS):
-            found[key] = {
-                **self.chosen.displacement(key),
-                "min_fde_of_horizon": self._chosen_for(key),
-                "baselines": self._baseline_summary(key),
-            }
-        for key, logs in self.log_likelihood.items():
-            found[key] |= {
-                "log_likelihood": mean(logs),
-                "log_likelihood_standard_error": standard_error(logs),
-                "negative_log_likelihood": None if not logs else mean([-one for one in logs]),
-                **self.chosen.calibration(key),
-                "ece_of_horizon": self.calibrated_of_horizon.error(key),
-                **self.chosen.plausibility(key),
-            }
-        return found
-
-    def _chosen_for(self, key: str) -> dict[str, float | None]:
-        return {str(modes): mean(self.of_horizon.get((key, modes), [])) for modes in self.modes}
-
-    def _baseline_summary(self, key: str) -> dict[str, Any]:
-        return {name: error_summary(errors, key) for name, errors in self.baselines.items()}
+    def figures(self) -> Figures:
+        """All figures of the network and of the baselines."""
+        return {Key("marginal", "targets"): Figure(self.targets), **self.samples.figures()}
 
 
 def constant_velocity(target: Target) -> Floats:

@@ -1,28 +1,32 @@
 """Errors, calibration and likelihood of forecasts, with standard errors, rounded for tables."""
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Forecast
+from deepmf_sumo.datatypes import FUTURE_STEPS, Bools, Floats, Forecast
 from deepmf_sumo.training.samples.windows import Future
 
-HORIZONS: Final[dict[str, tuple[int, float, float]]] = {
-    "3.0": (29, 1.0, 2.0),
-    "5.0": (49, 1.8, 3.6),
-    "8.0": (79, 3.0, 6.0),
+HORIZONS: Final[Mapping[float, tuple[int, float, float]]] = {
+    3.0: (29, 1.0, 2.0),
+    5.0: (49, 1.8, 3.6),
+    8.0: (79, 3.0, 6.0),
 }
 """Seconds -> index in the 80 steps, and WOMD's miss thresholds across and along, metres."""
-EARLY: Final[dict[str, int]] = {"1.0": 9, "2.0": 19}
+EARLY: Final[Mapping[float, int]] = {1.0: 9, 2.0: 19}
 """Seconds at which the attack needs its best mode close; WOMD has no miss rule there."""
-STEPS: Final[dict[str, int]] = EARLY | {key: step for key, (step, *_) in HORIZONS.items()}
+STEPS: Final[Mapping[float, int]] = {
+    **EARLY,
+    **{seconds: step for seconds, (step, *_) in HORIZONS.items()},
+}
 BINS: Final = 10
 _DRAWINGS: Final = 1000
-KERNELS_M: Final = {"3.0": 0.75, "5.0": 1.25, "8.0": 2.0}
+KERNELS_M: Final = {3.0: 0.75, 5.0: 1.25, 8.0: 2.0}
 _FREEDOM: Final = 4
 """Degrees of freedom of Student's t."""
+Measured = tuple[str, float]
+"""Quantity and horizon in seconds."""
 EndDensity = Callable[[Floats, float], Floats]
 """Ends (Q, 2) and the kernel's width in metres -> log densities (Q)."""
 
@@ -52,56 +56,39 @@ def difference(
     return mean(apart), standard_error(apart)
 
 
-@dataclass(slots=True)
-class DisplacementErrors:
-    """Errors of the best of M modes, a value an object; ADE at 2 Hz up to each horizon.
+def final_errors(
+    modes_m: Floats, future: Future, quantity: str, horizons: Iterable[float] = STEPS
+) -> dict[Measured, float]:
+    """Distance of the best of modes (M, 80, 2) at each horizon at which the object is known."""
+    return {
+        (quantity, seconds): float(
+            np.linalg.norm(modes_m[:, step] - future.position_m[step], axis=-1).min()
+        )
+        for seconds, step in STEPS.items()
+        if seconds in horizons and future.valid[step]
+    }
 
-    An object counts at a horizon where it is known there (ADE: anywhere up to there).
+
+def path_errors(modes_m: Floats, future: Future, speed_mps: float) -> dict[Measured, float]:
+    """``min_ade`` (at 2 Hz up to each horizon) and ``miss_rate`` of modes (M, 80, 2).
+
+    An object counts at a horizon if it is known there (ADE: at any step up to there).
+    ``speed_mps`` is its speed now.
     """
-
-    ade: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in HORIZONS})
-    fde: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in STEPS})
-    missed: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in HORIZONS})
-
-    def add(
-        self,
-        modes_m: Floats,
-        true_m: Floats,
-        true_heading_rad: Floats,
-        valid: Bools,
-        speed_mps: float,
-    ) -> None:
-        """One object: modes (M, 80, 2), what happened (80, 2), (80), (80), start speed."""
-        error = np.linalg.norm(modes_m - true_m, axis=-1)  # (M, 80)
-        for key, step in STEPS.items():
-            if valid[step]:
-                self.fde[key].append(float(error[:, step].min()))
-        for key, (step, across_m, along_m) in HORIZONS.items():
-            seen = np.arange(4, step + 1, 5)
-            seen = seen[valid[seen]]
-            if len(seen):
-                self.ade[key].append(float(error[:, seen].mean(1).min()))
-            if not valid[step]:
-                continue
-            off = modes_m[:, step] - true_m[step]
-            cos, sin = np.cos(true_heading_rad[step]), np.sin(true_heading_rad[step])
+    found: dict[Measured, float] = {}
+    error = np.linalg.norm(modes_m - future.position_m, axis=-1)  # (M, 80)
+    for seconds, (step, across_m, along_m) in HORIZONS.items():
+        seen = np.arange(4, step + 1, 5)
+        seen = seen[future.valid[seen]]
+        if len(seen):
+            found["min_ade", seconds] = float(error[:, seen].mean(1).min())
+        if future.valid[step]:
+            off = modes_m[:, step] - future.position_m[step]
+            cos, sin = np.cos(future.heading_rad[step]), np.sin(future.heading_rad[step])
             factor = _speed_factor(speed_mps)
             along = np.abs(off[:, 0] * cos + off[:, 1] * sin) <= along_m * factor
             across = np.abs(off[:, 1] * cos - off[:, 0] * sin) <= across_m * factor
-            self.missed[key].append(float(not (along & across).any()))
-
-
-def error_summary(errors: dict[int, DisplacementErrors], key: str) -> dict[str, object]:
-    """Least final errors with standard errors, minADE and miss rate, each by number of modes."""
-    found: dict[str, object] = {
-        "min_fde": {str(modes): mean(each.fde[key]) for modes, each in errors.items()},
-        "min_fde_standard_error": {
-            str(modes): standard_error(each.fde[key]) for modes, each in errors.items()
-        },
-    }
-    if key in HORIZONS:
-        found["min_ade"] = {str(modes): mean(each.ade[key]) for modes, each in errors.items()}
-        found["miss_rate"] = {str(modes): mean(each.missed[key]) for modes, each in errors.items()}
+            found["miss_rate", seconds] = float(not (along & across).any())
     return found
 
 
@@ -146,56 +133,42 @@ def error_if_right(
     return round(float(np.mean(drawn)), 4), round(float(np.quantile(drawn, 0.95)), 4)
 
 
-@dataclass(slots=True)
-class ModeCalibration:
-    """Probabilities of modes, and which of them came nearest to what happened, by horizon."""
+def nearest_modes(
+    forecast: Forecast, future: Future, kind: str = "", horizons: Iterable[float] = HORIZONS
+) -> dict[Measured, Floats]:
+    """``probability`` (M) of the modes, and which of them is the ``nearest`` (M) at each horizon.
 
-    probability: dict[str, list[Floats]] = field(default_factory=lambda: {key: [] for key in STEPS})
-    nearest: dict[str, list[Bools]] = field(default_factory=lambda: {key: [] for key in STEPS})
-
-    def add(self, forecast: Forecast, future: Future, horizons: Collection[str] = STEPS) -> None:
-        """One object's forecast of M modes, of which one comes nearest at each horizon."""
-        for key in horizons:
-            step = STEPS[key]
-            if not future.valid[step]:
-                continue
+    ``kind`` is the end of the names of both.
+    """
+    found: dict[Measured, Floats] = {}
+    for seconds in horizons:
+        step = STEPS[seconds]
+        if future.valid[step]:
             off = forecast.futures.position_m[:, step] - future.position_m[step]
             error = np.hypot(off[:, 0], off[:, 1])
-            self.probability[key].append(forecast.probability)
-            self.nearest[key].append(np.arange(len(error)) == error.argmin())
-
-    def error(self, key: str) -> float | None:
-        """Expected calibration error at a horizon."""
-        if not self.probability[key]:
-            return None
-        probability = np.concatenate(self.probability[key])
-        return expected_error(probability, np.concatenate(self.nearest[key]))
-
-    def error_if_right(self, key: str) -> tuple[float, float] | tuple[None, None]:
-        """The mean and the 95 % quantile of `error` if the probabilities were right."""
-        each = self.probability[key]
-        if not each:
-            return None, None
-        return error_if_right(np.concatenate(each), [len(one) for one in each]) or (None, None)
+            found[f"probability{kind}", seconds] = forecast.probability
+            found[f"nearest{kind}", seconds] = np.arange(len(error)) == error.argmin()
+    return found
 
 
 def log_likelihoods(
     forecast: Forecast, future: Future, end_density: EndDensity
-) -> dict[str, float | None]:
-    """Log likelihood at each horizon, nats; None where the object is not known there."""
-    found: dict[str, float | None] = {}
-    for key, (step, *_) in HORIZONS.items():
-        if not future.valid[step]:
-            found[key] = None
-        elif key == "8.0":
-            found[key] = float(end_density(future.position_m[step][None], KERNELS_M[key])[0])
-        else:
-            found[key] = of_modes(forecast, step, future.position_m[step], KERNELS_M[key])
+) -> dict[Measured, float]:
+    """``log_likelihood`` at each horizon at which the object is known, nats."""
+    found: dict[Measured, float] = {}
+    for seconds, (step, *_) in HORIZONS.items():
+        if future.valid[step]:
+            place, kernel_m = future.position_m[step], KERNELS_M[seconds]
+            found["log_likelihood", seconds] = (
+                float(end_density(place[None], kernel_m)[0])
+                if step == FUTURE_STEPS - 1
+                else of_modes(forecast, step, place, kernel_m)
+            )
     return found
 
 
 def of_modes(forecast: Forecast, step: int, place_m: Floats, kernel_m: float) -> float:
-    """Log density of a place (2) at a step: a bivariate t on each mode, weighed by probability."""
+    """Log density of a position (2) at a step: a bivariate t at each mode, by probability."""
     off = (forecast.futures.position_m[:, step] - place_m) / kernel_m
     tail = -(_FREEDOM + 2) / 2 * np.log1p((off**2).sum(-1) / _FREEDOM)
     log = np.log(np.maximum(forecast.probability, 1e-12)) + tail - np.log(2 * np.pi * kernel_m**2)

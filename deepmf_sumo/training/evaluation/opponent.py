@@ -1,12 +1,13 @@
 """The opponent network, and rules without a network, against pseudo-labels and labelled partners.
 
-Candidates are all vehicles at the step within 80 m of the AV. The same figures are given for those
-that an attack may choose, which are not parked.
+Candidates are all vehicles within 80 m of the AV at the current step. The same figures are given
+for those that an attack may choose (``attackable``), which are not parked.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final, SupportsInt
 
 import numpy as np
 
@@ -15,13 +16,23 @@ from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.predictors.opponent import RANGE_M, Opponent
 from deepmf_sumo.training.evaluation.measures import error_if_right, expected_error, mean
+from deepmf_sumo.training.evaluation.table import ALL, Figure, Figures, Key
 from deepmf_sumo.training.samples.opponent import interacting
 
 _TIMES_S = np.arange(0.0, 8.01, 0.1)
 _STILL_M = 0.5
 _BESIDE, _AHEAD = 2.0, 0.2
 """Cost of a metre beside the AV's heading, and of a metre along it."""
-_HEADS = ("label_head", "partner_head")
+LABEL_HEAD, PARTNER_HEAD = "label_head", "partner_head"
+"""Conditions of figures of the network's two heads."""
+ATTACKABLE: Final = "attackable"
+_COUNTS: Final = (
+    *((name, ALL) for name in ("scenes", "scenes_with_positive", "scenes_with_partner", "parked")),
+    *((f"{name}_parked", ALL) for name in ("positives", "partners")),
+    ("partners_left_out", ALL),
+    *((name, group) for name in ("candidates", "positives") for group in (ALL, ATTACKABLE)),
+)
+"""Quantities that are counted, each of a group of candidates."""
 
 
 def auroc(scores: Floats, labels: Bools) -> float | None:
@@ -80,21 +91,21 @@ class Ranking:
         else:
             self.places.append(float(_in_order(scores).tolist().index(partner)))
 
-    def by_label(self) -> dict[str, Any]:
+    def by_label(self) -> dict[str, Figure]:
         """AUROC, average precision, and in how many scenes a positive is first, or among three."""
         area = precision = None
         if self.scores:
             scores, labels = np.concatenate(self.scores), np.concatenate(self.labels)
             area, precision = auroc(scores, labels), average_precision(scores, labels)
-        found = {
-            "auroc": None if area is None else round(area, 4),
-            "average_precision": None if precision is None else round(precision, 4),
+        return {
+            "auroc": Figure(None if area is None else round(area, 4)),
+            "average_precision": Figure(None if precision is None else round(precision, 4)),
+            **_among_first("top{}_positive", self.best_positive),
         }
-        return found | _among_first("top{}_positive", self.best_positive)
 
-    def by_partner(self, prefix: str = "partner") -> dict[str, Any]:
+    def by_partner(self) -> dict[str, Figure]:
         """In how many scenes the labelled partner is the first, and among the first three."""
-        return _among_first(prefix + "_top{}", self.places)
+        return _among_first("partner_top{}", self.places)
 
 
 def _in_order(scores: Floats) -> Ints:
@@ -102,13 +113,13 @@ def _in_order(scores: Floats) -> Ints:
     return np.argsort(-scores, kind="stable")
 
 
-def _among_first(name: str, places: Sequence[float]) -> dict[str, Any]:
-    """Share and number of scenes whose place is the first, and among the first three."""
-    found: dict[str, Any] = {}
+def _among_first(name: str, places: Sequence[float]) -> dict[str, Figure]:
+    """Share and number of scenes in which it is the first, and among the first three."""
+    found: dict[str, Figure] = {}
     for count in (1, 3):
         hits = [place < count for place in places]
-        found[name.format(count)] = mean(hits)
-        found[f"{name.format(count)}_scenes"] = sum(hits)
+        found[name.format(count)] = Figure(mean(hits), None, len(hits))
+        found[f"{name.format(count)}_scenes"] = Figure(sum(hits))
     return found
 
 
@@ -160,29 +171,25 @@ def _local(view: View, rows: Ints) -> Floats:
 
 @dataclass(slots=True)
 class OpponentFigures:
-    """What has been measured of the opponent network.
+    """Measures the opponent network.
 
     Attributes:
-        all, attackable: rankings by heads and rules, of all candidates and of the attackable ones.
-        partners_left_out: labelled partners that are no vehicles, or farther than 80 m.
+        rankings: by group of candidates, and head or rule.
+        counts: of scenes, candidates and partners, by quantity and group.
     """
 
-    all: dict[str, Ranking] = field(
-        default_factory=lambda: {name: Ranking() for name in (*_HEADS, *RULES)}
+    rankings: dict[tuple[str, str], Ranking] = field(
+        default_factory=lambda: {
+            (group, name): Ranking()
+            for group in (ALL, ATTACKABLE)
+            for name in (LABEL_HEAD, PARTNER_HEAD, *RULES)
+        }
     )
-    attackable: dict[str, Ranking] = field(
-        default_factory=lambda: {name: Ranking() for name in (*_HEADS, *RULES)}
+    counts: Counter[tuple[str, str]] = field(
+        default_factory=lambda: Counter(dict.fromkeys(_COUNTS, 0))
     )
-    logits: list[Floats] = field(default_factory=list)
-    positives: list[Bools] = field(default_factory=list)
     temperature: float = 1.0
     offset: float = 0.0
-    scenes: int = 0
-    with_positive: int = 0
-    parked: int = 0
-    positives_parked: int = 0
-    partners_parked: int = 0
-    partners_left_out: int = 0
 
     def add(self, opponent: Opponent, scene: Scene, view: View) -> None:
         """One scene."""
@@ -195,20 +202,25 @@ class OpponentFigures:
         known = column >= 0
         attackable = np.isin(ids, opponent.score(view).ids)
         scores = {name: rule(view, rows) for name, rule in RULES.items()}
-        for name, logits in zip(_HEADS, (found.logits, found.partner_logits), strict=True):
+        heads = {LABEL_HEAD: found.logits, PARTNER_HEAD: found.partner_logits}
+        for name, logits in heads.items():
             scores[name] = np.full(len(rows), -np.inf)
             scores[name][known] = logits[column[known]]
         for name, values in scores.items():
-            self.all[name].add(values, positive)
-            self.attackable[name].add(values[attackable], positive[attackable])
+            self.rankings[ALL, name].add(values, positive)
+            self.rankings[ATTACKABLE, name].add(values[attackable], positive[attackable])
         self._add_partner(scene, ids, scores, attackable)
-        self.logits.append(scores["label_head"][attackable])
-        self.positives.append(positive[attackable])
         self.temperature, self.offset = opponent.temperature, opponent.offset
-        self.scenes += 1
-        self.with_positive += bool(positive.any())
-        self.parked += int((~attackable).sum())
-        self.positives_parked += int((positive & ~attackable).sum())
+        self._count("scenes")
+        self._count("scenes_with_positive", positive.any())
+        self._count("parked", (~attackable).sum())
+        self._count("positives_parked", (positive & ~attackable).sum())
+        for group, chosen in ((ALL, slice(None)), (ATTACKABLE, attackable)):
+            self._count("candidates", len(positive[chosen]), group)
+            self._count("positives", positive[chosen].sum(), group)
+
+    def _count(self, quantity: str, more: SupportsInt = 1, group: str = ALL) -> None:
+        self.counts[quantity, group] += int(more)
 
     def _add_partner(
         self, scene: Scene, ids: list[str], scores: dict[str, Floats], attackable: Bools
@@ -217,46 +229,36 @@ class OpponentFigures:
         if partner is None:
             return
         row = ids.index(partner) if partner in ids else None
-        self.partners_left_out += row is None
-        self.partners_parked += row is not None and not attackable[row]
         among = None if row is None or not attackable[row] else int(attackable[:row].sum())
+        self._count("scenes_with_partner")
+        self._count("partners_left_out", row is None)
+        self._count("partners_parked", row is not None and among is None)
         for name, values in scores.items():
-            self.all[name].add_partner(values, row)
-            self.attackable[name].add_partner(values[attackable], among)
+            self.rankings[ALL, name].add_partner(values, row)
+            self.rankings[ATTACKABLE, name].add_partner(values[attackable], among)
 
-    def summary(self) -> dict[str, Any]:
-        """Nested figures; at the top those of the network among all candidates."""
-        known = self.all["label_head"]
-        count = sum(len(each) for each in known.scores)
-        positives = int(sum(each.sum() for each in known.labels))
-        return {
-            "scenes": self.scenes,
-            "candidates": count,
-            "positives": positives,
-            "scenes_with_positive": self.with_positive,
-            "scenes_with_partner": len(known.places),
-            "parked": self.parked,
-            "positives_parked": self.positives_parked,
-            "partners_parked": self.partners_parked,
-            "partners_left_out": self.partners_left_out,
-            **_network(self.all),
-            **self._calibration(),
-            "baselines": _rules(self.all),
-            "attackable": {
-                "candidates": count - self.parked,
-                "positives": positives - self.positives_parked,
-                **_network(self.attackable),
-                "baselines": _rules(self.attackable),
-            },
+    def figures(self) -> Figures:
+        """All figures of the two heads and of the rules."""
+        found = {
+            Key("opponent", quantity, group=group): Figure(count)
+            for (quantity, group), count in self.counts.items()
         }
+        for (group, name), ranking in self.rankings.items():
+            for quantity, figure in (ranking.by_label() | ranking.by_partner()).items():
+                found[Key("opponent", quantity, condition=name, group=group)] = figure
+        for quantity, value in self._calibration().items():
+            key = Key("opponent", quantity, condition=LABEL_HEAD, group=ATTACKABLE)
+            found[key] = Figure(value)
+        return found
 
-    def _calibration(self) -> dict[str, Any]:
+    def _calibration(self) -> dict[str, float | None]:
         """ECE of the first head's sigmoid over attackable candidates, calibrated and as trained.
 
         And the mean and the 95 % quantile of the ECE of as many correct scores.
         """
-        logits = np.concatenate(self.logits) if self.logits else np.zeros(0)
-        happened = np.concatenate(self.positives) if self.positives else np.zeros(0, bool)
+        ranked = self.rankings[ATTACKABLE, LABEL_HEAD]
+        logits = np.concatenate([np.zeros(0), *ranked.scores])
+        happened = np.concatenate([np.zeros(0, bool), *ranked.labels])
         trained = (logits - self.offset) * self.temperature
         least = error_if_right(_sigmoid(logits)) or (None, None)
         return {
@@ -275,18 +277,6 @@ def vehicles_near(view: View) -> Ints:
     vehicle[av] = False
     away = np.hypot(*(tracks.position_m[:, -1] - tracks.position_m[av, -1]).T)
     return np.flatnonzero(vehicle & (away <= RANGE_M))
-
-
-def _network(rankings: dict[str, Ranking]) -> dict[str, Any]:
-    return {
-        **rankings["label_head"].by_label(),
-        **rankings["partner_head"].by_partner(),
-        **rankings["label_head"].by_partner("partner_by_label_head"),
-    }
-
-
-def _rules(rankings: dict[str, Ranking]) -> dict[str, Any]:
-    return {name: {**rankings[name].by_label(), **rankings[name].by_partner()} for name in RULES}
 
 
 def _sigmoid(logits: Floats) -> Floats:

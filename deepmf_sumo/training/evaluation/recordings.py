@@ -1,8 +1,9 @@
-"""Recordings and weights -> figures: on the screen, in a file, on the cards."""
+"""Recordings and weights -> the table of figures, in a file and on the cards."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,13 +14,31 @@ from deepmf_sumo.datatypes import ROLLOUT, Scene, View
 from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import cards
-from deepmf_sumo.training.evaluation.conditional import ConditionalFigures, Pair
-from deepmf_sumo.training.evaluation.forecasts import targets
+from deepmf_sumo.training.evaluation.conditional import (
+    MARGINAL,
+    SHUFFLED,
+    TRUE,
+    ConditionalFigures,
+    Pair,
+)
+from deepmf_sumo.training.evaluation.forecasts import FEW, RECORDED, targets
 from deepmf_sumo.training.evaluation.marginal import MarginalFigures
 from deepmf_sumo.training.evaluation.measures import HORIZONS
-from deepmf_sumo.training.evaluation.opponent import OpponentFigures
+from deepmf_sumo.training.evaluation.opponent import (
+    ATTACKABLE,
+    LABEL_HEAD,
+    PARTNER_HEAD,
+    OpponentFigures,
+)
+from deepmf_sumo.training.evaluation.table import (
+    NETWORK,
+    OF_MODES,
+    Evaluation,
+    Figure,
+)
 from deepmf_sumo.training.fit import checkpoints
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.samples import windows
@@ -49,13 +68,13 @@ def evaluate(
     name: str | Path,
     report: Callable[[str], None],
     candidates: int = max(MODES),
-) -> dict[str, Any]:
-    """All figures as nested dictionaries: opponent, marginal, conditional.
+) -> Evaluation:
+    """Measure all three networks.
 
-    Targets are the labelled vehicles of each scene; where a scene has no labels, the AV and all
-    vehicles that move within 50 m of it. Of a simulated attack the AV alone, and no opponent
-    scores, since the attack has made its own labels. ``candidates`` is a number of modes (N1) to
-    measure besides 6, 16, 32. Raises ReaderError where there is no usable scene.
+    Targets are the labelled vehicles of each scene; in a scene without labels, the AV and all
+    vehicles that move within 50 m of it. In a simulated attack the only target is the AV, and no
+    opponent scores are measured, since the attack has made its own labels. ``candidates`` is a
+    number of modes (N1) to measure besides 6, 16, 32. Raises ReaderError if no scene is usable.
     """
     predictors = weights.load(name)
     modes = tuple(sorted({*MODES, candidates}))
@@ -63,10 +82,12 @@ def evaluate(
     opponent = OpponentFigures()
     marginal = MarginalFigures(modes, fitted)
     conditional = ConditionalFigures(modes)
-    refused, scenes, labelled = Refused(), 0, 0
+    refused, scenes, labelled, attacked = Refused(), 0, 0, 0
     for scene in _usable(data, refused):
         view = windows.view_at(scene, scene.now)
-        if scene.source.dataset != ROLLOUT:
+        if scene.source.dataset == ROLLOUT:
+            attacked += 1
+        else:
             opponent.add(predictors.opponent, scene, view)
         conditional.add(predictors.conditional, _pairs(scene, view, predictors.marginal, marginal))
         scenes, labelled = scenes + 1, labelled + len(scene.interest)
@@ -75,19 +96,20 @@ def evaluate(
     if not scenes:
         raise ReaderError(_nothing(data, refused))
     conditional.finish(predictors.conditional)
-    return {
-        "data": [path.name for path in data],
-        "weights": str(name),
-        "scenes": scenes,
-        "attacked_scenes": scenes - opponent.scenes,
-        "refused": refused.count,
-        "refusals": refused.reasons,
-        "labelled_objects": labelled,
-        "modes": list(modes),
-        "opponent": opponent.summary(),
-        "marginal": marginal.summary(),
-        "conditional": conditional.summary(),
-    }
+    return Evaluation(
+        data=[path.name for path in data],
+        weights=str(name),
+        scenes=scenes,
+        attacked_scenes=attacked,
+        refused=refused.count,
+        refusals=refused.reasons,
+        labelled_objects=labelled,
+        modes=modes,
+        clusters=f"fitted on {fitted.samples} trajectories"
+        if fitted
+        else "not fitted: there is no file beside the weights",
+        figures=opponent.figures() | marginal.figures() | conditional.figures(),
+    )
 
 
 def _pairs(scene: Scene, view: View, network: Marginal, figures: MarginalFigures) -> list[Pair]:
@@ -116,32 +138,28 @@ def run(
     threads: int | None,
     report: Callable[[str], None],
     candidates: int = max(MODES),
-) -> dict[str, Any]:
-    """Evaluate, write the figures to ``file`` and, with ``card``, into the cards of the weights.
+) -> Evaluation:
+    """Evaluate, write the table to ``file`` and, with ``card``, figures to the weights' cards.
 
-    Raises OutputError where they cannot be written.
+    Raises OutputError if they cannot be written.
     """
     if threads is not None:
         torch.set_num_threads(threads)
     found = evaluate(data, name, report, candidates)
     if file is not None:
-        _write(file, found)
+        try:
+            checkpoints.write(file, (json.dumps(found.record(), indent=1) + "\n").encode())
+        except OSError as error:
+            raise OutputError(f"{file} cannot be written: {error.strerror}.") from None
     if card:
         folder = weights.find(name)
         try:
-            cards.add_results(folder, compact(found))
+            cards.add_results(folder, summary(found))
         except OSError as error:
             raise OutputError(
                 f"The cards in {folder} cannot be written: {error.strerror}; leave --card out."
             ) from None
     return found
-
-
-def _write(file: Path, found: dict[str, Any]) -> None:
-    try:
-        checkpoints.write(file, (json.dumps(found, indent=1) + "\n").encode())
-    except OSError as error:
-        raise OutputError(f"{file} cannot be written: {error.strerror}.") from None
 
 
 def _usable(data: Sequence[Path], refused: Refused) -> Iterator[Scene]:
@@ -155,30 +173,60 @@ def _usable(data: Sequence[Path], refused: Refused) -> Iterator[Scene]:
             yield each
 
 
-_OPPONENT: Final = (
-    "scenes", "candidates", "positives", "parked", "auroc", "average_precision",
-    "top1_positive", "top3_positive", "partner_top1", "partner_top3", "scenes_with_partner", "ece",
-)  # fmt: skip
-_MARGINAL: Final = (
-    "objects", "min_fde", "min_fde_of_horizon", "min_ade", "miss_rate", "log_likelihood", "ece",
-    "overlap_free", "on_road",
-)  # fmt: skip
-_CONDITIONAL: Final = (
-    "objects", "min_fde_marginal", "min_fde_given_true", "min_fde_given_shuffled",
-    "log_likelihood_gain_true", "log_likelihood_gain_true_standard_error",
-    "log_likelihood_gain_shuffled", "log_likelihood_gain_shuffled_standard_error",
-    "min_ade", "miss_rate", "negative_log_likelihood", "ece", "overlap_free", "on_road",
-)  # fmt: skip
+_ON_CARDS: Final[dict[Network, dict[str, tuple[str, str]]]] = {
+    "marginal": {
+        **{f"min_fde{of}": (f"min_fde{of}", NETWORK) for of in ("", "_of_horizon")},
+        **{name: (name, NETWORK) for name in ("min_ade", "miss_rate", "log_likelihood")},
+        **{name: (name, NETWORK) for name in ("ece", *OF_MODES)},
+    },
+    "conditional": {
+        **{f"min_fde_{given}": ("min_fde", given) for given in (MARGINAL, TRUE, SHUFFLED)},
+        "log_likelihood_gain_true": ("log_likelihood_gain", TRUE),
+        "log_likelihood_gain_shuffled": ("log_likelihood_gain", SHUFFLED),
+        **{name: (name, TRUE) for name in ("min_ade", "miss_rate", "negative_log_likelihood")},
+        **{name: (name, TRUE) for name in ("ece", *OF_MODES)},
+    },
+}
+"""Key on the card -> quantity and condition, for each horizon."""
 
 
-def compact(found: dict[str, Any]) -> dict[str, Any]:
-    """The main figures of each network, of the nested ones that `evaluate` gives."""
-    marginal, conditional = found["marginal"], found["conditional"]
+def summary(found: Evaluation) -> dict[str, Any]:
+    """The main figures of each network, for its card."""
+    opponent = partial(found.of, "opponent")
+    head = partial(opponent, condition=LABEL_HEAD)
+    counts = ("scenes", "candidates", "positives", "parked", "scenes_with_partner")
+    ranks = ("auroc", "average_precision", "top1_positive", "top3_positive")
+    partners = ("partner_top1", "partner_top3")
     return {
-        "data": found["data"],
-        "opponent": {key: found["opponent"][key] for key in _OPPONENT},
-        "marginal": {"targets": marginal["targets"]}
-        | {key: {name: marginal[key][name] for name in _MARGINAL} for key in HORIZONS},
-        "conditional": {"targets": conditional["targets"]}
-        | {key: {name: conditional[key][name] for name in _CONDITIONAL} for key in HORIZONS},
+        "data": found.data,
+        "opponent": {
+            **{name: opponent(name).value for name in counts},
+            **{name: head(name).value for name in ranks},
+            **{name: opponent(name, condition=PARTNER_HEAD).value for name in partners},
+            "ece": head("ece", group=ATTACKABLE).value,
+        },
+        **{
+            network: {"targets": found.of(network, "targets").value}
+            | {str(seconds): _on_card(found, network, seconds) for seconds in HORIZONS}
+            for network in _ON_CARDS
+        },
     }
+
+
+def _on_card(found: Evaluation, network: Network, seconds: float) -> dict[str, Any]:
+    """Figures at a horizon, by number of modes where they depend on it."""
+    first, *_ = _ON_CARDS[network].values()
+    card: dict[str, Any] = {"objects": found.of(network, first[0], seconds, FEW, first[1]).objects}
+    for name, (quantity, condition) in _ON_CARDS[network].items():
+        by_modes = {
+            modes: figures.get(seconds, Figure())
+            for modes, figures in found.pivot(network, quantity, condition).items()
+        }
+        card[name] = {str(modes): figure.value for modes, figure in by_modes.items()} or None
+        if None in by_modes:
+            card[name] = by_modes[None].value
+        if quantity == "log_likelihood_gain":
+            card[f"{name}_standard_error"] = by_modes.get(None, Figure()).standard_error
+        if quantity in OF_MODES and card[name]:
+            card[name][RECORDED] = found.of(network, quantity, seconds, None, RECORDED).value
+    return card
