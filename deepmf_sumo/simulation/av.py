@@ -344,18 +344,23 @@ class Av:
 
     def drive(self, command: Command) -> None:
         """Ask for the command in the coming step."""
-        driven, self.placed = self.placed is None, None
-        if not driven and command.kind != "pose":
+        if command.kind == "pose":
+            pose = Pose(
+                x_m=command.x_m,
+                y_m=command.y_m,
+                heading_rad=command.heading_rad,
+                speed_mps=command.speed_mps,
+            )
+            self.place(pose, leader_id=command.leader_id)
+            return
+        if self.placed is not None:
+            self.placed = None
             self._hand_over.give_back(self.id)
         self.leaders = self._followed(command)
         commanded = None
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
-        if command.kind == "pose":
-            if driven:
-                self._hand_over.take(self.id)
-            self._place(command)
-        elif command.kind == "sumo":
+        if command.kind == "sumo":
             vehicle.setSpeedMode(self.id, _OWN_DECISION)
             vehicle.setSpeed(self.id, -1.0)
         elif command.kind == "leader":
@@ -368,6 +373,16 @@ class Av:
         else:
             raise SimulationError(f"The planner gave a command of unknown kind '{command.kind}'.")
         self._previous_mps, self._commanded_mps = speed, commanded
+
+    def place(self, pose: Pose, leader_id: AgentId | None = None) -> None:
+        """Put the AV at a pose at the end of the coming step."""
+        if self.placed is None:
+            self._hand_over.take(self.id)
+        self.placed = pose
+        self.leaders = None if leader_id is None else (leader_id,)
+        self._previous_mps = float(self._api.vehicle.getSpeed(self.id))
+        self._commanded_mps = None
+        move(self._api, self.id, pose, self.length_m, _MATCH_M)
 
     def after_step(self) -> None:
         """Tell SUMO the speed after a placement, and note the pose of the AV."""
@@ -392,19 +407,10 @@ class Av:
     def _followed(self, command: Command) -> tuple[AgentId, ...] | None:
         """The leader that the planner names, and SUMO's on the AV's lanes; None without both."""
         named = () if command.leader_id is None else (command.leader_id,)
-        if command.kind in ("pose", "speed"):
+        if command.kind == "speed":
             return named or None
         found = self._api.vehicle.getLeader(self.id, _LOOK_M) if self.on_lane else None
         return named if not found or not found[0] else tuple(dict.fromkeys([*named, str(found[0])]))
-
-    def _place(self, command: Command) -> None:
-        self.placed = Pose(
-            x_m=command.x_m,
-            y_m=command.y_m,
-            heading_rad=command.heading_rad,
-            speed_mps=command.speed_mps,
-        )
-        move(self._api, self.id, self.placed, self.length_m, _MATCH_M)
 
     def _behind_leader(self, command: Command, speed: float) -> float:
         """SUMO's speed behind the leader, but at most what SUMO's own decision allows.

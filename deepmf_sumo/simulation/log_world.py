@@ -171,9 +171,7 @@ class FreeTraffic:
         try:
             add_vehicle(self._api, self._log, self._tracks, row, TRAFFIC_TYPE)
         except self._api.TraCIException as error:
-            self.lost.add(row)
-            detail = f"{str(error).strip()} Replayed from the log."
-            self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+            self._lose(row, step, f"{str(error).strip()} Replayed from the log.")
             return
         fastest = float(self._tracks.speed_mps[row][self._tracks.valid[row]].max())
         vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], fastest))
@@ -192,14 +190,17 @@ class FreeTraffic:
             if name in there and vehicle.getLaneID(name):
                 vehicle.setPreviousSpeed(name, float(self._tracks.speed_mps[row, at]))
                 continue
-            self.lost.add(row)
-            self._inside.discard(row)
             if name in there:
                 vehicle.remove(name)
-            detail = "starts on no lane; replayed from the log"
-            self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+            self._lose(row, step, "starts on no lane; replayed from the log")
         self._fresh.clear()
-        self._inside = {row for row in self._inside if self._tracks.ids[row] in there}
+        present = {row for row in self._inside if self._tracks.ids[row] in there}
+        self._inside = present - self.lost
+
+    def _lose(self, row: int, step: int, detail: str) -> None:
+        self.lost.add(row)
+        name = self._tracks.ids[row]
+        self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
 
     def advance(self) -> dict[AgentId, tuple[Pose, Driver]]:
         """Their poses after a step, from which their shown motion goes on."""
@@ -415,15 +416,7 @@ class LogWorld:
         there = tracks.valid[row, : self._step + 1]
         pose = logged_pose(tracks, row, int(np.flatnonzero(there)[-1]))
         moves = self._step < tracks.steps and bool(tracks.valid[row, self._step])
-        self.av.drive(
-            Command(
-                kind="pose",
-                x_m=pose.x_m,
-                y_m=pose.y_m,
-                heading_rad=pose.heading_rad,
-                speed_mps=pose.speed_mps if moves else 0.0,
-            )
-        )
+        self.av.place(pose if moves else replace(pose, speed_mps=0.0))
         return Driver.LOG
 
     def _drive_opponent(self, opponent: AgentId | None, pose: Pose | None) -> int | None:
