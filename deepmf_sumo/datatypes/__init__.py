@@ -1,4 +1,4 @@
-"""What flows between the stages: frozen dataclasses of numpy arrays.
+"""The data that flows between the packages: frozen dataclasses of numpy arrays.
 
 Axis letters: A agents, T steps, H history, F future, M modes, P points, L lanes.
 Units are SI and part of the field names; headings are radians counter-clockwise from +x in

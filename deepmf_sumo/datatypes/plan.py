@@ -5,12 +5,12 @@ from typing import Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes._arrays import Bools, Floats, Ints, frozen
+from deepmf_sumo.datatypes._arrays import Bools, Floats, Frozen, Ints
 from deepmf_sumo.datatypes.scene import AgentId
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Futures:
+class Futures(Frozen):
     """M possible futures of one agent, from the step after the view's.
 
     Attributes:
@@ -21,13 +21,9 @@ class Futures:
     position_m: Floats
     heading_rad: Floats
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "position_m", frozen(self.position_m))
-        object.__setattr__(self, "heading_rad", frozen(self.heading_rad))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Forecast:
+class Forecast(Frozen):
     """M weighted futures of one agent.
 
     Attributes:
@@ -40,12 +36,9 @@ class Forecast:
     probability: Floats
     temperature: float = 1.0
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "probability", frozen(self.probability))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OpponentScores:
+class OpponentScores(Frozen):
     """Suitability of each surrounding vehicle as an opponent.
 
     Attributes:
@@ -57,10 +50,6 @@ class OpponentScores:
     ids: tuple[AgentId, ...]
     logits: Floats
     partner_logits: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "logits", frozen(self.logits))
-        object.__setattr__(self, "partner_logits", frozen(self.partner_logits))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,7 +125,7 @@ class PlanReason:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Plan:
+class Plan(Frozen):
     """K poses for the opponent, for the steps first_step, first_step + 1, ...
 
     Attributes:
@@ -149,10 +138,6 @@ class Plan:
     heading_rad: Floats
     speed_mps: Floats
     reason: PlanReason | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("position_m", "heading_rad", "speed_mps"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def covers(self, step: int) -> bool:
         """Whether the plan has a pose for ``step``."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes._arrays import Bytes, Floats, frozen
+from deepmf_sumo.datatypes._arrays import Bytes, Floats, Frozen
 from deepmf_sumo.datatypes.plan import Plan, Turn
 from deepmf_sumo.datatypes.scene import HISTORY_STEPS, AgentId, SignalState, Tracks
 
@@ -25,7 +25,7 @@ class Driver(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Contact:
+class Contact(Frozen):
     """Two boxes overlap for the first time.
 
     Attributes:
@@ -52,10 +52,6 @@ class Contact:
     sector: int
     delta_v_mps: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "pose_first", frozen(self.pose_first))
-        object.__setattr__(self, "pose_second", frozen(self.pose_second))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
@@ -68,7 +64,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rollout:
+class Rollout(Frozen):
     """One episode.
 
     Attributes:
@@ -98,9 +94,6 @@ class Rollout:
     leaders: tuple[tuple[AgentId, ...] | None, ...] = ()
     signals: tuple[dict[str, SignalState], ...] = ()
     turns: tuple[Turn, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "driver", frozen(self.driver, "uint8"))
 
     def first(self, kind: ContactKind) -> Contact | None:
         """First contact of a kind."""

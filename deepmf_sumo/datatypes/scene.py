@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes._arrays import Bools, Bytes, Floats, frozen
+from deepmf_sumo.datatypes._arrays import Bools, Bytes, Floats, Frozen, frozen
 
 LaneKind = Literal["unknown", "freeway", "street", "bike"]
 PolygonKind = Literal["crosswalk", "speed_bump", "driveway"]
@@ -48,7 +48,7 @@ class Boundary:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Lane:
+class Lane(Frozen):
     """One driving lane.
 
     Attributes:
@@ -78,13 +78,9 @@ class Lane:
     right_boundaries: tuple[Boundary, ...] = ()
     gives_way_to: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre_m", frozen(self.centre_m))
-        object.__setattr__(self, "z_m", frozen(self.z_m))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Polyline:
+class Polyline(Frozen):
     """A painted line or a road edge; ``kind`` numbered as WOMD's RoadLine.type or RoadEdge.type."""
 
     id: str
@@ -92,13 +88,9 @@ class Polyline:
     points_m: Floats
     z_m: Floats
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points_m", frozen(self.points_m))
-        object.__setattr__(self, "z_m", frozen(self.z_m))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Polygon:
+class Polygon(Frozen):
     """A crosswalk, speed bump or driveway: closed without repeating the first point."""
 
     id: str
@@ -106,22 +98,15 @@ class Polygon:
     points_m: Floats
     z_m: Floats
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points_m", frozen(self.points_m))
-        object.__setattr__(self, "z_m", frozen(self.z_m))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StopSign:
+class StopSign(Frozen):
     """A stop sign: (2) position and the lanes that it governs."""
 
     id: str
     position_m: Floats
     z_m: float
     lane_ids: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "position_m", frozen(self.position_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,7 +121,7 @@ class RoadMap:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Signals:
+class Signals(Frozen):
     """Signals of L lanes over T steps.
 
     Attributes:
@@ -152,11 +137,10 @@ class Signals:
     stop_z_m: Floats = field(default_factory=lambda: frozen([]))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "state", frozen(self.state, "uint8"))
-        object.__setattr__(self, "seen", frozen(self.seen, bool))
-        object.__setattr__(self, "stop_m", frozen(self.stop_m).reshape(-1, 2))
-        heights = self.stop_z_m if len(self.stop_z_m) else [0.0] * len(self.lane_ids)
-        object.__setattr__(self, "stop_z_m", frozen(heights))
+        Frozen.__post_init__(self)
+        object.__setattr__(self, "stop_m", self.stop_m.reshape(-1, 2))
+        if not len(self.stop_z_m):
+            object.__setattr__(self, "stop_z_m", frozen([0.0] * len(self.lane_ids)))
 
     def at(self, step: int) -> dict[str, SignalState]:
         """Last observed state up to ``step`` inclusive, by lane id; only of lanes observed."""
@@ -179,7 +163,7 @@ AgentKind = Literal["vehicle", "pedestrian", "cyclist", "other"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tracks:
+class Tracks(Frozen):
     """Motion of A agents over T steps.
 
     Attributes:
@@ -215,8 +199,7 @@ class Tracks:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}, not {shape}")
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "valid", frozen(self.valid, bool))
+        Frozen.__post_init__(self)
 
     @property
     def agents(self) -> int:
@@ -293,7 +276,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene:
+class Scene(Frozen):
     """One recorded scene.
 
     Attributes:
@@ -320,7 +303,7 @@ class Scene:
     repairs: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "timestamps_s", frozen(self.timestamps_s))
+        Frozen.__post_init__(self)
         self.tracks.row(self.av_id)
 
     @property

@@ -1,4 +1,4 @@
-"""Attacks in somebody else's running simulation: as a client of its port, or in its script."""
+"""Attacks in a running simulation of another program: as a client of its port, or in its script."""
 
 from deepmf_sumo.live.attacker import Attached, Attacker, Wish, attach
 

@@ -1,4 +1,4 @@
-"""Attacks around the steps of somebody's own script."""
+"""Attacks on a vehicle of a simulation that another program steps: `Attacker` and `attach`."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -26,9 +26,9 @@ from deepmf_sumo.live.connection import (
 )
 from deepmf_sumo.live.engagement import Scenery, Surroundings
 from deepmf_sumo.live.observer import Observer
-from deepmf_sumo.live.record import Record, Stage
-from deepmf_sumo.live.session import End, Fought, Lockstep, Session, Stay
-from deepmf_sumo.live.triggers import Always, AtEdge, Trigger, parse
+from deepmf_sumo.live.record import Record, Setting
+from deepmf_sumo.live.session import End, LiveAttack, Lockstep, Session, Stay
+from deepmf_sumo.live.triggers import AtEdge, Trigger, parse
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.spec import Spec, of_document
 from deepmf_sumo.spec.document import Document
@@ -36,41 +36,41 @@ from deepmf_sumo.spec.document import Document
 
 @dataclass(frozen=True, slots=True)
 class OneThread:
-    """The policy ``inner``, whose networks compute within ``one_thread``."""
+    """The policy ``inner``, with its networks limited to one thread by ``one_thread``."""
 
     inner: Policy
     one_thread: Callable[[], AbstractContextManager[None]]
 
     @property
     def period_steps(self) -> int | None:
-        """As of the policy."""
+        """That of the policy."""
         return self.inner.period_steps
 
     def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
-        """As the policy's."""
+        """As the policy does."""
         with self.one_thread():
             return self.inner.reset(view, rng)
 
     def plan(self, view: View) -> Plan | None:
-        """As the policy's."""
+        """As the policy does."""
         with self.one_thread():
             return self.inner.plan(view)
 
 
 _SHORTEST_S: Final = 3.0
 _RADIUS_M: Final = 80.0
-"""Around the AV: the opponent network looks no farther, and beyond it is out of reach."""
+"""Around the AV: the range of the opponent network, and the reach of an attack."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wish:
-    """What the attacks shall be like.
+    """The attacks that are wanted.
 
     Attributes:
         av: id of the vehicle.
         triggers: ``time=S``, ``edge=ID``, ``ttc=S``; an attack begins when one of them fires.
-            Empty: whenever somebody can attack.
-        duration_s: of an attack, at most. pause_s: after it.
+            Empty: whenever a vehicle can attack.
+        duration_s: maximum of an attack. pause_s: after it.
         sets: ``key=value`` as in specs: ``adversary``, ``weights`` and ``seed``.
         net: the network file; None asks SUMO.
     """
@@ -84,7 +84,7 @@ class Wish:
 
 
 def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
-    """When attacks begin. Raises UsageError for what is none, or times that cannot be."""
+    """When attacks begin. Raises UsageError for an invalid trigger, duration or pause."""
     for name, value, least in (
         ("duration", wish.duration_s, _SHORTEST_S),
         ("pause", wish.pause_s, 0.0),
@@ -92,7 +92,7 @@ def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
         if not least <= value < math.inf:  # nan is neither
             raise UsageError(f"{name} is {value:g} s; it must be {least:g} s at least, and finite.")
     if not wish.triggers:
-        return (Always(),)
+        return (Trigger(),)
     return parse([one for one in wish.triggers if one != "call"])
 
 
@@ -101,7 +101,7 @@ def spec_of(wish: Wish) -> Spec:
     values: dict[str, Any] = {
         "version": 1,
         "name": "live",
-        # a source is none of ours: the simulation runs already
+        # not used: the simulation runs already
         "source": {"network": ".", "av": {"vehicle": wish.av}},
         "adversary": {"name": "deepmf"},
     }
@@ -126,11 +126,11 @@ def spec_of(wish: Wish) -> Spec:
 
 
 def policy_of(spec: Spec) -> Policy:
-    """What drives the opponents. Raises WeightsError."""
+    """The policy that drives the opponents. Raises UsageError and WeightsError."""
     settings = Settings.model_validate(spec.adversary.settings)
     if settings.opponent == "labelled":
         raise UsageError("adversary.opponent 'labelled': only recordings label an opponent.")
-    from deepmf_sumo.predictors import weights  # brings torch along
+    from deepmf_sumo.predictors import weights  # imports torch
     from deepmf_sumo.predictors.weights import one_thread
 
     return OneThread(build(settings, weights.cached_predictors(spec.weights)), one_thread)
@@ -140,7 +140,7 @@ def session(
     api: LiveApi,
     wish: Wish,
     spec: Spec,
-    finished: Callable[[Fought], None],
+    finished: Callable[[LiveAttack], None],
     policy: Policy | None = None,
     driven: Callable[[], bool] = lambda: True,
 ) -> Session:
@@ -171,14 +171,14 @@ def session(
     )
 
 
-def stage_of(session: Session, wish: Wish, planner: str = "script") -> Stage:
-    """Where the attacks of a session take place, and who drives the AV."""
+def setting_of(session: Session, wish: Wish, planner: str = "script") -> Setting:
+    """Where the attacks of a session take place, and what drives the AV."""
     around = session.surroundings
-    return Stage(net=around.net, road=around.road, longest_s=wish.duration_s, planner=planner)
+    return Setting(net=around.net, road=around.road, longest_s=wish.duration_s, planner=planner)
 
 
 def _check_edges(api: LiveApi, triggers: Sequence[Trigger]) -> None:
-    """An edge that does not exist would never be reached. Raises UsageError."""
+    """Raise UsageError for an edge that the network does not have: the AV would never reach it."""
     wanted = [one.edge for one in triggers if isinstance(one, AtEdge)]
     known = {lane.rpartition("_")[0] for lane in api.lane.getIDList()} if wanted else set()
     for edge in wanted:
@@ -201,26 +201,26 @@ class Attacker:
                 traci.simulationStep()
                 attacker.after_step()
 
-    The script drives the AV and steps, one step between the two calls; the opponent is driven here
-    while an attack goes on, and is SUMO's again afterwards. Leaving the block hands it back.
+    The script drives the AV and steps, one step between the two calls. The attacker drives the
+    opponent during an attack; then SUMO drives it again. Leaving the block hands it back.
 
     Args:
         conn: the module ``libsumo`` or ``traci``, or what ``traci.connect`` returned.
-        av: id of the vehicle under test; it may come and go.
+        av: id of the vehicle under test; it may leave and return.
         trigger: ``time=S``, ``edge=ID``, ``ttc=S``, several of them, or ``call``: only when
-            `attack` is called. None: whenever somebody can attack.
-        duration_s: of an attack, at most. pause_s: after it, before the next.
+            `attack` is called. None: whenever a vehicle can attack.
+        duration_s: maximum of an attack. pause_s: after it, before the next.
         sets: ``key=value`` as in specs, or several, of ``adversary``, ``weights`` and ``seed``.
-        net: the network file; None asks SUMO, which names it relative to where it was started.
+        net: the network file; None asks SUMO, which names it relative to its working folder.
         out: folder for ``attacks.jsonl`` and the attacks as runs of a result folder; None writes
             nothing.
-        overwrite: delete the results of an earlier command in ``out``; else they are refused.
+        overwrite: delete the results of an earlier command in ``out``; else they are an error.
 
     Attributes:
-        attacks: those that are over, as dictionaries: a line of ``attacks.jsonl`` each.
+        attacks: those that are over, as dictionaries: one for each line of ``attacks.jsonl``.
 
-    Raises SpecError for settings, UsageError for a trigger, a step that does not fit or a network
-    that is not found, WeightsError for weights, OutputError for a folder that cannot be used.
+    Raises SpecError for settings, UsageError for a trigger, an unsuitable step length or a missing
+    network, WeightsError for weights, OutputError for a folder that cannot be used.
     """
 
     def __init__(
@@ -251,20 +251,20 @@ class Attacker:
             None if out is None else Path(out), av, spec, overwrite=overwrite, ways=_WAYS
         )
         self._session = session(api, wish, spec, self._record.add)
-        self._record.begin(stage_of(self._session, wish))
+        self._record.begin(setting_of(self._session, wish))
 
     @property
     def attacks(self) -> list[dict[str, Any]]:
-        """Those that are over."""
+        """The attacks that are over."""
         return self._record.rows
 
     @property
     def opponent(self) -> AgentId | None:
-        """Who attacks now."""
+        """The vehicle that attacks now, or None."""
         return self._session.attacking
 
     def attack(self) -> None:
-        """Attack as soon as somebody can, whatever the trigger."""
+        """Attack as soon as a vehicle can, whatever the trigger."""
         self._session.attack()
 
     def before_step(self) -> None:
@@ -272,11 +272,11 @@ class Attacker:
         self._session.before_step()
 
     def after_step(self) -> None:
-        """See what has become of the step."""
+        """Observe the step."""
         self._session.after_step()
 
     def close(self) -> None:
-        """Hand the opponent back and leave."""
+        """Hand the opponent back, and finish the files."""
         self._session.close()
         self._record.finish("closed", self._session.time_s)
 
@@ -292,20 +292,20 @@ class Attacker:
         try:
             self.close()
         except Exception:
-            if error is None:  # else the script's own error is the one to be seen
+            if error is None:  # else the error of the script is the one to raise
                 raise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attached:
-    """What `attach` has done.
+    """The result of `attach`.
 
     Attributes:
         rows: the attacks. end: why it left, at ``time_s`` of the simulation.
-        nobody: why the last try to attack was none.
-        collisions: what SUMO does with them, its ``--collision.action``.
+        nobody: why the last try to attack failed.
+        collisions: what SUMO does at a collision, its ``--collision.action``.
         undriven: attacks that were not over when the script left; they are not in ``rows``.
-        watched: whether it was to be seen that the script left.
+        watched: whether it could observe that the script left.
     """
 
     rows: list[dict[str, Any]]
@@ -331,35 +331,35 @@ def attach(
 
     Args:
         port: where SUMO listens.
-        wish: whom to attack, when and how.
-        stay: how long.
-        out: folder for what happened.
+        wish: the attacks that are wanted.
+        stay: how long to take part.
+        out: folder for the attacks.
         overwrite: delete the results of an earlier command in it.
         stopped: whether to leave now.
-        tell: is told of each attack that is over.
+        tell: called with each attack that is over.
 
-    Raises UsageError for what is wrong in the command, SimulationError where nobody listens, the
-    connection is lost or the AV never appears; what was attacked before that is in ``out``.
+    Raises UsageError for a wrong command, SimulationError if no SUMO listens, the connection is
+    lost or the AV never appears; attacks before that are in ``out``.
     """
-    triggers_of(wish)  # what is wrong with the command shows before anybody waits for us
+    triggers_of(wish)  # an error in the command shows before SUMO waits for this client
     spec = spec_of(wish)
     policy = policy_of(spec)
     record = Record(out, wish.av, spec, overwrite=overwrite)
 
-    def add(fought: Fought) -> None:
-        record.add(fought)
+    def add(attack: LiveAttack) -> None:
+        record.add(attack)
         tell(record.rows[-1])
 
     api = connect(port, stopped)
     with _closed_where_it_fails(api):
-        clients = others(api)  # all of them have come by now
+        clients = others(api)  # all of them are connected by now
 
         def driven() -> bool:
             return not clients or others(api) != 0
 
         own = session(api, wish, spec, add, policy, driven)
         collisions = str(api.simulation.getOption("collision.action"))
-        record.begin(stage_of(own, wish, planner="sumo" if clients == 0 else "script"))
+        record.begin(setting_of(own, wish, planner="sumo" if clients == 0 else "script"))
         steps = Lockstep(api, own, wish.av, stay, stopped)
     end: str = "failed"
     try:
@@ -385,7 +385,7 @@ _NUMBERS = (
 
 @contextmanager
 def _closed_where_it_fails(api: LiveApi) -> Iterator[None]:
-    """Before the first step: say goodbye whatever goes wrong, for SUMO quits without."""
+    """Before the first step: close the connection after any error, for SUMO quits otherwise."""
     try:
         yield
     except BaseException as error:

@@ -1,4 +1,4 @@
-"""The way into a running SUMO: a port of its own, or the connection of the user's script."""
+"""Connections to a running SUMO: by its port, or the one of the user's script."""
 
 import time
 from collections.abc import Callable
@@ -11,21 +11,21 @@ from deepmf_sumo.errors import SimulationError, UsageError
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
 _AGAIN_S: Final = 0.2
-"""Between two tries to connect."""
+"""Pause between two tries to connect."""
 _CONNECTIONS: Final = Path("/proc/net/tcp")
 _ESTABLISHED: Final = "01"
 _EXCEPTIONS: Final = ("TraCIException", "FatalTraCIError")
 
 
 class LiveApi(SumoApi, Protocol):
-    """What is used beside `SumoApi` in a simulation of somebody else."""
+    """What a live attack uses beside `SumoApi`."""
 
     poi: Any
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Port:
-    """Where SUMO listens. ``order``: this client's number. ``wait_s``: for somebody to listen."""
+    """Where SUMO listens. ``order``: number of this client. ``wait_s``: for SUMO to listen."""
 
     number: int
     host: str = "localhost"
@@ -34,9 +34,9 @@ class Port:
 
 
 class _Shared:
-    """A connection with the exceptions of its module, which a module has anyway.
+    """A connection that has the exceptions of its module, as a module has.
 
-    They are those that the connection's own code raises: importing libsumo puts another class in
+    They are those that the code of the connection raises: importing libsumo puts another class in
     ``traci.exceptions``, and a script may use a traci of its own.
     """
 
@@ -59,8 +59,8 @@ def shared(connection: Any) -> LiveApi:
     """
     if not all(hasattr(connection, name) for name in ("vehicle", "poi", "simulationStep")):
         raise UsageError(
-            f"A {type(connection).__name__} is no simulation; give the module libsumo or traci, or "
-            "what traci.connect returned."
+            f"A {type(connection).__name__} is not a simulation; give the module libsumo or traci, "
+            "or what traci.connect returned."
         )
     if hasattr(connection, "TraCIException"):
         return cast("LiveApi", connection)
@@ -70,10 +70,10 @@ def shared(connection: Any) -> LiveApi:
 def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
     """Join the SUMO that listens on a port.
 
-    SUMO does not step before all of its ``--num-clients`` have come, and takes none later.
+    SUMO does not step before all of its ``--num-clients`` have connected, and accepts none later.
 
-    Raises SimulationError where nobody listens in time, or the client's number is taken, and
-    KeyboardInterrupt where it is ``stopped`` while nobody listens.
+    Raises SimulationError if no SUMO listens in time, or the number of the client is taken, and
+    KeyboardInterrupt if it is ``stopped`` before SUMO listens.
     """
     import traci
 
@@ -91,12 +91,12 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
             time.sleep(min(_AGAIN_S, max(0.0, until - time.monotonic())))
     try:
         connection.setOrder(port.order)
-        connection.getVersion()  # answered when all clients have come
+        connection.getVersion()  # answered when all clients have connected
     except Exception as error:
         if not of_sumo(error):
             raise
         with suppress(Exception):
-            connection.close()  # SUMO ends, for it refuses the other client as well
+            connection.close()  # SUMO ends, for it refuses the other client, too
         raise SimulationError(
             f"SUMO at {port.host}:{port.number} refused client {port.order} "
             f"({str(error).strip()}); every client needs a number of its own, --order, and SUMO "
@@ -106,10 +106,9 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
 
 
 def others(api: LiveApi) -> int | None:
-    """How many other clients SUMO has; None where that cannot be seen.
+    """Number of other clients of SUMO; None if it cannot be found out.
 
-    SUMO itself does not say it. Linux lists the connections of the machine on which SUMO runs, so
-    it is seen if that is this machine.
+    SUMO itself does not state it. Linux lists the connections of this machine, if SUMO runs on it.
     """
     connection = getattr(api, "_socket", None)
     if connection is None:
@@ -129,18 +128,18 @@ def others(api: LiveApi) -> int | None:
 
 
 def of_sumo(error: BaseException) -> bool:
-    """Whether SUMO or its connection says so: libsumo and traci have classes of their own."""
+    """Whether SUMO or its connection raised it: libsumo and traci have classes of their own."""
     return type(error).__name__ in _EXCEPTIONS
 
 
 def lost(error: BaseException) -> bool:
-    """Whether it says that the connection is gone."""
+    """Whether the error means that the connection is gone."""
     return type(error).__name__ == "FatalTraCIError"
 
 
 def _nobody(port: Port) -> str:
     return (
-        f"Nobody listens on {port.host}:{port.number} (waited {port.wait_s:g} s). Start SUMO with "
+        f"No SUMO listens on {port.host}:{port.number} (waited {port.wait_s:g} s). Start SUMO with "
         f"--remote-port {port.number} --num-clients 2 and join before its first step: once all its "
         "clients have come, SUMO takes no more."
     )
@@ -149,9 +148,9 @@ def _nobody(port: Port) -> str:
 def road_files(api: SumoApi, folder: Path) -> tuple[Path, tuple[Path, ...]]:
     """The network and the additional files that a running SUMO was started with.
 
-    SUMO names them as it was told to find them; ``folder`` is what relative ones are relative to.
+    SUMO names them as they were given to it; ``folder``: to which relative paths are relative.
 
-    Raises UsageError where the network is not there.
+    Raises UsageError if the network is missing.
     """
     named = str(api.simulation.getOption("net-file"))
     net = folder / named

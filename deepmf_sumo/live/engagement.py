@@ -19,37 +19,37 @@ from deepmf_sumo.datatypes import (
     TurnRules,
     View,
 )
+from deepmf_sumo.datatypes.plan import TurnEnd
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.live.connection import LiveApi
 from deepmf_sumo.live.observer import Observer, Sighting
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.policies.base import Policy
-from deepmf_sumo.simulation.attack_schedule import Turns
+from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.av import ShownMotion
-from deepmf_sumo.simulation.contacts import Judge
 from deepmf_sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.simulation.observation import LiveSignals
-from deepmf_sumo.simulation.recorder import Recorder
-from deepmf_sumo.simulation.vehicle_control import Crowd, Places, Takeover
+from deepmf_sumo.simulation.recorder import EpisodeRecord, Recorder
+from deepmf_sumo.simulation.vehicle_control import FreePositions, Occupancy, Takeover
 
 _NEAR_M: Final = 150.0
-"""Lights farther from the AV are not asked for: each costs a message."""
+"""Lights farther from the AV are not read: each costs a message."""
 
 
 class Surroundings:
-    """Map, free places and lights.
+    """The road, its free positions and its lights.
 
     Args:
         api: the simulation.
         net: its network. additional: its additional files.
 
-    Raises SimulationError where a file cannot be read.
+    Raises SimulationError if a file cannot be read.
     """
 
     def __init__(self, api: LiveApi, net: Path, additional: tuple[Path, ...]) -> None:
         self.net = net
         self.road: RoadMap = road_of_net(net, additional)
-        self.places = Places(api, self.road)
+        self.positions = FreePositions(api, self.road)
         self._api = api
         links = signal_links(net)
         self._links = {lane: row for lane, row in links.items() if lane in self.road.lanes}
@@ -66,14 +66,14 @@ class Surroundings:
 
 
 _LAST_STEPS: Final = 2
-"""Beyond the longest attack: the step in which its end is seen."""
-_CROWD_M: Final = 150.0
-"""Around the opponent: whoever could be in the way of it where it is put, 50 m off at most."""
+"""After the longest attack: the step in which its end is observed."""
+_AROUND_M: Final = 150.0
+"""Around the opponent: the agents that could be in its way at a free position, at most 50 m off."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scenery:
-    """What all attacks of a session share."""
+    """What all attacks of a session share: the simulation, the AV, and the rules of an attack."""
 
     api: LiveApi
     av_id: AgentId
@@ -83,16 +83,19 @@ class Scenery:
 
 
 class Engagement:
-    """The AV, its opponent, and what becomes of them. Steps count from the first of the history.
+    """The AV and its opponent during one attack. Steps count from the first of the history.
 
     Args:
         scenery: the simulation and the rules.
         history: the last second, oldest first; the last of them is now.
         policy: drives the opponent.
         rng: for the policy.
-        tired: who attacks only if nobody else can.
+        tired: vehicles that attack only if no other can.
 
-    Raises RunError where the policy wants an opponent that is not there.
+    Attributes:
+        opponent_id: None if no vehicle can attack, or the AV overlaps an agent already.
+
+    Raises RunError if the policy chooses an opponent that is absent.
     """
 
     def __init__(
@@ -103,118 +106,83 @@ class Engagement:
         rng: np.random.Generator,
         tired: Collection[AgentId] = (),
     ) -> None:
-        self.events: list[Event] = []
         self._scenery = scenery
         observer, av = scenery.observer, scenery.av_id
+        self._events: list[Event] = []
         self._takeover = Takeover(
-            scenery.api, self.events, scenery.surroundings.places, may_remove=False
+            scenery.api, self._events, scenery.surroundings.positions, may_remove=False
         )
-        self._av_pose = observer.pose(history[0], av)
-        self._motion = ShownMotion(scenery.api, av, observer.body(av).size_m[0])
+        self._motion = ShownMotion(scenery.api, av, observer.bodies.ask(av).size_m[0])
         longest = round(scenery.rules.longest_s / DT_S) + _LAST_STEPS
-        self._steps = len(history) + longest
-        self._recorder = Recorder(self._steps, observer.body)
+        recorder = Recorder(len(history) + longest, observer.bodies.ask)
         for sighting in history:
             self._av_pose = observer.pose(sighting, av)
             frame = self._shown(sighting)
-            self._recorder.add(frame)
-        self._now = self._recorder.step
-        self._turns = self._chosen(policy, rng, tired)
-        self._judge = Judge(av, self._turns.attacker)
-        self._judge.look(self._now, frame, observer.sizes_m(frame.ids))
-        self._frame = frame
-        touching = any(event.agent_id == av for event in self._judge.events)
-        self.opponent_id = None if touching else self._turns.attacker
-        """Who attacks; None where nobody can, or the AV touches somebody already."""
+            recorder.add(frame)
+
+        def schedule(view: View) -> AttackSchedule:
+            return _scheduled(policy, view, rng, scenery.rules, tired)
+
+        road = scenery.surroundings.road
+        self._record = EpisodeRecord(av, road, recorder, frame, longest, self._signals, schedule)
+        touching = any(event.agent_id == av for event in self._record.judge.events)
+        self.opponent_id = None if touching else self._record.schedule.attacker
         self._from: Pose | None = None
         self._to: Pose | None = None
 
     @property
     def turn(self) -> Turn | None:
-        """How it ended; None while it goes on."""
-        return self._turns.closed[0] if self._turns.closed else None
+        """How the attack ended; None while it goes on."""
+        closed = self._record.schedule.closed
+        return closed[0] if closed else None
 
     def decide(self) -> None:
-        """Say where the opponent shall be 0.1 s from now; the policy plans if it is time to."""
-        step = self._recorder.step
-        if self._turns.due(step):
-            self._turns.replan(self._view())
+        """Choose the opponent's pose 0.1 s from now; the policy plans if that is due."""
+        self._record.replan()
         self._from = self._to or self._opponent_pose()
-        self._to = self._turns.pose(step + 1)
+        self._to = self._record.schedule.advance(self._record.step + 1)
 
     def place(self, share: float) -> None:
-        """Put the opponent at a share of the way to where it shall be; without a plan let it go."""
-        opponent, step = self._turns.attacker, self._recorder.step
+        """Put the opponent at a share of the way to its next pose; hand it back without one."""
+        opponent = self._record.schedule.attacker
         if opponent is None:
             return
         if self._to is None or self._from is None:
             self._let_go(opponent)
             return
         pose = self._to if share > 1 - 1e-9 else _between(self._from, self._to, share)
-        length_m = self._scenery.observer.body(opponent).size_m[0]
-        self._takeover.place(step + 1, opponent, pose, length_m)
+        length_m = self._scenery.observer.bodies[opponent].size_m[0]
+        self._takeover.place(self._record.step + 1, opponent, pose, length_m)
 
     def settle(self) -> None:
-        """What SUMO has to be told after each of its steps."""
-        self._takeover.after_step(self._recorder.step + 1)
+        """Correct what SUMO assumes of the opponent, after each of its steps."""
+        self._takeover.after_step(self._record.step + 1)
 
     def look(self, sighting: Sighting) -> None:
-        """See what has become of 0.1 s; where that was the end, the opponent is handed back."""
-        scenery = self._scenery
+        """Record and judge 0.1 s; at the end of the attack the opponent is handed back."""
+        scenery, opponent = self._scenery, self._record.schedule.attacker
         self._av_pose = self._motion.advance(scenery.observer.pose(sighting, scenery.av_id))
-        frame = self._frame = self._shown(sighting)
-        self._recorder.add(frame)
-        size_m = scenery.observer.sizes_m(frame.ids)
-        step, opponent = self._recorder.step, self._turns.attacker
-        self._judge.look(step, frame, size_m)
-        self._turns.after_step(step, frame, size_m, hit=self._judge.hit(step))
+        self._record.add(self._shown(sighting))
         if self.turn is not None:
             self._let_go(opponent)
 
-    def stop(self, *, av_gone: bool) -> None:
-        """End it here: the AV has gone, or the session is over."""
-        opponent = self._turns.attacker
-        self._turns.finish(self._recorder.step, "av_gone" if av_gone else "time")
+    def stop(self, ended: TurnEnd) -> None:
+        """End the attack here: the AV has gone (``av_gone``), or the session is over (``time``)."""
+        opponent = self._record.schedule.attacker
+        self._record.schedule.finish(self._record.step, ended)
         self._let_go(opponent)
 
     def rollout(self) -> Rollout:
-        """What happened, the last second before it included."""
-        tracks, driver = self._recorder.tracks()
-        turn = self.turn
-        assert turn is not None
-        events = [*self._turns.events, *self.events, *self._judge.events]
-        return Rollout(
-            tracks=tracks,
-            driver=driver,
-            now=self._now,
-            dt_s=DT_S,
-            av_id=self._scenery.av_id,
-            opponent_id=turn.opponent_id,
-            contacts=tuple(self._judge.contacts),
-            events=tuple(sorted(events, key=lambda event: event.step)),
-            plans=tuple(self._turns.plans),
-            ended=turn.ended,
-            turns=(turn,),
-        )
-
-    def _chosen(
-        self, policy: Policy, rng: np.random.Generator, tired: Collection[AgentId]
-    ) -> Turns:
-        """The opponent, somebody who is not tired if there is one that the policy takes."""
-        view, rules = self._view(), self._scenery.rules
-        rested = [row for row, agent in enumerate(view.history.ids) if agent not in tired]
-        if len(rested) < view.history.agents:
-            turns = Turns(policy, replace(view, history=view.history.select(rested)), rng, rules)
-            if turns.attacker is not None:
-                return turns
-        return Turns(policy, view, rng, rules)
+        """What happened, with the last second before it; only after the end."""
+        assert self.turn is not None
+        return self._record.rollout(self.turn.ended, self._events)
 
     def _let_go(self, opponent: AgentId | None) -> None:
         if opponent is not None and self._takeover.placed() is not None:
-            self._takeover.hand_back(self._recorder.step, opponent, self._crowd(opponent))
+            self._takeover.hand_back(self._record.step, opponent, self._around(opponent))
 
-    def _crowd(self, opponent: AgentId) -> Crowd | None:
-        """Who is around the opponent, which may be far from the AV by now; None where it is not."""
+    def _around(self, opponent: AgentId) -> Occupancy | None:
+        """The agents around the opponent, which may be far from the AV; None if it is absent."""
         observer, placed = self._scenery.observer, self._takeover.placed()
         at = observer.position(opponent)
         if at is None or placed is None:
@@ -223,17 +191,14 @@ class Engagement:
         av = self._scenery.av_id
         if observer.position(av) is not None:
             known[av] = (self._av_pose, Driver.PLANNER)
-        frame = observer.frame(observer.around(at, _CROWD_M), known)
-        return Crowd(frame=frame, size_m=observer.sizes_m(frame.ids), av_id=av)
+        frame = observer.frame(observer.around(at, _AROUND_M), known)
+        return Occupancy(frame=frame, size_m=observer.bodies.sizes_m(frame.ids), av_id=av)
 
-    def _view(self) -> View:
-        recorder, scenery = self._recorder, self._scenery
-        signals = scenery.surroundings.signals((self._av_pose.x_m, self._av_pose.y_m))
-        left = self._steps - 1 - recorder.step
-        return recorder.view(scenery.av_id, scenery.surroundings.road, signals, left)
+    def _signals(self) -> dict[str, SignalState]:
+        return self._scenery.surroundings.signals((self._av_pose.x_m, self._av_pose.y_m))
 
     def _shown(self, sighting: Sighting) -> Frame:
-        """The sighting as policies and judges see it: the opponent is where it was put."""
+        """The sighting as policies and judges see it: the opponent is where it was placed."""
         scenery = self._scenery
         known = {scenery.av_id: (self._av_pose, Driver.PLANNER)}
         placed = self._takeover.placed()
@@ -242,26 +207,43 @@ class Engagement:
         return scenery.observer.frame(sighting, known)
 
     def _there(self, agent: AgentId, sighting: Sighting) -> bool:
-        """Whether SUMO has it; its search does not find who is off every lane."""
+        """Whether SUMO has the agent; its search does not find vehicles off every lane."""
         return agent in sighting.vehicles or self._scenery.observer.position(agent) is not None
 
     def _opponent_pose(self) -> Pose | None:
         """Where SUMO has the opponent now."""
-        opponent = self._turns.attacker
-        if opponent is None or opponent not in self._frame.ids:
+        opponent, frame = self._record.schedule.attacker, self._record.frame
+        if opponent is None or opponent not in frame.ids:
             return None
-        row = self._frame.ids.index(opponent)
-        x, y = self._frame.position_m[row]
+        row = frame.ids.index(opponent)
+        x, y = frame.position_m[row]
         return Pose(
             x_m=float(x),
             y_m=float(y),
-            heading_rad=float(self._frame.heading_rad[row]),
-            speed_mps=float(np.hypot(*self._frame.velocity_mps[row])),
+            heading_rad=float(frame.heading_rad[row]),
+            speed_mps=float(np.hypot(*frame.velocity_mps[row])),
         )
 
 
+def _scheduled(
+    policy: Policy,
+    view: View,
+    rng: np.random.Generator,
+    rules: TurnRules,
+    tired: Collection[AgentId],
+) -> AttackSchedule:
+    """With an opponent that is not tired, if the policy finds one."""
+    rested = [row for row, agent in enumerate(view.history.ids) if agent not in tired]
+    if len(rested) < view.history.agents:
+        shown = replace(view, history=view.history.select(rested))
+        schedule = AttackSchedule(policy, shown, rng, rules)
+        if schedule.attacker is not None:
+            return schedule
+    return AttackSchedule(policy, view, rng, rules)
+
+
 def _between(start: Pose, end: Pose, share: float) -> Pose:
-    """A pose on the way, for simulations with shorter steps than ours."""
+    """A pose between two, for simulations with steps below 0.1 s."""
     turn = float(frames.difference(end.heading_rad, start.heading_rad))
     return Pose(
         x_m=start.x_m + share * (end.x_m - start.x_m),

@@ -1,9 +1,8 @@
-"""What happened to a running simulation: ``attacks.jsonl``, ``session.json``, a result folder.
+"""The files of a live session: ``attacks.jsonl``, ``session.json``, and a result folder.
 
-Live attacks as a result folder, which `table`, `risk`, `report`, `check` and `compare` read.
-
-What a run of ours knows and a live attack does not (the planner and its settings, the lights, whom
-it followed) is empty, or a metric with the reason why it has no value.
+`table`, `risk`, `report`, `check` and `compare` read the result folder. What only a run of its own
+knows (the planner and its settings, the lights, the vehicles that the AV followed) is empty, or a
+metric with the reason why it has no value.
 """
 
 import json
@@ -20,7 +19,7 @@ import deepmf_sumo
 from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.live.session import Fought
+from deepmf_sumo.live.session import LiveAttack
 from deepmf_sumo.metrics import measure
 from deepmf_sumo.results import artifacts, folder, result
 from deepmf_sumo.results.folder import Store
@@ -30,12 +29,12 @@ from deepmf_sumo.tasks import Task
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stage:
+class Setting:
     """Where live attacks take place.
 
     Attributes:
-        net: the network's file. road: its map. longest_s: how long an attack may last.
-        planner: who drives the AV: ``script``, of which nothing is known here, or ``sumo`` where
+        net: the file of the network. road: its map. longest_s: maximum duration of an attack.
+        planner: what drives the AV: ``script``, of which nothing is known here, or ``sumo`` if
             there is no other client.
     """
 
@@ -46,31 +45,31 @@ class Stage:
 
     @property
     def name(self) -> str:
-        """Of the network, without suffixes."""
+        """The name of the network's file without suffixes."""
         return self.net.name.removesuffix(".gz").removesuffix(".xml").removesuffix(".net")
 
 
 class Results:
-    """The folder ``out``, whole after each attack."""
+    """The result folder ``out``, complete after each attack."""
 
-    def __init__(self, out: Path, spec: Spec, stage: Stage) -> None:
-        self._store, self._spec, self._stage = Store(out), spec, stage
+    def __init__(self, out: Path, spec: Spec, setting: Setting) -> None:
+        self._store, self._spec, self._setting = Store(out), spec, setting
         self._keys: dict[str, str] = {}
         self._found: list[Result] = []
         self._store.runs.mkdir(exist_ok=True)
         self._write()
 
-    def add(self, fought: Fought) -> None:
+    def add(self, attack: LiveAttack) -> None:
         """Measure an attack, and write its folder and the tables."""
-        run_id = f"attack-{fought.number:03d}"
+        run_id = f"attack-{attack.number:03d}"
         folder = self._store.runs / run_id
         (folder / "sumo").mkdir(parents=True, exist_ok=True)
-        artifacts.write_tracks(folder / "tracks.csv.gz", fought.rollout)
-        artifacts.write_plans(folder / "plans.npz", fought.rollout)
+        artifacts.write_tracks(folder / "tracks.csv.gz", attack.rollout)
+        artifacts.write_plans(folder / "plans.npz", attack.rollout)
         self._keep_net(folder / "sumo")
-        scene = f"{fought.rollout.av_id}-{fought.begin_s:g}s"
+        scene = f"{attack.rollout.av_id}-{attack.begin_s:g}s"
         task = Task(run_id=run_id, spec=self._spec, scene=scene)
-        found = self._measured(task, fought)
+        found = self._measured(task, attack)
         files.write_json(folder / "result.json", found)
         self._keys[run_id] = task.key
         self._found.append(found)
@@ -80,29 +79,29 @@ class Results:
         self._store.manifest(self._keys, {})
         self._store.finish(self._found, junit_too=False, interrupted=False)
 
-    def _measured(self, task: Task, fought: Fought) -> Result:
-        """The row; one that cannot be measured says why, and the session goes on."""
+    def _measured(self, task: Task, attack: LiveAttack) -> Result:
+        """The row of the attack; one that cannot be measured has the reason instead."""
         begin = time.perf_counter()
         try:
-            found = _finished(task, fought, self._stage, begin)
-        except Exception as error:  # noqa: BLE001 - somebody else's simulation is not to end by it
+            found = _finished(task, attack, self._setting, begin)
+        except Exception as error:  # noqa: BLE001 - it must not end the user's simulation
             traceback.print_exc()
             reason = f"not measured: {type(error).__name__}: {error}"
             found = result.unfinished(task, "failed", reason, time.perf_counter() - begin)
         found["settings"]["planner"] = {}
         return {
             **found,
-            "network": self._stage.name,
-            "planner": self._stage.planner,
-            "planner_label": self._stage.planner,
+            "network": self._setting.name,
+            "planner": self._setting.planner,
+            "planner_label": self._setting.planner,
             "perception": None,
             "parameters": None,
             "expectations_broken": [],
         }
 
     def _keep_net(self, folder: Path) -> None:
-        """The network belongs to each run's folder; it is there once, under many names."""
-        net = self._stage.net
+        """Link the network into the folder of each run; only the first has a copy."""
+        net = self._setting.net
         kept = folder / f"net.net.xml{'.gz' * (net.suffix == '.gz')}"
         first = self._store.runs / "attack-001" / "sumo" / kept.name
         with suppress(OSError):  # a file system without hard links, or the first one
@@ -111,23 +110,23 @@ class Results:
         shutil.copyfile(net, kept)
 
 
-def _finished(task: Task, fought: Fought, stage: Stage, begin: float) -> Result:
-    rollout = replace(fought.rollout, turns=())  # an attack of its own
+def _finished(task: Task, attack: LiveAttack, setting: Setting, begin: float) -> Result:
+    rollout = replace(attack.rollout, turns=())  # an attack of its own
     case = TrafficCase(
         name=task.run_id,
-        road=stage.road,
+        road=setting.road,
         av_id=rollout.av_id,
-        duration_steps=round(stage.longest_s / DT_S),
+        duration_steps=round(setting.longest_s / DT_S),
         seed=task.spec.seed,
-        config=stage.net,
-        start_s=fought.begin_s,
-        net_file=stage.net,
+        config=setting.net,
+        start_s=attack.begin_s,
+        net_file=setting.net,
     )
     spent = [sum(one.reason.milliseconds.values()) for one in rollout.plans if one.reason]
-    attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)
+    found_attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)
     metrics = measure(rollout, case)
-    found = result.finished(task, case, attack, metrics, time.perf_counter() - begin)
-    found["timings"]["simulation_s"] = None  # SUMO was somebody else's
+    found = result.finished(task, case, found_attack, metrics, time.perf_counter() - begin)
+    found["timings"]["simulation_s"] = None  # another program ran SUMO
     found["search"]["simulations"] = 0
     wrong = result.not_finite(found)
     if wrong:
@@ -140,16 +139,16 @@ WAYS: Final = "--overwrite deletes them, another folder for --out keeps them"
 
 
 class Record:
-    """The attacks of a session; the files are whole after each of them.
+    """The attacks of a session; the files are complete after each of them.
 
     Args:
         out: the folder; None writes nothing.
-        av: who is attacked.
-        spec: with which settings.
+        av: the attacked vehicle.
+        spec: the settings of the attacks.
         overwrite: delete the results of an earlier command in the folder.
-        ways: what can be done about them, for the message.
+        ways: what the user can do about them, for the message.
 
-    Raises OutputError where the folder cannot be written, is in use, or holds something else, or
+    Raises OutputError if the folder cannot be written, is in use, or contains something else, or
     earlier results without ``overwrite``.
     """
 
@@ -179,8 +178,8 @@ class Record:
         if out is not None:
             folder.check(out, resume=False, overwrite=overwrite, ways=ways)
 
-    def begin(self, stage: Stage) -> None:
-        """The session begins; only now earlier results in the folder are deleted.
+    def begin(self, setting: Setting) -> None:
+        """Start the session; only now earlier results in the folder are deleted.
 
         Raises OutputError as the class.
         """
@@ -188,21 +187,21 @@ class Record:
             self._held.enter_context(
                 folder.opened(self._out, resume=False, overwrite=self._overwrite, ways=self._ways)
             )
-            self._results = Results(self._out, self._spec, stage)
+            self._results = Results(self._out, self._spec, setting)
             self._write("going on", None)
 
-    def add(self, fought: Fought) -> None:
-        """An attack that is over."""
-        self.rows.append(row(fought))
+    def add(self, attack: LiveAttack) -> None:
+        """Add an attack that is over."""
+        self.rows.append(row(attack))
         if self._out is None or self._results is None:
             return
         lines = [json.dumps(one, sort_keys=True, ensure_ascii=False) for one in self.rows]
         files.write(self._out / "attacks.jsonl", "".join(f"{line}\n" for line in lines))
-        self._write("going on", fought.end_s)
-        self._results.add(fought)
+        self._write("going on", attack.end_s)
+        self._results.add(attack)
 
     def finish(self, end: str, time_s: float) -> None:
-        """The session is over."""
+        """End the session."""
         if self._out is not None:
             self._write(end, time_s)
         self._held.close()
@@ -213,19 +212,19 @@ class Record:
         files.write_json(self._out / "session.json", values)
 
 
-def row(fought: Fought) -> dict[str, Any]:
+def row(attack: LiveAttack) -> dict[str, Any]:
     """One attack as plain values; times are the simulation's."""
-    rollout = fought.rollout
+    rollout = attack.rollout
     contact = rollout.first("av_opponent")
     plans = [plan.reason for plan in rollout.plans if plan.reason]
     turn = rollout.turns[0]
     return {
-        "number": fought.number,
+        "number": attack.number,
         "opponent": rollout.opponent_id,
-        "begin_s": round(fought.begin_s, 3),
-        "end_s": round(fought.end_s, 3),
+        "begin_s": round(attack.begin_s, 3),
+        "end_s": round(attack.end_s, 3),
         "ended": rollout.ended,
-        "contact": None if contact is None else _contact(contact, fought),
+        "contact": None if contact is None else _contact(contact, attack),
         "min_gap_m": round(turn.gap_m, 3),
         "others_touched": sorted(
             {one.second_id for one in rollout.contacts if one.kind == "opponent_other"}
@@ -233,13 +232,13 @@ def row(fought: Fought) -> dict[str, Any]:
         "av_touched": sorted({one.second_id for one in rollout.contacts if one.kind == "av_other"}),
         "plans": len(plans),
         "plan_ms": [round(sum(one.milliseconds.values()), 1) for one in plans],
-        "events": [_event(fought, one) for one in rollout.events],
+        "events": [_event(attack, one) for one in rollout.events],
     }
 
 
-def _contact(contact: Contact, fought: Fought) -> dict[str, Any]:
+def _contact(contact: Contact, attack: LiveAttack) -> dict[str, Any]:
     return {
-        "time_s": round(_time(fought, contact.step), 3),
+        "time_s": round(_time(attack, contact.step), 3),
         "relative_mps": round(contact.relative_mps, 3),
         "delta_v_mps": round(contact.delta_v_mps, 3),
         "sector": contact.sector,
@@ -247,10 +246,10 @@ def _contact(contact: Contact, fought: Fought) -> dict[str, Any]:
     }
 
 
-def _event(fought: Fought, event: Event) -> dict[str, Any]:
+def _event(attack: LiveAttack, event: Event) -> dict[str, Any]:
     values = asdict(event)
-    return {"time_s": round(_time(fought, values.pop("step")), 3), **values}
+    return {"time_s": round(_time(attack, values.pop("step")), 3), **values}
 
 
-def _time(fought: Fought, step: int) -> float:
-    return fought.begin_s + (step - fought.rollout.now) * fought.rollout.dt_s
+def _time(attack: LiveAttack, step: int) -> float:
+    return attack.begin_s + (step - attack.rollout.now) * attack.rollout.dt_s

@@ -1,9 +1,8 @@
 """A session with a simulation that another program runs, in lockstep with it.
 
-One client among several: steps with the others, attacks, and leaves without harm.
-
-SUMO waits at every step for all of its clients, and quits when one of them breaks off without
-saying goodbye. So whatever happens here, the opponent is handed back and the connection closed.
+It is one client among several: it steps with the others, attacks, and leaves without harm. SUMO
+waits at each step for all of its clients, and quits if one of them disconnects without closing. So
+whatever happens here, the opponent is handed back and the connection closed.
 """
 
 import difflib
@@ -16,24 +15,23 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, HISTORY_STEPS, AgentId, Floats, Rollout
+from deepmf_sumo.datatypes import DT_S, HISTORY_STEPS, AgentId, Rollout
 from deepmf_sumo.errors import RunError, SimulationError, UsageError
 from deepmf_sumo.live.connection import LiveApi, lost, of_sumo
 from deepmf_sumo.live.engagement import Engagement, Scenery, Surroundings
 from deepmf_sumo.live.observer import Sighting
-from deepmf_sumo.live.triggers import ByCall, Moment, Trigger
+from deepmf_sumo.live.triggers import AtTime, Moment, Trigger
 from deepmf_sumo.policies.base import Policy
-from deepmf_sumo.simulation.frame import Frame
 
 _ASK_EVERY: Final = 10
 _WAKE_S: Final = 1.5
 _AGAIN_S: Final = 1.0
-"""After which somebody is looked for again where nobody could attack."""
+"""Until the next try to attack after one in which no vehicle could."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fought:
-    """An attack that is over. ``begin_s``, ``end_s``: of the simulation's time."""
+class LiveAttack:
+    """An attack that is over. ``begin_s``, ``end_s``: time of the simulation."""
 
     number: int
     begin_s: float
@@ -42,19 +40,23 @@ class Fought:
 
 
 class Session:
-    """To be told before and after each step of the simulation.
+    """Attacks on one AV; the caller calls `before_step` and `after_step` around each step.
 
     Args:
         scenery: the simulation, its AV and the rules.
-        policy: drives the opponents; chooses each of them.
+        policy: chooses and drives the opponents.
         triggers: an attack begins when one of them fires.
         pause_s: after an attack before the next.
         rng: for the policy.
-        finished: is told of each attack that is over.
-        driven: whether the script that drives the AV is still there. An attack at whose end it is
-            not is counted in ``undriven`` and nowhere else: SUMO drove the AV in a part of it.
+        finished: called with each attack that is over.
+        driven: whether the script that drives the AV is still connected. If it is not at the end
+            of an attack, the attack counts in ``undriven`` alone: SUMO drove the AV in part of it.
 
-    Raises UsageError where 0.1 s is no multiple of the simulation's step.
+    Attributes:
+        attacks, undriven: numbers of attacks so far.
+        nobody: why the last try to attack failed.
+
+    Raises UsageError if 0.1 s is not a multiple of the simulation's step.
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class Session:
         triggers: Sequence[Trigger],
         pause_s: float,
         rng: np.random.Generator,
-        finished: Callable[[Fought], None],
+        finished: Callable[[LiveAttack], None],
         driven: Callable[[], bool] = lambda: True,
     ) -> None:
         self.attacks = 0
@@ -75,7 +77,7 @@ class Session:
         self.nobody = ""
         self._scenery = scenery
         self._policy = policy
-        self._call = ByCall()
+        self._call = AtTime(np.inf)
         self._triggers = (self._call, *triggers)
         self._pause_s = pause_s
         self._rng = rng
@@ -105,11 +107,11 @@ class Session:
         return attack.opponent_id if attack is not None and attack.turn is None else None
 
     def attack(self) -> None:
-        """Attack as soon as somebody can, whatever the triggers say."""
-        self._call.called = True
+        """Attack as soon as a vehicle can, whatever the triggers say."""
+        self._call.not_before_s = -np.inf
 
     def before_step(self) -> None:
-        """Put the opponent where it shall be at the end of the coming step."""
+        """Put the opponent at its pose at the end of the coming step."""
         attack = self._attack
         if attack is None or attack.turn is not None:
             return
@@ -118,7 +120,7 @@ class Session:
         attack.place((self._part + 1) / self._parts)
 
     def after_step(self) -> None:
-        """See what has become of the step, and begin or end an attack."""
+        """Observe the step, and begin or end an attack."""
         if self._attack is not None:
             self._attack.settle()
             moved = self._scenery.api.simulation.getStartingTeleportIDList()
@@ -146,22 +148,22 @@ class Session:
             self._begin()
 
     def hand_back(self) -> None:
-        """End the attack, if one goes on, and begin none. In one more step it finds its way."""
+        """End the current attack and begin no other; a step later the opponent is on its lane."""
         if self._attack is not None and self._attack.turn is None:
-            self._attack.stop(av_gone=False)
+            self._attack.stop("time")
             self._over()
         self._next_s = np.inf
 
     def close(self) -> None:
-        """Hand back, and take away all that was put into the simulation."""
+        """Hand back, and remove all that was added to the simulation."""
         try:
             self.hand_back()
-        finally:  # what was attacked is told of, even if the connection is gone
+        finally:  # the attack is published even if the connection is gone
             self._publish()
         self._scenery.observer.close()
 
     def _count_time(self) -> None:
-        """Count, and ask SUMO now and then: each question costs as much as a tenth of a step."""
+        """Count, and check with SUMO now and then: asking costs as much as a tenth of a step."""
         self._frames += 1
         self.time_s = self._start_s + self._frames * DT_S
         if self._frames % _ASK_EVERY:
@@ -174,12 +176,12 @@ class Session:
             )
 
     def _may_sleep(self) -> bool:
-        """Whether no attack can begin before there is time to see a second of history."""
+        """Whether no attack can begin before a second of history could be observed."""
         due_s = max(self._next_s, min(one.not_before_s for one in self._triggers))
         return self._attack is None and self.time_s < due_s - _WAKE_S
 
     def _sleep(self) -> None:
-        """Look at nothing but whether the AV is there, now and then."""
+        """Check only whether the AV is present, now and then."""
         observer = self._scenery.observer
         if self._history:
             self._history.clear()
@@ -192,11 +194,11 @@ class Session:
         self._teleported = False
         self._history.clear()
         if self._attack is not None:
-            self._attack.stop(av_gone=True)
+            self._attack.stop("av_gone")
             self._over()
 
     def check_script(self) -> None:
-        """See whether the script has left; asking costs up to some milliseconds."""
+        """Check whether the script has left; that costs up to some milliseconds."""
         self.script_left = self.script_left or not self._driven()
 
     def _over(self) -> None:
@@ -206,17 +208,18 @@ class Session:
         self._counts = not self.script_left
 
     def _begin(self) -> None:
-        moment = self._moment()
+        scenery, latest = self._scenery, self._history[-1]
+        moment = Moment(scenery.api, scenery.av_id, self.time_s, scenery.observer, latest)
         fired = next((one for one in self._triggers if one.fires(moment)), None)
         if fired is None:
             return
         self._next_s = self.time_s + _AGAIN_S
-        if len(self._history[-1].vehicles) < 2:
+        if len(latest.vehicles) < 2:
             self.nobody = "nobody is near the AV"
             return
         try:
             attack = Engagement(
-                self._scenery, tuple(self._history), self._policy, self._rng, self._tired()
+                scenery, tuple(self._history), self._policy, self._rng, self._tired()
             )
         except RunError as error:
             self.nobody = str(error)
@@ -228,25 +231,12 @@ class Session:
         self._attack, self._begin_s = attack, self.time_s
 
     def _tired(self) -> list[AgentId]:
-        """Who attacked lately."""
+        """Vehicles that attacked lately."""
         since = self.time_s - self._scenery.rules.again_after_s
         return [agent for agent, end_s in self._ended_s.items() if end_s > since]
 
-    def _moment(self) -> Moment:
-        observer, latest = self._scenery.observer, self._history[-1]
-
-        def may_touch(within_s: float) -> bool:
-            return observer.may_touch(latest, within_s)
-
-        def frame() -> tuple[Frame, Floats]:
-            found = observer.frame(latest, {})
-            return found, observer.sizes_m(found.ids)
-
-        api, av = self._scenery.api, self._scenery.av_id
-        return Moment(api, av, self.time_s, may_touch, frame)
-
     def _publish(self) -> None:
-        """Tell of an attack that is over, now that its opponent is on its way again."""
+        """Report an attack that is over, now that SUMO drives its opponent again."""
         attack = self._attack
         if attack is None or attack.turn is None:
             return
@@ -259,12 +249,12 @@ class Session:
         end_s = self._begin_s + (attack.turn.last_step - rollout.now) * DT_S
         self._ended_s[attack.turn.opponent_id] = end_s
         self._finished(
-            Fought(number=self.attacks, begin_s=self._begin_s, end_s=end_s, rollout=rollout)
+            LiveAttack(number=self.attacks, begin_s=self._begin_s, end_s=end_s, rollout=rollout)
         )
 
 
 def parts_of_a_step(step_s: float) -> int:
-    """How many of the simulation's steps make 0.1 s. Raises UsageError where none do."""
+    """Number of the simulation's steps in 0.1 s. Raises UsageError if 0.1 s is not a multiple."""
     parts = round(DT_S / step_s)
     if parts < 1 or abs(parts * step_s - DT_S) > 1e-9:
         raise UsageError(
@@ -284,8 +274,8 @@ class Stay:
     """How long to take part; times are the simulation's.
 
     Attributes:
-        until_s: leave then. attacks: leave after so many. None: no limit.
-        patience_s: an AV that has not appeared for so long is an error.
+        until_s: leave then. attacks: leave after this number. None: no limit.
+        patience_s: an AV that has not appeared in this time is an error.
     """
 
     until_s: float | None = None
@@ -297,11 +287,11 @@ class Lockstep:
     """Steps a simulation together with its other clients.
 
     Args:
-        api: an own connection.
+        api: a connection of its own.
         session: attacks.
-        av_id: whom it attacks.
-        stay: for how long.
-        stopped: whether to leave now; asked after each step.
+        av_id: the vehicle that it attacks.
+        stay: how long to take part.
+        stopped: whether to leave now; called after each step.
 
     Attributes:
         ended_s: the simulation's time at the end.
@@ -328,12 +318,12 @@ class Lockstep:
         Raises SimulationError where the connection is lost or the AV never appears.
         """
         session, api = self._session, self._api
-        in_order = True  # else an answer of SUMO is still to come, and it hears nothing before
+        in_order = True  # else an answer of SUMO is pending, and it reads nothing before
         try:
             end = self._steps()
             self.ended_s = session.time_s
             session.hand_back()
-            api.simulationStep()  # in which who was beside its lane comes back onto it
+            api.simulationStep()  # in which a vehicle beside its lane comes back onto it
             session.after_step()
             return end
         except KeyboardInterrupt:
@@ -362,7 +352,7 @@ class Lockstep:
             self._api.close()
 
     def _lost(self, reason: str) -> str:
-        """What to say of a connection that is gone."""
+        """The message for a connection that is gone."""
         time_s = self._session.time_s
         if time_s == self._begin_s:
             return (
@@ -403,7 +393,7 @@ class Lockstep:
         return None
 
     def _elsewhere(self) -> bool:
-        """Whether the AV is only away: SUMO teleports those that it holds for stuck."""
+        """Whether the AV will be back: SUMO teleports vehicles that it takes for stuck."""
         return self._av in self._api.simulation.getStartingTeleportIDList() or (
             self._av not in self._api.simulation.getArrivedIDList() and self._av in self._loaded()
         )
@@ -413,8 +403,8 @@ class Lockstep:
 
     def _look_for_av(self) -> None:
         waited = self._session.time_s - self._begin_s
-        nobody_left = self._api.simulation.getMinExpectedNumber() == 0
-        if waited < self._stay.patience_s and not nobody_left:
+        none_left = self._api.simulation.getMinExpectedNumber() == 0
+        if waited < self._stay.patience_s and not none_left:
             return
         there = sorted(self._loaded())
         nearest = difflib.get_close_matches(self._av, there, n=3)
@@ -422,13 +412,13 @@ class Lockstep:
         known = f" Now there: {', '.join(there[:8])}{', ...' if len(there) > 8 else ''}."
         raise SimulationError(
             f"Vehicle '{self._av}' has not appeared in {waited:.0f} s of the simulation"
-            f"{' and all others have left' if nobody_left else ''}.{hint or known}"
+            f"{' and all others have left' if none_left else ''}.{hint or known}"
         )
 
 
 @contextmanager
 def _without_sumos_complaints() -> Iterator[None]:
-    """Whatever SUMO refuses while it is left does not matter any more."""
+    """Ignore what SUMO refuses while this client leaves."""
     try:
         yield
     except Exception as error:

@@ -1,13 +1,14 @@
 """When an attack begins."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Floats
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.live.observer import Observer, Sighting
 from deepmf_sumo.metrics.conflict import Moving, time_to_collision
 from deepmf_sumo.simulation.frame import Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
@@ -17,136 +18,71 @@ _FORMS: Final = "time=SECONDS, edge=ID or ttc=SECONDS"
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What a trigger may look at.
-
-    Attributes:
-        time_s: of the simulation.
-        may_touch: whether the AV and anybody could touch within a time: a quick look, which is
-            never wrong when it says no.
-        frame: gives the agents near the AV and their (N, 2) lengths and widths.
-    """
+    """What a trigger may look at: the simulation at ``time_s``, and the agents near the AV."""
 
     api: SumoApi
     av_id: AgentId
     time_s: float
-    may_touch: Callable[[float], bool]
-    frame: Callable[[], tuple[Frame, Floats]]
+    observer: Observer
+    sighting: Sighting
 
 
-class Trigger(Protocol):
-    """Says when an attack is due."""
+class Trigger:
+    """Lets an attack begin whenever a vehicle can attack; others add a condition.
 
-    @property
-    def not_before_s(self) -> float:
-        """Time of the simulation before which it does not fire."""
-        ...
+    Attributes:
+        not_before_s: time of the simulation before which it does not fire.
+    """
 
-    def fires(self, moment: Moment) -> bool:
-        """Whether one is due now. Asked every 0.1 s while none goes on and the pause is over."""
-        ...
+    not_before_s: float = -np.inf
+
+    def fires(self, moment: Moment) -> bool:  # noqa: ARG002 - the condition of others
+        """Whether an attack is due. Called every 0.1 s between attacks, after the pause."""
+        return True
 
     def used(self) -> None:
         """An attack has begun because of it."""
-        ...
 
 
 @dataclass(slots=True)
-class AtTime:
+class AtTime(Trigger):
     """One attack, as soon as one can begin from a time of the simulation on."""
 
-    time_s: float
-    done: bool = False
-
-    @property
-    def not_before_s(self) -> float:
-        """The time; never again afterwards."""
-        return np.inf if self.done else self.time_s
+    not_before_s: float
 
     def fires(self, moment: Moment) -> bool:
-        """From the time on, once."""
-        return not self.done and moment.time_s >= self.time_s - 1e-6
+        """Whether it is time; never again after an attack."""
+        return moment.time_s >= self.not_before_s - 1e-6
 
     def used(self) -> None:
-        """Once is enough."""
-        self.done = True
+        """Never fire again."""
+        self.not_before_s = np.inf
 
 
 @dataclass(frozen=True, slots=True)
-class AtEdge:
+class AtEdge(Trigger):
     """Whenever the AV is on an edge."""
 
     edge: str
 
-    @property
-    def not_before_s(self) -> float:
-        """It may at any time."""
-        return -np.inf
-
     def fires(self, moment: Moment) -> bool:
-        """Whether it is there."""
+        """Whether the AV is on the edge."""
         return bool(moment.api.vehicle.getRoadID(moment.av_id) == self.edge)
-
-    def used(self) -> None:
-        """Every visit counts."""
 
 
 @dataclass(frozen=True, slots=True)
-class AtTtc:
-    """Whenever the AV and anybody would touch within a time if both kept velocity and heading."""
+class AtTtc(Trigger):
+    """Whenever the AV and another agent would touch within a time at constant velocities."""
 
     below_s: float
 
-    @property
-    def not_before_s(self) -> float:
-        """It may at any time."""
-        return -np.inf
-
     def fires(self, moment: Moment) -> bool:
-        """Whether somebody is that near in time."""
-        if not moment.may_touch(self.below_s):
+        """Whether the least time to collision is below the limit."""
+        observer, sighting = moment.observer, moment.sighting
+        if not observer.may_touch(sighting, self.below_s):
             return False
-        frame, size_m = moment.frame()
-        return least_ttc_s(frame, size_m, moment.av_id) < self.below_s
-
-    def used(self) -> None:
-        """Every time counts."""
-
-
-@dataclass(frozen=True, slots=True)
-class Always:
-    """Whenever somebody can attack."""
-
-    @property
-    def not_before_s(self) -> float:
-        """It may at any time."""
-        return -np.inf
-
-    def fires(self, moment: Moment) -> bool:  # noqa: ARG002 - as the protocol wants it
-        """Always."""
-        return True
-
-    def used(self) -> None:
-        """Never enough."""
-
-
-@dataclass(slots=True)
-class ByCall:
-    """When it is called."""
-
-    called: bool = False
-
-    @property
-    def not_before_s(self) -> float:
-        """When it is called."""
-        return -np.inf if self.called else np.inf
-
-    def fires(self, moment: Moment) -> bool:  # noqa: ARG002 - as the protocol wants it
-        """Whether it was called."""
-        return self.called
-
-    def used(self) -> None:
-        """The call is answered."""
-        self.called = False
+        frame = observer.frame(sighting, {})
+        return least_ttc_s(frame, observer.bodies.sizes_m(frame.ids), moment.av_id) < self.below_s
 
 
 def parse(texts: Sequence[str]) -> tuple[Trigger, ...]:
@@ -158,10 +94,8 @@ def parse(texts: Sequence[str]) -> tuple[Trigger, ...]:
 
 
 def _parsed(text: str) -> Trigger:
-    kind, equals, value = (part.strip() for part in text.partition("="))
-    if not (equals and value):
-        raise UsageError(f"trigger '{text}': must be {_FORMS}.")
-    if kind == "edge":
+    kind, _, value = (part.strip() for part in text.partition("="))
+    if kind == "edge" and value:
         return AtEdge(value)
     try:
         seconds = float(value)
@@ -173,7 +107,7 @@ def _parsed(text: str) -> Trigger:
 
 
 def least_ttc_s(frame: Frame, size_m: Floats, av_id: AgentId) -> float:
-    """Least time until the AV touches anybody at constant velocity; inf where it never does."""
+    """Least time until the AV touches another agent at constant velocity; inf if it never does."""
     me = frame.ids.index(av_id)
     others = np.arange(len(frame.ids)) != me
     count = int(others.sum())

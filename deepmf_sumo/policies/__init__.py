@@ -1,1 +1,1 @@
-"""What drives an opponent, live. One file a policy; `base.Policy` is the contract."""
+"""Policies, which drive an opponent step by step. One file each; `base.Policy` is the contract."""

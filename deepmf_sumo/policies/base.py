@@ -1,4 +1,4 @@
-"""What a policy is: whatever drives the opponent, live."""
+"""The contract of a policy, which drives the opponent step by step."""
 
 from typing import Protocol
 
@@ -16,7 +16,7 @@ class Policy(Protocol):
         ...
 
     def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
-        """Choose the opponent at the first view; None if there is nobody to attack."""
+        """Choose the opponent at the first view; None if no vehicle can attack."""
         ...
 
     def plan(self, view: View) -> Plan | None:

@@ -28,18 +28,18 @@ _DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What reading a damaged file may raise."""
+"""Errors of reading a damaged file."""
 
 
 class Settings(plugins.Settings):
-    """Who drives what; exactly one of ``poses`` and ``file``.
+    """The opponent and its trajectory; exactly one of ``poses`` and ``file``.
 
     Attributes:
         agent: id of the opponent.
-        poses: rows of x_m, y_m, heading_rad (box centre, radians), one a step of 0.1 s.
-        file: a table (.csv, .csv.gz) with columns step, x_m, y_m, heading_rad, and perhaps id (rows
-            of other agents are left out), so that a result's tracks.csv.gz will do; or
-            an .npz with arrays step (K), position_m (K, 2), heading_rad (K).
+        poses: rows of x_m, y_m, heading_rad (box centre, radians), one for each step of 0.1 s.
+        file: a table (.csv, .csv.gz) with columns step, x_m, y_m, heading_rad, and optionally id
+            (rows of other agents are ignored), such as a tracks.csv.gz of a result; or an .npz with
+            arrays step (K), position_m (K, 2), heading_rad (K).
         first_step: step of the first of ``poses``; null: the one after the current step.
     """
 
@@ -79,7 +79,7 @@ class Trajectory:
         return named(view, self._agent)
 
     def plan(self, view: View) -> Plan:
-        """All poses. Raises RunError where the first comes after the step that follows the view."""
+        """All poses after the view's step. Raises RunError if the next step has none."""
         first = view.step + 1 if self._first_step is None else self._first_step
         skipped = view.step + 1 - first
         if not 0 <= skipped < len(self._poses):
@@ -106,7 +106,7 @@ def build(
     predictors: object = None,
     partner_id: AgentId | None = None,
 ) -> Trajectory:
-    """The policy. Raises PluginError where the file is missing or holds something else."""
+    """The policy. Raises PluginError if the file is missing or contains something else."""
     return Trajectory(settings)
 
 
@@ -126,7 +126,7 @@ def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:
             f"but has steps {steps[:5].tolist()} ..."
         )
     if not np.isfinite(rows).all():
-        raise PluginError(f"trajectory file '{path}' holds numbers that are not finite.")
+        raise PluginError(f"trajectory file '{path}' contains numbers that are not finite.")
     return int(steps[0]), rows[:, 1:]
 
 

@@ -1,6 +1,6 @@
 """Which vehicle attacks when: one opponent, or several in turn until the time is over."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -11,17 +11,20 @@ from deepmf_sumo.datatypes.plan import TurnEnd
 from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.geometry.ground import clear, distance_m
+from deepmf_sumo.geometry.ground import distance_m
 from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.simulation.contacts import overlapping
 from deepmf_sumo.simulation.frame import Frame, Pose
 
 _MOVED_M = 0.05
 
 
 class Opponent:
-    """Asks the policy for plans at the first view and every period after it.
+    """The vehicle that a policy has chosen, and the plans for it.
 
-    ``id`` is None where there is no policy, or nobody to attack.
+    ``id`` is None if there is no policy, or the policy found no opponent.
+
+    Raises SimulationError for a choice that is not among the agents of the view.
     """
 
     def __init__(self, policy: Policy | None, view: View, rng: np.random.Generator) -> None:
@@ -38,7 +41,7 @@ class Opponent:
             )
 
     def due(self, step: int) -> bool:
-        """Whether the policy has to plan at this step."""
+        """Whether the policy plans at this step: at the first, and every period after it."""
         if self._policy is None or self.id is None:
             return False
         period = self._policy.period_steps
@@ -46,7 +49,7 @@ class Opponent:
         return elapsed == 0 or (period is not None and elapsed % period == 0)
 
     def replan(self, view: View) -> None:
-        """A new plan, unless the policy keeps the last one or the opponent has gone."""
+        """Ask for a new plan, unless the opponent has left; the policy may keep the last one."""
         if self._policy is None or self.id not in view.history.ids:
             return
         plan = self._policy.plan(view)
@@ -58,8 +61,8 @@ class Opponent:
             )
         self.plans.append(plan)
 
-    def pose(self, step: int) -> Pose | None:
-        """Where the opponent shall be at ``step``; None where no plan says so."""
+    def advance(self, step: int) -> Pose | None:
+        """Go on to ``step``: the pose that the plan has for it, or None and an event at its end."""
         plan = self.plans[-1] if self.plans else None
         follows = plan is not None and plan.covers(step)
         if self.id is not None and self._follows and not follows:
@@ -79,22 +82,26 @@ class Opponent:
 
 
 def _course(position_m: Floats) -> float | None:
-    """Direction of motion: a car's centre does not move along its heading in a bend."""
+    """Direction of motion: the centre of a car does not move along its heading in a bend."""
     x, y = position_m[-1] - position_m[0]
     return float(np.arctan2(y, x)) if np.hypot(x, y) > _MOVED_M else None
 
 
-_LOOK_AGAIN_STEPS = 10
-"""After which somebody is looked for again where nobody could attack."""
+_RETRY_STEPS = 10
+"""Until the next choice after one in which no vehicle could attack."""
 _PAUSE_STEPS = 10
-"""From one turn to the next: the second that views show of the past is free of the last attack."""
+"""From one attack to the next: after it the history in views is free of the last attack."""
 _SHORTEST_STEPS = 30
-"""No turn is begun later before the end: it would be judged as one that failed."""
+"""An attack that began later before the end would be judged as one that failed."""
 
 
 @dataclass(slots=True, kw_only=True)
-class _Open:
-    """The turn that is going on; ``harmless`` since a step, or None where the last plan may hit."""
+class _Ongoing:
+    """The current attack.
+
+    ``harmless``: step since which no plan collides with a predicted future of the AV; None if the
+    last plan does. ``driven``: whether the plan has a pose for the last step.
+    """
 
     opponent: Opponent
     first_step: int
@@ -103,14 +110,19 @@ class _Open:
     driven: bool = True
 
 
-class Turns:
+class AttackSchedule:
     """The opponents of an episode, each chosen by the policy as if the episode began there.
 
+    A loop calls `replan` where it is `due`, `advance` before each step and `after_step` after it.
+
     Args:
-        policy: drives them; None attacks nobody.
+        policy: drives the opponents; None: no attack.
         view: at the first step.
         rng: for the policy.
-        rules: when an opponent is spent; None: one attacks, and a hit ends the episode.
+        rules: when an attack ends; None: one opponent attacks, and a contact ends the episode.
+
+    Attributes:
+        closed: the attacks in turn that are over; empty without rules.
     """
 
     def __init__(
@@ -119,81 +131,74 @@ class Turns:
         self._policy, self._rng, self._rules = policy, rng, rules
         self._av = view.av_id
         self._opponents: list[Opponent] = []
-        self._closed: list[Turn] = []
-        self._open: _Open | None = None
+        self.closed: tuple[Turn, ...] = ()
+        self._ongoing: _Ongoing | None = None
         self._released: AgentId | None = None
         self._clear = True
         self._next = self._latest = view.step
         self._begin(view)
 
     @property
-    def id(self) -> AgentId | None:
-        """Whom the stage is to put at the pose, or to let go."""
+    def controlled(self) -> AgentId | None:
+        """The vehicle that the world places at the pose, or hands back to SUMO without one."""
         return self.attacker or self._released
 
     @property
     def attacker(self) -> AgentId | None:
-        """Whose contact with the AV is a hit."""
-        return self._open.opponent.id if self._open else None
+        """The vehicle whose contact with the AV counts as a hit."""
+        return self._ongoing.opponent.id if self._ongoing else None
 
     @property
     def opponent_id(self) -> AgentId | None:
-        """The opponent; of several the one of the decisive turn."""
+        """The opponent of the episode; of several the one of the decisive attack."""
         if self._rules is None:
             return self._opponents[0].id
-        turn = decisive(self._closed)
+        turn = decisive(self.closed)
         return turn.opponent_id if turn else None
 
     @property
     def plans(self) -> list[Plan]:
-        """Of all opponents so far."""
+        """The plans of all opponents so far."""
         return list(chain.from_iterable(one.plans for one in self._opponents))
 
     @property
     def events(self) -> list[Event]:
-        """Of all opponents so far."""
+        """The events of all opponents so far."""
         return list(chain.from_iterable(one.events for one in self._opponents))
-
-    @property
-    def closed(self) -> tuple[Turn, ...]:
-        """The turns that are over; none where there is one opponent alone."""
-        return tuple(self._closed)
 
     def due(self, step: int) -> bool:
         """Whether an opponent is to be chosen, or the policy has to plan."""
-        if self._open is not None:
-            return self._open.opponent.due(step)
+        if self._ongoing is not None:
+            return self._ongoing.opponent.due(step)
         return step >= self._next and (self._clear or step >= self._latest)
 
     def replan(self, view: View) -> None:
         """Choose an opponent if there is none, and plan."""
-        if self._open is None:
+        if self._ongoing is None:
             self._begin(view)
-        if self._open is None:
+        attack = self._ongoing
+        if attack is None:
             return
-        opponent = self._open.opponent
+        opponent = attack.opponent
         count = len(opponent.plans)
-        opponent.replan(self._within_turn(view, self._open.first_step))
+        opponent.replan(self._within_turn(view, attack.first_step))
         if len(opponent.plans) > count:
             reason = opponent.plans[-1].reason
             if reason is None or reason.collides.any():
-                self._open.harmless = None
-            elif self._open.harmless is None:
-                self._open.harmless = view.step
+                attack.harmless = None
+            elif attack.harmless is None:
+                attack.harmless = view.step
 
-    def pose(self, step: int) -> Pose | None:
-        """Where the opponent shall be at ``step``; None where no plan says so.
-
-        To be asked once a step.
-        """
-        if self._open is None:
+    def advance(self, step: int) -> Pose | None:
+        """Go on to ``step``: the opponent's pose there; None if no plan has one."""
+        if self._ongoing is None:
             return None
-        pose = self._open.opponent.pose(step)
-        self._open.driven = pose is not None
+        pose = self._ongoing.opponent.advance(step)
+        self._ongoing.driven = pose is not None
         return pose
 
     def after_step(self, step: int, frame: Frame, size_m: Floats, *, hit: bool) -> bool:
-        """Look at what has become of a step; whether the episode is over.
+        """Close the attack if it is over; returns whether the episode is.
 
         Args:
             step: of the frame.
@@ -206,29 +211,29 @@ class Turns:
             return hit
         if self._av not in frame.ids:
             return False
-        if self._open is None:
-            touching = _overlapping(
-                self._av, frame.ids, frame.position_m, frame.heading_rad, size_m, frame.z_m
+        if self._ongoing is None:
+            me = frame.ids.index(self._av)
+            self._clear = not overlapping(
+                me, frame.position_m, frame.heading_rad, size_m, frame.z_m
             )
-            self._clear = not touching
             return False
-        ended = self._ending(self._open, self._rules, step, frame, size_m, hit=hit)
+        ended = self._ending(self._ongoing, self._rules, step, frame, size_m, hit=hit)
         if ended is not None:
             self._released = self.attacker if self.attacker in frame.ids else None
             self._close(step, ended)
         return False
 
     def finish(self, step: int, ended: TurnEnd) -> None:
-        """The episode is over."""
-        if self._rules is not None and self._open is not None:
+        """Close the current attack: the episode is over."""
+        if self._rules is not None and self._ongoing is not None:
             self._close(step, ended)
 
     def _begin(self, view: View) -> None:
-        """Choose an opponent, unless the end is near or nobody can attack."""
+        """Choose an opponent, unless the end is near or no vehicle can attack."""
         if self._rules is None:
             self._start(Opponent(self._policy, view, self._rng), view.step)
             return
-        self._next = view.step + _LOOK_AGAIN_STEPS
+        self._next = view.step + _RETRY_STEPS
         if self._policy is None or view.steps_left < _SHORTEST_STEPS:
             return
         for shown in self._choices(self._within_turn(view, view.step), self._rules):
@@ -239,94 +244,83 @@ class Turns:
 
     def _start(self, opponent: Opponent, step: int) -> None:
         self._opponents.append(opponent)
-        self._open = _Open(opponent=opponent, first_step=step, harmless=step)
+        self._ongoing = _Ongoing(opponent=opponent, first_step=step, harmless=step)
 
     def _choices(self, view: View, rules: TurnRules) -> Iterator[View]:
-        """The view without who had a turn lately, then with all; never with who touches the AV.
+        """The view without vehicles that attacked lately, then with them.
 
-        Such a one cannot come into contact with it any more.
+        Neither has the agents that overlap the AV: they cannot come into contact with it any more.
         """
         tracks = view.history
-        touching = _overlapping(
-            self._av,
-            tracks.ids,
+        touching = overlapping(
+            tracks.row(self._av),
             tracks.position_m[:, -1],
             tracks.heading_rad[:, -1],
             tracks.size_m[:, :2],
             tracks.z_m[:, -1],
         )
         since = view.step - _steps(rules.again_after_s)
-        tired = {turn.opponent_id for turn in self._closed if turn.last_step > since}
-        shown: list[int] = []
-        for left_out in (touching | tired, touching):
-            rows = [row for row, agent in enumerate(tracks.ids) if agent not in left_out]
-            if rows != shown:
-                yield replace(view, history=tracks.select(rows))
-            shown = rows
+        tired = {turn.opponent_id for turn in self.closed if turn.last_step > since}
+        able = [row for row in range(tracks.agents) if row not in touching]
+        rested = [row for row in able if tracks.ids[row] not in tired]
+        for rows in (rested, able) if rested != able else (able,):
+            yield replace(view, history=tracks.select(rows))
 
     def _within_turn(self, view: View, first_step: int) -> View:
-        """The view with the turn's end as that of the case."""
+        """The view with the end of the attack as that of the case."""
         if self._rules is None:
             return view
         left = first_step + _steps(self._rules.longest_s) - view.step
         return replace(view, steps_left=min(view.steps_left, left))
 
     def _ending(
-        self, turn: _Open, rules: TurnRules, step: int, frame: Frame, size_m: Floats, *, hit: bool
+        self,
+        attack: _Ongoing,
+        rules: TurnRules,
+        step: int,
+        frame: Frame,
+        size_m: Floats,
+        *,
+        hit: bool,
     ) -> TurnEnd | None:
-        """Why the opponent is spent; None while it is not."""
-        if turn.opponent.id not in frame.ids:
+        """Why the attack is over; None while it goes on."""
+        if attack.opponent.id not in frame.ids:
             return "gone"
-        pair = [frame.ids.index(self._av), frame.ids.index(turn.opponent.id)]
+        pair = [frame.ids.index(self._av), frame.ids.index(attack.opponent.id)]
         mine, theirs = frame.position_m[pair]
         heading, size = frame.heading_rad[pair], size_m[pair]
         gap_m = float(boxes.gap(mine, heading[0], size[0], theirs, heading[1], size[1]))
         gap_m = float(distance_m(np.array(gap_m), *frame.z_m[pair]))
-        turn.gap_m = 0.0 if hit else min(turn.gap_m, gap_m)
+        attack.gap_m = 0.0 if hit else min(attack.gap_m, gap_m)
         plans_once = self._policy is not None and self._policy.period_steps is None
         reasons: dict[TurnEnd, bool] = {
             "contact": hit,
             "out_of_reach": bool(np.hypot(*(mine - theirs)) > rules.reach_m),
-            "too_long": step - turn.first_step >= _steps(rules.longest_s),
-            "plan_ended": plans_once and not turn.driven,
-            "harmless": turn.harmless is not None
-            and step - turn.harmless >= _steps(rules.harmless_s),
+            "too_long": step - attack.first_step >= _steps(rules.longest_s),
+            "plan_ended": plans_once and not attack.driven,
+            "harmless": attack.harmless is not None
+            and step - attack.harmless >= _steps(rules.harmless_s),
         }
         return next((reason for reason, holds in reasons.items() if holds), None)
 
     def _close(self, step: int, ended: TurnEnd) -> None:
-        assert self._open is not None
-        assert self._open.opponent.id is not None
-        assert self._rules is not None
-        self._closed.append(
-            Turn(
-                opponent_id=self._open.opponent.id,
-                first_step=self._open.first_step,
-                last_step=step,
-                ended=ended,
-                gap_m=self._open.gap_m,
-            )
+        attack, rules = self._ongoing, self._rules
+        assert attack is not None
+        assert attack.opponent.id is not None
+        assert rules is not None
+        turn = Turn(
+            opponent_id=attack.opponent.id,
+            first_step=attack.first_step,
+            last_step=step,
+            ended=ended,
+            gap_m=attack.gap_m,
         )
-        self._open = None
+        self.closed = (*self.closed, turn)
+        self._ongoing = None
         self._clear = False
         self._next = step + _PAUSE_STEPS
-        self._latest = step + _steps(self._rules.clear_s)
+        self._latest = step + _steps(rules.clear_s)
 
 
 def _steps(seconds: float) -> int:
     return round(seconds / DT_S)
-
-
-def _overlapping(
-    agent: AgentId,
-    ids: Sequence[AgentId],
-    centre_m: Floats,
-    heading_rad: Floats,
-    size_m: Floats,
-    z_m: Floats,
-) -> set[AgentId]:
-    """Whose boxes overlap an agent's, of N centres (N, 2), headings, sizes (N, 2) and heights."""
-    me = ids.index(agent)
-    hit = boxes.overlap(centre_m[me], heading_rad[me], size_m[me], centre_m, heading_rad, size_m)
-    hit &= ~clear(z_m[me], z_m)
-    return {ids[row] for row in np.flatnonzero(hit).tolist()} - {agent}

@@ -1,11 +1,11 @@
 """The AV in SUMO: how its speed and lane are commanded, and where it is shown.
 
-Lane changes of SUMO: shown over several steps, or ended before a vehicle is taken over.
+Lane changes of SUMO are shown over several steps, and are ended before a vehicle is taken over.
 
 Without its sublane model SUMO changes lanes within one step. SUMO's own remedy
-(`lanechange.duration`) makes a vehicle that starts beside the middle of a lane inside a junction
-stop there for ever. So SUMO changes lanes at once, and what planners, policies and judges see moves
-from lane to lane within 3 s. In everything else a vehicle is shown where SUMO has it.
+(`lanechange.duration`) makes a vehicle that starts off-centre inside a junction stop there for
+ever. So SUMO changes lanes at once, and the vehicle that planners, policies and judges see moves
+from lane to lane within 3 s. Apart from that a vehicle is shown where SUMO has it.
 """
 
 from dataclasses import dataclass, replace
@@ -92,7 +92,7 @@ class RouteAhead:
 _AT_ONCE_MPS: Final = 1000.0
 _STEPS: Final = 30
 """A lane change is shown within 3 s. It goes on while the vehicle stands: SUMO has already given
-its place on the old lane to the vehicles behind it."""
+its position on the old lane to the vehicles behind it."""
 _TELEPORT_M: Final = 1.0
 """A step that is longer than speed and lane change explain by more than this is a teleport."""
 _ASKEW_RAD: Final = 0.6
@@ -101,15 +101,15 @@ of a change: that change is shown as SUMO makes it."""
 
 
 class HandOver:
-    """What SUMO must be told when a vehicle is put somewhere at each step, or driven by SUMO again.
+    """Prepares a vehicle in SUMO for being placed at each step, and for being driven by SUMO again.
 
     Two states crash SUMO 1.28 where a vehicle may be on two lanes at once (the first with
     `lanechange.duration`, the second with the sublane model too):
 
-    - A lane change under way moves a vehicle over by time, even while a client puts it elsewhere.
-      If the vehicle is put beyond the border of its lane before SUMO has it half way across, SUMO
-      looks for one more lane to move it to. So the change is ended first.
-    - A vehicle that is put on a lane that its class may not use is taken off its own lane, but
+    - A lane change under way moves a vehicle sideways by time, even while a client places it
+      elsewhere. If the vehicle is placed beyond the border of its lane before SUMO has it half-way
+      across, SUMO looks for one more lane to move it to. So the change is ended first.
+    - A vehicle that is placed on a lane that its class may not use is taken off its own lane, but
       stays listed on the lane beside it. So it may use every lane until SUMO drives it again, and
       the vehicles of that lane see it.
     """
@@ -121,7 +121,7 @@ class HandOver:
         self._lost: set[AgentId] = set()
 
     def take(self, vehicle_id: AgentId) -> None:
-        """From the coming step on the vehicle is put somewhere."""
+        """From the coming step on a client places the vehicle."""
         vehicle, option = self._api.vehicle, self._api.simulation.getOption
         sublane = float(option("lateral-resolution")) > 0
         self._lost.discard(vehicle_id)
@@ -144,7 +144,7 @@ class HandOver:
             self._lost.add(vehicle_id)
 
     def after_step(self) -> None:
-        """Restore the vehicle's own lateral speed, and the class of those that are back."""
+        """Restore the lateral speed of the vehicle, and the class of those that are back."""
         if self._hurried is None and not self._lost:
             return
         there = self._api.vehicle.getIDList()
@@ -158,7 +158,7 @@ class HandOver:
 
 @dataclass(slots=True, kw_only=True)
 class _Change:
-    """A lane change that is still shown: ``share`` of the way from lane to lane is left.
+    """A lane change that is still shown: ``share`` of the distance from lane to lane is left.
 
     ``rear_over``: whether SUMO's rear bumper has followed. Until it reaches the edge it stays on
     the lane that leads to the origin, and SUMO's vehicle is askew.
@@ -178,7 +178,7 @@ class _State(NamedTuple):
 
 
 class ShownMotion:
-    """What is shown of a vehicle that SUMO drives: SUMO's own pose, lane changes spread over time.
+    """The shown pose of a vehicle that SUMO drives: SUMO's own, with lane changes spread over time.
 
     A change is spread where SUMO's lane index changes on an edge and the vehicle jumps sideways for
     it. It ends after 3 s, or with the edge if that comes first: there the two lanes may part. Until
@@ -199,11 +199,11 @@ class ShownMotion:
         self._changes: list[_Change] = []
 
     def restart(self) -> None:
-        """Forget the past: the vehicle was put somewhere else."""
+        """Forget the past: the vehicle was placed somewhere else."""
         self._before, self._changes = None, []
 
     def advance(self, pose: Pose) -> Pose:
-        """What to show for the pose that SUMO has after a step; to be called once a step."""
+        """The pose to show for SUMO's pose after a step; called once a step."""
         ahead = frames.unit(np.array(pose.heading_rad)) * self._length_m
         front = np.array([pose.x_m, pose.y_m]) + ahead / 2
         lane = self._lane()
@@ -248,7 +248,7 @@ class ShownMotion:
         self._changes = [change for change in self._changes if change.share > 1e-9]
 
     def _between(self, before: _State, now: _State, pose: Pose) -> Pose:
-        """The pose with each bumper at the share of its way from lane to lane."""
+        """The pose with each bumper at its share of the distance from lane to lane."""
         front, rear = now.front_m.copy(), now.rear_m.copy()
         for change in self._changes:
             across = self._across(change.origin, change.target, now.front_m)
@@ -260,7 +260,7 @@ class ShownMotion:
         return replace(pose, x_m=float(centre[0]), y_m=float(centre[1]), heading_rad=heading)
 
     def _across(self, origin: str, target: str, at_m: Floats) -> Floats:
-        """(2) from a lane to another, at the points of both that are nearest."""
+        """(2) from one lane to the other, between their points that are nearest."""
         start = self._foot(target, at_m)
         return self._foot(origin, start) - start
 
@@ -307,6 +307,12 @@ class Av:
         av_id: its id there.
         length_m: of its box.
         start: its pose at the current step.
+
+    Attributes:
+        placed: the pose it was put at in the last step; None if SUMO drove it.
+        leaders: the vehicles that the planner named or SUMO's model followed in the last step;
+            None if neither applies.
+        lost: it does not count as present any more, although SUMO may still simulate it.
     """
 
     def __init__(self, api: SumoApi, av_id: AgentId, length_m: float, start: Pose) -> None:
@@ -316,6 +322,7 @@ class Av:
         self.ahead = RouteAhead(api, av_id)
         self.placed: Pose | None = None
         self.leaders: tuple[AgentId, ...] | None = None
+        self.lost = False
         self._pose = start
         self._motion = ShownMotion(api, av_id, length_m)
         self._hand_over = HandOver(api)
@@ -327,7 +334,7 @@ class Av:
     @property
     def present(self) -> bool:
         """Whether SUMO still simulates the AV."""
-        return self.id in self._api.vehicle.getIDList()
+        return not self.lost and self.id in self._api.vehicle.getIDList()
 
     @property
     def teleported(self) -> bool:
@@ -348,18 +355,23 @@ class Av:
 
     def drive(self, command: Command) -> None:
         """Ask for the command in the coming step."""
-        driven, self.placed = self.placed is None, None
-        if not driven and command.kind != "pose":
+        if command.kind == "pose":
+            pose = Pose(
+                x_m=command.x_m,
+                y_m=command.y_m,
+                heading_rad=command.heading_rad,
+                speed_mps=command.speed_mps,
+            )
+            self.place(pose, leader_id=command.leader_id)
+            return
+        if self.placed is not None:
+            self.placed = None
             self._hand_over.give_back(self.id)
         self.leaders = self._followed(command)
         commanded = None
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
-        if command.kind == "pose":
-            if driven:
-                self._hand_over.take(self.id)
-            self._place(command)
-        elif command.kind == "sumo":
+        if command.kind == "sumo":
             vehicle.setSpeedMode(self.id, _OWN_DECISION)
             vehicle.setSpeed(self.id, -1.0)
         elif command.kind == "leader":
@@ -373,8 +385,18 @@ class Av:
             raise SimulationError(f"The planner gave a command of unknown kind '{command.kind}'.")
         self._previous_mps, self._commanded_mps = speed, commanded
 
+    def place(self, pose: Pose, leader_id: AgentId | None = None) -> None:
+        """Put the AV at a pose at the end of the coming step."""
+        if self.placed is None:
+            self._hand_over.take(self.id)
+        self.placed = pose
+        self.leaders = None if leader_id is None else (leader_id,)
+        self._previous_mps = float(self._api.vehicle.getSpeed(self.id))
+        self._commanded_mps = None
+        move(self._api, self.id, pose, self.length_m, _MATCH_M)
+
     def after_step(self) -> None:
-        """What SUMO has to be told after the step, and where the AV is now."""
+        """Tell SUMO the speed after a placement, and note the pose of the AV."""
         self._path_known = False
         self._hand_over.after_step()
         if self.placed is not None:
@@ -386,7 +408,7 @@ class Av:
 
     @property
     def pose(self) -> Pose:
-        """Where the AV is shown: where it was put, or as SUMO drives it (`ShownMotion`)."""
+        """The shown pose of the AV: where it was placed, or as SUMO drives it (`ShownMotion`)."""
         return self._pose
 
     def sumo_pose(self) -> Pose:
@@ -394,29 +416,20 @@ class Av:
         return read_pose(self._api, self.id, self.length_m)
 
     def _followed(self, command: Command) -> tuple[AgentId, ...] | None:
-        """Whom the planner names, and SUMO's leader on the AV's lanes; None if nobody looks."""
+        """The leader that the planner names, and SUMO's on the AV's lanes; None without both."""
         named = () if command.leader_id is None else (command.leader_id,)
-        if command.kind in ("pose", "speed"):
+        if command.kind == "speed":
             return named or None
         found = self._api.vehicle.getLeader(self.id, _LOOK_M) if self.on_lane else None
         return named if not found or not found[0] else tuple(dict.fromkeys([*named, str(found[0])]))
 
-    def _place(self, command: Command) -> None:
-        self.placed = Pose(
-            x_m=command.x_m,
-            y_m=command.y_m,
-            heading_rad=command.heading_rad,
-            speed_mps=command.speed_mps,
-        )
-        move(self._api, self.id, self.placed, self.length_m, _MATCH_M)
-
     def _behind_leader(self, command: Command, speed: float) -> float:
-        """SUMO's speed behind the leader, but no more than SUMO's own decision lets.
+        """SUMO's speed behind the leader, but at most what SUMO's own decision allows.
 
         A commanded speed overrules SUMO's lights, right of way, limits and lane leaders. What SUMO
-        itself would have done in the last step is known, but only where that was less than what it
-        was commanded: so the acceleration may rise, slowly where it is SUMO's own, and faster
-        where SUMO had nothing against the last command.
+        itself would have done in the last step is known, but only if that was less than the
+        command: so the acceleration may rise, slowly where it is SUMO's own, and faster where SUMO
+        did not limit the last command.
         """
         vehicle = self._api.vehicle
         gap = command.gap_m - float(vehicle.getMinGap(self.id))  # negative: nearer than wanted
@@ -434,7 +447,7 @@ class Av:
 def move(api: SumoApi, vehicle_id: str, pose: Pose, length_m: float, match_m: float) -> None:
     """Put a vehicle exactly there at the end of the coming step.
 
-    ``match_m``: SUMO takes the vehicle as one of a lane if its front is at most so far from it.
+    ``match_m``: largest distance of the front from a lane on which SUMO still takes the vehicle.
     """
     front, angle = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
     api.vehicle.moveToXY(

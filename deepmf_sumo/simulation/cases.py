@@ -1,4 +1,4 @@
-"""Cases made of a user's SUMO scenario."""
+"""Cases of SUMO configurations."""
 
 from pathlib import Path
 
@@ -20,10 +20,10 @@ def network_case(
     """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
 
     ``sumo_options``: beside the configuration, as on SUMO's command line. ``turns``: opponents
-    attack one after another.
+    attack in turn.
 
-    Raises SimulationError where the configuration or its network is missing. Whether the vehicle is
-    there at the start shows only in the simulation.
+    Raises SimulationError if the configuration or its network is missing. Whether the vehicle is
+    present at the start is known only in the simulation.
     """
     configuration = read_configuration(config, sumo_options)
     return TrafficCase(

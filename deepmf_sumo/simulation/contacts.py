@@ -1,4 +1,4 @@
-"""Contacts: which boxes overlap for the first time, who struck whom, and how hard."""
+"""Contacts: which boxes overlap for the first time, which vehicle struck, and how hard."""
 
 from collections.abc import Iterator
 
@@ -11,10 +11,29 @@ from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.simulation.frame import Frame
 
 
+def overlapping(
+    row: int, centre_m: Floats, heading_rad: Floats, size_m: Floats, z_m: Floats
+) -> list[int]:
+    """Rows of the other boxes that overlap the box of a row.
+
+    Boxes overlap if they do so seen from above and their heights differ by less than 2.5 m.
+
+    Args:
+        row: of one of the N boxes.
+        centre_m: (N, 2).
+        heading_rad: (N).
+        size_m: (N, 2) length and width.
+        z_m: (N).
+    """
+    hit = boxes.overlap(centre_m[row], heading_rad[row], size_m[row], centre_m, heading_rad, size_m)
+    hit &= ~clear(z_m[row], z_m)
+    hit[row] = False
+    rows: list[int] = np.flatnonzero(hit).tolist()
+    return rows
+
+
 class Judge:
     """Finds the first overlap of the AV and of the opponent with every other agent.
-
-    Boxes overlap where they do so seen from above and their heights differ by less than 2.5 m.
 
     A pair that overlaps at the first frame, or in the frame in which one of the two appears, has
     not driven into each other: it is not counted, and an event says so.
@@ -43,7 +62,7 @@ class Judge:
     def turn_to(self, opponent_id: AgentId | None, step: int, frame: Frame, size_m: Floats) -> None:
         """Judge for another opponent from here on, as if the episode began with this frame.
 
-        Who is apart by now may come into contact anew.
+        Pairs that are apart by now may come into contact again.
         """
         self.opponent_id = opponent_id
         self._drivers = [self._av] if opponent_id is None else [self._av, opponent_id]
@@ -54,23 +73,13 @@ class Judge:
     def _overlapping(
         self, frame: Frame, size_m: Floats
     ) -> Iterator[tuple[int, int, frozenset[AgentId]]]:
-        """Rows and ids of the AV or the opponent and whom it overlaps."""
+        """Row of the AV or the opponent, row of the other agent, and their ids."""
         for mine in self._drivers:
             if mine not in frame.ids:
                 continue
             me = frame.ids.index(mine)
-            hit = boxes.overlap(
-                frame.position_m[me],
-                frame.heading_rad[me],
-                size_m[me],
-                frame.position_m,
-                frame.heading_rad,
-                size_m,
-            )
-            hit &= ~clear(frame.z_m[me], frame.z_m)
-            for other in np.flatnonzero(hit):
-                if other != me:
-                    yield me, int(other), frozenset((mine, frame.ids[other]))
+            for other in overlapping(me, frame.position_m, frame.heading_rad, size_m, frame.z_m):
+                yield me, other, frozenset((mine, frame.ids[other]))
 
     def _settle(self, step: int, frame: Frame, size_m: Floats, me: int, other: int) -> None:
         mine, theirs = frame.ids[me], frame.ids[other]

@@ -1,4 +1,4 @@
-"""Vehicles and types that a configuration's files name, read without a simulation."""
+"""Vehicles and types that the files of a configuration name, read without a simulation."""
 
 import difflib
 import re
@@ -13,11 +13,11 @@ from deepmf_sumo.simulation.sumo_config import Configuration
 _VEHICLES: Final = {"vehicle", "trip"}
 _TYPES: Final = {"vType", "vTypeDistribution"}
 _OPEN: Final = {"calibrator", "include"}
-"""Elements that bring vehicles whose names are not in the file."""
+"""Elements that add vehicles whose names are not in the file."""
 _NUMBER: Final = re.compile(r"\.\d+$")
 """SUMO numbers the vehicles of a flow, and the copies that its option ``scale`` makes."""
 _MOST_COMPARED: Final = 20_000
-"""Names that are looked through for a similar one."""
+"""Largest number of names among which a similar one is searched."""
 
 
 @dataclass(slots=True)
@@ -42,19 +42,19 @@ class Demand:
         return name in self.types or name.startswith("DEFAULT_")
 
     def like_vehicle(self, name: str) -> list[str]:
-        """Names of vehicles that are similar, else a few of them."""
+        """Similar names of vehicles, else a few of them."""
         return _like(name, self.vehicles | {f"{flow}.0" for flow in self.flows})
 
     def like_type(self, name: str) -> list[str]:
-        """Types that are similar, else a few of them."""
+        """Similar types, else a few of them."""
         return _like(name, self.types)
 
 
 def read(configuration: Configuration) -> Demand | None:
-    """What the route files and the additional files name.
+    """The vehicles and types of the route files and the additional files.
 
-    None where vehicles can come from elsewhere (a saved state, a calibrator, a file that includes
-    another one), or where a file cannot be read, which SUMO says better.
+    None if vehicles can come from elsewhere (a saved state, a calibrator, a file that includes
+    another one), or if a file cannot be read, of which SUMO has a better message.
     """
     if configuration.more_demand:
         return None
@@ -67,7 +67,7 @@ def read(configuration: Configuration) -> Demand | None:
 
 
 def _add(demand: Demand, file: Path) -> bool:
-    """Add what a file names; whether that is all that it brings."""
+    """Add the names of a file; returns whether it adds no other vehicles."""
     for element in elements(file, "additional"):
         for one in element.iter():
             name = one.get("id", "")
@@ -85,6 +85,3 @@ def _add(demand: Demand, file: Path) -> bool:
 def _like(name: str, known: set[str]) -> list[str]:
     names = sorted(known)
     return difflib.get_close_matches(name, names[:_MOST_COMPARED], n=3, cutoff=0.4) or names[:3]
-
-
-__all__ = ["Demand", "read"]

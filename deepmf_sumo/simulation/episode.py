@@ -1,24 +1,36 @@
-"""One episode: the loop over SUMO."""
+"""One episode: the loop over a simulated world."""
 
 import time
 from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from typing import Literal, Protocol
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Case, Floats, RecordedCase, Rollout, View
+from deepmf_sumo.datatypes import AgentId, Case, RecordedCase, Rollout, VehicleModel
 from deepmf_sumo.planners._checked import Guard
 from deepmf_sumo.planners.base import FixedPlanner, Planner
 from deepmf_sumo.policies.base import Policy
-from deepmf_sumo.simulation import log_only, world
-from deepmf_sumo.simulation.attack_schedule import Turns
-from deepmf_sumo.simulation.contacts import Judge
+from deepmf_sumo.simulation import log_only, log_world, traffic_world
+from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.frame import Frame
-from deepmf_sumo.simulation.recorder import Recorder
-from deepmf_sumo.simulation.sumo_api import Backend
-from deepmf_sumo.simulation.world import Stage
+from deepmf_sumo.simulation.gui import Window
+from deepmf_sumo.simulation.recorder import EpisodeRecord, Recorder
+from deepmf_sumo.simulation.sumo_api import Backend, SumoApi
+from deepmf_sumo.simulation.world import World
+
+
+class Observer(Protocol):
+    """Watches an episode, e.g. to show it; changes nothing in it."""
+
+    def on_step(self, frame: Frame, opponent: AgentId | None) -> None:
+        """A step has happened, in which a policy could drive the opponent."""
+        ...
+
+    def on_end(self) -> None:
+        """The episode is over."""
+        ...
 
 
 def simulate(
@@ -33,16 +45,16 @@ def simulate(
     """Simulate one episode of a case.
 
     Args:
-        case: who is the AV, from when, for how long, who drives the others.
+        case: the AV, the start, the duration, and what drives the other agents.
         planner: drives the AV.
-        policy: drives one opponent of its choice, or one after another; None attacks nobody.
-        rng: for planner and policy; SUMO's own seed is the case's.
+        policy: drives an opponent of its choice, or several in turn; None: no attack.
+        rng: for planner and policy; the seed of SUMO is the case's.
         gui: show the episode in sumo-gui.
-        backend: how SUMO is run; by default libsumo, or sumo-gui where ``gui``, or not at all where
+        backend: how SUMO is run; None: libsumo, or sumo-gui if ``gui``, or no SUMO at all if
             nothing would react to the opponent (`log_only`).
 
-    Raises SimulationError where SUMO refuses something or the AV is not there, PlannerError where
-    the planner does not do its part.
+    Raises SimulationError if SUMO refuses something or the AV is absent at the start, PlannerError
+    if the planner fails.
     """
     with closing(Guard(planner)) as guarded:
         guarded.reset(case, rng)
@@ -54,79 +66,81 @@ def simulate(
             and isinstance(case, RecordedCase)
             and case.traffic == "log"
         ):
-            return log_only.episode(case, planner, policy, rng)
-        with world.opened(case, guarded.model, backend or ("gui" if gui else "libsumo")) as stage:
-            return _episode(case, stage, guarded, policy, rng)
+            return log_only.run(case, planner, policy, rng)
+        backend = backend or ("gui" if gui else "libsumo")
+        with _opened(case, guarded.model, backend) as (api, world):
+            observers = [Window(api, case.av_id)] if backend == "gui" else []
+            return run(case, world, guarded, policy, rng, observers)
 
 
-def _episode(
-    case: Case, stage: Stage, planner: Planner, policy: Policy | None, rng: np.random.Generator
+def _opened(
+    case: Case, model: VehicleModel | None, backend: Backend
+) -> AbstractContextManager[tuple[SumoApi, World]]:
+    """SUMO, and the world of a case at its current step."""
+    if isinstance(case, RecordedCase):
+        return log_world.opened(case, model, backend)
+    return traffic_world.opened(case, model, backend)
+
+
+def run(
+    case: Case,
+    world: World,
+    planner: Planner,
+    policy: Policy | None,
+    rng: np.random.Generator,
+    observers: Sequence[Observer] = (),
 ) -> Rollout:
+    """The loop: plan, drive, step and record until AV and opponent touch or the time is over."""
     seconds: dict[str, float] = defaultdict(float)
-    recorder, frame = _recorded(stage, case.duration_steps)
-    now, end = recorder.step, recorder.step + case.duration_steps
-
-    def look(path: Floats | None = None) -> View:
-        left = end - recorder.step
-        return recorder.view(case.av_id, case.road, stage.signals(), left, path)
-
     with _timed(seconds, "policy"):
-        attack = Turns(policy, look(), rng, case.turns)
-    judge = Judge(case.av_id, attack.attacker)
-    judge.look(now, frame, recorder.sizes_m(frame.ids))
+        record = _begun(case, world, policy, rng)
     ended: Literal["time", "contact", "av_gone"] = "time"
     leaders, lights = [], []
-    while recorder.step < end:
-        if attack.due(recorder.step):
-            with _timed(seconds, "policy"):
-                attack.replan(look())
-        if attack.attacker != judge.opponent_id:
-            judge.turn_to(attack.attacker, recorder.step, frame, recorder.sizes_m(frame.ids))
+    while record.step < record.end:
+        with _timed(seconds, "policy"):
+            record.replan()
         with _timed(seconds, "planner"):
-            view = look(stage.av_path())
+            view = record.view(world.av.path())
             command = planner.act(view)
         with _timed(seconds, "simulation"):
-            pose = attack.pose(recorder.step + 1)
-            frame = stage.advance(command, attack.id, pose)
-            recorder.add(frame)
-            size_m = recorder.sizes_m(frame.ids)
-            judge.look(recorder.step, frame, size_m)
-        leaders.append(stage.av_leaders())
+            pose = record.schedule.advance(record.step + 1)
+            opponent = record.schedule.controlled
+            frame = world.step(command, opponent, pose)
+            over = record.add(frame)
+        for observer in observers:
+            observer.on_step(frame, opponent)
+        leaders.append(world.av.leaders)
         lights.append(view.signals)
-        if attack.after_step(recorder.step, frame, size_m, hit=judge.hit(recorder.step)):
+        if over:
             ended = "contact"
             break
-        if not stage.av_present():
+        if not world.av.present:
             ended = "av_gone"
             break
-    attack.finish(recorder.step, ended)
-    tracks, driver = recorder.tracks()
-    events = [*stage.events, *attack.events, *judge.events]
-    return Rollout(
-        tracks=tracks,
-        driver=driver,
-        now=now,
-        dt_s=DT_S,
-        av_id=case.av_id,
-        opponent_id=attack.opponent_id,
-        contacts=tuple(judge.contacts),
-        events=tuple(sorted(events, key=lambda event: event.step)),
-        plans=tuple(attack.plans),
-        ended=ended,
-        seconds=dict(seconds),
-        leaders=tuple(leaders),
-        signals=tuple(lights),
-        turns=attack.closed,
+    for observer in observers:
+        observer.on_end()
+    return record.rollout(
+        ended, world.events, seconds=dict(seconds), leaders=leaders, signals=lights
     )
 
 
-def _recorded(stage: Stage, steps: int) -> tuple[Recorder, Frame]:
-    """What was before, with room for so many more steps, and the last frame of it."""
-    history = stage.history()
-    recorder = Recorder(len(history) + steps, stage.body)
+def _begun(
+    case: Case, world: World, policy: Policy | None, rng: np.random.Generator
+) -> EpisodeRecord:
+    """The record of the history, with the first opponent."""
+    history = world.history()
+    recorder = Recorder(len(history) + case.duration_steps, world.body)
     for frame in history:
         recorder.add(frame)
-    return recorder, history[-1]
+    return EpisodeRecord(
+        case.av_id,
+        case.road,
+        recorder,
+        history[-1],
+        case.duration_steps,
+        world.signals,
+        lambda view: AttackSchedule(policy, view, rng, case.turns),
+    )
 
 
 @contextmanager

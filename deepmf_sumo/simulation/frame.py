@@ -1,5 +1,6 @@
-"""What is read off the simulation after a step."""
+"""Poses and frames: the state of all agents after a step, as read from the simulation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from deepmf_sumo.geometry import frames
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """What an agent is: fixed for the episode. ``size_m`` (length, width, height)."""
+    """Kind and size of an agent, fixed for the episode. ``size_m`` (length, width, height)."""
 
     kind: AgentKind
     size_m: tuple[float, float, float]
@@ -18,9 +19,10 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """Where a box is and how fast it goes; None: along its heading (backwards if negative).
+    """Pose and speed of a box.
 
-    ``z_m``: of the road below it in SUMO, of its middle in recordings.
+    ``course_rad``: direction of motion; None: its heading (backwards if the speed is negative).
+    ``z_m``: height of the road below it in SUMO, of the middle of the box in recordings.
     """
 
     x_m: float
@@ -33,7 +35,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """All N agents that are there at one step.
+    """All N agents that are present at one step.
 
     Attributes:
         ids: (N). position_m: (N, 2) box centre. z_m, heading_rad: (N). velocity_mps: (N, 2).
@@ -49,37 +51,67 @@ class Frame:
 
     @staticmethod
     def of_poses(poses: dict[AgentId, tuple[Pose, Driver]]) -> "Frame":
-        """Agents given one by one."""
-        ids = list(poses)
+        """A frame of agents that are given one by one."""
         table = np.array(
             [
                 [pose.x_m, pose.y_m, pose.heading_rad, pose.speed_mps, pose.z_m]
                 for pose, _ in poses.values()
             ]
         ).reshape(-1, 5)
-        drivers = np.array([int(driver) for _, driver in poses.values()], np.uint8)
         course = [
             pose.heading_rad if pose.course_rad is None else pose.course_rad
             for pose, _ in poses.values()
         ]
-        velocity = table[:, 3:4] * frames.unit(np.array(course))
         return Frame(
-            ids=ids,
+            ids=list(poses),
             position_m=table[:, :2],
             z_m=table[:, 4],
             heading_rad=table[:, 2],
-            velocity_mps=velocity,
-            driver=drivers,
+            velocity_mps=table[:, 3:4] * frames.unit(np.array(course)),
+            driver=np.array([int(driver) for _, driver in poses.values()], np.uint8),
+        )
+
+    @staticmethod
+    def of_sumo(ids: list[AgentId], states: Sequence[Sequence[float]], length_m: Floats) -> "Frame":
+        """A frame of N agents as SUMO states them, all driven by SUMO.
+
+        ``states``: (N, 5) x, y of the front bumper, angle (degrees), speed, z. ``length_m``: (N).
+        """
+        table = np.array(states, float).reshape(-1, 5)
+        centre, heading = frames.from_sumo(table[:, :2], table[:, 2], length_m)
+        return Frame(
+            ids=ids,
+            position_m=centre,
+            z_m=table[:, 4],
+            heading_rad=heading,
+            velocity_mps=table[:, 3:4] * frames.unit(heading),
+            driver=np.full(len(ids), int(Driver.SUMO), np.uint8),
         )
 
     def with_poses(self, poses: dict[AgentId, tuple[Pose, Driver]]) -> "Frame":
-        """This frame and the given agents (who are not in it)."""
+        """This frame with the given agents: in their rows, or after all others if they are new."""
+        if not poses:
+            return self
         more = Frame.of_poses(poses)
+        row_of = {agent: row for row, agent in enumerate([*self.ids, *more.ids])}
+        rows = list(row_of.values())  # the given pose in the place of the frame's own
         return Frame(
-            ids=self.ids + more.ids,
-            position_m=np.concatenate([self.position_m, more.position_m]),
-            z_m=np.concatenate([self.z_m, more.z_m]),
-            heading_rad=np.concatenate([self.heading_rad, more.heading_rad]),
-            velocity_mps=np.concatenate([self.velocity_mps, more.velocity_mps]),
-            driver=np.concatenate([self.driver, more.driver]),
+            ids=list(row_of),
+            position_m=np.concatenate([self.position_m, more.position_m])[rows],
+            z_m=np.concatenate([self.z_m, more.z_m])[rows],
+            heading_rad=np.concatenate([self.heading_rad, more.heading_rad])[rows],
+            velocity_mps=np.concatenate([self.velocity_mps, more.velocity_mps])[rows],
+            driver=np.concatenate([self.driver, more.driver])[rows],
+        )
+
+    def without(self, agent: AgentId) -> "Frame":
+        """This frame without an agent."""
+        rows = [row for row, one in enumerate(self.ids) if one != agent]
+        return Frame(
+            ids=[self.ids[row] for row in rows],
+            position_m=self.position_m[rows],
+            z_m=self.z_m[rows],
+            heading_rad=self.heading_rad[rows],
+            velocity_mps=self.velocity_mps[rows],
+            driver=self.driver[rows],
         )

@@ -1,68 +1,39 @@
-"""An episode to look at: sumo-gui follows the AV at the speed of a clock."""
+"""An episode in sumo-gui, which follows the AV in real time."""
 
 import time
 from typing import Final
 
-from deepmf_sumo.datatypes import DT_S, AgentId, Command, Event, Floats, SignalState
-from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.datatypes import DT_S, AgentId
+from deepmf_sumo.simulation.frame import Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
-from deepmf_sumo.simulation.world import Stage
 
 _AV_COLOUR: Final = (200, 30, 30, 255)
 _OPPONENT_COLOUR: Final = (240, 140, 0, 255)
-_SPENT_COLOUR: Final = (250, 215, 160, 255)
+_FORMER_OPPONENT_COLOUR: Final = (250, 215, 160, 255)
 _RADIUS_M: Final = 40.0
-"""Of what is seen around the AV."""
+"""Shown around the AV."""
 _LAST_LOOK_S: Final = 2.0
-"""How long the end stays to be seen."""
+"""For which the end stays on the screen."""
 
 
-class WatchedStage:
-    """A stage in sumo-gui: the same episode, with the AV in red and the opponent in orange."""
+class Window:
+    """Observer of an episode in sumo-gui: the AV is red, the opponent orange."""
 
-    def __init__(self, stage: Stage, api: SumoApi, av: AgentId) -> None:
-        self.events: list[Event] = stage.events
-        self._stage = stage
+    def __init__(self, api: SumoApi, av: AgentId) -> None:
         self._api = api
         self._av = av
         self._due = time.monotonic()
         self._followed = False
         self._opponent: AgentId | None = None
 
-    def history(self) -> list[Frame]:
-        """The stage's."""
-        return self._stage.history()
-
-    def body(self, agent: AgentId) -> Body:
-        """The stage's."""
-        return self._stage.body(agent)
-
-    def signals(self) -> dict[str, SignalState]:
-        """The stage's."""
-        return self._stage.signals()
-
-    def av_path(self) -> Floats | None:
-        """The stage's."""
-        return self._stage.av_path()
-
-    def av_present(self) -> bool:
-        """The stage's."""
-        return self._stage.av_present()
-
-    def av_leaders(self) -> tuple[AgentId, ...] | None:
-        """The stage's."""
-        return self._stage.av_leaders()
-
-    def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
-        """One step of the stage, not before its time."""
-        frame = self._stage.advance(command, opponent, pose)
+    def on_step(self, frame: Frame, opponent: AgentId | None) -> None:  # noqa: ARG002 - SUMO shows it
+        """Colour the vehicles, and wait until the step is over in real time."""
         self._show(opponent)
         now = time.monotonic()
-        self._due = max(self._due + DT_S, now)  # what planning took is not made up for
+        self._due = max(self._due + DT_S, now)  # time spent on planning is not caught up
         time.sleep(self._due - now)
-        return frame
 
-    def linger(self) -> None:
+    def on_end(self) -> None:
         """Leave the end on the screen for a moment."""
         time.sleep(_LAST_LOOK_S)
 
@@ -70,7 +41,7 @@ class WatchedStage:
         vehicle, gui = self._api.vehicle, self._api.gui
         there = set(vehicle.getIDList())
         if opponent != self._opponent and self._opponent in there:
-            vehicle.setColor(self._opponent, _SPENT_COLOUR)
+            vehicle.setColor(self._opponent, _FORMER_OPPONENT_COLOUR)
         self._opponent = opponent
         if opponent in there:
             vehicle.setColor(opponent, _OPPONENT_COLOUR)

@@ -1,9 +1,9 @@
-"""Vehicles that stand beside the AV's way, which SUMO would wait for.
+"""Stationary vehicles beside the AV's path, for which SUMO would wait.
 
-SUMO stops for whoever is matched to the AV's lane, and for every foe that is inside a junction,
-wherever it stands there: its own foes wait before the junction. Recorded ones wait a few metres
-inside, and parked ones half on the lane. Who stands and does not reach into the AV's way is
-therefore none of SUMO's business.
+SUMO stops for each vehicle that is matched to the AV's lane, and for each foe inside a junction,
+wherever it is there: foes in SUMO wait before the junction. Recorded ones wait a few metres inside,
+and parked ones half on the lane. Stationary vehicles that do not reach into the AV's swept path are
+therefore put on SUMO's ignore lists.
 """
 
 import numpy as np
@@ -19,8 +19,8 @@ _MARGIN_M = 0.2
 _IGNORED_BY = ("carFollowModel.ignoreIDs", "junctionModel.ignoreIDs")
 
 
-class Bystanders:
-    """Keeps SUMO's list of vehicles that the AV ignores."""
+class IgnoredVehicles:
+    """Keeps SUMO's lists of vehicles that the AV ignores."""
 
     def __init__(self, api: SumoApi, av_id: AgentId, width_m: float) -> None:
         self._api = api
@@ -29,10 +29,10 @@ class Bystanders:
         self._ignored = ""
 
     def update(self, frame: Frame, size_m: Floats, path_m: Floats | None) -> None:
-        """Say who is to be ignored in the coming step.
+        """Set the vehicles to ignore in the coming step.
 
         Args:
-            frame: as it is now.
+            frame: at the current step.
             size_m: (N, 2) length and width of its agents.
             path_m: centre line ahead of the AV; None off the lanes.
         """

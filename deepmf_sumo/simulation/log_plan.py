@@ -1,4 +1,4 @@
-"""A recording made ready for SUMO: who is a vehicle, on which route, and where at each step."""
+"""A recording prepared for SUMO: its vehicles, their routes, and their positions at each step."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,12 +10,13 @@ from deepmf_sumo.datatypes import Bools, Floats, RecordedCase, Scene, Tracks
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.network.matching import edge_route, lane_sequence, match
+from deepmf_sumo.simulation.frame import Body
 
 _STANDS_M = 1.0
-"""A vehicle that never gets farther from its first position than this stands."""
+"""A vehicle that never moves farther than this from its first position stands."""
 _MATCH_MOVING_M = 5.0
 _EXTEND_M = 300.0
-"""How far routes go on beyond the recording, so that nobody arrives and vanishes."""
+"""Length of routes beyond the recording, so that no vehicle arrives and vanishes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -25,12 +26,12 @@ class Log:
     Attributes:
         rows: agents that are vehicles in SUMO, sorted by id. All others are boxes outside it.
         stands: (A) never moves.
-        routes: row -> edges; rows without a route are never asked to drive.
-        match_m: (A) `matchThreshold`. Narrow for who stands: it decides whether a parked car blocks
-            the lane. Wide for who moves: with a narrow one SUMO takes the nearest lane, whatever
-            its direction and the vehicle's route.
+        routes: row -> edges; SUMO never drives rows without a route.
+        match_m: (A) `matchThreshold`. Narrow for vehicles that stand: it decides whether a parked
+            car blocks the lane. Wide for those that move: with a narrow one SUMO takes the nearest
+            lane, whatever its direction and the route of the vehicle.
         front_m: (A, T, 2) and angle_deg: (A, T) as SUMO has them.
-        passed: signalled lane -> step at which the AV comes onto it.
+        passed: signalled lane -> step at which the AV enters it.
     """
 
     rows: tuple[int, ...]
@@ -40,6 +41,12 @@ class Log:
     front_m: Floats
     angle_deg: Floats
     passed: dict[str, int]
+
+
+def recorded_body(tracks: Tracks, row: int) -> Body:
+    """Kind and size of an agent as recorded."""
+    length, width, height = (float(value) for value in tracks.size_m[row])
+    return Body(kind=tracks.kinds[row], size_m=(length, width, height))
 
 
 @lru_cache(maxsize=2)
@@ -72,9 +79,9 @@ def log_of(case: RecordedCase) -> Log:
 
 
 def check_route(case: RecordedCase) -> None:
-    """Raise SimulationError where the AV drives on no lane, so that SUMO could not drive it.
+    """Raise SimulationError if the AV drives on no lane, so that SUMO could not drive it.
 
-    Also asked where SUMO is not needed: all planners shall have the same scenes.
+    Episodes without SUMO check it, too, so that all planners have the same scenes.
     """
     if not _av_route(case):
         raise SimulationError(
@@ -89,7 +96,7 @@ def _av_route(case: RecordedCase) -> tuple[str, ...]:
 
 
 def _passed_lights(scene: Scene) -> dict[str, int]:
-    """When the AV comes onto each signalled lane, at whose first point a light stands."""
+    """The step at which the AV enters each signalled lane, whose light is at its first point."""
     tracks, row = scene.tracks, scene.tracks.row(scene.av_id)
     if not scene.signals.lane_ids:
         return {}
@@ -130,7 +137,7 @@ def _blocking(case: RecordedCase, tracks: Tracks, stands: Bools, match_m: Floats
 
 
 def _route(case: RecordedCase, row: int) -> tuple[str, ...]:
-    """Edges that an agent drives through in the recording and on beyond it; () off every lane."""
+    """Edges of an agent in the recording and beyond it; () off every lane."""
     tracks = case.scene.tracks
     if tracks.ids[row] == case.av_id and case.net.ghost_edge is not None:
         return (case.net.ghost_edge,)

@@ -1,4 +1,4 @@
-"""The world of a recorded scene: SUMO, its AV, vehicles that follow the log or SUMO."""
+"""The world of a recorded scene: the AV in SUMO, vehicles that follow the log or SUMO."""
 
 import tempfile
 from collections.abc import Iterator
@@ -15,7 +15,6 @@ from deepmf_sumo.datatypes import (
     Command,
     Driver,
     Event,
-    Floats,
     RecordedCase,
     SignalState,
     Tracks,
@@ -25,8 +24,8 @@ from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.simulation.av import Av, ShownMotion, move, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.simulation.ignored_vehicles import Bystanders
-from deepmf_sumo.simulation.log_plan import Log, check_route, log_of
+from deepmf_sumo.simulation.ignored_vehicles import IgnoredVehicles
+from deepmf_sumo.simulation.log_plan import Log, check_route, log_of, recorded_body
 from deepmf_sumo.simulation.observation import ReplayedSignals
 from deepmf_sumo.simulation.sumo_api import (
     ANY_ROUTE,
@@ -40,7 +39,7 @@ from deepmf_sumo.simulation.sumo_api import (
     write_types,
 )
 from deepmf_sumo.simulation.vehicle_control import Takeover
-from deepmf_sumo.simulation.world import Stage
+from deepmf_sumo.simulation.world import World
 
 _EXACT = 2  # keepRoute: exactly there, on or off the lanes
 _ON_ROUTE = 1  # keepRoute: the nearest point of its route
@@ -53,7 +52,7 @@ class PlacedVehicles:
         self._api = api
         self._log = log
         self._tracks = tracks
-        # plain numbers: these are read for every vehicle at every step
+        # plain numbers: these are read for each vehicle at each step
         self._x = log.front_m[..., 0].tolist()
         self._y = log.front_m[..., 1].tolist()
         self._angle = log.angle_deg.tolist()
@@ -63,7 +62,7 @@ class PlacedVehicles:
         self._put: dict[int, float] = {}
 
     def put_logged(self, row: int, step: int) -> None:
-        """Put an agent where the log has it at a step (for the end of the coming step)."""
+        """Put an agent where the log has it at a step, at the end of SUMO's coming step."""
         name = self._enter(row)
         x, y, angle = self._x[row][step], self._y[row][step], self._angle[row][step]
         self._api.vehicle.moveToXY(name, "", -1, x, y, angle, _EXACT, self._match[row])
@@ -76,13 +75,13 @@ class PlacedVehicles:
         self._put[row] = pose.speed_mps
 
     def before_step(self) -> None:
-        """Remove whoever was not put."""
+        """Remove the agents that were not put."""
         for row in sorted(self._inside - self._put.keys()):
             self._api.vehicle.remove(self._tracks.ids[row])
         self._inside = set(self._put)
 
     def after_step(self) -> None:
-        """Tell SUMO the speeds, which followers go by: else they are those of the jumps."""
+        """Tell SUMO the speeds that followers react to: else they would be those of the jumps."""
         ids, tell = self._tracks.ids, self._api.vehicle.setPreviousSpeed
         for row, speed in self._put.items():
             tell(ids[row], speed)
@@ -97,7 +96,7 @@ class PlacedVehicles:
 
 
 def add_vehicle(api: SumoApi, log: Log, tracks: Tracks, row: int, type_id: str) -> None:
-    """Add an agent to SUMO with its size and route; where it is inserted is said by a move."""
+    """Add an agent to SUMO with its size and route; a move says where it is inserted."""
     name, vehicle = tracks.ids[row], api.vehicle
     route = ANY_ROUTE
     if row in log.routes:
@@ -114,9 +113,9 @@ def add_vehicle(api: SumoApi, log: Log, tracks: Tracks, row: int, type_id: str) 
 def move_logged(
     api: SumoApi, log: Log, name: AgentId, row: int, step: int, *, on_route: bool = False
 ) -> None:
-    """Put a vehicle where the log has it at a step; ``on_route`` onto the lane of its route there.
+    """Put a vehicle where the log has it at a step; ``on_route``: onto the lane of its route there.
 
-    Otherwise SUMO takes it as one of the nearest lane, whichever that is.
+    Otherwise SUMO takes it as a vehicle of the nearest lane, whichever that is.
     """
     x, y = log.front_m[row, step]
     angle, match = float(log.angle_deg[row, step]), float(log.match_m[row])
@@ -125,7 +124,7 @@ def move_logged(
 
 
 def speed_factor(api: SumoApi, route: tuple[str, ...], fastest_mps: float) -> float:
-    """With which a vehicle goes as fast as it did, where it did so above the route's limits."""
+    """Speed factor with which a vehicle can be as fast as recorded, if that is above the limits."""
     limit = max(float(api.lane.getMaxSpeed(f"{edge}_0")) for edge in route)
     return max(1.0, fastest_mps / max(limit, 1.0))
 
@@ -144,7 +143,7 @@ def logged_pose(tracks: Tracks, row: int, step: int) -> Pose:
 class FreeTraffic:
     """Rows of the recording that SUMO drives.
 
-    ``entered`` were SUMO's once; ``lost`` are those that the log has to drive.
+    ``entered``: SUMO has driven them; ``lost``: the log has to drive them.
     """
 
     def __init__(self, api: SumoApi, log: Log, tracks: Tracks, events: list[Event]) -> None:
@@ -163,7 +162,7 @@ class FreeTraffic:
         return row in self._inside
 
     def may_enter(self, row: int) -> bool:
-        """Whether the agent was never SUMO's and can be; who has left does not come back."""
+        """Whether SUMO can drive the agent and never has; one that has left does not return."""
         return row not in self.lost and row not in self.entered
 
     def enter(self, row: int, step: int) -> None:
@@ -172,9 +171,7 @@ class FreeTraffic:
         try:
             add_vehicle(self._api, self._log, self._tracks, row, TRAFFIC_TYPE)
         except self._api.TraCIException as error:
-            self.lost.add(row)
-            detail = f"{str(error).strip()} Replayed from the log."
-            self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+            self._lose(row, step, f"{str(error).strip()} Replayed from the log.")
             return
         fastest = float(self._tracks.speed_mps[row][self._tracks.valid[row]].max())
         vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], fastest))
@@ -185,7 +182,7 @@ class FreeTraffic:
         self._fresh.append((row, step))
 
     def after_step(self, step: int) -> None:
-        """Give the new ones their speed; those that started off every lane are lost."""
+        """Set the speed of new agents; those that started off every lane are lost."""
         vehicle = self._api.vehicle
         there = set(vehicle.getIDList())
         for row, at in self._fresh:
@@ -193,17 +190,20 @@ class FreeTraffic:
             if name in there and vehicle.getLaneID(name):
                 vehicle.setPreviousSpeed(name, float(self._tracks.speed_mps[row, at]))
                 continue
-            self.lost.add(row)
-            self._inside.discard(row)
             if name in there:
                 vehicle.remove(name)
-            detail = "starts on no lane; replayed from the log"
-            self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+            self._lose(row, step, "starts on no lane; replayed from the log")
         self._fresh.clear()
-        self._inside = {row for row in self._inside if self._tracks.ids[row] in there}
+        present = {row for row in self._inside if self._tracks.ids[row] in there}
+        self._inside = present - self.lost
 
-    def read(self) -> dict[AgentId, tuple[Pose, Driver]]:
-        """Where they are. To be asked once a step."""
+    def _lose(self, row: int, step: int, detail: str) -> None:
+        self.lost.add(row)
+        name = self._tracks.ids[row]
+        self._events.append(Event(step=step, agent_id=name, kind="off_network", detail=detail))
+
+    def advance(self) -> dict[AgentId, tuple[Pose, Driver]]:
+        """Their poses after a step, from which their shown motion goes on."""
         poses = {}
         for row in sorted(self._inside):
             name = self._tracks.ids[row]
@@ -224,10 +224,10 @@ _FOLLOW_ROUTE = 513
 
 
 @contextmanager
-def opening(
+def opened(
     case: RecordedCase, model: VehicleModel | None, backend: Backend
-) -> Iterator[tuple[SumoApi, Stage]]:
-    """SUMO, and the stage of it."""
+) -> Iterator[tuple[SumoApi, World]]:
+    """SUMO, and the world of the case at its current step; SUMO ends with the context."""
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         types = write_types(Path(folder) / "types.add.xml", model)
         arguments = [
@@ -238,14 +238,14 @@ def opening(
             *_OPTIONS,
         ]
         with running(arguments, backend) as api:
-            yield api, RecordedStage(api, case, model)
+            yield api, LogWorld(api, case, model)
 
 
-class RecordedStage:
-    """The AV is the planner's, the opponent the policy's where it plans, the rest as the case says.
+class LogWorld:
+    """The planner drives the AV, the policy the opponent while it has a plan, the log the rest.
 
-    Pedestrians, cyclists, and vehicles that stand beside the lanes are boxes outside SUMO: SUMO's
-    own perception does not see them, views do.
+    With ``traffic: sumo`` SUMO drives the rest. Pedestrians, cyclists, and vehicles that stand
+    beside the lanes are boxes outside SUMO: SUMO's own perception does not see them, views do.
     """
 
     def __init__(self, api: SumoApi, case: RecordedCase, model: VehicleModel | None) -> None:
@@ -264,48 +264,34 @@ class RecordedStage:
         self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals, self._log.passed)
         start = logged_pose(self._tracks, self._av_row, self._now)
         length = float(self._tracks.size_m[self._av_row, 0])
-        self._av = Av(api, case.av_id, length, start)
+        self.av = Av(api, case.av_id, length, start)
         width = float(self._tracks.size_m[self._av_row, 1])
-        self._bystanders = Bystanders(api, case.av_id, width)
+        self._ignored = IgnoredVehicles(api, case.av_id, width)
         self._log_drives = False
         self._start(model)
         self._frame = self.history()[-1]
 
     def history(self) -> list[Frame]:
         """The recorded steps up to the current one."""
-        everybody = np.ones(self._tracks.agents, bool)
-        return [self._logged(step, everybody) for step in range(self._now + 1)]
+        everyone = np.ones(self._tracks.agents, bool)
+        return [self._logged(step, everyone) for step in range(self._now + 1)]
 
     def body(self, agent: AgentId) -> Body:
         """Kind and size as recorded."""
-        row = self._row[agent]
-        length, width, height = (float(value) for value in self._tracks.size_m[row])
-        return Body(kind=self._tracks.kinds[row], size_m=(length, width, height))
+        return recorded_body(self._tracks, self._row[agent])
 
     def signals(self) -> dict[str, SignalState]:
         """The recorded lights at this step."""
         return self._signals.states(self._step)
 
-    def av_path(self) -> Floats | None:
-        """Centre line ahead of the AV."""
-        return self._av.path()
-
-    def av_present(self) -> bool:
-        """Whether SUMO still simulates the AV."""
-        return self._av.present
-
-    def av_leaders(self) -> tuple[AgentId, ...] | None:
-        """Whom the planner named or SUMO's model followed in the last step."""
-        return self._av.leaders
-
-    def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
+    def step(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
         """One step; an opponent without a pose is driven like all others."""
         self._step += 1
         step = self._step
         if command.kind != "pose":
             rows = [self._row[agent] for agent in self._frame.ids]
             size = self._tracks.size_m[rows, :2]
-            self._bystanders.update(self._frame, size, self._av.path())
+            self._ignored.update(self._frame, size, self.av.path())
         av_driver = self._drive_av(command)
         taken = self._drive_opponent(opponent, pose)
         self._place_others(step, taken)
@@ -316,12 +302,12 @@ class RecordedStage:
         self._free.after_step(step)
         self._takeover.after_step(step)
         extra: dict[AgentId, tuple[Pose, Driver]] = {}
-        if self._av.present:
-            self._av.after_step()
-            extra[self._av.id] = (self._av.pose, av_driver)
+        if self.av.present:
+            self.av.after_step()
+            extra[self.av.id] = (self.av.pose, av_driver)
             if step == self._now + 1 and av_driver is Driver.PLANNER and command.kind != "pose":
                 self._note_alignment()
-        extra |= self._free.read()
+        extra |= self._free.advance()
         if opponent is not None and pose is not None:
             extra[opponent] = (pose, Driver.POLICY)
         logged = np.ones(self._tracks.agents, bool)
@@ -333,9 +319,9 @@ class RecordedStage:
     def _raised(
         self, poses: dict[AgentId, tuple[Pose, Driver]]
     ) -> dict[AgentId, tuple[Pose, Driver]]:
-        """Poses with heights: from those of the step before on as the road climbs.
+        """Poses with heights, which follow the road from those of the step before.
 
-        Who was not there before has that of the recording.
+        An agent that was absent then has the height of the recording.
         """
         before, tracks = self._frame, self._tracks
         last = min(self._step, tracks.steps - 1)
@@ -352,21 +338,21 @@ class RecordedStage:
         }
 
     def _start(self, model: VehicleModel | None) -> None:
-        """Insert everybody where the recording has them now; the first step leaves them there."""
+        """Insert all agents where the recording has them now; the first step leaves them there."""
         tracks, row, name = self._tracks, self._av_row, self._case.av_id
         check_route(self._case)
         route = self._log.routes[row]
         self._api.route.add(ANY_ROUTE, [route[0]])
         self._insert_av(model, on_route=False)
-        if not self._av.on_lane:
+        if not self.av.on_lane:
             self._log_drives = True
             self._note("off_network", "the log drives the AV until it reaches a lane")
         elif tuple(self._api.vehicle.getRoute(name)) != route:
-            # SUMO took it as one of a lane off its route, and dropped the route for it
+            # SUMO took it as a vehicle of a lane off its route, and dropped the route for it
             self._api.vehicle.remove(name)
             self._settle()
             self._insert_av(model, on_route=True)
-            pose = self._av.sumo_pose()
+            pose = self.av.sumo_pose()
             x, y = tracks.position_m[row, self._now]
             moved = float(np.hypot(pose.x_m - x, pose.y_m - y))
             self._note("moved_onto_route", f"by {moved:.2f} m: it starts between lanes")
@@ -391,7 +377,7 @@ class RecordedStage:
         vehicle.setPreviousSpeed(name, float(tracks.speed_mps[row, self._now]))
 
     def _settle(self) -> None:
-        """A step of SUMO that leaves the recording where it is now."""
+        """A step of SUMO that leaves the recorded agents where they are now."""
         self._place_others(self._now, None)
         self._signals.show(self._now)
         self._placed.before_step()
@@ -400,8 +386,8 @@ class RecordedStage:
         self._free.after_step(self._now)
 
     def _note_alignment(self) -> None:
-        """Say where SUMO, which drives along lanes, has moved or turned the AV for its start."""
-        start, pose = logged_pose(self._tracks, self._av_row, self._now), self._av.pose
+        """Note how far SUMO, which drives along lanes, has moved or turned the AV for its start."""
+        start, pose = logged_pose(self._tracks, self._av_row, self._now), self.av.pose
         ahead_m = (start.speed_mps + pose.speed_mps) / 2 * DT_S
         expected = np.array([start.x_m, start.y_m])
         expected = expected + ahead_m * frames.unit(np.array(start.heading_rad))
@@ -415,13 +401,13 @@ class RecordedStage:
             self._note("aligned", detail)
 
     def _note(self, kind: str, detail: str) -> None:
-        self.events.append(Event(step=self._step, agent_id=self._av.id, kind=kind, detail=detail))
+        self.events.append(Event(step=self._step, agent_id=self.av.id, kind=kind, detail=detail))
 
     def _drive_av(self, command: Command) -> Driver:
-        """Off every lane SUMO drops whoever is not placed: there the log drives the AV."""
-        if command.kind == "pose" or self._av.on_lane:
+        """Off every lane SUMO drops a vehicle that is not placed: there the log drives the AV."""
+        if command.kind == "pose" or self.av.on_lane:
             self._log_drives = False
-            self._av.drive(command)
+            self.av.drive(command)
             return Driver.PLANNER
         if not self._log_drives:
             self._log_drives = True
@@ -430,19 +416,11 @@ class RecordedStage:
         there = tracks.valid[row, : self._step + 1]
         pose = logged_pose(tracks, row, int(np.flatnonzero(there)[-1]))
         moves = self._step < tracks.steps and bool(tracks.valid[row, self._step])
-        self._av.drive(
-            Command(
-                kind="pose",
-                x_m=pose.x_m,
-                y_m=pose.y_m,
-                heading_rad=pose.heading_rad,
-                speed_mps=pose.speed_mps if moves else 0.0,
-            )
-        )
+        self.av.place(pose if moves else replace(pose, speed_mps=0.0))
         return Driver.LOG
 
     def _drive_opponent(self, opponent: AgentId | None, pose: Pose | None) -> int | None:
-        """Put the opponent at its pose, or let it go; its row while a policy drives it."""
+        """Place the opponent at its pose, or hand it back; its row while a policy drives it."""
         if opponent is None:
             return None
         row = self._row[opponent]
@@ -470,7 +448,7 @@ class RecordedStage:
                 self._placed.put_logged(row, step)
 
     def _logged(self, step: int, wanted: Bools) -> Frame:
-        """The agents wanted that the log has at a step."""
+        """The wanted agents that the log has at a step."""
         tracks = self._tracks
         if step >= tracks.steps:
             return Frame.of_poses({})

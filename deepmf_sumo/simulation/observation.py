@@ -1,70 +1,86 @@
-"""What is read from SUMO in each step: vehicles, traffic lights, and the lanes they control."""
+"""What is read from SUMO in each step: vehicles, persons, and the lights of lanes."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, AgentKind, Driver, SignalLink, Signals, SignalState
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.simulation.frame import Body, Pose
+from deepmf_sumo.datatypes import (
+    AgentId,
+    AgentKind,
+    Floats,
+    SignalLink,
+    Signals,
+    SignalState,
+)
+from deepmf_sumo.simulation.frame import Body, Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
 
-class TrafficReader:
-    """Vehicles and persons of a running SUMO; what they are is asked once each."""
+class Bodies:
+    """Kinds and sizes of the agents of a running SUMO, which is asked once for each."""
 
     def __init__(self, api: SumoApi) -> None:
         self._api = api
-        self._bodies: dict[AgentId, Body] = {}
+        self._known: dict[AgentId, Body] = {}
+
+    def __getitem__(self, agent: AgentId) -> Body:
+        """Of an agent that has been asked for; raises KeyError for others."""
+        return self._known[agent]
+
+    def ask(self, agent: AgentId, *, person: bool = False) -> Body:
+        """Of a vehicle or person that is present, or has been asked for before."""
+        body = self._known.get(agent)
+        if body is None:
+            domain = self._api.person if person else self._api.vehicle
+            size = (domain.getLength(agent), domain.getWidth(agent), domain.getHeight(agent))
+            kind: AgentKind = "pedestrian" if person else "vehicle"
+            if not person and domain.getVehicleClass(agent) == "bicycle":
+                kind = "cyclist"
+            length, width, height = (float(value) for value in size)
+            body = self._known[agent] = Body(kind=kind, size_m=(length, width, height))
+        return body
+
+    def sizes_m(self, agents: Sequence[AgentId]) -> Floats:
+        """(N, 2) length and width."""
+        return np.array([self._known[one].size_m[:2] for one in agents]).reshape(-1, 2)
+
+
+class TrafficReader:
+    """All vehicles and persons of a running SUMO."""
+
+    def __init__(self, api: SumoApi) -> None:
+        self._api = api
+        self.bodies = Bodies(api)
 
     def body(self, agent: AgentId) -> Body:
         """Kind and size; raises KeyError for an agent that was never read."""
-        return self._bodies[agent]
+        return self.bodies[agent]
 
-    def read(self) -> dict[AgentId, tuple[Pose, Driver]]:
-        """Everybody who is there, vehicles before persons, sorted by id."""
+    def read(self) -> Frame:
+        """All agents, vehicles before persons, sorted by id."""
         states = self.states()
-        table = np.array(list(states.values())).reshape(-1, 5)
-        lengths = np.array([self._bodies[name].size_m[0] for name in states])
-        centres, headings = frames.from_sumo(table[:, :2], table[:, 2], lengths)
-        rows = zip(states, centres.tolist(), headings.tolist(), table[:, 3:].tolist(), strict=True)
-        return {
-            name: (Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed, z_m=z), Driver.SUMO)
-            for name, (x, y), heading, (speed, z) in rows
-        }
+        ids = list(states)
+        return Frame.of_sumo(ids, list(states.values()), self.bodies.sizes_m(ids)[:, 0])
 
     def states(self) -> dict[AgentId, tuple[float, float, float, float, float]]:
-        """As ``read``, in SUMO's terms: front bumper x, y (m), angle (degrees), speed (m/s), z (m).
+        """As `read`, in SUMO's terms: front bumper x, y (m), angle (degrees), speed (m/s), z (m).
 
-        For who reads thousands of steps, and converts them all at once.
+        For a reader of thousands of steps, which converts them all at once.
         """
         vehicle, person = self._api.vehicle, self._api.person
-        everybody = [(vehicle, name) for name in sorted(vehicle.getIDList())]
-        everybody += [(person, name) for name in sorted(person.getIDList())]
+        present = [(vehicle, name) for name in sorted(vehicle.getIDList())]
+        present += [(person, name) for name in sorted(person.getIDList())]
         states = {}
-        for domain, name in everybody:
-            if name not in self._bodies:
-                self._bodies[name] = self._ask_body(domain, name)
+        for domain, name in present:
+            self.bodies.ask(name, person=domain is person)
             x_m, y_m, z_m = domain.getPosition3D(name)
             # of the order of -1e9 while a vehicle is not on the road
             speed_mps = max(0.0, domain.getSpeed(name))
             states[str(name)] = (x_m, y_m, domain.getAngle(name), speed_mps, z_m)
         return states
 
-    def _ask_body(self, domain: Any, name: AgentId) -> Body:
-        api = self._api
-        size = (domain.getLength(name), domain.getWidth(name), domain.getHeight(name))
-        kind: AgentKind = "vehicle"
-        if domain is api.person:
-            kind = "pedestrian"
-        elif domain.getVehicleClass(name) == "bicycle":
-            kind = "cyclist"
-        return Body(kind=kind, size_m=(float(size[0]), float(size[1]), float(size[2])))
 
-
-# UNKNOWN and what was never seen give `o` (off, blinking: yield), never `O`, which ends all right
-# of way.
+# UNKNOWN and unobserved give `o` (off, blinking: yield), never `O`, which ends all right of way.
 _LETTER = {
     SignalState.UNKNOWN: "o",
     SignalState.ARROW_STOP: "r",
@@ -73,7 +89,7 @@ _LETTER = {
     SignalState.STOP: "r",
     SignalState.CAUTION: "y",
     SignalState.GO: "G",
-    SignalState.FLASHING_STOP: "o",  # SUMO has a letter for stop and go on, and never goes on
+    SignalState.FLASHING_STOP: "o",  # SUMO has a letter for it, at which vehicles never go on
     SignalState.FLASHING_CAUTION: "o",
 }
 _STATE = {
@@ -95,12 +111,12 @@ _RED = {SignalState.STOP, SignalState.ARROW_STOP}
 class ReplayedSignals:
     """Sets the recorded states on SUMO's lights; a light changes only when its states do.
 
-    A red that the recorded AV passed (turning right on red, or recorded late) cannot mean that it
-    has to stand: while it lasts, SUMO's light is off there, and the AV yields. Views show the red.
+    A red that the recorded AV passed (turning right on red, or recorded late) does not stop it:
+    while the red lasts, SUMO's light is off there, and the AV yields. Views show the red.
 
     Args:
         links: of the lanes with lights.
-        passed: lane -> step at which the recorded AV comes onto it.
+        passed: lane -> step at which the recorded AV enters it.
     """
 
     def __init__(
@@ -144,7 +160,7 @@ class ReplayedSignals:
 
 
 def _red_phase(signals: Signals, lane: str, step: int) -> range:
-    """Steps of the red that a lane has at a step; empty where it has none."""
+    """Steps of the red phase of a lane at a step; empty if it is not red."""
     steps = signals.state.shape[1]
     red = [signals.at(one).get(lane) in _RED for one in range(steps)]
     if step >= steps or not red[step]:
@@ -161,7 +177,7 @@ class LiveSignals:
         self._links = links
 
     def states(self) -> dict[str, SignalState]:
-        """The states now, by lane id; of several links of a lane the first counts."""
+        """The current states, by lane id; of several links of a lane the first counts."""
         lights: dict[str, str] = {}
         states = {}
         for lane, links in self._links.items():

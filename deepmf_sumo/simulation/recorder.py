@@ -1,31 +1,40 @@
-"""Keeps what happened, and shows the present and the last second of it."""
+"""Records an episode: the state of every agent, the attacks on the AV, and the contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from deepmf_sumo.datatypes import (
+    DT_S,
     HISTORY_STEPS,
     AgentId,
     AgentKind,
     Bytes,
     Driver,
+    Event,
     Floats,
     Ints,
     RoadMap,
+    Rollout,
     SignalState,
     Tracks,
     View,
 )
+from deepmf_sumo.datatypes.plan import TurnEnd
+from deepmf_sumo.simulation.attack_schedule import AttackSchedule
+from deepmf_sumo.simulation.contacts import Judge
 from deepmf_sumo.simulation.frame import Body, Frame
 
 
 class Recorder:
-    """Rows of all agents seen, in the order of their first appearance.
+    """The states of all agents that have appeared, in the order of their first appearance.
 
     Args:
         steps: length T of the time axis.
-        body: what an agent that appears is.
+        body: kind and size of an agent that appears.
+
+    Attributes:
+        step: the last one recorded; -1 if there is none.
     """
 
     def __init__(self, steps: int, body: Callable[[AgentId], Body]) -> None:
@@ -54,12 +63,12 @@ class Recorder:
         self._valid[rows, self.step] = True
 
     def extend(self, ids: list[AgentId], state: Floats, driver: Bytes) -> None:
-        """Append K steps of N agents, who are in the order of their appearance.
+        """Append K steps of N agents, which are in the order of their appearance.
 
         Args:
             ids: (N).
-            state: (N, K, 6) x, y, z, heading, vx, vy; zeros where an agent is not there.
-            driver: (N, K) Driver numbers; NOBODY where an agent is not there.
+            state: (N, K, 6) x, y, z, heading, vx, vy; zeros where an agent is absent.
+            driver: (N, K) Driver numbers; NOBODY where an agent is absent.
         """
         rows = np.array([self._row_of(agent) for agent in ids], int)
         steps = slice(self.step + 1, self.step + 1 + driver.shape[1])
@@ -76,12 +85,12 @@ class Recorder:
         steps_left: int,
         av_path_m: Floats | None = None,
     ) -> View:
-        """The present and the last second of all agents that are there now."""
+        """The present and the last second of all agents that are present now."""
         start = max(0, self.step + 1 - HISTORY_STEPS)
         rows = np.flatnonzero(self._valid[: len(self._row), self.step])
         return View(
             step=self.step,
-            dt_s=0.1,
+            dt_s=DT_S,
             av_id=av_id,
             history=self._tracks(rows, start, self.step + 1),
             road=road,
@@ -92,7 +101,7 @@ class Recorder:
         )
 
     def _recorded_steps(self, agent: AgentId, start: int) -> int:
-        """Steps from ``start`` on in which an agent moved as recorded."""
+        """Number of steps from ``start`` on in which an agent moved as recorded."""
         row = self._row.get(agent)
         if row is None:
             return 0
@@ -136,3 +145,99 @@ class Recorder:
                 )
             self._size_m[row] = body.size_m
         return row
+
+
+class EpisodeRecord:
+    """One AV under attack: its recorder, the schedule of attacks, and the judge of contacts.
+
+    Whatever steps the world (the loop of an episode, a vectorised world, another program) calls
+    `replan` before a step and `add` after it.
+
+    Args:
+        av_id: the AV.
+        road: the map in views.
+        recorder: has the history up to the current step.
+        frame: the last frame of the history.
+        duration_steps: from the current step to the end.
+        signals: the current states of the lights.
+        schedule: makes the schedule of attacks from the view at the current step.
+
+    Attributes:
+        now, end: the current step of the case, and the last one to simulate.
+        frame: the last one.
+    """
+
+    def __init__(
+        self,
+        av_id: AgentId,
+        road: RoadMap,
+        recorder: Recorder,
+        frame: Frame,
+        duration_steps: int,
+        signals: Callable[[], dict[str, SignalState]],
+        schedule: Callable[[View], AttackSchedule],
+    ) -> None:
+        self._av, self._road, self._signals = av_id, road, signals
+        self.recorder, self.frame = recorder, frame
+        self.now, self.end = recorder.step, recorder.step + duration_steps
+        self.schedule = schedule(self.view())
+        self.judge = Judge(av_id, self.schedule.attacker)
+        self.judge.look(self.now, frame, recorder.sizes_m(frame.ids))
+
+    @property
+    def step(self) -> int:
+        """The last step that has happened."""
+        return self.recorder.step
+
+    def view(self, av_path_m: Floats | None = None) -> View:
+        """What a policy sees now, or a planner, which also sees the path ahead of the AV."""
+        left = self.end - self.step
+        return self.recorder.view(self._av, self._road, self._signals(), left, av_path_m)
+
+    def replan(self) -> None:
+        """Let the policy choose an opponent or plan, if that is due."""
+        if self.schedule.due(self.step):
+            self.schedule.replan(self.view())
+        if self.schedule.attacker != self.judge.opponent_id:
+            size_m = self.recorder.sizes_m(self.frame.ids)
+            self.judge.turn_to(self.schedule.attacker, self.step, self.frame, size_m)
+
+    def add(self, frame: Frame) -> bool:
+        """Record and judge a step; returns whether AV and opponent have ended the episode."""
+        self.recorder.add(frame)
+        self.frame = frame
+        size_m, step = self.recorder.sizes_m(frame.ids), self.step
+        self.judge.look(step, frame, size_m)
+        return self.schedule.after_step(step, frame, size_m, hit=self.judge.hit(step))
+
+    def rollout(
+        self,
+        ended: TurnEnd,
+        events: Sequence[Event] = (),
+        *,
+        seconds: dict[str, float] | None = None,
+        leaders: Sequence[tuple[AgentId, ...] | None] = (),
+        signals: Sequence[dict[str, SignalState]] = (),
+    ) -> Rollout:
+        """The episode up to the last step, which ended it; ``events`` are those of the world."""
+        self.schedule.finish(self.step, ended)
+        tracks, driver = self.recorder.tracks()
+        planned = [event for event in self.schedule.events if event.step <= self.step]
+        return Rollout(
+            tracks=tracks,
+            driver=driver,
+            now=self.now,
+            dt_s=DT_S,
+            av_id=self._av,
+            opponent_id=self.schedule.opponent_id,
+            contacts=tuple(self.judge.contacts),
+            events=tuple(
+                sorted([*events, *planned, *self.judge.events], key=lambda event: event.step)
+            ),
+            plans=tuple(self.schedule.plans),
+            ended=ended,
+            seconds=seconds or {},
+            leaders=tuple(leaders),
+            signals=tuple(signals),
+            turns=self.schedule.closed,
+        )

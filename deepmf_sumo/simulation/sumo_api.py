@@ -1,9 +1,7 @@
-"""SUMO in this process: start, calls, errors, and the vehicle types that the runs need.
+"""SUMO: how it is started and always closed, its errors, and the vehicle types of the runs.
 
-What is used of TraCI, and how SUMO is started and always closed again.
-
-libsumo runs SUMO inside this process (one simulation a process); traci talks to a SUMO of its own,
-which is slower, and needed to look at sumo-gui. Both satisfy `SumoApi`.
+libsumo runs SUMO inside this process (one simulation a process); traci talks to a SUMO process,
+which is slower, and needed for sumo-gui. Both satisfy `SumoApi`.
 """
 
 import os
@@ -20,7 +18,7 @@ Backend = Literal["libsumo", "traci", "gui"]
 
 STEP_OPTIONS = (
     *("--step-length", "0.1"),
-    *("--collision.action", "none"),  # contacts are judged by boxes; SUMO must not move anybody
+    *("--collision.action", "none"),  # contacts are judged by boxes; SUMO must not move vehicles
     *("--no-step-log", "true"),
     *("--duration-log.disable", "true"),
     *("--no-warnings", "true"),
@@ -29,14 +27,14 @@ STEP_OPTIONS = (
 """Options of every simulation."""
 
 _NO_PORT: Final = ("--remote-port", "0")
-"""A configuration may ask for a port, where SUMO would wait for somebody to come."""
+"""A configuration may ask for a port, on which SUMO would wait for a client."""
 
 
 class SumoApi(Protocol):
-    """The domains of TraCI that are used, under TraCI's own names.
+    """The used domains of TraCI, under TraCI's own names.
 
     Positions are front bumpers, angles degrees clockwise from north (`geometry.frames`). Most
-    calls on a vehicle that is not inserted yet end the process: ask ``vehicle.getIDList`` first.
+    calls on a vehicle that is not inserted yet end the process: check ``vehicle.getIDList`` first.
     """
 
     vehicle: Any
@@ -46,7 +44,7 @@ class SumoApi(Protocol):
     simulation: Any
     trafficlight: Any
     vehicletype: Any
-    gui: Any  # with sumo-gui alone
+    gui: Any  # only with sumo-gui
     TraCIException: type[Exception]
     FatalTraCIError: type[Exception]
 
@@ -67,9 +65,9 @@ class SumoApi(Protocol):
 def running(
     arguments: Sequence[str], backend: Backend = "libsumo", *, runs_already: bool = False
 ) -> Iterator[SumoApi]:
-    """SUMO from start to end; what SUMO raises inside comes out as SimulationError.
+    """SUMO from start to end; its errors inside the context are raised as SimulationError.
 
-    ``runs_already``: it was started with these arguments, and is left alone at its moment.
+    ``runs_already``: it was started with these arguments, and is at the wanted time.
     """
     api = _api(backend)
     refusals = (api.TraCIException, api.FatalTraCIError)
@@ -90,7 +88,7 @@ def running(
 
 
 def _what(arguments: Sequence[str]) -> str:
-    """The configuration that SUMO was started with, for the message."""
+    """The configuration of a started SUMO, for the message."""
     return f" '{arguments[1]}'" if arguments[:1] == ["-c"] else ""
 
 
@@ -143,10 +141,10 @@ AV_TYPE = "deepmf_av"
 PLACED_TYPE = "deepmf_placed"
 TRAFFIC_TYPE = "deepmf_traffic"
 ANY_ROUTE = "deepmf_any"
-"""Route of vehicles that have none of their own."""
+"""Route of vehicles without a route of their own."""
 
-# A placed vehicle must be able to have any speed that the log says, else SUMO clamps what followers
-# see; apparentDecel is what they believe it can brake with. It may be on lanes for others, too.
+# A placed vehicle must be able to have any speed of the log, else SUMO clamps the speed that
+# followers see; apparentDecel is the braking that they expect of it. It may use all lanes.
 _PLACED = (
     f'<vType id="{PLACED_TYPE}" vClass="ignoring" speedFactor="10" speedDev="0" maxSpeed="100" '
     'accel="1000" decel="1000" emergencyDecel="1000" apparentDecel="4.5"/>'

@@ -1,12 +1,9 @@
-"""SUMO configurations: reading them, the command line made of them, a SUMO held at a moment.
+"""SUMO configurations: reading them, their command line, and a SUMO held shortly before a start.
 
-SUMO with a configuration's traffic: from its begin, or held at a moment of it.
-
-The runs of an attack on a network begin with the same traffic, each at a moment of its own. Who
-does several of them in the order of their moments lets SUMO pass through the traffic once: it is
-held shortly before each moment, a copy of this process (`os.fork`) goes on from there, and here
-SUMO waits to go on to the next. A copy has all of SUMO's state: nothing differs from a SUMO that
-was started for the run alone.
+The runs of an attack on a network share the traffic, and start at different times. If they are
+ordered by start time, SUMO simulates that traffic once: it is held shortly before each start, a
+copy of this process (`os.fork`) goes on from there, and here SUMO waits for the next start. A copy
+has all of SUMO's state, so nothing differs from a SUMO that was started for the run alone.
 """
 
 import os
@@ -31,7 +28,7 @@ _SHORT: Final = {
     "n": "net-file",
     "r": "route-files",
 }
-_OPTION_SYNONYMS: Final = {
+_SYNONYMS: Final = _SHORT | {
     "additional": "additional-files",
     "net": "net-file",
     "routes": "route-files",
@@ -46,13 +43,13 @@ _OURS: Final = {
     "remote-port": "the simulation is not shared",
     "num-clients": "the simulation is not shared",
     "collision.action": "contacts are judged by the boxes of the vehicles",
-    "output-prefix": "outputs of attacked traffic are thrown away",
+    "output-prefix": "outputs of attacked traffic are discarded",
     "no-step-log": "nothing is printed",
     "duration-log.disable": "nothing is printed",
     "no-warnings": "nothing is printed",
     "xml-validation": "it is off",
 }
-"""Options that are set for every run, and why."""
+"""Options that a user cannot give, and why."""
 _VALUE: Final = re.compile(r"^(?!-)|^-[\d.]")  # -1 is a value, -b is not
 _FILES: Final = re.compile(r"files?$|^load-state$")
 
@@ -60,7 +57,8 @@ _FILES: Final = re.compile(r"files?$|^load-state$")
 def parse(options: Sequence[str]) -> dict[str, str]:
     """Names, in SUMO's long spelling, and values; files are absolute, a switch is ``true``.
 
-    Raises UsageError for what is no option, stands twice, or is not the user's to choose.
+    Raises UsageError for a word that is not an option, an option that is given twice, or one of
+    those that are set for every run.
     """
     found: dict[str, str] = {}
     for name, value in _pairs(options):
@@ -78,11 +76,13 @@ def _pairs(options: Sequence[str]) -> Iterator[tuple[str, str]]:
         word = left.pop(0)
         long = word.startswith("--")
         if not word.startswith("-") or word in {"-", "--"} or _VALUE.match(word):
-            raise UsageError(f"'{word}' is no option of SUMO: after -- they begin with a dash.")
+            raise UsageError(
+                f"'{word}' is not a SUMO option: after -- each must begin with a dash."
+            )
         name, equals, value = word.lstrip("-").partition("=")
         if not long and name not in _SHORT:
             raise UsageError(f"SUMO's option -{name} is not understood here: write it out, --NAME.")
-        name = _OPTION_SYNONYMS.get(name, name) if long else _SHORT[name]
+        name = _SYNONYMS.get(name, name) if long else _SHORT[name]
         if not equals:
             value = left.pop(0) if left and _VALUE.match(left[0]) else "true"
         yield name, value
@@ -93,9 +93,9 @@ def _absolute(files: str) -> str:
 
 
 SUMO_SEED: Final = 23423
-"""SUMO's own where nobody names one."""
+"""SUMO's default."""
 _SEED: Final = re.compile(r"\+?[0-9]+")
-"""What SUMO reads as a number of zero or more: also ``+5`` and ``007``, but not 0x10 or 1e3."""
+"""Numbers of zero or more that SUMO reads: also ``+5`` and ``007``, but not 0x10 or 1e3."""
 _LARGEST_SEED: Final = 2**31 - 1
 
 
@@ -104,7 +104,7 @@ class Configuration:
     """A configuration file with the options that are given beside it; paths are absolute.
 
     Attributes:
-        seed_text: the seed that it names, as written; None where it names none.
+        seed_text: the seed that it names, as written; None if it names none.
         options: those beside it, as SUMO takes them, without additional files.
         more_demand: vehicles also come from files of other kinds, e.g. a saved state.
     """
@@ -122,10 +122,10 @@ class Configuration:
 
     @property
     def seed(self) -> int:
-        """What SUMO would run the configuration with by itself.
+        """The seed with which SUMO would run the configuration by itself.
 
         Raises SimulationError for a seed that SUMO does not read, or that a spec cannot hold.
-        Only who asks for it is refused: a run has a seed of its own.
+        Checked only here, for a run with a seed of its own does not need it.
         """
         text = self.seed_text
         if text is None:
@@ -138,14 +138,6 @@ class Configuration:
         return int(text)
 
 
-_SYNONYMS = {"net": "net-file", "n": "net-file", "additional": "additional-files"} | {
-    "a": "additional-files",
-    "routes": "route-files",
-    "r": "route-files",
-    "b": "begin",
-    "e": "end",
-    "srand": "seed",
-}
 _MORE_DEMAND = {"load-state", "device.fcd-replay.files"}
 _NO = {"false", "0", "no", "off", "f", "-"}
 
@@ -153,8 +145,8 @@ _NO = {"false", "0", "no", "off", "f", "-"}
 def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
     """Read a .sumocfg, with SUMO's options ``beside`` it.
 
-    Raises SimulationError where the file is missing, is not XML, names no network or a file that
-    does not exist, or asks for the mesoscopic model; UsageError for options that cannot be given.
+    Raises SimulationError if the file is missing, is not XML, names no network or a file that does
+    not exist, or asks for the mesoscopic model; UsageError for options that cannot be given.
     """
     import sumolib
 
@@ -176,8 +168,8 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
         raise SimulationError(f"'{file}' names the network '{net}', which does not exist.")
     if options.get("mesosim", "false").lower() not in _NO:
         raise SimulationError(
-            f"'{file}' asks for SUMO's mesoscopic model (mesosim), in which vehicles have no place"
-            " on the road that somebody could hit; run it without, e.g. '-- --mesosim false'."
+            f"'{file}' asks for SUMO's mesoscopic model (mesosim), which has no positions of"
+            " vehicles, so that none can be hit; run it without, e.g. '-- --mesosim false'."
         )
     return Configuration(
         file=file,
@@ -208,7 +200,7 @@ def _inputs(file: Path, names: str, kind: str) -> tuple[Path, ...]:
 
 
 def _beside(file: Path, name: str) -> Path:
-    path = Path(os.path.expandvars(name))  # SUMO knows ${VARIABLES}, too
+    path = Path(os.path.expandvars(name))  # SUMO expands ${VARIABLES}, too
     return path if path.is_absolute() else (file.parent / path).resolve()
 
 
@@ -218,7 +210,7 @@ def _end(file: Path, text: str | None) -> float | None:
 
 
 def _seconds(file: Path, name: str, text: str) -> float:
-    """SUMO writes times as seconds or as [days:]hours:minutes:seconds."""
+    """Seconds of a time, which SUMO writes as such or as [days:]hours:minutes:seconds."""
     try:
         parts = [float(part) for part in text.split(":")]
     except ValueError:
@@ -232,12 +224,12 @@ def _seconds(file: Path, name: str, text: str) -> float:
 _TO_ROOT = "../" * 64
 """SUMO puts its prefix between an output's folder and its name; there are no folders above /."""
 _BEFORE_S = 2.0
-"""So long before a start SUMO is held: before the history that a run looks back at."""
+"""Time before a start at which SUMO is held: before the history that a run needs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traffic:
-    """What SUMO's state at a time depends on; ``model`` is the AV's type, where it gets one."""
+    """All that SUMO's state at a time depends on; ``model``: of the type for the AV, if any."""
 
     configuration: Configuration
     seed: int
@@ -246,7 +238,7 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Held:
-    """``process``: whose SUMO it is; in a copy of it, what is on the disk is not its own."""
+    """``process``: owner of SUMO; a copy of it does not own the files on the disk."""
 
     traffic: Traffic
     arguments: list[str]
@@ -260,7 +252,7 @@ _held: _Held | None = None  # libsumo is one simulation a process
 
 @contextmanager
 def begun(traffic: Traffic, backend: Backend = "libsumo") -> Iterator[SumoApi]:
-    """SUMO with the traffic, at its begin or, where it is held, later; once."""
+    """SUMO with the traffic: the one that is held, if it has the same, else started anew."""
     global _held  # noqa: PLW0603
     held = _held
     if held and held.traffic == traffic and backend == "libsumo":
@@ -274,10 +266,10 @@ def begun(traffic: Traffic, backend: Backend = "libsumo") -> Iterator[SumoApi]:
 
 
 def hold(case: TrafficCase, model: VehicleModel | None) -> None:
-    """Let SUMO pass through a network's traffic and stop shortly before the case's start.
+    """Let SUMO simulate the traffic of a network and stop shortly before the case's start.
 
-    ``model`` is what the planner of the coming run asks for: SUMO that is held with another one
-    is of no use to it, see `begun`. Raises SimulationError, and holds nothing then.
+    ``model`` is that of the coming run's planner: a run cannot use a SUMO that is held with another
+    one, see `begun`. Raises SimulationError, and holds nothing then.
     """
     global _held  # noqa: PLW0603
     configuration = read_configuration(case.config, case.sumo_options)
@@ -313,10 +305,10 @@ def release() -> None:
 
 @contextmanager
 def _arguments(traffic: Traffic) -> Iterator[list[str]]:
-    """Arguments for SUMO: the same traffic up to the start, whoever looks at it and why.
+    """Arguments for SUMO: the traffic up to the start does not depend on the purpose of the run.
 
-    What the configuration wants to have written goes to a temporary folder: parallel runs would
-    write into one another's files, and over the user's.
+    Outputs of the configuration go to a temporary folder: else parallel runs would write into one
+    another's files, and over the user's.
     """
     configuration = traffic.configuration
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:

@@ -1,4 +1,4 @@
-"""Who is where when in a user's SUMO scenario, while nobody attacks."""
+"""A survey of the vehicles of a SUMO configuration over time, without attacks."""
 
 import heapq
 import itertools
@@ -21,11 +21,11 @@ Ints = NDArray[np.int64]
 
 EVERY_S: Final = 1.0
 MOST_VEHICLE_STEPS: Final = 1_000_000
-"""Ten seconds of SUMO on a slow core; counted, so that it ends at the same moment everywhere."""
+"""Ten seconds of SUMO on a slow core; a count, so that every machine ends at the same time."""
 _EMPTY_STEP: Final = 20
-"""What a step without vehicles costs, in vehicles."""
-_MADE_ON_THE_WAY: Final = "!"
-"""What names of routes begin with that SUMO computed itself."""
+"""Cost of a step without vehicles, in vehicles."""
+_COMPUTED: Final = "!"
+"""First character of the names of routes that SUMO has computed itself."""
 _BEFORE_LINE_M: Final = 1e-3
 _PARKED: Final = 2
 """Bit of SUMO's stop states."""
@@ -33,13 +33,13 @@ _PARKED: Final = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scouting:
-    """What to look at.
+    """What to survey.
 
     Attributes:
         sumo_options: beside the configuration, as on SUMO's command line.
-        at_s: moments that must be among those looked at.
-        until_s: how far, at most to the configuration's end; None goes there, or as far as
-            `MOST_VEHICLE_STEPS` go.
+        at_s: times that must be among those of the survey.
+        until_s: end of the survey, at most that of the configuration; None: that end, or the time
+            at which `MOST_VEHICLE_STEPS` are reached.
     """
 
     config: Path
@@ -61,10 +61,10 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sightings:
-    """Vehicles at moments a second apart, K sightings of V vehicles.
+    """Vehicles at times a second apart, K sightings of V vehicles.
 
     Attributes:
-        begin_s, until_s: what was looked at. complete: nothing comes after it.
+        begin_s, until_s: the surveyed time. complete: no vehicles come after it.
         persons: whether there were any. waiting: vehicles that were due, and found no room.
         bodies: (V). edges: names.
         time_s: (K) not decreasing. vehicle, edge: (K) index. following: (K) index of the next edge
@@ -92,9 +92,9 @@ class Sightings:
 
 
 def scout(scouting: Scouting) -> Sightings:
-    """Run the configuration once and note everybody.
+    """Run the configuration once and note all vehicles.
 
-    Raises SimulationError, with SUMO's own words, where it cannot be run.
+    Raises SimulationError, with SUMO's own message, if it cannot be run.
     """
     configuration = read_configuration(scouting.config, scouting.sumo_options)
     with begun(Traffic(configuration=configuration, seed=scouting.seed)) as api:
@@ -123,7 +123,7 @@ def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Si
 
 
 def _moments(begin_s: float, at_s: tuple[float, ...]) -> Iterator[float]:
-    """Every second, and the moments asked for; endless."""
+    """Every second, and the requested times; endless."""
     last = begin_s
     seconds = (begin_s + number * EVERY_S for number in itertools.count(1))
     for moment in heapq.merge(seconds, sorted(round(one, 1) for one in at_s)):
@@ -134,7 +134,7 @@ def _moments(begin_s: float, at_s: tuple[float, ...]) -> Iterator[float]:
 
 @dataclass
 class _Notes:
-    """Columns that grow; what does not change is asked once."""
+    """Columns that grow; constants are asked for once."""
 
     api: SumoApi
     bodies: dict[str, tuple[int, float]] = field(default_factory=dict)  # row, length
@@ -146,7 +146,7 @@ class _Notes:
     rows: "array[int]" = field(default_factory=lambda: array("q"))
 
     def look(self, now: float) -> int:
-        """Note everybody who is on the road; returns how many vehicles there are."""
+        """Note all vehicles on the road; returns their number."""
         vehicle = self.api.vehicle
         names = sorted(vehicle.getIDList())
         for name in names:
@@ -167,7 +167,7 @@ class _Notes:
         return len(names)
 
     def _left_m(self, lane: str, at_m: float) -> float:
-        """Who stopped dead, which SUMO allows at a light without yellow, stands on the line."""
+        """More than 0 for a vehicle on the stop line, where SUMO lets it stop without a yellow."""
         return max(self._length(lane) - at_m, _BEFORE_LINE_M)
 
     def sightings(
@@ -210,8 +210,8 @@ class _Notes:
 
     def _route(self, name: str) -> tuple[str, ...]:
         key = self.api.vehicle.getRouteID(name)
-        # rerouters give the name of a route that is no longer driven to the next one
-        if key not in self.routes or key.startswith(_MADE_ON_THE_WAY):
+        # rerouters give the name of an abandoned route to the next one
+        if key not in self.routes or key.startswith(_COMPUTED):
             self.routes[key] = tuple(self.api.vehicle.getRoute(name))
         return self.routes[key]
 

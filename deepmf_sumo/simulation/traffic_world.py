@@ -1,4 +1,4 @@
-"""A user's SUMO scenario as a stage: SUMO's own traffic, up to the start and on from there."""
+"""The world of a SUMO configuration: SUMO's own traffic, up to the start and from there on."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +13,6 @@ from deepmf_sumo.datatypes import (
     Command,
     Driver,
     Event,
-    Floats,
     SignalState,
     TrafficCase,
     VehicleModel,
@@ -26,26 +25,26 @@ from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.observation import LiveSignals, TrafficReader
 from deepmf_sumo.simulation.sumo_api import AV_TYPE, Backend, SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
-from deepmf_sumo.simulation.vehicle_control import Crowd, Places, Takeover
-from deepmf_sumo.simulation.world import Stage
+from deepmf_sumo.simulation.vehicle_control import FreePositions, Occupancy, Takeover
+from deepmf_sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0
-"""How far beyond the start a missing AV is looked for, for the message."""
+"""Time after the start in which the message looks for a missing AV."""
 
 
 @contextmanager
-def opening(
+def opened(
     case: TrafficCase, model: VehicleModel | None, backend: Backend
-) -> Iterator[tuple[SumoApi, Stage]]:
-    """SUMO, and the stage of it."""
+) -> Iterator[tuple[SumoApi, World]]:
+    """SUMO, and the world of the case at its current step; SUMO ends with the context."""
     configuration = read_configuration(case.config, case.sumo_options)
     traffic = Traffic(configuration=configuration, seed=case.seed, model=model)
     with begun(traffic, backend) as api:
-        yield api, NetworkStage(api, case, configuration, model)
+        yield api, TrafficWorld(api, case, configuration, model)
 
 
-class NetworkStage:
-    """SUMO drives everybody but the AV (as the planner says) and the opponent (where planned)."""
+class TrafficWorld:
+    """The planner drives the AV, the policy the opponent while it has a plan, SUMO the rest."""
 
     def __init__(
         self,
@@ -58,7 +57,6 @@ class NetworkStage:
         self._api = api
         self._reader = TrafficReader(api)
         self._step = HISTORY_STEPS - 1
-        self._av_teleported = False
         self._ground = ground_of(case.road)
         self._note_step_length(configuration)
         _check_start(case, configuration)
@@ -69,8 +67,8 @@ class NetworkStage:
         if model is not None:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
-        self._av = Av(api, case.av_id, length, read_pose(api, case.av_id, length))
-        self._opponent = Takeover(api, self.events, Places(api, case.road))
+        self.av = Av(api, case.av_id, length, read_pose(api, case.av_id, length))
+        self._opponent = Takeover(api, self.events, FreePositions(api, case.road))
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
     def history(self) -> list[Frame]:
@@ -86,77 +84,67 @@ class NetworkStage:
         """States of SUMO's lights now."""
         return self._signals.states()
 
-    def av_path(self) -> Floats | None:
-        """Centre line ahead of the AV."""
-        return self._av.path()
-
-    def av_present(self) -> bool:
-        """Whether SUMO still simulates the AV, and has not teleported it."""
-        return self._av.present and not self._av_teleported
-
-    def av_leaders(self) -> tuple[AgentId, ...] | None:
-        """Whom the planner named or SUMO's model followed in the last step."""
-        return self._av.leaders
-
-    def advance(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
-        """One step of SUMO; an opponent without a pose is SUMO's to drive."""
+    def step(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
+        """One step of SUMO, which drives an opponent without a pose."""
         self._step += 1
-        self._av.drive(command)
+        self.av.drive(command)
         if opponent is not None and pose is not None:
             length = self.body(opponent).size_m[0]
             self._opponent.place(self._step, opponent, pose, length)
         elif opponent is not None and self._opponent.placed() is not None:
-            self._opponent.hand_back(self._step, opponent, self._crowd())
+            self._opponent.hand_back(self._step, opponent, self._occupancy())
         self._api.simulationStep()
-        if self._av.present:
-            self._av.after_step()
+        if self.av.present:
+            self.av.after_step()
         self._opponent.after_step(self._step)
-        poses = self._reader.read()
-        av = self._av.id
-        if self._av.teleported:
-            self._av_teleported = True
-            self.events.append(
-                Event(step=self._step, agent_id=av, kind="av_teleported", detail="it was stuck")
-            )
-            poses.pop(av, None)  # what comes after is not the same motion
-        if av in poses:
-            put = self._av.placed is not None
-            shown = self._raised(av, self._av.pose, poses[av][0].z_m, put=put)
-            poses[av] = (shown, Driver.PLANNER)
-        placed = self._opponent.placed()
-        if placed is not None and placed[0] in poses:
-            agent, pose = placed
-            shown = self._raised(agent, pose, poses[agent][0].z_m, put=True)
-            poses[agent] = (shown, Driver.POLICY)
-        self._frame = Frame.of_poses(poses)
+        self._frame = self._shown(self._reader.read())
         return self._frame
 
-    def _raised(self, agent: AgentId, pose: Pose, sumo_z_m: float, *, put: bool) -> Pose:
-        """A pose with its height: SUMO's, but of what is put somewhere where roads cross.
+    def _shown(self, frame: Frame) -> Frame:
+        """What SUMO has after a step, with AV and opponent where they are shown and were put."""
+        av = self.av
+        if av.teleported:
+            av.lost = True  # what comes after is not the same motion
+            detail = "it was stuck"
+            self.events.append(
+                Event(step=self._step, agent_id=av.id, kind="av_teleported", detail=detail)
+            )
+            frame = frame.without(av.id)
+        shown = {}
+        if av.id in frame.ids:
+            put = av.placed is not None
+            shown[av.id] = self._raised(av.id, av.pose, frame, put=put), Driver.PLANNER
+        placed = self._opponent.placed()
+        if placed is not None and placed[0] in frame.ids:
+            shown[placed[0]] = self._raised(*placed, frame, put=True), Driver.POLICY
+        return frame.with_poses(shown)
+
+    def _raised(self, agent: AgentId, pose: Pose, frame: Frame, *, put: bool) -> Pose:
+        """A pose with its height: SUMO's, except for a vehicle that is put where roads cross.
 
         There SUMO takes the nearest lane by x and y alone.
         """
         if not (put and self._ground.has_levels and agent in self._frame.ids):
-            return replace(pose, z_m=sumo_z_m)
+            return replace(pose, z_m=float(frame.z_m[frame.ids.index(agent)]))
         row = self._frame.ids.index(agent)
-        way = np.array([[self._frame.position_m[row], (pose.x_m, pose.y_m)]])
-        z_m = self._ground.follow(way, self._frame.z_m[row : row + 1])
+        moved = np.array([[self._frame.position_m[row], (pose.x_m, pose.y_m)]])
+        z_m = self._ground.follow(moved, self._frame.z_m[row : row + 1])
         return replace(pose, z_m=float(z_m[0, 1]))
 
-    def _crowd(self) -> Crowd:
-        """Who was where at the end of the last step."""
+    def _occupancy(self) -> Occupancy:
+        """All agents at the end of the last step."""
         size_m = np.array([self.body(agent).size_m[:2] for agent in self._frame.ids])
-        return Crowd(frame=self._frame, size_m=size_m, av_id=self._av.id)
+        return Occupancy(frame=self._frame, size_m=size_m, av_id=self.av.id)
 
     def _run_to(self, start_s: float) -> list[Frame]:
         """Run SUMO up to the start; the frames of the last second."""
         recorded_from = start_s - (HISTORY_STEPS - 1) * DT_S
         if self._api.simulation.getTime() < recorded_from - DT_S / 2:
             self._api.simulationStep(recorded_from)
-        frames = [Frame.of_poses(self._reader.read())]
+        frames = [self._reader.read()]
         while self._api.simulation.getTime() < start_s - DT_S / 2:
             self._api.simulationStep()
-            frames.append(Frame.of_poses(self._reader.read()))
+            frames.append(self._reader.read())
         return frames[-HISTORY_STEPS:]
 
     def _note_step_length(self, configuration: Configuration) -> None:
@@ -175,7 +163,7 @@ def _check_start(case: TrafficCase, configuration: Configuration) -> None:
 
 
 def _set_model(api: SumoApi, av: AgentId) -> None:
-    """Give the AV our car-following model, and leave its size and permissions as they were."""
+    """Give the AV our car-following model; its size and permissions stay as they were."""
     vehicle = api.vehicle
     size = (vehicle.getLength(av), vehicle.getWidth(av), vehicle.getHeight(av))
     permitted = vehicle.getVehicleClass(av)
@@ -187,7 +175,7 @@ def _set_model(api: SumoApi, av: AgentId) -> None:
 
 
 def _absent(api: SumoApi, case: TrafficCase) -> str:
-    """Why the AV is not there: the message of the error."""
+    """The message of the error: when the AV is there, and which vehicles are at the start."""
     there = sorted(api.vehicle.getIDList())
     others = (
         f" or one of: {', '.join(there[:8])}{', ...' if len(there) > 8 else ''}" if there else ""

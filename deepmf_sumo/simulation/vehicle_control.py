@@ -10,6 +10,7 @@ from deepmf_sumo.datatypes import AgentId, Bools, Event, Floats, Lane, RoadMap
 from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear, off_level
 from deepmf_sumo.simulation.av import HandOver, move
+from deepmf_sumo.simulation.contacts import overlapping
 from deepmf_sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
@@ -17,18 +18,18 @@ _REACH_M: Final = 50.0
 _EVERY_M: Final = 2.0
 _LARGEST_TURN_RAD: Final = np.radians(100.0)
 _TURN_COSTS_M: Final = 5.0
-"""A radian of turning is as bad as being moved so far."""
+"""A radian of turning is as bad as a move of this length."""
 _OFF_ROUTE_COSTS_M: Final = 10.0
 _SECONDS: Final = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
-"""After which nobody may be in the way, if all keep their speed: SUMO does the rest."""
+"""At which the position must be free, if all keep their speed: SUMO does the rest."""
 _MARGIN_M: Final = np.array([3.0, 0.4])
 """Added to length and width."""
 _AT_ONCE: Final = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """On the middle of a lane: the front bumper, the heading there, a speed that is allowed."""
+class FreePosition:
+    """On the middle of a lane: the front bumper, the heading there, an allowed speed."""
 
     lane_id: str
     front_m: tuple[float, float]
@@ -39,7 +40,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """(N) places in order of cost, and their lanes."""
+    """(N) positions in order of cost, and their lanes."""
 
     front_m: Floats
     z_m: Floats
@@ -48,12 +49,12 @@ class _Candidates:
     lanes: list[Lane]
 
 
-class Places:
-    """The lanes of a running simulation, without those inside junctions.
+class FreePositions:
+    """Free positions on the lanes of a running simulation, but not inside junctions.
 
     Args:
-        api: says who may use a lane.
-        road: the network; its lanes are called as SUMO calls them.
+        api: knows which vehicle classes may use a lane.
+        road: the network; its lanes have SUMO's names.
     """
 
     def __init__(self, api: SumoApi, road: RoadMap) -> None:
@@ -69,12 +70,12 @@ class Places:
 
     def nearest(
         self, agent: AgentId, frame: Frame, size_m: Floats, route: Collection[str]
-    ) -> Place | None:
-        """The free place that suits an agent best, preferably on its route; None within 50 m.
+    ) -> FreePosition | None:
+        """The best free position within 50 m for an agent, preferably on its route; else None.
 
         Args:
-            agent: one of the N of the frame, a vehicle.
-            frame: where everybody is.
+            agent: a vehicle, one of the N agents of the frame.
+            frame: all agents now.
             size_m: (N, 2) lengths and widths.
             route: edges.
         """
@@ -90,7 +91,7 @@ class Places:
                 lane = found.lanes[begin + row]
                 if _permitted(self._api, agent, lane.id):
                     x, y = found.front_m[begin + row]
-                    return Place(
+                    return FreePosition(
                         lane_id=lane.id,
                         front_m=(float(x), float(y)),
                         heading_rad=float(found.heading_rad[begin + row]),
@@ -148,25 +149,10 @@ def _permitted(api: SumoApi, agent: AgentId, lane_id: str) -> bool:
     )
 
 
-def overlapped(agent: AgentId, frame: Frame, size_m: Floats, but: AgentId) -> bool:
-    """Whether anybody's box, but one agent's, overlaps an agent's."""
-    me = frame.ids.index(agent)
-    hit = boxes.overlap(
-        frame.position_m[me],
-        frame.heading_rad[me],
-        size_m[me],
-        frame.position_m,
-        frame.heading_rad,
-        size_m,
-    )
-    hit &= ~clear(frame.z_m[me], frame.z_m)
-    return any(frame.ids[row] not in (agent, but) for row in np.flatnonzero(hit))
-
-
 def _free(
     poses: tuple[Floats, Floats, Floats, Floats], me: int, frame: Frame, size_m: Floats
 ) -> Bools:
-    """(K) whether nobody is in the way at fronts (K, 2), headings, speeds and heights (K)."""
+    """(K) whether no agent is in the way at fronts (K, 2), headings, speeds and heights (K)."""
     front, heading, speed, z_m = poses
     others = np.arange(len(frame.ids)) != me
     ahead = speed[:, None] * _SECONDS - size_m[me, 0] / 2
@@ -201,12 +187,18 @@ class _Taken:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Crowd:
-    """Everybody who is there, and who of them is the AV; ``size_m`` (N, 2) lengths and widths."""
+class Occupancy:
+    """All N agents around a vehicle, the AV among them; ``size_m`` (N, 2) lengths and widths."""
 
     frame: Frame
     size_m: Floats
     av_id: AgentId
+
+    def touched(self, agent: AgentId) -> bool:
+        """Whether the box of an agent other than the AV overlaps that of ``agent``."""
+        frame, me = self.frame, self.frame.ids.index(agent)
+        rows = overlapping(me, frame.position_m, frame.heading_rad, self.size_m, frame.z_m)
+        return any(frame.ids[row] != self.av_id for row in rows)
 
 
 class Takeover:
@@ -215,23 +207,23 @@ class Takeover:
     Args:
         api: a running SUMO.
         events: notes are added to it.
-        places: where a vehicle can be put that SUMO cannot drive from where it is; None: the
-            nearest lane, whoever is there.
-        may_remove: whether one for which no place is free is taken out of the simulation; else it
-            is put on the nearest lane.
+        positions: for a vehicle that SUMO cannot drive from its pose; None: the nearest lane, free
+            or not.
+        may_remove: whether a vehicle without a free position is removed from the simulation; else
+            it is put on the nearest lane.
     """
 
     def __init__(
         self,
         api: SumoApi,
         events: list[Event],
-        places: Places | None = None,
+        positions: FreePositions | None = None,
         *,
         may_remove: bool = True,
     ) -> None:
         self._api = api
         self._events = events
-        self._places = places
+        self._positions = positions
         self._may_remove = may_remove
         self._hand_over = HandOver(api)
         self._taken: _Taken | None = None
@@ -239,12 +231,12 @@ class Takeover:
         self._gone: set[AgentId] = set()
 
     def placed(self) -> tuple[AgentId, Pose] | None:
-        """The vehicle and where it was put in the last step; None while SUMO drives."""
+        """The vehicle and the pose it was put at in the last step; None while SUMO drives."""
         taken = self._taken
         return None if taken is None else (taken.agent, taken.pose)
 
     def place(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> None:
-        """Put the vehicle there at the end of the coming step."""
+        """Put the vehicle at the pose at the end of the coming step."""
         if not self._present(step, agent):
             return
         if self._taken is None or self._taken.agent != agent:  # the last one may have left
@@ -255,93 +247,95 @@ class Takeover:
         move(self._api, agent, pose, length_m, _MATCH_M)
 
     def after_step(self, step: int) -> None:
-        """Tell SUMO the speed: it would otherwise be that of the jump, cut to what it allows."""
+        """Tell SUMO the speed: else it would be that of the jump, cut to the vehicle's limits."""
         self._hand_over.after_step()
         there = self._api.vehicle.getIDList()
         if self._taken is not None and self._taken.agent in there:
             self._api.vehicle.setPreviousSpeed(self._taken.agent, self._taken.pose.speed_mps)
         elif self._taken is not None:
             self._hand_over.lose(self._taken.agent)
-            self._taken = None  # should SUMO bring it back, it is not where it was put
+            self._taken = None  # if SUMO brings it back, it is somewhere else
         if self._moved is not None and self._moved[0].agent in there:
             taken, speed_mps = self._moved
             self._api.vehicle.setPreviousSpeed(taken.agent, speed_mps)
-            self._find_way(step, taken)
+            self._restore_route(step, taken)
         self._moved = None
 
-    def hand_back(self, step: int, agent: AgentId, crowd: Crowd | None = None) -> None:
-        """From the coming step on SUMO drives.
+    def hand_back(self, step: int, agent: AgentId, around: Occupancy | None = None) -> None:
+        """Let SUMO drive the vehicle from the coming step on.
 
-        One from where SUMO cannot go on is put on a lane: beside the middle of one, against its
-        direction, or in the midst of others (but the AV: SUMO parts two). Where no place is free
-        near by it is taken out of the simulation, if that is allowed.
+        A vehicle that SUMO could not drive on from its pose (off-centre, against the direction of
+        the lane, or overlapping others) is put on the nearest free position of a lane, or removed
+        if there is none and that is allowed. It may overlap the AV: SUMO separates the two.
 
         Args:
             step: now.
             agent: the vehicle.
-            crowd: who is where, needed where there are `Places`; without the vehicle if it is on
-                no road, because SUMO teleports it.
+            around: the agents around it, needed with `FreePositions`; without the vehicle if it is
+                on no road, because SUMO teleports it.
         """
         taken = self._taken
         if taken is None or not self._present(step, agent):
             return
         self._taken = None
         self._hand_over.give_back(agent)
-        if self._places is None:
+        if self._positions is None:
             self._hand_to_nearest_lane(step, taken)
-        elif crowd is None or agent not in crowd.frame.ids:
+        elif around is None or agent not in around.frame.ids:
             self._note(step, agent, "opponent_gone", "SUMO has taken it off the road")
-        elif self._drivable(taken, self._places, crowd):
-            self._note(step, agent, "handed_back", "SUMO drives on along the route")
-            self._find_way(step, taken)
+        elif self._drivable(taken, self._positions, around):
+            self._go_on(step, taken)
         else:
-            place = self._places.nearest(agent, crowd.frame, crowd.size_m, taken.route)
-            if place is not None:
-                self._put(step, taken, place)
+            free = self._positions.nearest(agent, around.frame, around.size_m, taken.route)
+            if free is not None:
+                self._put(step, taken, free)
             elif self._may_remove:
                 self._api.vehicle.remove(agent)
                 self._note(step, agent, "removed", "no free place on a lane within 50 m")
             else:
                 self._hand_to_nearest_lane(step, taken)
 
+    def _go_on(self, step: int, taken: _Taken) -> None:
+        self._note(step, taken.agent, "handed_back", "SUMO drives on along the route")
+        self._restore_route(step, taken)
+
     def _hand_to_nearest_lane(self, step: int, taken: _Taken) -> None:
         vehicle, agent = self._api.vehicle, taken.agent
         lane_id = vehicle.getLaneID(agent)
         if lane_id and _permitted(self._api, agent, lane_id):
-            self._note(step, agent, "handed_back", "SUMO drives on along the route")
-            self._find_way(step, taken)
+            self._go_on(step, taken)
             return
         x, y = vehicle.getPosition(agent)
         vehicle.moveToXY(agent, "", -1, x, y, vehicle.getAngle(agent), _SNAP_TO_LANE, _SNAP_M)
         self._note(step, agent, "handed_back", "put on the nearest lane, where SUMO drives on")
 
-    def _drivable(self, taken: _Taken, places: Places, crowd: Crowd) -> bool:
-        """Whether SUMO can drive on from there.
+    def _drivable(self, taken: _Taken, positions: FreePositions, around: Occupancy) -> bool:
+        """Whether SUMO can drive on from the pose of the vehicle.
 
-        Without its sublane model SUMO keeps a distance to the middle of a lane for ever, reaches
-        into the next lane unseen, and inside a junction stops for good under `lanechange.duration`.
+        Without its sublane model SUMO keeps a vehicle off-centre for ever, where it reaches into
+        the next lane unseen, and stops it for good inside a junction under `lanechange.duration`.
         """
         vehicle, agent = self._api.vehicle, taken.agent
         lane_id = vehicle.getLaneID(agent)
         if not lane_id or not _permitted(self._api, agent, lane_id):
             return False
-        if overlapped(agent, crowd.frame, crowd.size_m, but=crowd.av_id):
+        if around.touched(agent):
             return False
-        if places.askew_rad(lane_id, taken.pose) > _ASKEW_RAD:
+        if positions.askew_rad(lane_id, taken.pose) > _ASKEW_RAD:
             return False
         sublane = float(self._api.simulation.getOption("lateral-resolution")) > 0
         return sublane or abs(vehicle.getLateralLanePosition(agent)) <= _BESIDE_M
 
-    def _put(self, step: int, taken: _Taken, place: Place) -> None:
-        edge, _, lane = place.lane_id.rpartition("_")
-        angle = float(frames.sumo_angle(place.heading_rad))
-        x, y = place.front_m
+    def _put(self, step: int, taken: _Taken, free: FreePosition) -> None:
+        edge, _, lane = free.lane_id.rpartition("_")
+        angle = float(frames.sumo_angle(free.heading_rad))
+        x, y = free.front_m
         self._api.vehicle.moveToXY(taken.agent, edge, int(lane), x, y, angle, _EXACT, _MATCH_M)
-        self._moved = taken, place.speed_mps
-        detail = f"put on lane {place.lane_id}, {place.moved_m:.1f} m away, where SUMO drives on"
+        self._moved = taken, free.speed_mps
+        detail = f"put on lane {free.lane_id}, {free.moved_m:.1f} m away, where SUMO drives on"
         self._note(step, taken.agent, "handed_back", detail)
 
-    def _find_way(self, step: int, taken: _Taken) -> None:
+    def _restore_route(self, step: int, taken: _Taken) -> None:
         """Send a vehicle that has left its route to its destination."""
         if tuple(self._api.vehicle.getRoute(taken.agent)) == taken.route:
             return

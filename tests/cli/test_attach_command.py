@@ -172,7 +172,7 @@ def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
     assert attach(port, tmp_path / "live", "--av", "av", "--wait", 0.3) == 3
     shown = capsys.readouterr().err
-    assert f"Nobody listens on localhost:{port} (waited 0.3 s)" in shown
+    assert f"No SUMO listens on localhost:{port} (waited 0.3 s)" in shown
     assert "--num-clients 2" in shown
 
 

@@ -232,5 +232,5 @@ def test_wrong_settings(started, policy, wrong, error, said):
 
 
 def test_what_is_no_simulation():
-    with pytest.raises(UsageError, match="A dict is no simulation; give the module libsumo"):
+    with pytest.raises(UsageError, match="A dict is not a simulation; give the module libsumo"):
         deepmf_sumo.Attacker({}, av="av")

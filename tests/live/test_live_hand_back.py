@@ -3,7 +3,7 @@
 import libsumo
 import pytest
 
-from deepmf_sumo.simulation.vehicle_control import Places
+from deepmf_sumo.simulation.vehicle_control import FreePositions
 
 from tests.support.live_doubles import OPTIONS, Brake, session_on, step
 from tests.support.tiny_network import build
@@ -39,7 +39,7 @@ def test_who_is_not_on_the_middle_of_a_lane_is_put_there(folder, sumo, sideways)
 
 
 def test_a_vehicle_stays_in_the_simulation_where_no_place_is_free(folder, sumo, monkeypatch):
-    monkeypatch.setattr(Places, "nearest", lambda *_: None)
+    monkeypatch.setattr(FreePositions, "nearest", lambda *_: None)
     session, fought = session_on(sumo, folder, Brake(sideways=-3.0), pause_s=100.0)
     step(sumo, session, 35)
     assert sumo.vehicle.getLaneID("leader") == "ab_0"
@@ -62,15 +62,15 @@ def test_an_attack_is_told_of_even_if_the_connection_is_lost_in_it(folder, sumo,
     assert fought[0].rollout.tracks.valid.shape[1] == 20
 
 
-def test_the_crowd_reaches_farther_than_the_av_sees(folder, sumo):
+def test_the_occupancy_reaches_farther_than_the_av_sees(folder, sumo):
     sumo.simulationStep()
     sumo.route.add("again", ["ab"])
     sumo.vehicle.add("far", "again", departPos="150", departSpeed="0")
     session, _ = session_on(sumo, folder, Brake(sideways=1.0))
     step(sumo, session, 15)
     attack = session._attack
-    assert "far" not in attack._frame.ids
-    crowd = attack._crowd("leader")
-    assert set(crowd.frame.ids) == {"far", "av", "leader"}
-    assert crowd.size_m.shape == (3, 2)
+    assert "far" not in attack._record.frame.ids
+    around = attack._around("leader")
+    assert set(around.frame.ids) == {"far", "av", "leader"}
+    assert around.size_m.shape == (3, 2)
     assert sumo.poi.getIDCount() == 1

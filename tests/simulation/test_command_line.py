@@ -29,7 +29,7 @@ def test_all_spellings_of_sumo_are_understood(monkeypatch, tmp_path):
         (["--step-length", "1"], "every run steps by 0.1 s"),
         (["--srand", "1"], "give --seed before the --"),
         (["--scale", "2", "--scale=3"], "given twice"),
-        (["other.sumocfg"], "'other.sumocfg' is no option of SUMO"),
+        (["other.sumocfg"], "'other.sumocfg' is not a SUMO option"),
         (["-Q"], "write it out"),
     ],
 )

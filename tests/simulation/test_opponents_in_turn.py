@@ -11,7 +11,7 @@ from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, simulate
-from deepmf_sumo.simulation.attack_schedule import Turns
+from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.frame import Frame, Pose
 
 from tests.support import tiny_network
@@ -72,7 +72,7 @@ class FirstOfAll:
 
 
 def begun(policy=None, rules=RULES, agents=NEAR, steps_left=1000):
-    return Turns(
+    return AttackSchedule(
         policy or FirstOfAll(), view(agents, steps_left=steps_left), np.random.default_rng(0), rules
     )
 
@@ -81,7 +81,7 @@ def go_on(turns, step, agents=NEAR, hit=False):
     """One round of the loop; whether the episode is over."""
     if turns.due(step):
         turns.replan(view(agents, step, 1000 - step))
-    turns.pose(step + 1)
+    turns.advance(step + 1)
     return turns.after_step(step + 1, *frame(agents), hit=hit)
 
 
@@ -90,7 +90,7 @@ def test_one_opponent_is_the_whole_episode():
     turns = begun(policy, rules=None)
     far = {**NEAR, "a": (500, 0, 0, 10)}
     assert not any(go_on(turns, step, far) for step in range(NOW, NOW + 90))
-    assert (turns.attacker, turns.id, turns.opponent_id) == ("a", "a", "a")
+    assert (turns.attacker, turns.controlled, turns.opponent_id) == ("a", "a", "a")
     assert go_on(turns, NOW + 90, hit=True)
     turns.finish(NOW + 91, "contact")
     assert turns.closed == ()
@@ -104,12 +104,12 @@ def test_who_hit_is_let_go_for_a_step_and_another_one_attacks():
     (turn,) = turns.closed
     assert (turn.opponent_id, turn.first_step, turn.last_step) == ("a", NOW, NOW + 1)
     assert (turn.ended, turn.gap_m) == ("contact", 0.0)
-    assert (turns.attacker, turns.id, turns.due(NOW + 1)) == (None, "a", False)
+    assert (turns.attacker, turns.controlled, turns.due(NOW + 1)) == (None, "a", False)
     go_on(turns, NOW + 1)
-    assert turns.id is None
+    assert turns.controlled is None
     assert [step for step in range(NOW, NOW + 12) if turns.due(step)] == [NOW + 11]
     go_on(turns, NOW + 11)
-    assert (turns.attacker, turns.id) == ("b", "b")
+    assert (turns.attacker, turns.controlled) == ("b", "b")
     assert policy.seen[2][1] == ("av", "b")
 
 
@@ -311,9 +311,9 @@ def test_who_is_handed_back_amid_others_or_beside_the_road_is_put_on_a_free_plac
 
 
 def test_without_a_free_place_a_vehicle_is_taken_out_and_it_is_said(busy, monkeypatch):
-    from deepmf_sumo.simulation.vehicle_control import Places
+    from deepmf_sumo.simulation.vehicle_control import FreePositions
 
-    monkeypatch.setattr(Places, "nearest", lambda *_: None)
+    monkeypatch.setattr(FreePositions, "nearest", lambda *_: None)
     found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0), steps=50)
     (event, *_) = [event for event in found.events if event.kind == "removed"]
     assert "no free place" in event.detail

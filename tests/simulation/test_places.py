@@ -7,7 +7,7 @@ import pytest
 
 from deepmf_sumo.datatypes import Driver
 from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.vehicle_control import Places, overlapped
+from deepmf_sumo.simulation.vehicle_control import FreePositions, Occupancy
 
 from tests.support.predictor_doubles import straight_road
 
@@ -30,7 +30,7 @@ def nearest(agents, sumo=None):
         for name, (x, y, heading, speed) in agents.items()
     }
     size_m = np.tile([4.8, 2.0], (len(agents), 1))
-    return Places(sumo or api(), ROAD).nearest("ov", Frame.of_poses(poses), size_m, ())
+    return FreePositions(sumo or api(), ROAD).nearest("ov", Frame.of_poses(poses), size_m, ())
 
 
 def test_the_middle_of_the_lane_beside():
@@ -66,9 +66,13 @@ def test_none_where_all_lanes_are_far_or_lead_the_other_way():
 
 
 def test_lanes_inside_junctions_have_no_places():
-    assert Places(api(), ROAD).askew_rad("0", Pose(x_m=0, y_m=0, heading_rad=1, speed_mps=0)) == 1
     assert (
-        Places(api(), ROAD).askew_rad(":j_0", Pose(x_m=0, y_m=0, heading_rad=1, speed_mps=0)) == 0
+        FreePositions(api(), ROAD).askew_rad("0", Pose(x_m=0, y_m=0, heading_rad=1, speed_mps=0))
+        == 1
+    )
+    assert (
+        FreePositions(api(), ROAD).askew_rad(":j_0", Pose(x_m=0, y_m=0, heading_rad=1, speed_mps=0))
+        == 0
     )
 
 
@@ -76,5 +80,5 @@ def test_overlaps_but_with_one():
     pose = Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=0)
     frame = Frame.of_poses(dict.fromkeys(("ov", "av"), (pose, Driver.SUMO)))
     size_m = np.tile([4.8, 2.0], (2, 1))
-    assert not overlapped("ov", frame, size_m, but="av")
-    assert overlapped("ov", frame, size_m, but="")
+    assert not Occupancy(frame=frame, size_m=size_m, av_id="av").touched("ov")
+    assert Occupancy(frame=frame, size_m=size_m, av_id="").touched("ov")

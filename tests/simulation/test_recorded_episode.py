@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo.datatypes import Command, Driver, Plan
 from deepmf_sumo.errors import PlannerError, SimulationError
 from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
-from deepmf_sumo.simulation import simulate, world
+from deepmf_sumo.simulation import log_world, simulate
 
 from tests.support.simulated_worlds import (
     LANE_M,
@@ -85,8 +85,8 @@ def following(tmp_path_factory):
 def test_av_stands_exactly_at_its_recorded_pose_and_speed(tmp_path, y):
     scene = scene_of(straight_road(), {"av": straight_motion(60.0, y, EAST, 12.0)})
     case = case_of(scene, tmp_path)
-    with world.opened(case, idm.TREIBER, "libsumo") as opened:
-        pose = opened._av.sumo_pose()
+    with log_world.opened(case, idm.TREIBER, "libsumo") as (_, world):
+        pose = world.av.sumo_pose()
         assert np.hypot(pose.x_m - 60.0, pose.y_m - y) < 1e-3
         assert abs(pose.heading_rad) < 1e-6
         assert abs(pose.speed_mps - 12.0) < 0.01
@@ -117,10 +117,10 @@ def test_replay_is_the_log_for_everybody(following):
 
 
 def test_sumo_has_replayed_vehicles_where_and_as_fast_as_the_log(following):
-    with world.opened(following, idm.TREIBER, "libsumo") as opened:
+    with log_world.opened(following, idm.TREIBER, "libsumo") as (_, world):
         for _ in range(5):
-            opened.advance(Command(kind="sumo"), None, None)
-        vehicle, log = opened._api.vehicle, following.scene.tracks
+            world.step(Command(kind="sumo"), None, None)
+        vehicle, log = world._api.vehicle, following.scene.tracks
         row = log.row("lead")
         x, y = vehicle.getPosition("lead")
         assert x == pytest.approx(log.position_m[row, NOW + 5, 0] + 2.3, abs=1e-6)

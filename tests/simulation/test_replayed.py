@@ -24,7 +24,7 @@ from tests.support.simulated_worlds import (
     straight_road,
 )
 
-OF_THE_STAGE = {"aligned", "moved_onto_route", "off_network", "ghost_edge", "red_passed"}
+OF_SUMO = {"aligned", "moved_onto_route", "off_network", "ghost_edge", "red_passed"}
 """Events that tell where SUMO has the AV."""
 
 
@@ -73,7 +73,7 @@ def assert_same(one, other):
     assert (one.tracks.ids, one.tracks.kinds) == (other.tracks.ids, other.tracks.kinds)
     assert one.driver.tobytes() == other.driver.tobytes()
     assert repr(one.contacts) == repr(other.contacts)
-    assert one.events == tuple(e for e in other.events if e.kind not in OF_THE_STAGE)
+    assert one.events == tuple(e for e in other.events if e.kind not in OF_SUMO)
     for name in ("now", "ended", "opponent_id", "signals", "leaders"):
         assert getattr(one, name) == getattr(other, name), name
     for mine, theirs in zip(one.plans, other.plans, strict=True):
@@ -174,7 +174,7 @@ def test_planners_that_react_and_sumo_traffic_need_sumo(case, monkeypatch):
     def never(*given):
         raise AssertionError
 
-    monkeypatch.setattr(log_only, "episode", never)
+    monkeypatch.setattr(log_only, "run", never)
     planner = constant_velocity.build(constant_velocity.Settings())
     simulate(case, planner, None, rng=np.random.default_rng(0))
     with pytest.raises(AssertionError):

@@ -22,8 +22,8 @@ def sumo(there, options=None, classes=None):
     return SimpleNamespace(vehicle=vehicle, simulation=simulation)
 
 
-def placed(there, events, places=None):
-    takeover = Takeover(sumo(there), events, places)
+def placed(there, events, positions=None):
+    takeover = Takeover(sumo(there), events, positions)
     takeover.place(1, "ov", Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=5), 4.5)
     takeover.after_step(1)
     return takeover
@@ -42,7 +42,7 @@ def test_one_that_comes_back_is_not_where_it_was_put():
 
 def test_one_on_no_road_is_not_moved():
     events = []
-    takeover = placed(["ov"], events, places=object())
+    takeover = placed(["ov"], events, positions=object())
     takeover.hand_back(2, "ov", None)
     assert takeover.placed() is None
     (event,) = events

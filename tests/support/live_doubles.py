@@ -11,7 +11,7 @@ from deepmf_sumo.live.connection import shared
 from deepmf_sumo.live.engagement import Scenery, Surroundings
 from deepmf_sumo.live.observer import Observer
 from deepmf_sumo.live.session import Session
-from deepmf_sumo.live.triggers import Always
+from deepmf_sumo.live.triggers import Trigger
 
 OPTIONS = ("--no-step-log", "--no-warnings", "--collision.action", "none")
 
@@ -66,7 +66,7 @@ def session_on(
         surroundings=Surroundings(live, folder / net, ()),
         rules=rules or TurnRules(longest_s=5.0),
     )
-    triggers = (Always(),) if triggers is None else triggers
+    triggers = (Trigger(),) if triggers is None else triggers
     rng = np.random.default_rng(0)
     return Session(scenery, policy, triggers, pause_s, rng, fought.append), fought
 
