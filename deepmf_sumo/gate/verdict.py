@@ -14,9 +14,10 @@ from typing import Final
 
 from deepmf_sumo import files
 from deepmf_sumo.gate import comparison, rows
-from deepmf_sumo.gate.comparison import Comparison, Matched
+from deepmf_sumo.gate.comparison import Comparison
 from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.thresholds import UNFINISHED, Baseline, Judgement, Thresholds, judge
+from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
 from deepmf_sumo.tables import to_markdown
 

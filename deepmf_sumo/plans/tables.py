@@ -1,9 +1,7 @@
 """A benchmark's folder -> ``table.csv`` and the tables beside it.
 
-Differences between two methods on the same scenes, with bootstrap intervals over scenes.
-
-Scenes are drawn anew with replacement (Efron, 1979; percentiles), all seeds of a scene together:
-attacks on one scene are not independent of each other.
+Differences between two methods on the same scenes have the intervals of `results.difference`. A
+scene counts once, with all its seeds: attacks on one scene depend on each other.
 """
 
 from collections import Counter, defaultdict
@@ -30,6 +28,7 @@ from deepmf_sumo.metrics.statistics import (
 from deepmf_sumo.plans import layout
 from deepmf_sumo.plans.layout import Budgeted, Layout
 from deepmf_sumo.results import stored
+from deepmf_sumo.results.difference import paired
 from deepmf_sumo.results.quantities import COLUMNS, Quantity, accident, counted, hit, sector
 from deepmf_sumo.results.result import Result, attacked
 
@@ -119,9 +118,7 @@ def _pooled(done: Sequence[Result]) -> Row:
     }
 
 
-RESAMPLES: Final = 10_000
 CONFIDENCE: Final = 0.95
-_SEED: Final = 20241217
 
 
 def differences(
@@ -155,8 +152,8 @@ def _difference(
     by_scene: dict[str, list[float]] = defaultdict(list)
     for scene, seed in both:
         by_scene[scene].append(ours[scene, seed] - theirs[scene, seed])
-    # from one scene nothing is known of how scenes differ
-    low, high = interval(list(by_scene.values())) if len(by_scene) > 1 else (None, None)
+    nothing = (None, None, None)
+    mean, low, high = paired(list(by_scene.values()), CONFIDENCE) if both else nothing
     row = {
         "planner": planner,
         "quantity": column.name,
@@ -166,7 +163,7 @@ def _difference(
         "pairs": len(both),
         "method_mean": fmean(ours[key] for key in both) if both else None,
         "baseline_mean": fmean(theirs[key] for key in both) if both else None,
-        "difference": fmean(ours[key] - theirs[key] for key in both) if both else None,
+        "difference": mean,
         "difference_lo": low,
         "difference_hi": high,
     }
@@ -175,17 +172,6 @@ def _difference(
         row["method_only"] = sum(ours[key] > theirs[key] for key in both)
         row["baseline_only"] = sum(ours[key] < theirs[key] for key in both)
     return row
-
-
-def interval(by_scene: Sequence[Sequence[float]]) -> tuple[float, float]:
-    """Percentile interval of the mean difference; ``by_scene`` holds a scene's differences."""
-    sums = np.array([sum(values) for values in by_scene])
-    counts = np.array([len(values) for values in by_scene])
-    drawn = np.random.default_rng(_SEED).integers(len(sums), size=(RESAMPLES, len(sums)))
-    means = sums[drawn].sum(1) / counts[drawn].sum(1)
-    tail = 100 * (1 - CONFIDENCE) / 2
-    low, high = np.percentile(means, [tail, 100 - tail])
-    return float(low), float(high)
 
 
 def _values(column: Quantity, results: Sequence[Result]) -> dict[tuple[str, int], float]:

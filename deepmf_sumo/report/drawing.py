@@ -2,14 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap
 
 from deepmf_sumo.datatypes import Floats, RoadMap, Tracks
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.report import palette
+
+SCORES: Final = LinearSegmentedColormap.from_list(
+    "scores", [palette.hexadecimal(colour) for colour in palette.SCORES]
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

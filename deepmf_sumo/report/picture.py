@@ -8,17 +8,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, Rollout
-from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.palette import AV, OPPONENT, STAR
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 
-AV, OPPONENT, OTHER, CONTACT = "#1f5fbf", "#c1121f", "#8d99a6", "#000000"
-SCORES: Final = LinearSegmentedColormap.from_list("scores", ["#fff3b0", "#f4a32b", "#c1121f"])
+OTHER, CONTACT = "#8d99a6", "#000000"
 AXES_IN: Final = 7.4
 """Width of the map on paper, about; the legend takes the rest."""
 MARGIN_M: Final = 18.0
@@ -159,7 +158,7 @@ def _driven(axes: Axes, rollout: Rollout, agent: str, color: str, window: Window
     draw_boxes(axes, tracks, ends, [color] * 2, window, edge="black", zorder=7, alpha=0.85)
     x, y = tracks.position_m[row, steps[0]]
     if agent == rollout.opponent_id:
-        star = {"marker": "*", "color": "#ffd43b", "markeredgecolor": "black"}
+        star = {"marker": "*", "color": STAR, "markeredgecolor": "black"}
         axes.plot(x, y, markersize=15, markeredgewidth=0.7, zorder=9, **star)  # type: ignore[arg-type]
 
 
@@ -203,7 +202,7 @@ def _handles(
         chance = _probabilities(scores).get(rollout.opponent_id)
         score = f", score {chance:.2f}" if chance is not None else ""
         label = f"opponent ({rollout.opponent_id}{score})"
-        yield Line2D([], [], color=OPPONENT, lw=2, marker="*", mfc="#ffd43b", mec="k", label=label)
+        yield Line2D([], [], color=OPPONENT, lw=2, marker="*", mfc=STAR, mec="k", label=label)
     if plan and plan.reason:
         at = (plan.first_step - 1 - rollout.now) * rollout.dt_s
         yield Line2D([], [], color="#e0785a", lw=0.8, label=f"its candidates at {at:.1f} s")

@@ -1,7 +1,8 @@
-"""What is measured of each run: a number a quantity, or nothing; with its name, unit and heading.
+"""What is measured of each run: one number per quantity, or none; with name, unit and headings.
 
-Tables of benchmarks, thresholds, comparisons and readable tables take their quantities from here. A
-rate is the mean of zeros and ones, so that means and paired differences treat all of them alike.
+Tables of benchmarks, thresholds, comparisons, readable tables and pages take their quantities from
+here: a new one is one entry. A rate is the mean of zeros and ones, so that means and paired
+differences treat all quantities alike.
 """
 
 from collections.abc import Callable
@@ -45,6 +46,7 @@ class Quantity:
         in_table: whether it is a column of ``table.csv``.
         title: heading in readable tables, without unit. short: heading on the screen, with unit.
             digits: after the decimal point, there; of rates in per cent.
+        label: heading in the table of runs on a page, without unit; empty: it has no column there.
     """
 
     name: str
@@ -62,6 +64,12 @@ class Quantity:
     title: str = ""
     short: str = ""
     digits: int = 2
+    label: str = ""
+
+    @property
+    def heading(self) -> str:
+        """``least TTC, s``: the label with its unit, where it has one."""
+        return self.label if self.unit == "1" else f"{self.label}, {self.unit}"
 
     @property
     def worse(self) -> Literal["lower", "higher"]:
@@ -168,9 +176,9 @@ QUANTITIES: Final = (
         title="Coll Rate", rule_out=_RATE,
     ),
     _mean("collision_time_s", "s", "lower", "collision_time_s", _HITS,
-          title="Coll Time", short="time s"),
+          title="Coll Time", short="time s", label="contact"),
     _mean("collision_speed_mps", "m/s", "higher", "collision_speed", _HITS,
-          title="Coll Vel", short="speed m/s", of_hits=True, rule_out=3.0),
+          title="Coll Vel", short="speed m/s", label="speed", of_hits=True, rule_out=3.0),
     _mean("kl", "nat", "lower", "acceleration_kl", _RUNS, title="KL", short="KL"),
     _mean("wasserstein", "m/s2", "lower", "acceleration_wasserstein", _RUNS,
           title="Wasserstein", short="W m/s2"),
@@ -202,7 +210,7 @@ QUANTITIES: Final = (
     ),
     _rate(
         "avoidable_rate", "higher", _flag("avoidable", _positive), "share of the hits with a value"
-        " of 1", "avoidable", title="Avoidable", of_hits=True, rule_out=_RATE,
+        " of 1", "avoidable", title="Avoidable", label="avoidable", of_hits=True, rule_out=_RATE,
     ),
     _rate(
         "av_at_fault_rate", "neither", _flag("av_at_fault", _positive),
@@ -211,7 +219,7 @@ QUANTITIES: Final = (
     ),
     _rate(
         "av_other_rate", "neither", _flag("av_third_party", _positive),
-        "share of all runs that went through, attacked or not, with a value above 0",
+        "share of all runs that succeeded, attacked or not, with a value above 0",
         "av_third_party", over="done", title="AV hit others",
     ),
     _mean("planner_saw_opponent", "1", "neither", "planner_saw_opponent", _RUNS, paired=False,
@@ -229,11 +237,12 @@ QUANTITIES: Final = (
         "red_light_rate", "lower", _flag("red_light", _positive),
         "share of the attacked runs with a value above 0", "red_light",
     ),
-    _mean("delta_v_mps", "m/s", "higher", "delta_v", _HITS, of_hits=True, rule_out=1.5),
+    _mean("delta_v_mps", "m/s", "higher", "delta_v", _HITS, label="Δv", of_hits=True,
+          rule_out=1.5),
     _mean("rms_acceleration_mps2", "m/s2", "lower", "opponent_rms_acceleration", _RUNS,
           title="RMS a"),
-    _mean("min_gap_m", "m", "lower", "min_gap", _RUNS, rule_out=2.0),
-    _mean("ttc_min_s", "s", "lower", "ttc_min", _RUNS),
+    _mean("min_gap_m", "m", "lower", "min_gap", _RUNS, label="least gap", rule_out=2.0),
+    _mean("ttc_min_s", "s", "lower", "ttc_min", _RUNS, label="least TTC"),
     _mean("drac_max_mps2", "m/s2", "higher", "drac_max", _RUNS),
     _mean(
         "planner_hardest_braking_mps2", "m/s2", "neither", "planner_hardest_braking", _RUNS,

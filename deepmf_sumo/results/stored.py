@@ -42,7 +42,7 @@ RUNS: Final = "runs.csv"
 MANIFEST: Final = "manifest.json"
 MOMENTS: Final = "moments.csv"
 
-_NEEDED: Final = (
+NEEDED: Final = (
     "run_id", "status", "spec", "scene", "planner", "perception", "adversary", "version", "seed",
     "outcome", "opponent", "contact_time_s", "contact_speed_mps", "generation_s", "cycle_ms_median",
 )  # fmt: skip
@@ -256,7 +256,7 @@ def rows_of(out: Path) -> list[dict[str, str]]:
         rest = "finish it with --resume" if begun else "give the --out of an earlier command"
         raise UsageError(f"{out} is no complete result folder: it has no runs.csv; {rest}.")
     rows = read_csv(file)
-    lost = [name for name in _NEEDED if rows and name not in rows[0]]
+    lost = [name for name in NEEDED if rows and name not in rows[0]]
     if lost:
         raise UsageError(f"{file} has no column '{lost[0]}': it is not of deepmf-sumo.")
     return rows
@@ -346,7 +346,7 @@ def _damaged(file: Path, why: str, again: str) -> UsageError:
 
 
 __all__ = [
-    "DAMAGE", "MANIFEST", "MOMENTS", "MOST_STEPS", "RUNS", "arrays", "first_wrong", "inputs_of",
-    "keys_of", "mapping", "moments_of", "net_file", "result_folders", "result_of", "rows_of",
-    "run_folder", "tracks",
+    "DAMAGE", "MANIFEST", "MOMENTS", "MOST_STEPS", "NEEDED", "RUNS", "arrays", "first_wrong",
+    "inputs_of", "keys_of", "mapping", "moments_of", "net_file", "result_folders", "result_of",
+    "rows_of", "run_folder", "tracks",
 ]  # fmt: skip

@@ -1,8 +1,8 @@
 """Two results side by side: two designs of a network, or two planners, attacked alike.
 
 Runs of one moment (vehicle and time, or recorded scene) and seed are pairs, whatever network,
-spec or planner they belong to. Tests and intervals are those of `gate.comparison`: without enough
-pairs the means of moments, or all runs without pairs, are compared.
+spec or planner they belong to. Intervals are those of `results.difference`: without
+enough pairs the means of moments, or all runs without pairs, are compared.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,9 +13,10 @@ from typing import Any, Final, Literal
 
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gate import comparison, rows
-from deepmf_sumo.gate.comparison import Matched, differing, two_sided
+from deepmf_sumo.gate import rows
+from deepmf_sumo.gate.comparison import differing
 from deepmf_sumo.gate.rows import Results, Row
+from deepmf_sumo.results.difference import Matched, match, two_sided
 from deepmf_sumo.results.quantities import COMPARABLE, Quantity
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.stored import inputs_of, result_folders
@@ -216,10 +217,7 @@ def differences(
     numbers = [name for name in quantities if not COMPARABLE[name].rate]
     alone = 1 - (1 - confidence) / (len(quantities) + len(numbers))
     sides = list(new.rows.values()), list(old.rows.values())
-    found = [
-        _change(COMPARABLE[name], name, comparison.match(name, *sides, alone))
-        for name in quantities
-    ]
+    found = [_change(COMPARABLE[name], name, match(name, *sides, alone)) for name in quantities]
     return found + [_leaning(COMPARABLE[name], old, new, alone) for name in numbers]
 
 
@@ -255,7 +253,7 @@ def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) 
             for side, each in zip(marked, (-worse, worse), strict=True):
                 values = {name: float(each > quantity.negligible)}
                 side.append(replace(rows_by_id[run_id], values=values))
-    found = comparison.match(name, marked[1], marked[0], confidence)
+    found = match(name, marked[1], marked[0], confidence)
     return _change(quantity, f"pairs with worse {name}", found, share=True)
 
 

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Final, Literal
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gate import comparison
-from deepmf_sumo.gate.comparison import Matched, two_sided
 from deepmf_sumo.gate.rows import Row
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.results import quantities
+from deepmf_sumo.results.difference import Matched, match, two_sided
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.risk import attacks
 
@@ -107,7 +106,7 @@ def _origin(
     confidence: float,
 ) -> Origin:
     sides = [_marked(side, dimension, value) for side in (old, new)]
-    found = comparison.match(_PART, sides[1], sides[0], confidence)
+    found = match(_PART, sides[1], sides[0], confidence)
     hits = [round(sum(row.values[_PART] for row in side)) for side in sides]
     return Origin(
         dimension=dimension,

@@ -6,6 +6,7 @@ import pytest
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate import comparison
 from deepmf_sumo.gate.thresholds import Baseline
+from deepmf_sumo.results import difference
 
 from tests.support import gate_doubles
 
@@ -113,10 +114,10 @@ def test_what_may_be_much_worse_does_not_pass():
 def test_how_many_units_would_tell():
     """An interval that reaches twice as far as the bound is away halves with four times as many."""
     [found] = compared(RATE, rate_of(7), rate_of(7))
-    assert comparison.units_needed(found.found, 2.0, 1.0) == 80
-    assert comparison.units_needed(found.found, 1.0, 2.0) == 21
-    assert comparison.units_needed(found.found, 1.0, 0.0) is None
-    assert comparison.units_needed(found.found, 1.0, 1e-9) is None
+    assert difference.units_needed(found.found, 2.0, 1.0) == 80
+    assert difference.units_needed(found.found, 1.0, 2.0) == 21
+    assert difference.units_needed(found.found, 1.0, 0.0) is None
+    assert difference.units_needed(found.found, 1.0, 1e-9) is None
 
 
 def test_other_seeds_and_planners_are_compared_by_spec():

@@ -90,7 +90,7 @@ def test_rows_of_readable_tables_are_in_the_order_asked_for(folder):  # noqa: F8
     assert table.index("slow_&_old") < table.index("| fast")
 
 
-def test_one_scene_has_no_bootstrap_interval():
+def test_one_scene_has_no_interval():
     found = tables.differences(
         {"slow": [result("a", hit=False)], "fast": [result("a")]}, "slow", "lane"
     )

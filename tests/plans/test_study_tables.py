@@ -123,20 +123,37 @@ def test_paired_differences_take_common_scenes_alone():
     assert (speed["pairs"], speed["difference"], speed["difference_lo"]) == (0, None, None)
 
 
-def test_bootstrap_interval_is_that_of_the_mean():
+def test_interval_of_many_scenes_is_that_of_the_mean():
     rng = np.random.default_rng(0)
     values = rng.normal(1.0, 2.0, 200)
-    low, high = tables.interval([[value] for value in values])
+    low, high = interval([[value] for value in values])
     error = values.std(ddof=1) / np.sqrt(len(values))
     assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.05)
     assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.05)
-    assert tables.interval([[value] for value in values]) == (low, high)
+    assert interval([[value] for value in values]) == (low, high)
 
 
-def test_seeds_of_a_scene_are_drawn_together():
-    alike = [[value] * 10 for value in (0.0, 1.0, 2.0, 3.0)]
-    apart = [[value] for value in (0.0, 1.0, 2.0, 3.0)]
-    assert tables.interval(alike) == pytest.approx(tables.interval(apart))
+def test_seeds_of_a_scene_swap_together():
+    differences = (0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0)
+    alike = [[value] * 10 for value in differences]
+    apart = [[value] for value in differences]
+    assert interval(alike) == pytest.approx(interval(apart))
+
+
+def interval(by_scene):
+    """Of the difference in a row of ``differences.csv``; ``by_scene`` are those of each scene."""
+    sides = {
+        name: [
+            result(f"scene {scene}", name, seed=seed, metrics={"path_sspd": of(value)})
+            for scene, values in enumerate(by_scene)
+            for seed, value in enumerate(values)
+        ]
+        for name, of in (("slow", lambda value: 10.0), ("fast", lambda value: 10.0 + value))
+    }
+    found = tables.differences(sides, "slow", "lane")
+    row = next(row for row in found if row["quantity"] == "sspd_m")
+    assert row["pairs"] == sum(map(len, by_scene))
+    return row["difference_lo"], row["difference_hi"]
 
 
 @pytest.fixture

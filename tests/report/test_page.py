@@ -15,7 +15,7 @@ from deepmf_sumo.datatypes import Lane, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import page
-from deepmf_sumo.report.page import document, roads
+from deepmf_sumo.report.page import columns, roads
 from deepmf_sumo.report.page.replay import packed, steady, stepwise
 
 from tests.support.result_folders import Folder
@@ -49,8 +49,8 @@ class Parsed(HTMLParser):
 
     @property
     def rows(self):
-        content = json.loads(self.scripts["content"])
-        return [dict(zip(content["columns"], row, strict=True)) for row in content["rows"]]
+        names = [column["name"] for column in self.content["columns"]]
+        return [dict(zip(names, row, strict=True)) for row in self.content["rows"]]
 
     @property
     def content(self):
@@ -95,7 +95,7 @@ def test_one_page_with_every_run_and_without_a_network(folder):
     first, second, third = parsed.rows
     assert (first["outcome"], first["sector"]) == ("AV hit by opponent", "front")
     assert (first["accident"], first["speed"]) == ("T-bone", "2 to 5 m/s")
-    assert (first["time_s"], first["min_ttc_s"]) == (3.0, 0.25)
+    assert (first["collision_time_s"], first["ttc_min_s"]) == (3.0, 0.25)
     assert (second["outcome"], second["sector"]) == ("no contact", None)
     assert (third["status"], third["note"]) == ("failed", "no reason; result.json is missing")
     used = [
@@ -278,7 +278,7 @@ def test_the_command_writes_the_page(folder, capsys):
     ],
 )
 def test_kinds_of_speed(speed, kind):
-    assert document.speed_kind(speed) == kind
+    assert columns.speed_class(speed) == kind
 
 
 @given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=50))

@@ -1,17 +1,22 @@
+import base64
 import csv
 import json
 import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
+import zlib
 
 import pytest
 
 from deepmf_sumo import risk as risk_module
+from deepmf_sumo import tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.network import sumo_tools
+from deepmf_sumo.report import page as report_page
 from deepmf_sumo.report import risk as files
-from deepmf_sumo.report.risk.sumo_files import CLASSES, colour
+from deepmf_sumo.report.palette import RISK_CLASSES, risk_colour
+from deepmf_sumo.results import stored
 
 from tests.support.risk_doubles import LEFT_IN, Attacks, eastward, straight
 
@@ -100,7 +105,7 @@ def test_sumo_reads_network_and_polygons_without_a_word(made):
 def test_a_risk_has_one_colour_in_every_map():
     """Also in one whose worst place is at 4 %."""
     risks = (0.0, 0.04, 0.05, 0.24, 0.25, 0.6, 0.75, 1.0)
-    numbers = [[bound for bound, one in CLASSES if one == colour(risk)] for risk in risks]
+    numbers = [[bound for bound, one in RISK_CLASSES if one == risk_colour(risk)] for risk in risks]
     assert numbers == [[0.0], [0.0], [0.05], [0.1], [0.25], [0.5], [0.75], [0.75]]
 
 
@@ -121,14 +126,14 @@ def test_places_without_a_hit_have_no_colour(nothing, made):
 def test_small_places_keep_their_size_and_a_pick_zooms_there(made):
     seen = """
       const on = (name, what) =>
-        Number(document.querySelector(`#map .${name}`).getAttribute(what)) * mapScale();
+        Number(document.querySelector(`#map .${name}`).getAttribute(what)) * mapCamera.scale;
       const said = [];
-      fitTo([-20000, -20000, 20000, 20000]);
+      fitMap([-20000, -20000, 20000, 20000]);
       said.push(on("dot", "r"));
-      zoomMap(4);
+      mapCamera.zoom(1 / 4);
       said.push(on("dot", "r"), on("place", "stroke-width"));
       document.querySelector("td.name button").click();
-      said.push(view.width);
+      said.push(document.getElementById("map").viewBox.baseVal.width);
     """
     far, farther, line, width = map(float, told(made, seen))
     assert far == pytest.approx(6.0)
@@ -155,11 +160,12 @@ def test_the_page_needs_nothing_else(made):
     page = (made.folder / "risk.html").read_text("utf-8")
     assert "default-src 'none'" in page
     assert not re.search(r'(src|href)="(?!#)', page)
-    assert page.count("</script>") == 2
-    content = json.loads(page.split('id="content">')[1].split("</script>")[0])
+    assert page.count("</script>") == 3
+    content = json.loads(_text(page, "content"))
     assert content["title"] == "my <map>"
+    content = json.loads(zlib.decompress(base64.b64decode(_text(page, "map-0"))))
     assert len(content["rows"]) == len(content["shapes"]) == len(made.rows)
-    assert [attack[2] for attack in content["attacks"]] == [1, 0, 1]
+    assert [attack[3] for attack in content["attacks"]] == [1, 0, 1]
 
 
 @pytest.mark.sumo
@@ -170,15 +176,22 @@ def test_a_browser_lists_the_worst_place_first(made):
     assert shown.count('class="attack hit"') == 2
 
 
+def _text(page, name):
+    """What the page keeps under an id."""
+    return page.split(f'id="{name}">')[1].split("</script>")[0]
+
+
 def browsed(written, script=""):
-    """The page's elements once a browser has shown it, and run a script at its end."""
+    """The page's elements once a browser has shown it, and then run a script."""
     if BROWSER is None:
         pytest.skip("no browser")
     page = (written.folder / "risk.html").read_text("utf-8")
     file = written.folder.parent / "browsed.html"
-    file.write_text(page.replace("</body>", f"<script>{script}</script></body>"), "utf-8")
+    script = f"<script>started.then(() => {{{script}}})</script></body>"
+    file.write_text(page.replace("</body>", script), "utf-8")
     return subprocess.run(
-        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", file.as_uri()],
+        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000",
+         "--dump-dom", file.as_uri()],
         capture_output=True, text=True, check=True, timeout=120,
     ).stdout  # fmt: skip
 
@@ -195,3 +208,62 @@ def test_a_folder_with_other_files_is_left_alone(made, tmp_path):
         files.write(tmp_path, [made.network])
     again = files.write(made.folder, [made.network], "my <map>")
     assert again[0].rows == made.rows
+
+
+@pytest.fixture
+def reported(tmp_path):
+    """The folder of two attacks, one of them a hit, with its ``runs.csv``."""
+    out = Attacks(tmp_path / "out")
+    hit = out.add("a", av=eastward(x=-130.0), opponent=eastward(x=-140.0), hit=80)
+    miss = out.add("b", av=eastward(x=-130.0), opponent=straight((-60.0, -12.0), 0.0, 0.0))
+    rows = []
+    for run_id in (hit, miss):
+        values = json.loads((out.out / "runs" / run_id / "result.json").read_text())
+        rows.append({name: str(values.get(name) or "") for name in stored.NEEDED})
+        rows[-1]["seed"] = "0"
+    (out.out / "runs.csv").write_text(tables.to_csv(rows))
+    return out.out, hit
+
+
+@pytest.mark.sumo
+def test_a_report_of_attacks_on_a_network_has_the_map_and_links_to_its_runs(reported):
+    if BROWSER is None:
+        pytest.skip("no browser")
+    out, hit = reported
+    written = report_page.write(out)
+    shown = dumped(f"file://{written}#risk")
+    assert '<a href="#risk" aria-current="page">Map</a>' in shown
+    assert shown.count('class="attack hit"') == 1
+    assert '<main id="overview" tabindex="-1" hidden="">' in shown
+    pick = "<script>started.then(() => document.querySelector('td.name button').click())</script>"
+    written.write_text(written.read_text("utf-8").replace("</body>", f"{pick}</body>"), "utf-8")
+    assert f'<a href="#run={hit}">{hit}</a>: hit' in dumped(f"file://{written}#risk")
+    assert '<a href="#" aria-current="page">Runs</a>' in dumped(f"file://{written}")
+
+
+def test_a_report_without_attacks_on_a_network_has_no_map(reported):
+    out, _ = reported
+    for file in (out / "runs").glob("*/result.json"):
+        file.write_text(json.dumps({**json.loads(file.read_text()), "network": None}))
+    content = json.loads(_text(report_page.write(out).read_text("utf-8"), "content"))
+    assert (content["maps"], content["withoutMap"]) == ([], "")
+
+
+def test_a_report_says_why_there_is_no_map(reported):
+    out, _ = reported
+    for net in (out / "runs").glob("*/sumo/net.net.xml"):
+        net.unlink()
+    content = json.loads(_text(report_page.write(out).read_text("utf-8"), "content"))
+    assert content["maps"] == []
+    assert "no net.net.xml" in content["withoutMap"]
+    assert len(content["rows"]) == 2
+
+
+def dumped(address):
+    """The page's elements once its scripts have run."""
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000"]
+    done = subprocess.run(
+        [BROWSER, *options, "--dump-dom", address],
+        capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+    return re.sub(r"<script.*?</script>", "", done.stdout, flags=re.DOTALL)

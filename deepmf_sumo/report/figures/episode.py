@@ -15,6 +15,7 @@ from deepmf_sumo.geometry import boxes
 from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.style import Grid
+from deepmf_sumo.report.palette import STAR
 from deepmf_sumo.results.reader import Run
 
 MARGIN_M: Final = 8.0
@@ -162,7 +163,7 @@ def _driven(
 def star(axes: Axes, placed_m: Floats, size_pt: float = 7.0) -> None:
     """The opponent's mark, (1, 2) where it is drawn."""
     edge, width = "black", 0.07 * size_pt
-    axes.plot(*placed_m.T, marker="*", color=style.STAR, mec=edge, mew=width, ms=size_pt, zorder=17)
+    axes.plot(*placed_m.T, marker="*", color=STAR, mec=edge, mew=width, ms=size_pt, zorder=17)
 
 
 def key(figure: Figure, grid: Grid, seconds: float) -> None:

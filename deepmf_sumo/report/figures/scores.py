@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from deepmf_sumo.datatypes import OpponentScores, Rollout
-from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks
 from deepmf_sumo.report.figures.episode import star
@@ -110,7 +110,7 @@ def _vehicles(axes: Axes, rollout: Rollout, chances: dict[str, float], window: W
     tracks, now = rollout.tracks, rollout.now
     rows = np.flatnonzero(tracks.valid[:, now])
     colours = {
-        row: style.SCORES(chances[tracks.ids[row]]) if tracks.ids[row] in chances else "white"
+        row: SCORES(chances[tracks.ids[row]]) if tracks.ids[row] in chances else "white"
         for row in rows
         if tracks.ids[row] != rollout.av_id
     }
@@ -128,7 +128,7 @@ def _vehicles(axes: Axes, rollout: Rollout, chances: dict[str, float], window: W
 def _key(figure: Figure, grid: Grid) -> None:
     axes = grid.axes(figure, 0.15, 0.17, 0.4 * grid.width_in, 0.06)
     ramp = np.linspace(0, 1, 128)[None]
-    axes.imshow(ramp, cmap=style.SCORES, aspect="auto", extent=(0, 1, 0, 1))
+    axes.imshow(ramp, cmap=SCORES, aspect="auto", extent=(0, 1, 0, 1))
     axes.set(yticks=[], xticks=[0, 0.5, 1])
     axes.tick_params(length=1.5, pad=1)
     axes.set_title("opponent score", fontsize=style.SMALLEST_PT, pad=2, loc="left")

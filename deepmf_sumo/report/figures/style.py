@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 
 from deepmf_sumo import files
 from deepmf_sumo.report.drawing import RoadStyle, Window
+from deepmf_sumo.report.palette import STAR
 
 SINGLE_IN: Final = 3.4
 """Width of one column of a paper in two."""
@@ -27,9 +28,7 @@ AV: Final = "#0b3c8c"
 OPPONENT: Final = "#d9480f"
 OTHER: Final = "#c3c9d0"
 OTHER_EDGE: Final = "#6b747e"
-STAR: Final = "#ffd43b"
 ROAD: Final = RoadStyle(line_pt=0.5, crosswalk_pt=0.3)
-SCORES: Final = LinearSegmentedColormap.from_list("scores", ["#fff3b0", "#f4a32b", "#a50f15"])
 AV_TIME: Final[Colormap] = LinearSegmentedColormap.from_list(
     "av", ["#7fb3e0", "#2b6fb5", "#06204f"]
 )

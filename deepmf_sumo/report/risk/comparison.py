@@ -6,9 +6,9 @@ from typing import Any, Final
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.gate.comparison import Matched
 from deepmf_sumo.gate.verdict import difference, figure, units
 from deepmf_sumo.report.table import SECTORS
+from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.risk.comparison import Change, Compared
 from deepmf_sumo.risk.origins import Origin
 

@@ -1,14 +1,10 @@
-"""Rows of a risk map -> an additional file of polygons, which sumo-gui and netedit draw.
-
-A right click on a polygon shows its numbers (*Show parameter*).
-
-Rows of a risk map -> SUMO's edge data, which sumo-gui, netedit and plotting tools read.
+"""Rows of a risk map -> SUMO's edge data and polygons, which sumo-gui and netedit draw.
 
 Numbers of attacks that were decided on an edge or a lane have the names of ``risk.csv``, those of
-attacks that began there the same with ``began_`` before them.
+attacks that began there have the same names after ``began_``. A right click on a polygon shows its
+numbers (*Show parameter*).
 """
 
-from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 from xml.etree import ElementTree as ET  # written, never parsed
@@ -16,14 +12,15 @@ from xml.etree import ElementTree as ET  # written, never parsed
 import shapely
 
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.network.sumo_net import NetLane
+from deepmf_sumo.report.page.maps import lanes_of
+from deepmf_sumo.report.palette import Rgb, risk_colour
 from deepmf_sumo.risk.attacks import Network
 from deepmf_sumo.risk.places import Kind
 from deepmf_sumo.risk.table import Row, columns
 
 _WORDS: Final = {"kind", "place", "title", "counted"}
 _END_S: Final = "1000000.00"
-"""The data are of no time of the simulation in particular: they are shown at all times."""
+"""The data belong to no time of the simulation: sumo-gui shows them at all times."""
 Values = dict[str, str]
 
 
@@ -79,19 +76,10 @@ def _edge_data_text(root: ET.Element) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root) + b"\n"
 
 
-Colour = tuple[int, int, int]
-CLASSES: Final[tuple[tuple[float, Colour], ...]] = (
-    (0.0, (255, 237, 160)), (0.05, (254, 217, 118)), (0.1, (254, 178, 76)),
-    (0.25, (253, 141, 60)), (0.5, (227, 26, 28)), (0.75, (128, 0, 38)),
-)  # fmt: skip
-"""Colours by the risk from which on they are used: the same risk has the same colour in every map.
-
-Places of attacks without any such event have none: only a grey outline.
-"""
-_NOTHING: Final[Colour] = (120, 128, 136)
+_NOTHING: Final[Rgb] = (120, 128, 136)
 _OUTLINE_M: Final = 0.4
 _LAYERS: Final[Mapping[Kind, int]] = {"junction": 150, "edge": 151, "movement": 152}
-"""Over the roads (about 100) and under the vehicles (about 400)."""
+"""Above the roads (about 100) and below the vehicles (about 400)."""
 _WAY_M: Final = 1.2
 """Ways over a junction lie over each other: they are drawn narrower than lanes."""
 
@@ -99,7 +87,8 @@ _WAY_M: Final = 1.2
 def additional(network: Network, rows: Sequence[Row]) -> bytes:
     """``<poly>`` of the junctions, edges and movements where attacks were decided.
 
-    Filled with the colour of the risk of a hit, see `CLASSES`; outlined in grey without any hit.
+    Filled with the colour of the risk of a hit, see `palette.RISK_CLASSES`; without any hit they
+    have a grey outline.
     """
     drawn = [row for row in rows if row.counted == "decided" and row.kind in _LAYERS]
     root = ET.Element("additional")
@@ -110,7 +99,7 @@ def additional(network: Network, rows: Sequence[Row]) -> bytes:
                 "poly",
                 id=f"risk.{row.kind}.{_name(network, row)}.{number}",
                 type=f"risk.{row.kind}",
-                color=_text(colour(row.risk["hit"].rate) if row.events["hit"] else _NOTHING),
+                color=_text(risk_colour(row.risk["hit"].rate) if row.events["hit"] else _NOTHING),
                 fill="1" if row.events["hit"] else "0",
                 lineWidth=str(_OUTLINE_M),
                 layer=str(_LAYERS[row.kind]),
@@ -130,23 +119,8 @@ def _name(network: Network, row: Row) -> str:
     return f"{one.origin}.{one.target}"
 
 
-def colour(risk: float) -> Colour:
-    """Of a risk (0 to 1) of an event that has happened."""
-    return CLASSES[bisect_right([bound for bound, _ in CLASSES], risk) - 1][1]
-
-
-def _text(mixed: Colour) -> str:
+def _text(mixed: Rgb) -> str:
     return ",".join(map(str, mixed))
-
-
-def lanes_of(network: Network, row: Row) -> list[NetLane]:
-    """The lanes of an edge, of a movement, or the lane itself; none of a junction."""
-    places = network.places
-    if row.kind == "edge":
-        return list(places.net.edges[row.place].lanes)
-    if row.kind == "movement":
-        return [places.lanes[lane] for lane in places.movements[row.place].lanes]
-    return [places.lanes[row.place]] if row.kind == "lane" else []
 
 
 def _outlines(network: Network, row: Row) -> Iterator[Floats]:

@@ -263,7 +263,7 @@ def _number(row: Row, head: Head) -> str:
 
 
 def _differences(content: Content) -> Table:
-    """Method minus baseline on the same scenes, with bootstrap intervals."""
+    """Method minus baseline on the same scenes, with 95 % intervals."""
     blocks = []
     for planner in content.layout.planners:
         rows = []
@@ -288,7 +288,7 @@ def _difference(row: Row) -> str:
     if not row["difference"]:
         return "-"
     middle = f"{float(row['difference']):+.2f}"
-    if not row["difference_lo"]:  # one scene: there is nothing to resample
+    if not row["difference_lo"]:  # fewer than six scenes
         return middle
     low, high = (f"{float(row[name]):+.2f}" for name in ("difference_lo", "difference_hi"))
     return f"{middle} ({low} to {high})"

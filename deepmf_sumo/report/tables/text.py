@@ -14,8 +14,8 @@ from deepmf_sumo.results.quantities import COLUMNS, Quantity
 from deepmf_sumo.tables import to_markdown
 
 _RATES: Final = (
-    "Rates are of attacked runs: those that went through and had somebody to attack with. Intervals"
-    " of rates are Wilson's, of differences bootstrapped over scenes, both 95 %."
+    "Rates are of attacked runs: those that succeeded and had a vehicle to attack with. Intervals"
+    " of rates are Wilson's, of differences those of a randomisation test over scenes, both 95 %."
 )
 
 _FEW_SCENES: Final = 10

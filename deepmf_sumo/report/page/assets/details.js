@@ -1,20 +1,19 @@
 // An opened run.
 
-const opened = { player: null, number: null };
+const opened = { player: null, number: null, map: null };
 
-/** Show a run by its number; what it needs is unpacked only now. */
+/** Show a run by its number; its replay is unpacked only now. */
 async function openRun(number, content) {
   closeRun();
   opened.number = number;
   const row = runs.all[number],
     page = byId("details");
-  byId("overview").hidden = true;
-  page.hidden = false;
+  showView("details");
   page.replaceChildren(make("p", {}, "Loading …"));
   const details = await unpacked(stored(`run-${number}`));
   const road =
     typeof details.road === "number" ? await unpacked(stored(`road-${details.road}`)) : null;
-  if (opened.number !== number) return; // another one was opened meanwhile
+  if (opened.number !== number) return; // the reader has opened another one
   const scene = details.replay ? sceneOf(details, road) : null;
   opened.player = scene ? new Player(scene) : null;
   page.replaceChildren(...pageElements(row, details, content));
@@ -29,9 +28,9 @@ function pageElements(row, details, content) {
     .filter(Boolean)
     .map((note) => make("p", { class: "notice" }, note));
   const speed =
-    row.speed_mps === null
+    row.collision_speed_mps === null
       ? ""
-      : ` after ${fixed(row.time_s, 1)} s at ${fixed(row.speed_mps, 1)} m/s relative speed`;
+      : ` after ${fixed(row.collision_time_s, 1)} s at ${fixed(row.collision_speed_mps, 1)} m/s relative speed`;
   const kind = [row.sector, row.accident, row.element].filter(Boolean).join(", ");
   return [
     navigation(row),
@@ -84,11 +83,8 @@ function closeRun() {
 function showOverview() {
   const last = opened.number === null ? null : runs.all[opened.number];
   closeRun();
-  byId("details").hidden = true;
-  byId("details").replaceChildren();
-  byId("overview").hidden = false;
-  if (last)
-    byId("runs")
-      .querySelector(`a[href="${CSS.escape ? runAddress(last).replaceAll('"', "%22") : ""}"]`)
-      ?.focus();
+  showView("overview");
+  if (!last) return;
+  const links = [...byId("runs").querySelectorAll("a")];
+  links.find((link) => link.getAttribute("href") === runAddress(last))?.focus();
 }

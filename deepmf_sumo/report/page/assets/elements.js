@@ -26,17 +26,22 @@ function byId(id) {
   return document.getElementById(id);
 }
 
-/** A number with so many digits behind the point; a dash where there is none. */
+/** A number with `digits` decimal places; a dash where there is none. */
 function fixed(value, digits) {
   return value === null || value === undefined ? "–" : value.toFixed(digits);
 }
 
-/** A number with three digits that count. */
+/** A share from 0 to 1 in per cent. */
+function percent(share) {
+  return `${(100 * share).toFixed(0)} %`;
+}
+
+/** A number with three significant digits. */
 function digits(value) {
   return String(Number(value.toPrecision(3)));
 }
 
-/** A drop-down list of values; `labels` where they are called otherwise. */
+/** A drop-down list of values; `labels` are their names. */
 function choice(values, selected, onchange, labels = (value) => value) {
   const options = values.map((value) =>
     make("option", { value, selected: value === selected }, labels(value)),
@@ -69,7 +74,12 @@ function tableOf(headings, rows, numbers = []) {
   ];
 }
 
-/** "1 attack", "2 attacks"; `many` where an s does not do. */
+/** Paragraphs of an element: notices, one per text. */
+function showTexts(id, texts) {
+  byId(id).replaceChildren(...texts.map((text) => make("p", { class: "notice" }, text)));
+}
+
+/** "1 attack", "2 attacks"; `many` is another plural. */
 function counted(number, one, many = `${one}s`) {
   return `${number} ${number === 1 ? one : many}`;
 }

@@ -9,7 +9,7 @@ const GROUPS = {
   speed: "Relative speed",
 };
 const MOST_BARS = 8;
-/** Orders that are known; the rest comes by count. */
+/** Orders that are known; other values come by count. */
 const groupOrders = {};
 
 function showGroups() {
@@ -33,7 +33,7 @@ function groupList(column, title) {
   const place = (name) => (order.includes(name) ? order.indexOf(name) : order.length);
   counts.sort(
     (one, other) =>
-      place(one[0]) - place(other[0]) || other[1] - one[1] || compared(one[0], other[0], false),
+      place(one[0]) - place(other[0]) || other[1] - one[1] || compared(one[0], other[0]),
   );
   const most = Math.max(...counts.map(([, count]) => count), 1);
   const bars = counts.slice(0, MOST_BARS).map(([name, count]) =>

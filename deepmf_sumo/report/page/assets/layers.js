@@ -2,7 +2,7 @@
 
 const LAYERS = {
   map: "road",
-  driven: "ways driven",
+  driven: "paths driven",
   candidates: "candidates",
   reactions: "predicted reactions of the AV",
   scores: "opponent scores",

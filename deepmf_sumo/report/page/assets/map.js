@@ -1,244 +1,297 @@
-// A moment of a run on a canvas.
+// The risk map: roads, places coloured by risk, attacks.
 
-/** Colours of the current theme. */
-function palette() {
-  const style = getComputedStyle(document.documentElement);
-  return (name) => style.getPropertyValue(`--${name}`).trim();
-}
+/** Least sizes on the screen, in pixels: places of a town are smaller than a pixel. */
+const LEAST = { road: 1, place: 4, nothing: 1.5, dot: 6, ring: 3 };
+const DOT_BELOW = 14;
+/** A place that is picked fills this part of the map; a view shows at least so many metres. */
+const PICKED_SHARE = 0.4,
+  PICKED_M = 80,
+  LEAST_M = 300;
+/** What is drawn, to be fitted to the zoom. */
+const sizes = { lines: [], dots: [], rings: [] };
+let mapCamera = null;
 
-/** Colour of a score from 0 to 1: pale yellow, orange, red. */
-function scoreColour(score) {
-  const stops = [
-    [255, 243, 176],
-    [244, 163, 43],
-    [193, 18, 31],
-  ];
-  const place = Math.min(Math.max(score, 0), 1) * 2,
-    low = Math.min(Math.floor(place), 1);
-  const mix = stops[low].map((value, part) =>
-    Math.round(value + (place - low) * (stops[low + 1][part] - value)),
+function path(points, closed = false) {
+  return (
+    points.map(([x, y], place) => `${place ? "L" : "M"}${x} ${-y}`).join("") + (closed ? "Z" : "")
   );
-  return `rgb(${mix.join(",")})`;
 }
 
-/** What of the world is seen: a middle in metres, and pixels a metre. */
-function fittedView(scene, width, height) {
-  const places = [];
-  for (const agent of [scene.av, scene.opponent].filter(Boolean)) {
-    for (const part of agent.parts) {
-      part.x.forEach((x, place) => {
-        if (part.first + place >= scene.now) places.push([x, part.y[place]]);
-      });
-    }
-  }
-  if (!places.length) places.push([0, 0]);
-  const low = [0, 1].map((axis) => Math.min(...places.map((place) => place[axis])) - 15);
-  const high = [0, 1].map((axis) => Math.max(...places.map((place) => place[axis])) + 15);
-  const scale = Math.min(width / (high[0] - low[0]), height / (high[1] - low[1]), 14);
-  return { x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2, scale };
+/** The corners of lines [width, points]. */
+function cornersOf(lines) {
+  return lines.flatMap(([, points]) => points);
 }
 
-/** Draw the scene at a step (with fractions). `shown` says which layers; `candidate` whose reactions. */
-function drawMoment(canvas, scene, view, step, shown, candidate) {
-  const context = canvas.getContext("2d"),
-    colour = palette();
-  const ratio = window.devicePixelRatio || 1;
-  const width = canvas.clientWidth,
-    height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
+/** Show these bounds in a share of the map, and at least so many metres. */
+function fitMap(bounds, share = 0.92, least = LEAST_M) {
+  if (!bounds) return;
+  const [left, bottom, right, top] = bounds;
+  const across = Math.max((right - left) / share, least),
+    up = Math.max((top - bottom) / share, least);
+  const x = (left + right) / 2,
+    y = (bottom + top) / 2;
+  mapCamera.fit([x - across / 2, y - up / 2, x + across / 2, y + up / 2]);
+  applyView();
+}
+
+function fitNetwork() {
+  fitMap(boundsOf(cornersOf(risk.content.roads)));
+}
+
+function fitAttacked() {
+  const attacked = boundsOf(cornersOf(risk.all.flatMap((row) => row.shape)));
+  fitMap(attacked ?? boundsOf(cornersOf(risk.content.roads)));
+}
+
+function applyView() {
+  const { x, y, scale } = mapCamera,
+    box = byId("map").getBoundingClientRect();
+  const width = box.width / scale,
+    height = box.height / scale;
+  byId("map").setAttribute("viewBox", `${x - width / 2} ${-y - height / 2} ${width} ${height}`);
+  for (const { element, width: metres, least, more } of sizes.lines)
+    element.setAttribute("stroke-width", Math.max(metres, least / scale) + more / scale);
+  for (const { element, extent } of sizes.dots) {
+    element.setAttribute("r", extent * scale < DOT_BELOW ? LEAST.dot / scale : 0);
+    element.setAttribute("stroke-width", 1.5 / scale);
   }
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.clearRect(0, 0, width, height);
-  const { scale } = view;
-  context.setTransform(
-    ratio * scale,
-    0,
-    0,
-    -ratio * scale,
-    ratio * (width / 2 - scale * view.x),
-    ratio * (height / 2 + scale * view.y),
+  for (const { element, hit } of sizes.rings) {
+    element.setAttribute("r", Math.max(1.6, LEAST.ring / scale));
+    element.setAttribute("stroke-width", (hit ? 2 : 1) / scale);
+  }
+}
+
+function drawMap(places) {
+  Object.assign(sizes, { lines: [], dots: [], rings: [] });
+  const widths = new Map();
+  for (const [width, points] of risk.content.roads)
+    widths.set(width, (widths.get(width) ?? "") + path(points));
+  const roads = [...widths].map(([width, d]) =>
+    sized(drawn("path", { class: "road", d }), width, LEAST.road),
   );
-  const brush = { context, colour, metre: 1 / scale };
-  if (shown.map) drawRoad(brush, scene.shapes);
-  const plan = planAt(scene, step);
-  if (plan) drawPlan(brush, plan, shown, candidate);
-  if (shown.driven)
-    [scene.av, scene.opponent]
-      .filter(Boolean)
-      .forEach((agent) => drawDriven(brush, scene, agent, step));
-  const scores = shown.scores && plan?.scores ? plan.scores : {};
-  const attacker = attackerAt(scene, step);
-  for (const agent of scene.agents) {
-    const role = agent === scene.av ? "av" : agent === attacker ? "opponent" : "other";
-    drawAgent(brush, agent, role, step, scores);
-  }
-  for (const contact of scene.contacts)
-    if (step >= contact.step - 1e-6) drawContact(brush, contact);
-  drawScale(context, ratio, height, scale, colour);
+  const order = ["junction", "edge", "lane", "movement"];
+  // the worst are drawn last, and so lie on top
+  const byRisk = (one, other) =>
+    Boolean(one.events) - Boolean(other.events) || one.risk - other.risk;
+  const sorted = [...places].sort(
+    (one, other) => order.indexOf(one.kind) - order.indexOf(other.kind) || byRisk(one, other),
+  );
+  const spots = sorted.flatMap(drawPlace);
+  const dots = sorted.sort(byRisk).map(drawDot).filter(Boolean);
+  byId("map").replaceChildren(...roads, ...spots, ...dots, ...drawAttacks());
+  showLegend();
+  applyView();
 }
 
-function trace(context, points) {
-  context.beginPath();
-  points.forEach(([x, y], place) => (place ? context.lineTo(x, y) : context.moveTo(x, y)));
+/** A line that keeps a least width on the screen, with `more` pixels around it. */
+function sized(element, width, least, more = 0) {
+  sizes.lines.push({ element, width, least, more });
+  return element;
 }
 
-function drawRoad({ context, colour, metre }, shapes) {
-  context.setLineDash([]);
-  context.lineJoin = "round";
-  context.lineCap = "butt";
-  for (const kind of ["lane", "crosswalk", "centre", "line", "edge"]) {
-    for (const shape of shapes) {
-      if (shape.kind !== (kind === "centre" ? "lane" : kind)) continue;
-      trace(context, shape.points);
-      if (kind === "crosswalk") {
-        context.closePath();
-        context.fillStyle = colour("centre");
-        context.fill();
-        continue;
-      }
-      context.strokeStyle = colour(
-        { lane: "surface", centre: "centre", line: "line", edge: "edge" }[kind],
-      );
-      context.lineWidth =
-        kind === "lane" ? shape.width : kind === "edge" ? 1.4 * metre : 0.9 * metre;
-      context.stroke();
-    }
-  }
+function look(row, kind) {
+  return `${kind}${row.events ? "" : " nothing"}${risk.picked === row.number ? " picked" : ""}`;
 }
 
-function drawPlan({ context, colour, metre }, plan, shown, number) {
-  const picked =
-    plan.candidates.find((one) => one.number === number) ?? plan.candidates[plan.chosen];
-  if (shown.candidates) {
-    const most = Math.max(...plan.candidates.map((one) => one.value));
-    for (const one of plan.candidates) {
-      context.globalAlpha = most > 0 ? 0.3 + (0.5 * Math.max(one.value, 0)) / most : 0.4;
-      line(context, one.path, colour("candidate"), 1 * metre);
-    }
-    context.globalAlpha = 1;
-    if (picked) line(context, picked.path, colour("candidate"), 2.4 * metre);
-  }
-  if (shown.reactions && picked) {
-    for (const one of picked.reactions) {
-      context.globalAlpha = 0.3 + 0.7 * Math.min(1, one.p);
-      line(
-        context,
-        one.path,
-        colour("reaction"),
-        (one.hits ? 2.2 : 1.1) * metre,
-        one.hits ? [] : [4 * metre, 3 * metre],
-      );
-    }
-    context.globalAlpha = 1;
-  }
-  line(context, plan.path, colour("opponent"), 2.2 * metre, [6 * metre, 3 * metre]);
+function tooltip(row) {
+  const happened = EVENT_NAMES[risk.event][row.events === 1 ? 0 : 1];
+  const estimate = row.events ? `; risk ${percent(row.risk)}` : "";
+  return drawn(
+    "title",
+    {},
+    `${row.title}: ${counted(row.attacks, "attack")}, ${row.events || "no"} ${happened}${estimate}`,
+  );
 }
 
-function line(context, points, colour, width, dash = []) {
-  trace(context, points);
-  context.setLineDash(dash);
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.stroke();
-  context.setLineDash([]);
-}
-
-/** The way driven so far, from the current step on. */
-function drawDriven({ context, colour, metre }, scene, agent, step) {
-  const points = [];
-  for (let at = scene.now; at <= step + 1e-6; at += 1) {
-    const pose = poseAt(agent, at);
-    if (pose) points.push([pose.x, pose.y]);
-  }
-  line(context, points, colour(agent.role), 1.6 * metre);
-}
-
-function drawAgent({ context, colour, metre }, agent, role, step, scores) {
-  const pose = poseAt(agent, step);
-  if (!pose) return;
-  const [length, width] = agent.size,
-    score = scores[agent.id];
-  context.save();
-  context.translate(pose.x, pose.y);
-  context.rotate(pose.heading);
-  context.fillStyle =
-    role !== "other"
-      ? colour(role)
-      : score === undefined
-        ? colour("other")
-        : scoreColour(score);
-  context.strokeStyle = colour(role === "other" ? "other-edge" : "contact");
-  context.lineWidth = 1 * metre;
-  context.beginPath();
-  context.rect(-length / 2, -width / 2, length, width);
-  context.fill();
-  context.stroke();
-  context.beginPath(); // which way it faces
-  context.moveTo(length / 2, 0);
-  context.lineTo(length / 4, width / 3);
-  context.lineTo(length / 4, -width / 3);
-  context.closePath();
-  context.fillStyle = "rgba(255,255,255,0.75)";
-  context.fill();
-  if (role === "opponent") drawStar(context, Math.max(0.9, 7 * metre), metre);
-  context.restore();
-}
-
-function drawStar(context, radius, metre) {
-  context.beginPath();
-  for (let corner = 0; corner < 10; corner += 1) {
-    const angle = Math.PI / 2 + (corner * Math.PI) / 5,
-      reach = corner % 2 ? 0.42 * radius : radius;
-    context.lineTo(reach * Math.cos(angle), reach * Math.sin(angle));
-  }
-  context.closePath();
-  context.fillStyle = "#ffd43b";
-  context.strokeStyle = "#000000";
-  context.lineWidth = 0.8 * metre;
-  context.fill();
-  context.stroke();
-}
-
-function drawContact({ context, colour, metre }, contact) {
-  const [x, y] = contact.place,
-    reach = 8 * metre;
-  for (const [name, width] of [
-    ["ground", 5],
-    ["contact", 2.4],
-  ]) {
-    line(
-      context,
-      [
-        [x - reach, y - reach],
-        [x + reach, y + reach],
-      ],
-      colour(name),
-      width * metre,
+function drawPlace(row) {
+  const colour = row.events ? riskColour(row.risk) : null;
+  const onclick = () => pickPlace(row.number);
+  const shape = row.shape.filter(([, points]) => points.length);
+  const widthOf = (width) => (!row.events ? 0 : row.kind === "movement" ? 1.4 : width);
+  const least = row.events ? LEAST.place : LEAST.nothing;
+  const halo = shape
+    .filter(([width]) => width && risk.picked === row.number)
+    .map(([width, points]) =>
+      sized(drawn("path", { class: "halo", d: path(points) }), widthOf(width), least, 8),
     );
-    line(
-      context,
-      [
-        [x - reach, y + reach],
-        [x + reach, y - reach],
-      ],
-      colour(name),
-      width * metre,
-    );
-  }
+  const parts = shape.map(([width, points]) => {
+    const fill = width ? null : colour,
+      stroke = width ? colour : null;
+    const kind = look(row, width ? "place" : "area");
+    const attributes = { class: kind, d: path(points, !width), fill, stroke, onclick };
+    const element = drawn("path", attributes, tooltip(row));
+    return width ? sized(element, widthOf(width), least) : element;
+  });
+  return [...halo, ...parts];
 }
 
-function drawScale(context, ratio, height, scale, colour) {
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  const metres = [5, 10, 20, 50, 100, 200].find((one) => one * scale >= 60) ?? 500;
-  context.strokeStyle = context.fillStyle = colour("ink");
-  context.lineWidth = 2;
-  trace(context, [
-    [14, height - 14],
-    [14 + metres * scale, height - 14],
-  ]);
-  context.stroke();
-  context.font = "12px system-ui, sans-serif";
-  context.fillText(`${metres} m`, 16, height - 19);
+/** A dot instead of a place that is too small to be seen. */
+function drawDot(row) {
+  const bounds = boundsOf(cornersOf(row.shape));
+  if (!bounds) return null;
+  const [left, bottom, right, top] = bounds;
+  const middle = { cx: (left + right) / 2, cy: -(bottom + top) / 2, r: 0 };
+  const fill = row.events ? riskColour(row.risk) : null;
+  const onclick = () => pickPlace(row.number);
+  const element = drawn(
+    "circle",
+    { class: look(row, "dot"), fill, ...middle, onclick },
+    tooltip(row),
+  );
+  sizes.dots.push({ element, extent: Math.max(right - left, top - bottom) });
+  return element;
+}
+
+/** A ring where each attack was decided. */
+function drawAttacks() {
+  return risk.content.attacks.map(([run, turn, [x, y], hit]) => {
+    const name = turn === null ? run : `${run}, turn ${turn}`;
+    const element = drawn(
+      "circle",
+      { class: hit ? "attack hit" : "attack", cx: x, cy: -y },
+      drawn("title", {}, `${name}: ${hit ? "hit" : "no hit"}`),
+    );
+    sizes.rings.push({ element, hit });
+    return element;
+  });
+}
+
+/** What the colours mean: the same in every map. */
+function showLegend() {
+  const { classes } = risk.content;
+  const [one, , risky] = EVENT_NAMES[risk.event];
+  const key = (attributes, text) => make("span", {}, make("i", attributes), text);
+  const bands = classes.map(([low, colour], place) => {
+    const next = classes[place + 1]?.[0];
+    const text =
+      next === undefined
+        ? `${percent(low)} and more`
+        : place
+          ? `${100 * low} to ${percent(next)}`
+          : `under ${percent(next)}`;
+    return key({ style: `background: rgb(${colour.join(",")})` }, text);
+  });
+  byId("legend").replaceChildren(
+    make("strong", {}, `Risk of ${risky} in an attack:`),
+    ...bands.reverse(),
+    key({ class: "nothing" }, `attacked, no ${one}`),
+    key({ class: "road" }, "no attack there"),
+    key({ class: "ring hit" }, "where the AV was hit"),
+    key({ class: "ring" }, "where it came nearest, no hit"),
+  );
+}
+
+/** Show a place that was picked, with its surroundings. */
+function showPicked() {
+  const row = risk.all[risk.picked];
+  if (!row) return;
+  fitMap(boundsOf(cornersOf(row.shape)), PICKED_SHARE, PICKED_M);
+  byId("map").scrollIntoView({ block: "nearest" });
+}
+
+/** Buttons, keys and pointer of the map. */
+function steerMap() {
+  mapCamera = new Camera(byId("map"), applyView, { Home: fitNetwork }, [1e-3, 60]);
+  const buttons = {
+    "Attacked places": fitAttacked,
+    "Whole network": fitNetwork,
+    "+": () => mapCamera.zoom(1.5),
+    "−": () => mapCamera.zoom(1 / 1.5),
+  };
+  const labels = { "+": "Zoom in", "−": "Zoom out" };
+  byId("steer").replaceChildren(
+    ...Object.entries(buttons).map(([text, onclick]) =>
+      make("button", { type: "button", "aria-label": labels[text], onclick }, text),
+    ),
+    make(
+      "span",
+      { class: "hint" },
+      "Drag to move. After a click on the map the wheel zooms. A place that you pick is zoomed to.",
+    ),
+  );
+}
+
+/** As high as the network needs: wide networks leave no empty bands. */
+function shapeMap() {
+  const [left, bottom, right, top] = boundsOf(cornersOf(risk.content.roads)) ?? [0, 0, 1, 1];
+  const ratio = Math.max(right - left, 1) / Math.max(top - bottom, 1);
+  byId("map").style.aspectRatio = Math.min(Math.max(ratio, 0.8), 4);
+}
+
+function showMapChoices(content) {
+  const field = (label, names, chosen, choose) =>
+    make(
+      "label",
+      {},
+      label,
+      choice(Object.keys(names), chosen, choose, (value) => names[value]),
+    );
+  const set = (name) => (value) => {
+    risk[name] = value;
+    risk.picked = null;
+    showRisk();
+  };
+  const events = Object.keys(risk.content.definitions);
+  const eventNames = Object.fromEntries(events.map((name) => [name, EVENT_NAMES[name][2]]));
+  const networks = { ...content.maps };
+  byId("choices").replaceChildren(
+    ...(content.maps.length > 1
+      ? [field("network", networks, String(opened.map), (value) => openMap(Number(value), content))]
+      : []),
+    field("places", KIND_NAMES, risk.kind, set("kind")),
+    field("an attack counts where it", COUNTED_NAMES, risk.counted, set("counted")),
+    field("risk of", eventNames, risk.event, set("event")),
+  );
+}
+
+function showMapNotices() {
+  const { leftOut, off } = risk.content,
+    notices = [];
+  const left = Object.entries(leftOut).map(([why, count]) => `${counted(count, "run")} ${why}`);
+  if (left.length) notices.push(`Not counted here: ${left.join(", ")}.`);
+  const count = off[risk.counted];
+  if (count) {
+    const [are, they, were] = count === 1 ? ["is", "it", "was"] : ["are", "they", "were"];
+    const event = risk.counted === "began" ? `${they} began` : `${they} ${were} decided`;
+    notices.push(
+      `${counted(count, "attack")} ${are} counted at no place: when ${event}, the centre of the ` +
+        "AV was neither on a lane nor inside a junction of the network.",
+    );
+  }
+  showTexts("map-notices", notices);
+}
+
+function showMeaning() {
+  const { definitions, confidence } = risk.content,
+    [one, , risky] = EVENT_NAMES[risk.event];
+  byId("meaning").textContent =
+    `${one[0].toUpperCase()}${one.slice(1)}: ${definitions[risk.event]}. Risk: estimated chance ` +
+    `of ${risky} in an attack at the place, with its ${confidence} % interval. Few attacks say ` +
+    "little, so it lies between the place's own rate and that of all places. Ranks go by the " +
+    "interval's lower end.";
+}
+
+/** Draw all that depends on what is chosen and picked. */
+function showRisk() {
+  const places = shownPlaces();
+  showMapNotices();
+  showMeaning();
+  drawMap(places);
+  showPlaces(places);
+  showAttacks();
+}
+
+/** Unpack a map, and show it. */
+async function openMap(number, content) {
+  if (opened.map === number) return;
+  opened.map = number;
+  readPlaces(await unpacked(stored(`map-${number}`)));
+  risk.table ??= new SortedTable("places", showRisk, placeCell, { name: "rank", down: false });
+  if (!mapCamera) steerMap();
+  const attacks = counted(risk.content.attacks.length, "attack");
+  byId("map-origin").textContent = `network ${risk.content.network} · ${attacks}`;
+  shapeMap();
+  fitAttacked();
+  showMapChoices(content);
+  showRisk();
 }

@@ -1,7 +1,7 @@
 // The replay of an opened run: time, keys, mouse.
 
 const SPEEDS = ["0.25", "0.5", "1", "2", "4"];
-/** Kept from one run to the next. */
+/** Choices that hold for the next run, too. */
 const playing = {
   shown: { map: true, driven: true, candidates: true, reactions: true, scores: true },
   speed: "1",
@@ -15,8 +15,8 @@ class Player {
     this.step = scene.now;
     this.running = false;
     this.drawnAt = 0; // ms
-    this.view = null; // fitted when it is drawn
-    this.candidate = null; // number of the one whose reactions are shown; null: the chosen one
+    this.fitted = false; // when it is drawn
+    this.candidate = null; // number of that whose reactions are shown; null: the chosen one
     this.plan = undefined; // what the panel shows
     this.charts = chartsOf(scene, (step) => this.seek(step));
     this.panel = make("section", { "aria-label": "Plan" });
@@ -47,12 +47,13 @@ class Player {
 
   draw() {
     const { scene, step, canvas } = this;
-    this.view ??= fittedView(scene, canvas.clientWidth, canvas.clientHeight);
+    if (!this.fitted) this.camera.fit(drivenBounds(scene), 14);
+    this.fitted = true;
     const pose = playing.follow ? poseAt(scene.av, step) : null;
-    if (pose) Object.assign(this.view, { x: pose.x, y: pose.y });
+    if (pose) Object.assign(this.camera, { x: pose.x, y: pose.y });
     const plan = planAt(scene, step);
     if (plan !== this.plan) this.showPlan(plan);
-    drawMoment(canvas, scene, this.view, step, playing.shown, this.candidate);
+    drawMoment(canvas, scene, this.camera, step, playing.shown, this.candidate);
     this.slider.value = Math.round(step);
     const seconds = ((step - scene.now) * scene.dt).toFixed(1);
     this.slider.setAttribute("aria-valuetext", `${seconds} s`);
@@ -98,13 +99,8 @@ class Player {
     this.running = false;
   }
 
-  zoom(factor) {
-    this.view.scale = Math.min(Math.max(this.view.scale * factor, 0.3), 60);
-    this.draw();
-  }
-
   fit() {
-    this.view = null;
+    this.fitted = false;
     this.draw();
   }
 
@@ -114,22 +110,13 @@ class Player {
       role: "img",
       "aria-label": "Replay; space plays, arrow keys step, plus and minus zoom",
     });
-    const keys = {
+    this.camera = new Camera(canvas, () => this.draw(), {
       " ": () => this.toggle(),
       ArrowLeft: () => this.seek(Math.round(this.step) - 1),
       ArrowRight: () => this.seek(Math.round(this.step) + 1),
       Home: () => this.seek(this.scene.now),
       End: () => this.seek(this.scene.steps - 1),
-      "+": () => this.zoom(1.25),
-      "=": () => this.zoom(1.25),
-      "-": () => this.zoom(0.8),
-    };
-    canvas.addEventListener("keydown", (event) => {
-      if (!(event.key in keys)) return;
-      event.preventDefault();
-      keys[event.key]();
     });
-    draggable(canvas, this);
     return canvas;
   }
 
@@ -152,37 +139,9 @@ class Player {
         choice(SPEEDS, playing.speed, setSpeed, (value) => `${value} ×`),
       ),
       contact ? press("To the contact", () => this.seek(contact.step)) : null,
-      press("+", () => this.zoom(1.25), "Zoom in"),
-      press("−", () => this.zoom(0.8), "Zoom out"),
+      press("+", () => this.camera.zoom(1.25), "Zoom in"),
+      press("−", () => this.camera.zoom(0.8), "Zoom out"),
       press("Fit", () => this.fit()),
     );
   }
-}
-
-/** Dragging moves what is seen; the wheel zooms once the canvas has the focus. */
-function draggable(canvas, player) {
-  let from = null;
-  canvas.addEventListener("pointerdown", (event) => {
-    from = [event.clientX, event.clientY];
-    canvas.setPointerCapture(event.pointerId);
-  });
-  canvas.addEventListener("pointerup", () => {
-    from = null;
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    if (!from) return;
-    player.view.x -= (event.clientX - from[0]) / player.view.scale;
-    player.view.y += (event.clientY - from[1]) / player.view.scale;
-    from = [event.clientX, event.clientY];
-    player.draw();
-  });
-  canvas.addEventListener(
-    "wheel",
-    (event) => {
-      if (!event.ctrlKey && document.activeElement !== canvas) return; // the page scrolls
-      event.preventDefault();
-      player.zoom(event.deltaY < 0 ? 1.15 : 1 / 1.15);
-    },
-    { passive: false },
-  );
 }

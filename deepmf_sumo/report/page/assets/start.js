@@ -1,6 +1,24 @@
 // What happens when the page is opened.
 
+const VIEWS = { overview: "#", "map-view": "#risk" };
+
+/** Show one of the parts of the page; an opened run is closed by others. */
+function showView(name) {
+  for (const view of [...Object.keys(VIEWS), "details"]) byId(view).hidden = view !== name;
+  if (name !== "details") byId("details").replaceChildren();
+  for (const link of byId("views").querySelectorAll("a")) {
+    const here = link.getAttribute("href") === VIEWS[name];
+    if (here) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+}
+
 function followAddress(content) {
+  if (content.maps.length && (location.hash === "#risk" || !runs.all.length)) {
+    closeRun();
+    showView("map-view");
+    return openMap(opened.map ?? 0, content);
+  }
   const row = runs.all.find((one) => runAddress(one) === location.hash);
   if (!row) return showOverview();
   return openRun(row.number, content).catch((error) =>
@@ -12,12 +30,13 @@ function followAddress(content) {
 }
 
 function showOrigin(content) {
-  const { manifest } = content,
-    machine = manifest.machine ?? {};
-  document.title = `${content.title} – deepmf-sumo report`;
-  byId("title").textContent = content.title;
+  const { manifest = {} } = content,
+    machine = manifest.machine ?? {},
+    whole = runs.all.length > 0;
+  document.title = `${content.title} – deepmf-sumo ${whole ? "report" : "risk map"}`;
+  byId("title").textContent = whole ? content.title : `Risk map: ${content.title}`;
   const command = (machine.command ?? [])
-    .map((word, place) => (place ? word : word.split("/").pop()))
+    .map((word, place) => (place ? word : word.split("/").pop().replace("main.py", "deepmf-sumo")))
     .join(" ");
   byId("origin").textContent = [
     manifest.version ? `deepmf-sumo ${manifest.version}` : "",
@@ -36,6 +55,7 @@ function showNotices(content) {
     notices.push(
       `${counted(content.missing, "run")} cannot be replayed; the column 'note' says why.`,
     );
+  if (content.withoutMap) notices.push(`There is no risk map: ${content.withoutMap}`);
   const statuses = [...grouped(runs.all, (row) => row.status)].filter(
     ([status]) => status !== "ok",
   );
@@ -43,9 +63,7 @@ function showNotices(content) {
     notices.push(
       `Without a result: ${statuses.map(([status, group]) => `${group.length} ${status}`).join(", ")}.`,
     );
-  byId("notices").replaceChildren(
-    ...notices.map((notice) => make("p", { class: "notice" }, notice)),
-  );
+  showTexts("notices", notices);
 }
 
 function isDark() {
@@ -65,26 +83,35 @@ function switchTheme() {
 
 function start() {
   const content = JSON.parse(stored("content"));
-  readRows(content);
-  Object.assign(groupOrders, content.orders);
+  readRuns(content);
+  scoreStops.push(...content.scores);
   nameTheme();
   showOrigin(content);
-  showNotices(content);
-  showTotalsChoice();
-  showAll();
+  byId("views").hidden = !(content.maps.length && runs.all.length);
+  if (runs.all.length || !content.maps.length) {
+    Object.assign(groupOrders, content.orders);
+    showNotices(content);
+    showTotalsChoice();
+    showAll();
+  }
   byId("theme").addEventListener("click", switchTheme);
-  byId("more").addEventListener("click", () => {
-    runs.most += PAGE_ROWS;
-    showRuns();
+  byId("optional").addEventListener("change", (event) => {
+    risk.optional = event.target.checked;
+    showRisk();
   });
-  byId("filters").addEventListener("submit", (event) => event.preventDefault());
+  for (const form of ["filters", "choices"])
+    byId(form).addEventListener("submit", (event) => event.preventDefault());
   document.querySelector(".skip").addEventListener("click", (event) => {
     event.preventDefault(); // the address says which run is open
     document.querySelector("main:not([hidden])").focus();
   });
   window.addEventListener("hashchange", () => followAddress(content));
-  window.addEventListener("resize", () => opened.player?.fit());
-  followAddress(content);
+  window.addEventListener("resize", () => {
+    opened.player?.fit();
+    if (!byId("map-view").hidden && mapCamera) applyView();
+  });
+  return followAddress(content);
 }
 
-start();
+/** Done once the page shows what its address asks for. */
+const started = start();

@@ -1,6 +1,6 @@
 // Totals of the filtered runs, by method, planner and so on.
 
-// Not by what only a contact has: every share of it would be 100 %.
+// Not by what contacts alone have: every share would be 100 %.
 const TOTALS_BY = ["all runs", "method", "planner", "scene", "part", "edge", "turn"];
 const totals = { by: "all runs" };
 
@@ -15,7 +15,7 @@ function showTotalsChoice() {
       totals.by = value;
       showTotals(filteredRuns());
     },
-    (value) => FILTERS[value] ?? value,
+    (value) => columnOf(value)?.filter ?? value,
   );
   select.id = "totals-by";
   byId("totals-by").replaceWith(select);
@@ -28,16 +28,16 @@ function showTotals(rows) {
   byId("totals").replaceChildren(
     ...tableOf(
       [
-        FILTERS[by] ?? "",
+        columnOf(by)?.filter ?? "",
         "runs",
-        "went through",
+        "succeeded",
         "attacked",
         "AV hit by opponent",
         "interval",
         "",
         "avoidable hits",
-        "contact speed, m/s",
-        "mean of least TTC, s",
+        `contact ${columnOf("collision_speed_mps").heading}`,
+        `mean of ${columnOf("ttc_min_s").heading}`,
       ],
       lines,
       [1, 2, 3, 4, 5, 7, 8, 9],
@@ -47,12 +47,12 @@ function showTotals(rows) {
 
 function totalsLine(name, group) {
   const done = group.filter((row) => row.status === "ok");
-  // where no vehicle was attacked, nothing was tried
+  // a run without an opponent is no attempt
   const attacked = done.filter((row) => row.opponent !== null);
   const hits = done.filter((row) => row.outcome === "AV hit by opponent");
-  const judged = hits.filter((row) => row.avoidable !== null);
+  const judged = hits.filter((row) => row.avoidable_rate !== null);
   const rate = wilson(hits.length, attacked.length);
-  const avoidable = judged.filter((row) => row.avoidable >= 1).length;
+  const avoidable = judged.filter((row) => row.avoidable_rate >= 1).length;
   return [
     name,
     String(group.length),
@@ -62,13 +62,9 @@ function totalsLine(name, group) {
     rate ? `${percent(rate.low)} to ${percent(rate.high)}` : "–",
     rate ? intervalBar(rate) : "",
     judged.length ? `${avoidable}/${judged.length} = ${percent(avoidable / judged.length)}` : "–",
-    averaged(hits.map((row) => row.speed_mps)),
-    averaged(done.map((row) => row.min_ttc_s)),
+    averaged(hits.map((row) => row.collision_speed_mps)),
+    averaged(done.map((row) => row.ttc_min_s)),
   ];
-}
-
-function percent(share) {
-  return `${(100 * share).toFixed(0)} %`;
 }
 
 function averaged(values) {

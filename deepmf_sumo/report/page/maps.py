@@ -1,0 +1,126 @@
+"""A network with attacks -> the risk map on a page: roads, places, attacks."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import shapely
+
+from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.network.sumo_net import NetLane
+from deepmf_sumo.report.page.columns import Column, short
+from deepmf_sumo.report.palette import RISK_CLASSES
+from deepmf_sumo.results.quantities import BY_NAME
+from deepmf_sumo.risk.attacks import Attacked, Network
+from deepmf_sumo.risk.criticality import CONFIDENCE
+from deepmf_sumo.risk.places import KINDS
+from deepmf_sumo.risk.table import COUNTED, DEFINITIONS, Row, columns
+
+_TOLERANCE_M: Final = 0.1
+_SIDEWALKS: Final = {"crossing", "walkingarea"}
+_RISK: Final = f"({100 * CONFIDENCE:.0f} % interval)"
+
+
+def _number(name: str, heading: str, digits: int = 0, **more: Any) -> Column:
+    """Most numbers are worse the larger they are."""
+    return Column(
+        name=name, heading=heading, kind="number", digits=digits, **{"ascending": False, **more}
+    )
+
+
+def _share(name: str, heading: str, **more: Any) -> Column:
+    return Column(name=name, heading=heading, kind="share", ascending=False, **more)
+
+
+PLACE_COLUMNS: Final = (
+    _number("rank", "rank", ascending=True),
+    Column(name="title", heading="place"),
+    Column(name="kind", heading="kind"),
+    _share("risk", f"risk {_RISK}"),
+    _number("attacks", "attacks"),
+    _number("hits", "hits"),
+    _share("hit_rate", "hit rate (95 % interval)", optional=True),
+    _number("avoidable", "avoidable hits"),
+    _share("avoidable_share", "avoidable of hits (95 % interval)", optional=True),
+    _number("severe", "severe hits"),
+    _number("conflicts", "conflicts"),
+    _number("other_contacts", "AV hit another", optional=True),
+    _number("min_ttc_s", BY_NAME["ttc_min_s"].heading, 1, ascending=True),
+    _number("min_gap_m", BY_NAME["min_gap_m"].heading, 1, ascending=True, optional=True),
+    _number("delta_v_mps", f"mean {BY_NAME['delta_v_mps'].heading}", 1),
+    _number("delta_v_most_mps", f"greatest {BY_NAME['delta_v_mps'].heading}", 1, optional=True),
+    _number("criticality", f"criticality {_RISK}", 2, optional=True),
+)
+"""``rank`` and ``risk`` are those of the event that the reader chooses."""
+
+
+def content(network: Network, rows: Sequence[Row]) -> dict[str, Any]:
+    """What the page needs of a map, as JSON values. The same rows give the same content."""
+    table = [columns(row) for row in rows]
+    return {
+        "network": network.name,
+        "columns": [column.as_json() for column in PLACE_COLUMNS],
+        "values": list(table[0]) if table else [],
+        "rows": [[short(value) for value in row.values()] for row in table],
+        "shapes": [_shape(network, row) for row in rows],
+        "roads": list(_roads(network)),
+        "attacks": [_attack(one, network) for one in network.attacks],
+        "leftOut": dict(network.left_out),
+        "places": {kind: network.places.count(kind) for kind in KINDS},
+        "off": {counted: _off(network, counted) for counted in COUNTED},
+        "definitions": dict(DEFINITIONS),
+        "confidence": round(100 * CONFIDENCE),
+        "classes": RISK_CLASSES,
+    }
+
+
+def lanes_of(network: Network, row: Row) -> list[NetLane]:
+    """The lanes of an edge, of a movement, or the lane itself; none of a junction."""
+    places = network.places
+    if row.kind == "edge":
+        return list(places.net.edges[row.place].lanes)
+    if row.kind == "movement":
+        return [places.lanes[lane] for lane in places.movements[row.place].lanes]
+    return [places.lanes[row.place]] if row.kind == "lane" else []
+
+
+def _shape(network: Network, row: Row) -> list[Any]:
+    """Width and corners of each line of a place; of a junction its outline, without a width."""
+    if row.kind == "junction":
+        return [[0, _corners(network.places.junctions[row.place].shape_m)]]
+    return [_line(lane.width_m, lane.shape_m) for lane in lanes_of(network, row)]
+
+
+def _roads(network: Network) -> Iterator[list[Any]]:
+    """Width and corners of all lanes for vehicles."""
+    for edge in network.places.net.edges.values():
+        if edge.function not in _SIDEWALKS:
+            yield from (_line(lane.width_m, lane.shape_m) for lane in edge.lanes)
+
+
+def _line(width_m: float, shape_m: Floats) -> list[Any]:
+    return [round(width_m, 1), _corners(shape_m[:, :2])]
+
+
+def _corners(line_m: Floats) -> list[list[float]]:
+    if len(line_m) < 2:
+        return []
+    simple = shapely.simplify(shapely.LineString(line_m), _TOLERANCE_M)
+    return [[round(float(x), 1), round(float(y), 1)] for x, y in shapely.get_coordinates(simple)]
+
+
+def _attack(one: Attacked, network: Network) -> list[Any]:
+    """Run, turn, position, whether it hit, the places as the rows name them, the opponent's."""
+    return [
+        one.run_id,
+        one.turn,
+        [round(value, 1) for value in one.place_m],
+        int(one.hit),
+        {counted: {kind: getattr(one, counted).of(kind) for kind in KINDS} for counted in COUNTED},
+        network.places.site(one.against),
+    ]
+
+
+def _off(network: Network, counted: str) -> int:
+    """How many attacks are at no place."""
+    spots = (getattr(one, counted) for one in network.attacks)
+    return sum(not any(spot.of(kind) for kind in KINDS) for spot in spots)

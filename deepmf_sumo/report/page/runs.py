@@ -1,0 +1,158 @@
+"""A run of a result folder -> its row and its details on the page."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Floats, RoadMap
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.report.page.columns import run_row
+from deepmf_sumo.report.page.replay import main_places, packed, reasons, replay
+from deepmf_sumo.report.page.roads import Roads, element
+from deepmf_sumo.report.table import OUTCOMES
+from deepmf_sumo.results import stored
+from deepmf_sumo.results.reader import Run
+from deepmf_sumo.results.result import Result, attacked
+
+_LOG_LINES: Final = 40
+_FACTS: Final = (
+    "weights", "seed", "version", "adversary", "settings", "budget", "plans", "rules", "ended",
+    "error", "expectations_broken",
+)  # fmt: skip
+"""Keys of ``result.json`` that the page shows as they are."""
+_ENDED: Final = {"too_long": "longest time of a turn", "time": "end of the run"}
+"""Names of `datatypes.turn` that do not explain themselves."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPage:
+    """One run of the page.
+
+    Attributes:
+        row: in the order of `columns.RUN_COLUMNS`.
+        details: `replay.packed`.
+        weights: name of the weights that it used, if known.
+        network: of SUMO, on which the run attacked a vehicle; empty where it did not.
+        missing: why it cannot be replayed; empty where it can, or where it has no result at all.
+    """
+
+    row: list[Any]
+    details: str
+    weights: str | None
+    network: str
+    missing: str
+
+
+def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
+    """Read a run; what cannot be read is left out, and the page says so."""
+    run = Run.of_row(out, table)
+    result, missing = _result(run)
+    shown: dict[str, Any] = {}
+    place = ""
+    if result and table["status"] == "ok":
+        try:
+            shown, place = _shown(run, roads, result.get("turns") or [])
+        except stored.DAMAGE as error:
+            missing = f"cannot be replayed: {type(error).__name__}: {error}"
+    note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
+    return RunPage(
+        row=run_row(table, result, place, note),
+        details=packed({**_facts(run.folder, result), **shown, "missing": missing}),
+        weights=result.get("weights") if result else None,
+        network=str(result.get("network") or "") if result and attacked(result) else "",
+        missing=missing,
+    )
+
+
+def _result(run: Run) -> tuple[Result | None, str]:
+    if not (run.folder / "result.json").exists():
+        return None, "" if run.status == "skipped" else "result.json is missing"
+    try:
+        return run.result, ""
+    except UsageError as error:
+        return None, f"cannot be shown: {error}".replace(f"{run.folder}/", "")
+
+
+def _broken(result: Result | None) -> list[str]:
+    broken = result["expectations_broken"] if result else []
+    return [f"expectation broken: {one}" for one in broken]
+
+
+def _shown(
+    run: Run, roads: Roads, turns: Sequence[Mapping[str, Any]]
+) -> tuple[dict[str, Any], str]:
+    """What is drawn of a run, and the element of the road on which the AV was hit."""
+    rollout = run.rollout
+    places = main_places(rollout)
+    number, road, note = roads.add(run, places)
+    origin = np.rint(places[0])
+    shown = {
+        "replay": replay(rollout, origin, turns),
+        "reasons": reasons(run.folder / "plans.npz", origin),
+        "road": number,
+        "road_note": note,
+        "gui": (run.folder / "sumo" / "replay.sumocfg").is_file(),
+    }
+    return shown, _element(run, road)
+
+
+def _element(run: Run, road: RoadMap | None) -> str:
+    if run.contact is None or road is None:
+        return ""
+    pose: Floats = run.contact.pose_first
+    return element(road, pose[:2], float(pose[2]))
+
+
+def _facts(folder: Path, result: Result | None) -> dict[str, Any]:
+    found: Any = result or {}
+    metrics = found.get("metrics", {})
+    return {
+        **{name: found[name] for name in _FACTS if name in found},
+        "metrics": {
+            name: [value["value"], value.get("unit", ""), value.get("reason", "")]
+            for name, value in metrics.items()
+        },
+        "events": [
+            [event["step"], event["agent_id"], event["kind"], event.get("detail", "")]
+            for event in found.get("events", [])
+        ],
+        "turns": _turns(found),
+        "repairs": found.get("repairs", []),
+        "spec": _text(folder / "spec.yaml"),
+        "log": _text(folder / "log.txt", last=_LOG_LINES),
+    }
+
+
+def _turns(result: Result) -> list[dict[str, Any]]:
+    """Which opponent attacked when, and how that ended, where opponents took turns."""
+    turns: list[dict[str, Any]] = result.get("turns") or []
+    gaps = [turn["metrics"].get("min_gap") for turn in turns]
+    nearest = min((gap for gap in gaps if gap is not None), default=None)
+    hits = [number for number, turn in enumerate(turns) if turn["ended"] == "contact"]
+    # as in `datatypes.rollout.decisive`: the first that hits, else the one that came nearest
+    decisive = hits[0] if hits else gaps.index(nearest) if nearest is not None else None
+    return [
+        {
+            "opponent": turn["opponent"],
+            "begin": turn["begin_s"],
+            "end": turn["end_s"],
+            "ended": _ENDED.get(turn["ended"], str(turn["ended"]).replace("_", " ")),
+            "outcome": OUTCOMES.get(turn["outcome"], turn["outcome"]),
+            "hit": turn["ended"] == "contact",
+            "speed": turn["hit_speed_mps"],
+            "gap": turn["metrics"].get("min_gap"),
+            "ttc": turn["metrics"].get("ttc_min"),
+            "decisive": number == decisive,
+        }
+        for number, turn in enumerate(turns)
+    ]
+
+
+def _text(file: Path, last: int | None = None) -> str:
+    if not file.is_file():
+        return ""
+    lines = file.read_text("utf-8", errors="replace").splitlines()
+    return "\n".join(lines[-last:] if last else lines)
