@@ -1,4 +1,4 @@
-"""Every error that a user can meet, and the exit code that goes with it.
+"""Every error that a user can meet, and all exit codes of the command line.
 
 ::
 
@@ -20,18 +20,35 @@ A message is one sentence that names the file, the field and the value, and says
 
 import difflib
 from collections.abc import Iterable
+from typing import Final, Literal
+
+Ending = Literal["interrupted", "wrong", "failed", "broken", "fine"]
+
+EXIT_CODES: Final[dict[Ending, int]] = {
+    "interrupted": 130,  # runs are missing, or a signal ended the command
+    "wrong": 2,  # the command, a spec or the weights that it names
+    "failed": 3,  # a run failed, or the results do not allow a verdict
+    "broken": 1,  # an expectation or a threshold
+    "fine": 0,
+}
+"""By the ending of a command. Where several apply, the first one in this order counts."""
+
+
+def exit_code(*endings: Ending) -> int:
+    """The exit code of a command that ended in all these ways; 0 without any."""
+    return next((code for ending, code in EXIT_CODES.items() if ending in endings), 0)
 
 
 class DeepmfError(Exception):
     """Base of all errors that are reported to the user as one line."""
 
-    exit_code = 3
+    exit_code = EXIT_CODES["failed"]
 
 
 class UsageError(DeepmfError):
     """The command or a spec is wrong; nothing was run."""
 
-    exit_code = 2
+    exit_code = EXIT_CODES["wrong"]
 
 
 class SpecError(UsageError):
@@ -84,8 +101,10 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 __all__ = [
+    "EXIT_CODES",
     "ConversionError",
     "DeepmfError",
+    "Ending",
     "OutputError",
     "PlannerError",
     "PluginError",
@@ -96,5 +115,6 @@ __all__ = [
     "SpecError",
     "UsageError",
     "WeightsError",
+    "exit_code",
     "nearest",
 ]

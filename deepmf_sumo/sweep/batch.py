@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from deepmf_sumo import errors
 from deepmf_sumo import tasks as tasks_module
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.errors import Ending, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.results import result as result_module
 from deepmf_sumo.results import stored
@@ -243,14 +244,20 @@ def _result(store: Store, task: Task, ending: Finished) -> Result:
 
 
 def exit_code(results: Sequence[Result]) -> int:
-    """What the command ends with.
+    """What the command ends with, see `errors.exit_code`."""
+    return errors.exit_code(*endings(results))
 
-    2 where a run showed its spec wrong (e.g. damaged weights), else 3 where one failed or timed
-    out, or every one was skipped, else 1 where an expectation is broken, else 0.
+
+def endings(results: Sequence[Result]) -> list[Ending]:
+    """How runs ended.
+
+    ``wrong`` where one showed its spec wrong (e.g. damaged weights), ``failed`` where one failed or
+    timed out or all were skipped, ``broken`` where an expectation is.
     """
     statuses = {one["status"] for one in results}
-    if any(one.get("refused") for one in results):
-        return 2
-    if statuses & {"failed", "timeout"} or statuses == {"skipped"}:
-        return 3
-    return int(any(one["expectations_broken"] for one in results))
+    applies: dict[Ending, bool] = {
+        "wrong": any(one.get("refused") for one in results),
+        "failed": bool(statuses & {"failed", "timeout"}) or statuses == {"skipped"},
+        "broken": any(one["expectations_broken"] for one in results),
+    }
+    return [ending for ending, true in applies.items() if true]
