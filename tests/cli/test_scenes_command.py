@@ -4,8 +4,8 @@ import json
 
 import pytest
 from click.testing import CliRunner
-
 from deepmf_sumo.cli.scenes import COLUMNS, command
+
 from deepmf_sumo.errors import ReaderError, UsageError
 
 from tests.support.recordings_by_hand import gpudrive, scenario, shard

@@ -197,9 +197,10 @@ def test_bad_shards(text):
 
 
 def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
+    from deepmf_sumo.cli._starter import paper_plan
+
     from deepmf_sumo import readers
     from deepmf_sumo import tasks as batch_tasks
-    from deepmf_sumo.cli._starter import paper_plan
 
     found = [
         readers.RecordRef(file=tmp_path, name=name, record=number)
