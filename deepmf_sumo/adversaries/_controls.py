@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepmf_sumo.adversaries._episodes import Motion, Scouted
-from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Plan, RoadMap
+from deepmf_sumo.adversaries._episodes import Motion, Scouted, Trajectories
+from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.deepmf.tracking import Limits, Start
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.predictors.lanes import road_index
@@ -47,27 +47,6 @@ class Bounds:
     fastest_mps: float = 30.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Driven:
-    """B trajectories of K steps: (B, K, 2) box centres, (B, K) headings, (B, K) speeds."""
-
-    agent_id: AgentId
-    first_step: int
-    position_m: Floats
-    heading_rad: Floats
-    speed_mps: Floats
-
-    def plan(self, row: int) -> Plan:
-        """One of them as a plan."""
-        return Plan(
-            agent_id=self.agent_id,
-            first_step=self.first_step,
-            position_m=self.position_m[row],
-            heading_rad=self.heading_rad[row],
-            speed_mps=self.speed_mps[row],
-        )
-
-
 class Bicycle:
     """The opponent as a bicycle that drives the reference, and continues it where it ends.
 
@@ -77,8 +56,6 @@ class Bicycle:
     """
 
     def __init__(self, scouted: Scouted, bounds: Bounds) -> None:
-        self._agent = scouted.opponent_id
-        self._first_step = scouted.view.step + 1
         self._start = Start.of(scouted.view, scouted.opponent_id)
         self._rear_m = _REAR_AXLE * self._start.length_m
         self._bounds = bounds
@@ -90,7 +67,7 @@ class Bicycle:
         """Steps of a trajectory, K."""
         return len(self._accel)
 
-    def drive(self, accel: Floats, steer: Floats) -> Driven:
+    def drive(self, accel: Floats, steer: Floats) -> Trajectories:
         """Trajectories under changes of the controls.
 
         Args:
@@ -115,9 +92,7 @@ class Bicycle:
             heading, along, speed = heading + turn, along + way, after
             places[:, step] = rear + self._rear_m * np.exp(1j * heading)
             headings[:, step], speeds[:, step] = heading, speed
-        return Driven(
-            agent_id=self._agent,
-            first_step=self._first_step,
+        return Trajectories(
             position_m=np.stack([places.real, places.imag], -1),
             heading_rad=frames.wrap(headings),
             speed_mps=speeds,

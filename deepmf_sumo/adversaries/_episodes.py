@@ -1,8 +1,10 @@
 """Episodes of a search: the unattacked one, their budget, fixed plans, choice of the opponent."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +14,8 @@ from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import AgentId, Bools, Budget, Case, Floats, Plan, Rollout, View, frozen
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.opponent import choose as choose_opponent
+from deepmf_sumo.deepmf.settings import LIMITS
+from deepmf_sumo.deepmf.tracking import Limits, Tracked
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.predictors.base import OpponentPredictor
 
@@ -115,6 +119,26 @@ def motion_of(rollout: Rollout, agent_id: AgentId, steps: int) -> Motion:
     )
 
 
+def limited(budget: Budget, simulations: int, seconds: float | None = None) -> Budget:
+    """The budget with an adversary's defaults.
+
+    Args:
+        budget: as given.
+        simulations: limit if the budget has no limit at all.
+        seconds: limit if the budget has none for the time; None: no limit.
+    """
+    unlimited = budget.simulations is None and budget.seconds is None
+    return Budget(
+        simulations=simulations if unlimited else budget.simulations,
+        seconds=seconds if budget.seconds is None else budget.seconds,
+    )
+
+
+def deadline(budget: Budget) -> float:
+    """End of the budget's seconds from now on, as `time.perf_counter`; inf without a limit."""
+    return math.inf if budget.seconds is None else time.perf_counter() + budget.seconds
+
+
 _ONE_ATTACK = 2  # simulations: scouting, and the attack
 
 
@@ -132,9 +156,7 @@ class Spending:
 
     def __init__(self, simulate: Simulate, budget: Budget, simulations: int) -> None:
         self._simulate = simulate
-        unlimited = budget.simulations is None and budget.seconds is None
-        self._most = simulations if unlimited else budget.simulations
-        self._most_s = budget.seconds
+        self._budget = limited(budget, simulations)
         self._begin = time.perf_counter()
         self._decided_s: float | None = None
         self.simulations = 0
@@ -142,7 +164,8 @@ class Spending:
 
     def simulate(self, policy: Policy | None) -> Rollout:
         """One episode, counted."""
-        if self.simulations == 1 and self._most is not None and self._most <= _ONE_ATTACK:
+        most = self._budget.simulations
+        if self.simulations == 1 and most is not None and most <= _ONE_ATTACK:
             self._decided_s = self.seconds
         self.simulations += 1
         return self._simulate(policy)
@@ -156,14 +179,15 @@ class Spending:
     @property
     def over(self) -> bool:
         """Whether no simulation may be begun any more."""
-        if self._most is not None and self.simulations >= self._most:
+        most = self._budget.simulations
+        if most is not None and self.simulations >= most:
             return True
         self.look_at_the_clock()
         return self.out_of_time
 
     def look_at_the_clock(self) -> None:
         """Note in ``out_of_time`` whether the seconds are spent."""
-        if self._most_s is not None and self.seconds >= self._most_s:
+        if self._budget.seconds is not None and self.seconds >= self._budget.seconds:
             self.out_of_time = True
 
     @property
@@ -182,8 +206,27 @@ class Spending:
         return time.perf_counter() - self._begin
 
 
+class Trajectories(NamedTuple):
+    """M trajectories of one vehicle: (M, K, 2) box centres, (M, K) headings, (M, K) speeds."""
+
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+
+
+def plan_of(view: View, agent_id: AgentId, driven: Trajectories | Tracked, row: int) -> Plan:
+    """One of the trajectories as a plan from the next step on."""
+    return Plan(
+        agent_id=agent_id,
+        first_step=view.step + 1,
+        position_m=driven.position_m[row],
+        heading_rad=driven.heading_rad[row],
+        speed_mps=driven.speed_mps[row],
+    )
+
+
 class Planned:
-    """The opponent of the plan drives the plan, whatever the AV does."""
+    """The opponent drives a plan and does not react to the AV."""
 
     period_steps: int | None = None
 
@@ -209,6 +252,23 @@ class OpponentSettings(plugins.Settings):
     """
 
     opponent: str = Field(default="argmax", min_length=1)
+
+
+class LimitedSettings(OpponentSettings):
+    """Settings of adversaries that choose a vehicle and drive it within limits, DeepMF's.
+
+    Attributes:
+        accel_mps2, brake_mps2, lateral_mps2: largest accelerations of the opponent.
+    """
+
+    accel_mps2: float = Field(default=LIMITS.accel, gt=0.0)
+    brake_mps2: float = Field(default=LIMITS.brake, gt=0.0)
+    lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of what the opponent drives."""
+        return Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)
 
 
 class OpponentChoice:

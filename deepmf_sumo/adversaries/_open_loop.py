@@ -22,8 +22,9 @@ from pydantic import Field
 
 from deepmf_sumo.adversaries._episodes import (
     Choose,
+    LimitedSettings,
     Motion,
-    OpponentSettings,
+    OpponentChoice,
     Planned,
     Scouted,
     Spending,
@@ -49,9 +50,8 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.deepmf.candidates import collisions
-from deepmf_sumo.deepmf.settings import LIMITS
 from deepmf_sumo.deepmf.situation import Levels, footprint
-from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked
+from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import distance_m
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
@@ -121,17 +121,6 @@ def plan_along(view: View, agent_id: AgentId, position_m: Floats) -> Plan:
         position_m=position_m,
         heading_rad=headings(position_m, start),
         speed_mps=np.hypot(*moved.T) / DT_S,
-    )
-
-
-def plan_of(view: View, agent_id: AgentId, tracked: Tracked, row: int) -> Plan:
-    """One of M drivable futures as a plan."""
-    return Plan(
-        agent_id=agent_id,
-        first_step=view.step + 1,
-        position_m=tracked.position_m[row],
-        heading_rad=tracked.heading_rad[row],
-        speed_mps=tracked.speed_mps[row],
     )
 
 
@@ -334,20 +323,33 @@ def attack_in_rounds(
     )
 
 
-class AimedSettings(OpponentSettings):
-    """Whom to attack, how hard to drive, how often.
+class AimedSettings(LimitedSettings):
+    """Opponent, its limits, and the number of attacks.
 
     Attributes:
-        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives, DeepMF's.
-        rounds: attacks that are driven, until one hits, where the budget says nothing.
+        rounds: number of attacks, until one hits, if the budget has no limit.
     """
 
-    accel_mps2: float = Field(default=LIMITS.accel, gt=0.0)
-    brake_mps2: float = Field(default=LIMITS.brake, gt=0.0)
-    lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
     rounds: int = Field(default=1, ge=1)
 
-    @property
-    def limits(self) -> Limits:
-        """Limits of what the opponent drives."""
-        return Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)
+
+class Rounds:
+    """An adversary that aims at the AV's rollouts, round by round.
+
+    Args:
+        settings: opponent and rounds.
+        weights: of the network that chooses the opponent.
+        aim: aims at the rollouts.
+    """
+
+    def __init__(self, settings: AimedSettings, weights: str, aim: Aim) -> None:
+        self._settings = settings
+        self._opponent = OpponentChoice(settings.opponent, weights)
+        self._aim = aim
+
+    def attack(
+        self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
+    ) -> Attack:
+        """The attack; trials are the rounds."""
+        choose, rounds = self._opponent.of(case), self._settings.rounds
+        return attack_in_rounds(case, simulate, choose, self._aim, rounds, budget)

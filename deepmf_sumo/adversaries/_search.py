@@ -20,16 +20,16 @@ from pydantic import Field
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries._controls import Bicycle, Bounds, Knots
 from deepmf_sumo.adversaries._episodes import (
+    LimitedSettings,
     OpponentChoice,
-    OpponentSettings,
     Planned,
     Scouted,
     Spending,
+    plan_of,
     scout,
 )
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Attack, Budget, Case, Floats, Rollout, Trial
-from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.geometry import boxes, road
 from deepmf_sumo.geometry.ground import distance_m
 
@@ -139,7 +139,7 @@ class Optimiser(Protocol):
         ...
 
 
-class SearchSettings(OpponentSettings):
+class SearchSettings(LimitedSettings):
     """Settings of the searches over a bicycle's controls.
 
     Attributes:
@@ -170,7 +170,7 @@ class SearchSettings(OpponentSettings):
     def bounds(self) -> Bounds:
         """Of the bicycle's controls."""
         return Bounds(
-            total=Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2),
+            total=self.limits,
             accel_mps2=self.accel_change_mps2,
             curvature_per_m=self.curvature_change_per_m,
             lateral_mps2=self.lateral_change_mps2,
@@ -223,12 +223,15 @@ class Search:
         knots = Knots(settings.knots, bicycle.steps)
         optimiser = self._make(knots.dimensions, rng)
         best = _Best(case, settings.cost, knots.names)
+        of = scouted.view, scouted.opponent_id
         while True:
             points = optimiser.ask()
             driven = bicycle.drive(*knots.controls(points))
             costs = []
             for row, point in enumerate(points):
-                costs.append(best.judge(spending.simulate(Planned(driven.plan(row))), point))
+                costs.append(
+                    best.judge(spending.simulate(Planned(plan_of(*of, driven, row))), point)
+                )
                 if spending.over or (settings.stop_at_contact and best.hits):
                     return best
             optimiser.tell(np.array(costs))

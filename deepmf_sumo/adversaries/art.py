@@ -20,8 +20,6 @@ at most ``seconds`` if that is set; and two simulations, one un-attacked and the
 every further round aims at what the AV did in the round before, until it is hit.
 """
 
-import math
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
@@ -29,7 +27,14 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.adversaries import _open_loop as open_loop
-from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, Scouted
+from deepmf_sumo.adversaries._episodes import (
+    Motion,
+    OpponentChoice,
+    Scouted,
+    deadline,
+    limited,
+    plan_of,
+)
 from deepmf_sumo.adversaries._open_loop import Aimed, AimedSettings, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
@@ -82,23 +87,20 @@ class ART:
     ) -> Attack:
         """The attack; trials are the rounds."""
         chosen = self._settings
-        # What brings torch along is imported and loaded here, before the time counts.
+        # Torch and the networks are loaded here, before the time counts.
+        from deepmf_sumo.adversaries import _art_gradients as art_gradients  # noqa: F401
+
         if chosen.form == "history":
-            from deepmf_sumo.adversaries import _art_gradients as art_gradients
             from deepmf_sumo.predictors.weights import cached_predictors
 
             cached_predictors(self._weights)
-        else:
-            from deepmf_sumo.adversaries import _art_gradients as art_gradients  # noqa: F401
         choose = self._opponent.of(case)
-        if budget.seconds is None:
-            most = budget.simulations or 1 + chosen.rounds
-            budget = Budget(simulations=most, seconds=chosen.seconds)
-        deadline = math.inf if budget.seconds is None else time.perf_counter() + budget.seconds
+        budget = limited(budget, 1 + chosen.rounds, chosen.seconds)
+        until = deadline(budget)
         perturb = self._history if chosen.form == "history" else self._future
 
         def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
-            return self._aim(scouted, rollouts[-1], *perturb(scouted, rollouts[-1], deadline, rng))
+            return self._aim(scouted, rollouts[-1], *perturb(scouted, rollouts[-1], until, rng))
 
         return attack_in_rounds(case, simulate, choose, aim, chosen.rounds, budget)
 
@@ -173,7 +175,7 @@ class ART:
         moved = np.hypot(found.offset_m[..., 0], found.offset_m[..., 1]).mean(axis=1)
         row = int(np.lexsort((moved, gap))[0])
         return Aimed(
-            plan=open_loop.plan_of(view, scouted.opponent_id, tracked, row),
+            plan=plan_of(view, scouted.opponent_id, tracked, row),
             parameters={
                 "restart": float(row),
                 "iterations": float(found.iterations),

@@ -17,7 +17,6 @@ be saved: ``solvable`` 1 where a motion of the AV was found that touches nobody,
 all of its steps; there is no such trial where time ran out before.
 """
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +25,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, OpponentSettings, Scouted
+from deepmf_sumo.adversaries._episodes import (
+    Motion,
+    OpponentChoice,
+    OpponentSettings,
+    Scouted,
+    deadline,
+    limited,
+)
 from deepmf_sumo.adversaries._open_loop import Aimed, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import AgentId, Attack, Budget, Case, Trial, View
@@ -65,14 +71,6 @@ class Settings(OpponentSettings):
     prior: float = Field(default=0.02, ge=0.0)
     init: float = Field(default=0.01, ge=0.0)
 
-    def limited(self, budget: Budget) -> Budget:
-        """The budget, and these settings where it says nothing; their seconds always count."""
-        unlimited = budget.simulations is None and budget.seconds is None
-        return Budget(
-            simulations=self.rounds + 1 if unlimited else budget.simulations,
-            seconds=self.seconds if budget.seconds is None else budget.seconds,
-        )
-
 
 class STRIVE:
     """Attacks through latents; the prior is loaded at the first."""
@@ -101,7 +99,7 @@ class STRIVE:
         chosen = self._settings
         net = cached_motion_prior(self._weights)
         choose = anybody if self._opponent is None else self._opponent.of(case)
-        limit = chosen.limited(budget)
+        limit = limited(budget, chosen.rounds + 1, chosen.seconds)
         stages = _Stages(chosen, net, case, limit)
         attack = attack_in_rounds(case, simulate, choose, stages.aim, chosen.rounds, limit)
         if not chosen.solution_iterations or not attack.rollout.plans:
@@ -121,8 +119,7 @@ class _Stages:
 
     def __init__(self, settings: Settings, net: "MotionPrior", case: Case, budget: Budget) -> None:
         self._settings, self._net, self._case = settings, net, case
-        limit_s = math.inf if budget.seconds is None else budget.seconds
-        self._deadline = time.perf_counter() + limit_s
+        self._deadline = deadline(budget)
         self._search: Search | None = None
         self._situation: Situation | None = None
         self._matched_m = 0.0
