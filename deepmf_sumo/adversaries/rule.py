@@ -1,13 +1,13 @@
-"""A rule: a cubic Bezier curve from the opponent into the AV's un-attacked path, timed to meet it.
+"""A rule: a cubic Bezier curve from the opponent into the AV's unattacked path, timed to meet it.
 
 Source: the rule-based variant of CAT (Zhang et al., CoRL 2023): control points OV(0), OV(n/3),
 AV(2n/3), AV(n) with n three quarters of the AV's steps; after the meeting the opponent stays with
-the AV. It knows no road, no limits and no likelihood: an upper bound of the collision rate and a
-lower bound of naturalness. Adapted: boxes point where they move to; optionally the curve is driven
-within limits, and the meeting is the earliest of those that then hit.
+the AV. It ignores the road, limits and likelihood: an upper bound of the collision rate and a lower
+bound of naturalness. Adapted: headings follow the motion; optionally the curve is driven within
+limits, with the earliest meeting that then hits.
 
-Budget: two simulations, one un-attacked and the attack; with more, every further round aims at what
-the AV did in the round before, until it is hit.
+Budget: two simulations, one unattacked and the attack; with more, every further round aims at the
+AV's rollout of the round before, until it is hit.
 """
 
 from collections.abc import Sequence
@@ -24,16 +24,16 @@ from deepmf_sumo.deepmf.tracking import Start, track
 
 FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent"
 
-_FIRST_S, _EVERY_S = 1.5, 0.5  # meetings that are tried where limits count
+_FIRST_S, _EVERY_S = 1.5, 0.5  # meetings that are tried within limits
 
 
 class Settings(AimedSettings):
-    """How the curve is made.
+    """Shape and timing of the curve.
 
     Attributes:
-        meeting_share: when the opponent meets the AV, as a share of the time that is left; null
-            tries every half second from 1.5 s on.
-        within_limits: drive the curve within the limits; else it is driven as it is.
+        meeting_share: time at which the opponent meets the AV, as a share of the remaining time;
+            null tries every half second from 1.5 s on.
+        within_limits: drive the curve within the limits; else without limits.
     """
 
     meeting_share: float | None = Field(default=0.75, ge=0.1, le=1.0)
@@ -70,7 +70,7 @@ def _meetings(share: float | None, steps: int) -> Ints:
 
 
 def _best(gap_m: Floats) -> int:
-    """The row (M, K) that touches the AV earliest, else the one that comes nearest."""
+    """The row (M, K) that touches the AV first, else the one that comes closest."""
     hit = gap_m <= 0
     if not hit.any():
         return int(gap_m.min(axis=1).argmin())
