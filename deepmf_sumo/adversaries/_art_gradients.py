@@ -1,22 +1,22 @@
 """Gradient descents of `art`: the perturbed future and the perturbed history.
 
 **The history**: what the marginal predictor is given as the opponent's last second. The present
-stays as it is, for the simulation cannot undo it: position, heading and velocity now, and with them
-the frame, the paths and the lanes. What depends on the past is rebuilt in torch, so that gradients
-reach it: the vehicle's own vectors, its acceleration and its yaw rate. The image, which shows the
-box a second ago on a grid of metres, stays constant during the descent; what is predicted in the
-end is predicted from the perturbed history, image and all.
+state is fixed, since the simulation cannot change it: position, heading and velocity, and with them
+the frame, the paths and the lanes. Features of the past are rebuilt in torch, so that gradients
+reach them: the vehicle's own vectors, its acceleration and its yaw rate. The image, which shows the
+box a second ago on a grid of metres, is constant during the descent; the final prediction uses the
+perturbed history, image included.
 
 **The descent**: Adam, then the perturbation is shrunk until it is within the bounds. Source: Zhang
 et al., On Adversarial Robustness of Trajectory Prediction for Autonomous Vehicles, CVPR 2022. There
 a perturbation has one free vector a point at 2 Hz, is bounded in length, and is shrunk in steps of
 a hundredth until speed, acceleration and jerk are those of real vehicles. Here its points are at 2
-Hz too and what lies between them is smooth, since free points at 10 Hz are nothing but jitter; and
-what nears the bounds costs, so that shrinking is seldom needed.
+Hz too, with smooth interpolation, since free points at 10 Hz are only jitter; and values close to
+the bounds have a cost, so that shrinking is rarely needed.
 
 **The future**: the opponent's unattacked path, bent into the AV's. The points of the perturbation
-are accelerations at 2 Hz, integrated twice: what changes at one time carries on, so that a gradient
-at the contact moves all of the way there.
+are accelerations at 2 Hz, integrated twice: a change persists, so that a gradient at the contact
+moves the whole path up to it.
 """
 
 import time
@@ -42,10 +42,10 @@ KNOT_STEPS = 5
 _RATE = 0.1
 _DECAYS = (0.9, 0.999)
 _PATIENCE = 20
-_GAIN = 1e-3  # a smaller improvement is none
+_GAIN = 1e-3  # a smaller improvement does not count
 _SCALES = np.linspace(1.0, 0.0, 101)
 _SPAN = 2  # accelerations are second differences over 0.2 s, as metrics take them
-_NEAR = 0.9  # of a bound: what exceeds it costs
+_NEAR = 0.9  # share of a bound above which values have a cost
 _STIFFNESS = (1.0, 3.0, 3.0, 0.3)  # of a squared excess: reach, speed, acceleration, jerk
 _ROUNDING = 1e-6
 
@@ -60,7 +60,7 @@ class Bounds:
     jerk_mps3: float
 
     def widened(self, base_m: Floats) -> "Bounds":
-        """At least what the unperturbed trajectory (W, 2) has by itself."""
+        """The bounds, widened to the values of the unperturbed trajectory (W, 2)."""
         speed, accel, jerk = _kinematics(torch.from_numpy(base_m))
         return Bounds(
             reach_m=self.reach_m,
@@ -70,13 +70,13 @@ class Bounds:
         )
 
     def allow(self, base_m: Floats, offset_m: Floats) -> Bools:
-        """(...) whether a trajectory (W, 2) moved by offsets (..., W, 2) is within."""
+        """(...) whether a trajectory (W, 2) moved by offsets (..., W, 2) is within the bounds."""
         excess = self._excess(torch.from_numpy(base_m), torch.from_numpy(offset_m), 1 + _ROUNDING)
         fine: Bools = torch.stack([each.amax(-1) <= 0 for each in excess]).all(0).numpy()
         return fine
 
     def cost(self, base_m: Tensor, offset_m: Tensor) -> Tensor:
-        """(R) mean squares of what offsets (R, W, 2) lack to nine tenths of the bounds."""
+        """(R) weighted mean squares of the excess of offsets (R, W, 2) over 90 % of the bounds."""
         excess = self._excess(base_m, offset_m, _NEAR)
         terms = [
             weight * each.square().mean(-1) for weight, each in zip(_STIFFNESS, excess, strict=True)
@@ -94,7 +94,7 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Descent:
-    """Best perturbations: points (R, N, 2), offsets (R, W, 2), and the iterations made."""
+    """Best perturbations: points (R, N, 2), offsets (R, W, 2), and the number of iterations."""
 
     points: Floats
     offset_m: Floats
@@ -110,15 +110,15 @@ def descend(
     iterations: int,
     deadline: float,
 ) -> Descent:
-    """Minimise a loss over perturbations of one trajectory, from R beginnings at once.
+    """Minimise a loss over perturbations of one trajectory, from R initial points at once.
 
     Args:
         loss: (R, W, 2) offsets from the trajectory -> (R).
         base_m: (W, 2) the trajectory at 10 Hz, in order of time.
-        basis: (W, N) what each point of a perturbation moves; zero where nothing may move.
-        begin: (R, N, 2) points of the perturbations to begin with.
-        bounds: widened to what the trajectory has by itself.
-        iterations: at most so many; fewer where none of the last 20 gained anything.
+        basis: (W, N) effect of each point of a perturbation; zero for steps that are fixed.
+        begin: (R, N, 2) initial points of the perturbations.
+        bounds: widened to the values of the trajectory.
+        iterations: maximum number; the descent ends after 20 without an improvement.
         deadline: `time.perf_counter` to stop at; the first iteration is always made.
     """
     bounds = bounds.widened(base_m)
@@ -146,14 +146,14 @@ def descend(
 
 
 class _Adam:
-    """Adam (Kingma, Ba 2015); that of torch takes seconds to be imported."""
+    """Adam (Kingma, Ba 2015); importing torch's takes seconds."""
 
     def __init__(self, points: Tensor) -> None:
         self._mean, self._square = torch.zeros_like(points), torch.zeros_like(points)
         self._steps = 0
 
     def step(self, gradient: Tensor) -> Tensor:
-        """What to subtract."""
+        """The step to subtract."""
         self._steps += 1
         self._mean = torch.lerp(self._mean, gradient, 1 - _DECAYS[0])
         self._square = torch.lerp(self._square, gradient.square(), 1 - _DECAYS[1])
@@ -180,7 +180,7 @@ def _kinematics(position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     change = position
     for _ in range(3):
         change = (change[..., _SPAN:, :] - change[..., :-_SPAN, :]) / (_SPAN * DT_S)
-        # One zero more, so that a trajectory that is too short has a largest value.
+        # One more zero, so that a trajectory that is too short has a maximum.
         found.append(torch.nn.functional.pad(_length(change), (0, 1)))
     return found[0], found[1], found[2]
 
@@ -199,8 +199,8 @@ def _single(values: Floats) -> Tensor:
     return torch.from_numpy(np.asarray(values, np.float32))
 
 
-_NEAR_M = 3.0  # a goal that comes so much nearer to the AV counts e times as much
-_GONE_M = 1e3  # distance to an AV that is not there
+_NEAR_M = 3.0  # a goal that comes closer to the AV by this counts e times as much
+_GONE_M = 1e3  # distance to an absent AV
 _EVERY = 4  # goals are compared with the AV every 0.4 s
 _BACK = 5  # acceleration and yaw rate are those of the last half second
 
@@ -219,8 +219,8 @@ def perturb(
 ) -> Descent:
     """Perturbations (R, 11, 2) of an agent's history that make goals near the AV likelier.
 
-    ``av_m`` (K, 2) are the AV's positions from the next step on, ``there`` (K) where it is there.
-    The first restart begins at the history, the others at random.
+    ``av_m`` (K, 2) are the AV's positions from the next step on, ``there`` (K) where it is present.
+    The first restart begins with the recorded history, the others at random.
     """
     past = Past(view, agent_id, net)
     begin = rng.normal(scale=bounds.reach_m / 2, size=(restarts, past.basis.shape[1], 2))
@@ -251,8 +251,8 @@ class Past:
     Raises KeyError for an agent that is not in view.
 
     Attributes:
-        known: (11) the last uninterrupted stretch of steps up to now; others do not move.
-        basis: (11, 2) what moves with points half a second and a second ago; now stays.
+        known: (11) the last uninterrupted stretch of steps up to now; other steps are fixed.
+        basis: (11, 2) effect of the points half a second and a second ago; now is fixed.
     """
 
     def __init__(self, view: View, agent_id: AgentId, net: DenseTNT) -> None:
@@ -300,7 +300,7 @@ class Past:
             inner = offset[:, first:]
             oldest = (inner[:, 1:2] - inner[:, :1]) / DT_S
             between = (inner[:, 2:] - inner[:, :-2]) / (2 * DT_S)
-            # The velocity now stays.
+            # The present velocity is fixed.
             rate = torch.cat([rate[:, :first], oldest, between, rate[:, -1:]], 1)
         velocity = own[:, 4:6] + rate
         cos, sin = _turns(own[:, 4:6].expand_as(velocity), velocity)
@@ -343,9 +343,9 @@ class Meeting:
 
 
 def _spline() -> Floats:
-    """(11, 2) what points 0.5 s and 1 s ago move: a cubic spline that ends now, with slope 0.
+    """(11, 2) effect of points 0.5 s and 1 s ago: a cubic spline that ends now, with slope 0.
 
-    In half seconds u before now: through 0, a, b at 0, 1, 2; free of curvature at 2.
+    In half seconds u before now: through 0, a, b at 0, 1, 2; without curvature at 2.
     """
     back = np.arange(HISTORY_STEPS - 1, -1, -1) / KNOT_STEPS
     # Second derivatives at 0, 1, 2 for a and for b, from continuity of the slope.
@@ -362,7 +362,7 @@ def _spline() -> Floats:
 
 
 def _turns(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
-    """Cosine and sine of the turns between velocities (..., 2); 1 and 0 where one is slow."""
+    """Cosine and sine of the turns between velocities (..., 2); 1 and 0 if one is slow."""
     was = before.square().sum(-1).clamp_min(1e-12).sqrt()
     now = after.square().sum(-1).clamp_min(1e-12).sqrt()
     slow = (was < DIRECTION_MPS) | (now < DIRECTION_MPS)
@@ -372,17 +372,17 @@ def _turns(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     return cos, torch.where(slow, 0.0, cross / size)
 
 
-_DEPTH_M = 0.4  # boxes shall overlap by this, so that tracking errors do not undo the contact
+_DEPTH_M = 0.4  # desired overlap of the boxes, so that tracking errors keep the contact
 _EFFORT = 0.05  # metres of gap that an added acceleration of 1 m/s2 (mean square) is worth
 _SOFT_M = 1.0  # width of the soft minimum over time
-_BEFORE = 4  # steps before now that the bounds look at
-_FIRST = 10  # steps: nothing is met earlier
+_BEFORE = 4  # steps before now for which the bounds hold
+_FIRST = 10  # earliest step of a meeting
 _MOVING_M = 0.05  # a step that is shorter gives no direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """The AV's poses (K, 2), (K), where it is there (K), and both footprints (2)."""
+    """The AV's poses (K, 2), (K), whether it is present (K), and both footprints (2)."""
 
     position_m: Floats
     heading_rad: Floats
@@ -403,7 +403,7 @@ def bend(
 ) -> Descent:
     """Perturbations (R, K, 2) of a reference (K, 2) that bring it to the target.
 
-    The first restart begins at the reference, the others where the AV is at some time.
+    The first restart begins at the reference, the others at positions of the AV.
     """
     steps = len(reference_m)
     count = steps // KNOT_STEPS + 1

@@ -1,18 +1,20 @@
 """Controls of an opponent as knots, and the bicycle model that drives them.
 
-A kinematic bicycle fitted to what the opponent does un-attacked, driven with changed controls.
-
+The kinematic bicycle is fitted to the opponent's unattacked motion and driven with other controls.
 The parameters are those of AdvSim (Wang et al., CVPR 2021): changes of acceleration and curvature
-over time, added to those of the bicycle that drives the reference. The reference's curvature
-belongs to a place of its path, not to a time: who brakes before a bend takes the bend later.
+over time, added to those of the reference. The reference's curvature is a function of the distance
+along its path, not of time: a vehicle that brakes before a bend takes the bend later.
+
+The models of `deepmf.tracking` (a controller) and `predictors.strive` (differentiable) integrate
+other states; the three give different trajectories for equal controls.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from deepmf_sumo.adversaries._episodes import Motion, Scouted
-from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Plan, RoadMap
+from deepmf_sumo.adversaries._episodes import Motion, Scouted, Trajectories
+from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.deepmf.tracking import Limits, Start
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.predictors.lanes import road_index
@@ -21,22 +23,22 @@ from deepmf_sumo.predictors.paths import path_set
 _REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
 _FULL_LOCK_RAD = 0.33  # course of the centre against the heading
 _NODE_M = 0.5
-_APART_M = 1.0  # nearer points of a recording say more of its noise than of the path
+_APART_M = 1.0  # closer points of a recording show its noise rather than the path
 _SMOOTH_NODES = 9
 _SMOOTH_STEPS = 5
-_TURN_IN_M = 5.0  # over which the heading at the start gives way to that of the path
+_TURN_IN_M = 5.0  # over which the initial heading fades into that of the path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """What the controls may be.
+    """Bounds of the controls.
 
     Attributes:
         total: of the acceleration and of speed times turn rate.
         accel_mps2: largest change of the acceleration, up or down.
         curvature_per_m: largest change of the curvature.
-        lateral_mps2: largest change of the lateral acceleration, which caps that of the curvature
-            where it is fast.
+        lateral_mps2: largest change of the lateral acceleration, which limits that of the curvature
+            at high speed.
         fastest_mps: largest speed.
     """
 
@@ -47,38 +49,15 @@ class Bounds:
     fastest_mps: float = 30.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Driven:
-    """B trajectories of K steps: (B, K, 2) box centres, (B, K) headings, (B, K) speeds."""
-
-    agent_id: AgentId
-    first_step: int
-    position_m: Floats
-    heading_rad: Floats
-    speed_mps: Floats
-
-    def plan(self, row: int) -> Plan:
-        """One of them as a plan."""
-        return Plan(
-            agent_id=self.agent_id,
-            first_step=self.first_step,
-            position_m=self.position_m[row],
-            heading_rad=self.heading_rad[row],
-            speed_mps=self.speed_mps[row],
-        )
-
-
 class Bicycle:
-    """The opponent as a bicycle that drives the reference, and continues it where it ends.
+    """The opponent as a bicycle that drives the reference and continues it.
 
-    The state now is kept as it is. A reference that is shorter than the case goes on at its last
-    speed, along the lane that its last pose is on, else straight on; so does a path that a faster
-    vehicle needs beyond the reference's end, and that of a vehicle that stands.
+    It starts from the present state. After the end of the reference it continues at the last speed,
+    along the lane of the last pose, else straight on. The same holds for the path of a faster
+    vehicle beyond the reference's end, and for that of a stationary vehicle.
     """
 
     def __init__(self, scouted: Scouted, bounds: Bounds) -> None:
-        self._agent = scouted.opponent_id
-        self._first_step = scouted.view.step + 1
         self._start = Start.of(scouted.view, scouted.opponent_id)
         self._rear_m = _REAR_AXLE * self._start.length_m
         self._bounds = bounds
@@ -90,7 +69,7 @@ class Bicycle:
         """Steps of a trajectory, K."""
         return len(self._accel)
 
-    def drive(self, accel: Floats, steer: Floats) -> Driven:
+    def drive(self, accel: Floats, steer: Floats) -> Trajectories:
         """Trajectories under changes of the controls.
 
         Args:
@@ -115,9 +94,7 @@ class Bicycle:
             heading, along, speed = heading + turn, along + way, after
             places[:, step] = rear + self._rear_m * np.exp(1j * heading)
             headings[:, step], speeds[:, step] = heading, speed
-        return Driven(
-            agent_id=self._agent,
-            first_step=self._first_step,
+        return Trajectories(
             position_m=np.stack([places.real, places.imag], -1),
             heading_rad=frames.wrap(headings),
             speed_mps=speeds,
@@ -133,7 +110,7 @@ class Bicycle:
         return clipped
 
     def _turned_by(self, along: Floats) -> Floats:
-        """(B) heading of the reference's path at a distance; constant past its end."""
+        """(B) heading of the reference's path at arc lengths; constant past its end."""
         place = np.minimum(along / _NODE_M, len(self._turned) - 1.001)
         node = place.astype(int)
         share = place - node
@@ -159,7 +136,7 @@ class Bicycle:
 
 
 def _accelerations(reference: Motion, speed_mps: float) -> Floats:
-    """(K) of the reference, from the speed now on; 0 after its end."""
+    """(K) accelerations of the reference, from the present speed on; 0 after its end."""
     steps = np.arange(len(reference.valid) + 1)
     known = np.concatenate([[True], reference.valid])
     speeds = np.concatenate([[speed_mps], reference.speed_mps])
@@ -178,7 +155,7 @@ def _smoothed(values: Floats, width: int) -> Floats:
 
 
 def _spaced(points_m: Floats) -> Floats:
-    """(P, 2) points without those within a metre of the last one that is kept."""
+    """(P, 2) points at least a metre apart."""
     kept = [0]
     for row in range(1, len(points_m)):
         if np.hypot(*(points_m[row] - points_m[kept[-1]])) >= _APART_M:
@@ -188,7 +165,7 @@ def _spaced(points_m: Floats) -> Floats:
 
 
 def _onwards(road: RoadMap, place_m: Floats, heading_rad: float, speed_mps: float) -> Floats:
-    """(P, 2) how the path goes on from a pose: along the likeliest lane, else straight."""
+    """(P, 2) continuation of a path from a pose: along the likeliest lane, else straight."""
     paths = path_set(road_index(road), place_m, heading_rad, speed_mps, {})
     first = paths.points_m[int(paths.valid.argmax()), 1:]
     return frames.to_scene(first, place_m, heading_rad)
@@ -197,7 +174,7 @@ def _onwards(road: RoadMap, place_m: Floats, heading_rad: float, speed_mps: floa
 class Knots:
     """Changes of acceleration and steering at equal intervals of time, smooth in between.
 
-    Between two knots a change follows a half cosine, so that it never exceeds them.
+    Between two knots a change follows half a cosine, so that it never exceeds them.
 
     Args:
         count: knots of each control, at 0 s, ..., at the last step.

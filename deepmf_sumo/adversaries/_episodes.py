@@ -1,8 +1,10 @@
-"""Episodes of a search: the unattacked one, their budget, fixed plans, choice of the opponent."""
+"""Episodes of an adversary: the unattacked one, budgets, fixed plans, choice of the opponent."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -12,20 +14,22 @@ from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import AgentId, Bools, Budget, Case, Floats, Plan, Rollout, View, frozen
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.opponent import choose as choose_opponent
+from deepmf_sumo.deepmf.settings import LIMITS
+from deepmf_sumo.deepmf.tracking import Limits, Tracked
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.predictors.base import OpponentPredictor
 
 Choose = Callable[[View, np.random.Generator], AgentId | None]
-"""The vehicle to attack, from the View at the current step; None if there is none."""
+"""Chooses the attacking vehicle from the View at the current step; None if there is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """What one agent does in the K steps after now.
+    """Motion of one agent in the K steps after now.
 
     Attributes:
         position_m: (K, 2) box centre. heading_rad, speed_mps: (K).
-        valid: (K) False where the agent is not there (or the episode has ended).
+        valid: (K) False where the agent is absent (or the episode has ended).
     """
 
     position_m: Floats
@@ -41,15 +45,15 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scouted:
-    """What happens if nobody attacks.
+    """The unattacked episode.
 
     Attributes:
         view: at the current step, as policies get it.
         rollout: of the whole episode; its ``opponent_id`` is None.
-        opponent_id: the vehicle to attack.
-        reference: what the opponent does after now, K = the case's duration: the log's motion, or
-            that of SUMO's traffic.
-        av: what the AV does after now.
+        opponent_id: the vehicle that will attack.
+        reference: motion of the opponent after now, K = the case's duration: that of the log, or of
+            SUMO's traffic.
+        av: motion of the AV after now.
     """
 
     view: View
@@ -60,9 +64,9 @@ class Scouted:
 
 
 class Scout:
-    """The policy of the scouting episode: looks around, chooses, and attacks nobody.
+    """The policy of the scouting episode: chooses an opponent, but does not drive it.
 
-    The chosen one is not reported as the opponent, for the episode would end at its first contact
+    The choice is not reported as the opponent, since the episode would end at its first contact
     with the AV.
     """
 
@@ -79,14 +83,14 @@ class Scout:
         return None
 
     def plan(self, view: View) -> None:
-        """Nobody is driven."""
+        """Drive no vehicle."""
 
 
 def scout(case: Case, simulate: Simulate, choose: Choose) -> Scouted | None:
-    """Simulate once without an attack; None if there is nobody to attack.
+    """Simulate once without an attack; None if no vehicle can attack.
 
-    Counts as one simulation. ``choose`` gets the random numbers that policies get, so that an
-    opponent that is drawn is the one that DeepMF draws.
+    Counts as one simulation. ``choose`` gets the random numbers that policies get, so that it draws
+    the same opponent as DeepMF.
     """
     policy = Scout(choose)
     rollout = simulate(policy)
@@ -102,7 +106,7 @@ def scout(case: Case, simulate: Simulate, choose: Choose) -> Scouted | None:
 
 
 def motion_of(rollout: Rollout, agent_id: AgentId, steps: int) -> Motion:
-    """What an agent did in the ``steps`` after now; not valid after the end of the rollout."""
+    """Motion of an agent in the ``steps`` after now; not valid after the end of the rollout."""
     tracks = rollout.tracks
     row, first = tracks.row(agent_id), rollout.now + 1
     after = slice(first, first + steps)
@@ -115,26 +119,44 @@ def motion_of(rollout: Rollout, agent_id: AgentId, steps: int) -> Motion:
     )
 
 
-_ONE_ATTACK = 2  # simulations: scouting, and the attack
+def limited(budget: Budget, simulations: int, seconds: float | None = None) -> Budget:
+    """The budget with an adversary's defaults.
+
+    Args:
+        budget: as given.
+        simulations: limit if the budget has no limit at all.
+        seconds: limit if the budget has none for the time; None: no limit.
+    """
+    unlimited = budget.simulations is None and budget.seconds is None
+    return Budget(
+        simulations=simulations if unlimited else budget.simulations,
+        seconds=seconds if budget.seconds is None else budget.seconds,
+    )
+
+
+def deadline(budget: Budget) -> float:
+    """End of the budget's seconds from now on, as `time.perf_counter`; inf without a limit."""
+    return math.inf if budget.seconds is None else time.perf_counter() + budget.seconds
+
+
+_ONE_ATTACK = 2  # simulations: the unattacked one, and the attack
 
 
 class Spending:
-    """Counts simulations and wall time from its making on.
+    """Counts simulations, and wall time since it was created.
 
     Attributes:
-        simulations: begun so far. out_of_time: the budget's seconds ended something.
+        simulations: started so far. out_of_time: the time limit ended something.
 
     Args:
         simulate: one episode.
-        budget: what may be spent.
-        simulations: what may be spent where the budget says nothing at all.
+        budget: the limits.
+        simulations: limit if the budget has no limit at all.
     """
 
     def __init__(self, simulate: Simulate, budget: Budget, simulations: int) -> None:
         self._simulate = simulate
-        unlimited = budget.simulations is None and budget.seconds is None
-        self._most = simulations if unlimited else budget.simulations
-        self._most_s = budget.seconds
+        self._budget = limited(budget, simulations)
         self._begin = time.perf_counter()
         self._decided_s: float | None = None
         self.simulations = 0
@@ -142,48 +164,69 @@ class Spending:
 
     def simulate(self, policy: Policy | None) -> Rollout:
         """One episode, counted."""
-        if self.simulations == 1 and self._most is not None and self._most <= _ONE_ATTACK:
+        most = self._budget.simulations
+        if self.simulations == 1 and most is not None and most <= _ONE_ATTACK:
             self._decided_s = self.seconds
         self.simulations += 1
         return self._simulate(policy)
 
     def unattacked(self) -> Rollout:
-        """The episode of a case with nobody to attack, counted: nothing depends on it."""
+        """One episode without an attack, counted; for cases in which no vehicle can attack."""
         self._decided_s = self.seconds
         self.simulations += 1
         return self._simulate(None)
 
     @property
     def over(self) -> bool:
-        """Whether no simulation may be begun any more."""
-        if self._most is not None and self.simulations >= self._most:
+        """Whether the budget allows no further simulation."""
+        most = self._budget.simulations
+        if most is not None and self.simulations >= most:
             return True
-        self.look_at_the_clock()
+        self.check_time()
         return self.out_of_time
 
-    def look_at_the_clock(self) -> None:
-        """Note in ``out_of_time`` whether the seconds are spent."""
-        if self._most_s is not None and self.seconds >= self._most_s:
+    def check_time(self) -> None:
+        """Set ``out_of_time`` if the time limit is reached."""
+        if self._budget.seconds is not None and self.seconds >= self._budget.seconds:
             self.out_of_time = True
 
     @property
     def generation_s(self) -> float:
-        """Wall time until the attack was known.
+        """Wall time until the attack was decided.
 
-        Every episode that something depends on is part of it: what is aimed at, scored, compared,
-        or looked at for whether to go on. Nothing depends on `unattacked`, nor on the only attack
-        that a budget of two simulations allows.
+        Includes every simulation whose result influenced the attack: it was aimed at, scored,
+        compared, or decided whether to continue. `unattacked` has no influence, nor has the only
+        attack that a budget of two simulations allows.
         """
         return self.seconds if self._decided_s is None else self._decided_s
 
     @property
     def seconds(self) -> float:
-        """Wall time since the beginning."""
+        """Wall time since the start."""
         return time.perf_counter() - self._begin
 
 
+class Trajectories(NamedTuple):
+    """M trajectories of one vehicle: (M, K, 2) box centres, (M, K) headings, (M, K) speeds."""
+
+    position_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+
+
+def plan_of(view: View, agent_id: AgentId, driven: Trajectories | Tracked, row: int) -> Plan:
+    """One of the trajectories as a plan from the next step on."""
+    return Plan(
+        agent_id=agent_id,
+        first_step=view.step + 1,
+        position_m=driven.position_m[row],
+        heading_rad=driven.heading_rad[row],
+        speed_mps=driven.speed_mps[row],
+    )
+
+
 class Planned:
-    """The opponent of the plan drives the plan, whatever the AV does."""
+    """The opponent drives a plan and does not react to the AV."""
 
     period_steps: int | None = None
 
@@ -191,7 +234,7 @@ class Planned:
         self._plan = plan
 
     def reset(self, view: View, rng: np.random.Generator) -> AgentId:
-        """The plan's agent."""
+        """Report the plan's agent."""
         return self._plan.agent_id
 
     def plan(self, view: View) -> Plan:
@@ -203,16 +246,33 @@ class OpponentSettings(plugins.Settings):
     """Settings of all adversaries that choose a vehicle.
 
     Attributes:
-        opponent: ``argmax`` or ``sample`` (softmax) of the scores of the weights' opponent network;
-            ``partner``: argmax of the head trained on labelled partners; ``labelled``: the partner
+        opponent: ``argmax`` or ``sample`` (softmax) of the scores of the opponent network;
+            ``partner``: argmax of its head trained on labelled partners; ``labelled``: the partner
             that the recording names; else the id of a vehicle.
     """
 
     opponent: str = Field(default="argmax", min_length=1)
 
 
+class LimitedSettings(OpponentSettings):
+    """Settings of adversaries that choose a vehicle and drive it within limits, DeepMF's.
+
+    Attributes:
+        accel_mps2, brake_mps2, lateral_mps2: largest accelerations of the opponent.
+    """
+
+    accel_mps2: float = Field(default=LIMITS.accel, gt=0.0)
+    brake_mps2: float = Field(default=LIMITS.brake, gt=0.0)
+    lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of what the opponent drives."""
+        return Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)
+
+
 class OpponentChoice:
-    """Chooses opponents; the network is loaded when it is first needed, and kept.
+    """Chooses opponents; the network is loaded for the first case that needs it, and kept.
 
     Args:
         how: the setting ``opponent``.
@@ -225,9 +285,9 @@ class OpponentChoice:
         self._predictor: OpponentPredictor | None = None
 
     def of(self, case: Case) -> Choose:
-        """What chooses in a case. Loads the network where it is needed, which takes a while."""
+        """The choice in a case. Loads the network if it is needed, which takes a while."""
         if self._predictor is None and self._how in SCORED:
-            # Brings torch along, which checking a spec's settings must not.
+            # Imports torch, which a check of a spec's settings must not do.
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._predictor = cached_predictors(self._weights).opponent

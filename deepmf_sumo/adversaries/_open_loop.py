@@ -1,17 +1,14 @@
-"""Attacks aimed at the AV's last rollout, round by round: `cat`, `rule`, `art`.
+"""Attacks aimed at the AV's earlier rollouts, round by round: `cat`, `rule`, `art`, `strive`.
 
-The AV's rollouts as what it may do: the candidates of an opponent are scored against them.
+The first round aims at the AV's unattacked rollout; each further round also knows the AV's
+rollouts under the attacks before. A round costs one simulation, the unattacked rollout another.
 
-With P_j the weight of candidate j, P_k that of rollout k, and decay the 0.99 a half second of CAT:
+The rollouts stand for what the AV may do: `score` compares candidates of the opponent with them.
+With P_j the weight of candidate j, P_k that of rollout k, and CAT's decay of 0.99 per half second:
 
     value_j = P_j * sum_k P_k * 0.99^(1 + first contact of j and k in half seconds)
 
-Where no candidate touches a rollout, the one whose centre comes nearest to the AV's.
-
-Rounds of aiming and driving: scout, aim at the AV's rollouts, drive, look, aim again.
-
-The first round aims at the AV's un-attacked rollout, each further one also knows how the AV
-answered the attacks before. A round costs one simulation, scouting another.
+If no candidate touches a rollout, the candidate whose centre comes closest to the AV's is chosen.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,8 +19,9 @@ from pydantic import Field
 
 from deepmf_sumo.adversaries._episodes import (
     Choose,
+    LimitedSettings,
     Motion,
-    OpponentSettings,
+    OpponentChoice,
     Planned,
     Scouted,
     Spending,
@@ -49,21 +47,20 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.deepmf.candidates import collisions
-from deepmf_sumo.deepmf.settings import LIMITS
 from deepmf_sumo.deepmf.situation import Levels, footprint
-from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked
+from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import distance_m
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 
 
 def curve_into(start_m: Floats, own_m: Floats, av_m: Floats, meeting_steps: int) -> Floats:
-    """(K, 2) a curve that is where the AV is at the meeting step, and stays with the AV then.
+    """(K, 2) a curve that reaches the AV at the meeting step and then follows its path.
 
     Control points are the opponent's position now and after a third of the time, the AV's after
-    two thirds and at the meeting. ``start_m`` (2) is now; ``own_m`` and ``av_m`` (K, 2) are what
-    both do un-attacked from the next step on; ``meeting_steps`` lies in 1..K. The parameter runs
-    with time.
+    two thirds and at the meeting. ``start_m`` (2) is now; ``own_m`` and ``av_m`` (K, 2) are the
+    unattacked paths of both from the next step on; ``meeting_steps`` lies in 1..K. The curve's
+    parameter is proportional to time.
     """
     third = max(meeting_steps // 3, 1)
     control = np.stack(
@@ -79,9 +76,9 @@ _SPAN = 2  # steps on each side of a difference
 
 
 def continued(motion: Motion, start: Start) -> Floats:
-    """(K, 2) positions of a motion; straight on at the last speed where it is not valid.
+    """(K, 2) positions of a motion, continued straight at the last speed after its end.
 
-    Gaps in between are filled linearly. ``start`` is the state before the first step.
+    Gaps are filled linearly. ``start`` is the state before the first step.
     """
     steps = len(motion.valid)
     there = np.flatnonzero(motion.valid)
@@ -98,7 +95,7 @@ def continued(motion: Motion, start: Start) -> Floats:
 
 
 def headings(position_m: Floats, start: Start) -> Floats:
-    """(K) directions of motion of positions (K, 2); where it stands, the heading before."""
+    """(K) directions of motion of positions (K, 2); at a standstill, the heading before."""
     points = np.concatenate([start.position_m[None], position_m])
     last = len(points) - 1
     steps = np.arange(1, last + 1)
@@ -112,7 +109,7 @@ def headings(position_m: Floats, start: Start) -> Floats:
 
 
 def plan_along(view: View, agent_id: AgentId, position_m: Floats) -> Plan:
-    """A plan through positions (K, 2), one a step; the box points where it moves to."""
+    """A plan through positions (K, 2), one per step, with headings along the motion."""
     start = Start.of(view, agent_id)
     moved = np.diff(np.concatenate([start.position_m[None], position_m]), axis=0)
     return Plan(
@@ -124,21 +121,10 @@ def plan_along(view: View, agent_id: AgentId, position_m: Floats) -> Plan:
     )
 
 
-def plan_of(view: View, agent_id: AgentId, tracked: Tracked, row: int) -> Plan:
-    """One of M drivable futures as a plan."""
-    return Plan(
-        agent_id=agent_id,
-        first_step=view.step + 1,
-        position_m=tracked.position_m[row],
-        heading_rad=tracked.heading_rad[row],
-        speed_mps=tracked.speed_mps[row],
-    )
-
-
 def gaps(scouted: Scouted, av: Motion, position_m: Floats, heading_rad: Floats) -> Floats:
     """(M, K) gaps of the boxes between the AV and M trajectories (M, F, 2); inf without the AV.
 
-    K steps are those that both have.
+    K: steps that both have.
     """
     view = scouted.view
     steps = min(position_m.shape[1], len(av.valid))
@@ -167,15 +153,15 @@ class Answers:
     """N2 rollouts of the AV, equally likely.
 
     Attributes:
-        forecast: (N2, 80) poses; continued straight where the AV is gone.
-        there: (N2, 80) where it is not gone.
+        forecast: (N2, 80) poses; continued straight after the AV has left.
+        there: (N2, 80) False after the AV has left.
     """
 
     forecast: Forecast
     there: Bools
 
     def lasts(self, row: int) -> int:
-        """Steps until the AV is gone for good in a rollout."""
+        """Steps until the AV leaves for good in a rollout."""
         there = np.flatnonzero(self.there[row])
         return int(there[-1]) + 1 if len(there) else 0
 
@@ -228,7 +214,7 @@ def score(weight: Floats, candidates: Futures, answers: Answers, view: View) -> 
     """Score candidates (N1) with weights (N1) against the rollouts, within the time left."""
     horizon, levels = min(FUTURE_STEPS, view.steps_left), Levels.of(view, candidates.agent_id)
     share = answers.forecast.probability
-    # Rollouts end at different times: each is judged by itself, up to its own end.
+    # Rollouts end at different times: each is compared separately, up to its end.
     rows = [
         collisions(
             candidates,
@@ -278,31 +264,31 @@ def _one(forecast: Forecast, row: int) -> Forecast:
 
 
 def _lengthened(path_m: Floats) -> Floats:
-    """(80, 2) a path (K, 2), cut or held at its end."""
+    """(80, 2) a path (K, 2), cut, or standing at its last point."""
     cut = path_m[:FUTURE_STEPS]
     return np.concatenate([cut, np.repeat(cut[-1:], FUTURE_STEPS - len(cut), axis=0)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aimed:
-    """A trajectory, and the numbers that describe how it was found."""
+    """A trajectory, and numbers that describe how it was found."""
 
     plan: Plan
     parameters: dict[str, float]
 
 
 Aim = Callable[[Scouted, Sequence[Motion]], Aimed]
-"""Aims at the AV's rollouts so far, the un-attacked one first."""
+"""Aims at the AV's rollouts so far, the unattacked one first."""
 
 
 def attack_in_rounds(
     case: Case, simulate: Simulate, choose: Choose, aim: Aim, rounds: int, budget: Budget
 ) -> Attack:
-    """Aim and drive until the AV is hit or the budget is spent; the best attack is kept.
+    """Aim and drive until the AV is hit or the budget is used up; returns the best attack.
 
-    The best is the one that hits, else the one that comes nearest. ``rounds`` count where the
-    budget says nothing; at least one attack is driven, so that two simulations are the least. An
-    objective is minus the least gap in metres. ``generation_s`` is `Spending.generation_s`.
+    The best attack is the one that hits, else the one that comes closest. ``rounds`` is the limit
+    if the budget has none; at least one attack is driven, so the minimum is two simulations. The
+    objective is minus the smallest gap in metres. ``generation_s`` is `Spending.generation_s`.
     """
     spending = Spending(simulate, budget, 1 + rounds)
     scouted = scout(case, spending.simulate, choose)
@@ -317,7 +303,7 @@ def attack_in_rounds(
     trials: list[Trial] = []
     while True:
         aimed = aim(scouted, answers)
-        spending.look_at_the_clock()  # aiming stops at the same time
+        spending.check_time()  # aiming stops at the same time
         rollout = spending.simulate(Planned(aimed.plan))
         attacks.append(rollout)
         trials.append(Trial(parameters=aimed.parameters, objective=0.0 - nearest_m(rollout)))
@@ -334,20 +320,33 @@ def attack_in_rounds(
     )
 
 
-class AimedSettings(OpponentSettings):
-    """Whom to attack, how hard to drive, how often.
+class AimedSettings(LimitedSettings):
+    """Opponent, its limits, and the number of attacks.
 
     Attributes:
-        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives, DeepMF's.
-        rounds: attacks that are driven, until one hits, where the budget says nothing.
+        rounds: number of attacks, until one hits, if the budget has no limit.
     """
 
-    accel_mps2: float = Field(default=LIMITS.accel, gt=0.0)
-    brake_mps2: float = Field(default=LIMITS.brake, gt=0.0)
-    lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
     rounds: int = Field(default=1, ge=1)
 
-    @property
-    def limits(self) -> Limits:
-        """Limits of what the opponent drives."""
-        return Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)
+
+class Rounds:
+    """An adversary that aims at the AV's rollouts, round by round.
+
+    Args:
+        settings: opponent and rounds.
+        weights: of the network that chooses the opponent.
+        aim: aims at the rollouts.
+    """
+
+    def __init__(self, settings: AimedSettings, weights: str, aim: Aim) -> None:
+        self._settings = settings
+        self._opponent = OpponentChoice(settings.opponent, weights)
+        self._aim = aim
+
+    def attack(
+        self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
+    ) -> Attack:
+        """The attack; trials are the rounds."""
+        choose, rounds = self._opponent.of(case), self._settings.rounds
+        return attack_in_rounds(case, simulate, choose, self._aim, rounds, budget)

@@ -1,13 +1,10 @@
-"""Search over an opponent's controls by simulation, and its cost.
+"""Black-box search over an opponent's controls: propose, simulate, evaluate the cost, repeat.
 
-A black-box search for an attack: propose controls, simulate, judge, again.
+The three searches `brs`, `bga` and `bbo` differ only in their `Optimiser`.
 
-What the three searches share; they differ in the `Optimiser` alone.
-
-What a search minimises: an attack that misses, that no driver would drive, or that jerks.
-
-After AdvSim (Wang et al., CVPR 2021), whose cost of the planner is here the distance to the AV.
-Limits of speed, acceleration and curvature need no term: the bicycle keeps them.
+The cost penalises attacks that miss, leave the road, touch others, or jerk. It follows AdvSim (Wang
+et al., CVPR 2021), with the distance to the AV instead of the planner's cost. Limits of speed,
+acceleration and curvature need no term: the bicycle model keeps them.
 """
 
 from collections.abc import Callable
@@ -20,30 +17,30 @@ from pydantic import Field
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries._controls import Bicycle, Bounds, Knots
 from deepmf_sumo.adversaries._episodes import (
+    LimitedSettings,
     OpponentChoice,
-    OpponentSettings,
     Planned,
     Scouted,
     Spending,
+    plan_of,
     scout,
 )
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Attack, Budget, Case, Floats, Rollout, Trial
-from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.geometry import boxes, road
 from deepmf_sumo.geometry.ground import distance_m
 
 _FAR_M = 100.0
-"""Distance to an AV or an opponent that was gone before the first step."""
+"""Distance to an AV or an opponent that had left before the first step."""
 
 
 class Weights(plugins.Settings):
     """Weights of the terms, added in metres of distance to the AV.
 
     Attributes:
-        late: of a contact after 8 s, in proportion before.
-        off_road: of an opponent that is off the road all the time, in proportion to the share.
-        third_party: of a contact of the opponent with somebody else.
+        late: of a contact after 8 s; an earlier one counts in proportion.
+        off_road: of an opponent that is always off the road, else in proportion to the share.
+        third_party: of a contact of the opponent with another agent.
         jerk: of a mean square of 1 (m/s3)^2.
     """
 
@@ -65,15 +62,12 @@ class Cost:
 
     @property
     def total(self) -> float:
-        """What is minimised."""
+        """The cost to minimise."""
         return self.distance + self.late + self.off_road + self.third_party + self.jerk
 
 
 def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
-    """The cost of an attack that was simulated.
-
-    It is judged up to the end of the episode, which is the contact where there is one.
-    """
+    """The cost of a simulated attack, up to the end of the episode or the contact."""
     tracks, first = rollout.tracks, rollout.now + 1
     opponent = tracks.row(str(rollout.opponent_id))
     there = tracks.valid[opponent, first:]
@@ -94,7 +88,7 @@ def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
 def nearest_m(rollout: Rollout) -> float:
     """Smallest distance between the boxes of AV and opponent after now, metres; 0 at a contact.
 
-    100 m where one of them was gone before the first step.
+    100 m if one of them had left before the first step.
     """
     if rollout.first("av_opponent") is not None:
         return 0.0
@@ -124,7 +118,7 @@ def _mean_square_jerk(path_m: Floats) -> float:
 TRIALS_FORESIGHT = (
     "the opponent's un-attacked motion, where the search begins, and the AV's answer to every trial"
 )
-"""What the searches learn of a scene before their attack, for those who compare methods."""
+"""What the searches know of a scene before their attack, for comparisons of methods."""
 
 
 class Optimiser(Protocol):
@@ -135,24 +129,23 @@ class Optimiser(Protocol):
         ...
 
     def tell(self, costs: Floats) -> None:
-        """The costs (B) of the points that were asked for last."""
+        """Pass on the costs (B) of the points asked for last."""
         ...
 
 
-class SearchSettings(OpponentSettings):
+class SearchSettings(LimitedSettings):
     """Settings of the searches over a bicycle's controls.
 
     Attributes:
-        simulations: budget where none is given, the scouting episode included.
+        simulations: limit if the budget has none, the unattacked episode included.
         knots: of acceleration and of curvature, from now to the end of the case.
-        accel_change_mps2: largest change of the acceleration that the opponent has un-attacked.
-        curvature_change_per_m: largest change of the curvature,
-        lateral_change_mps2: and of the lateral acceleration.
-        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
+        accel_change_mps2: largest change of the opponent's unattacked acceleration.
+        curvature_change_per_m: largest change of its curvature.
+        lateral_change_mps2: largest change of its lateral acceleration.
         cost: weights of the cost's terms.
-        stop_at_contact: end the search with the first contact. By default it goes on for a better
-            one (on the road, smoother, earlier) while the budget lasts: the times in the paper are
-            in proportion to whole budgets, and attacks become more natural.
+        stop_at_contact: end the search with the first contact. By default it continues for a better
+            one (on the road, smoother, earlier) within the budget: the times in the paper are
+            proportional to whole budgets, and attacks become more natural.
     """
 
     simulations: int = Field(default=100, ge=2)
@@ -170,7 +163,7 @@ class SearchSettings(OpponentSettings):
     def bounds(self) -> Bounds:
         """Of the bicycle's controls."""
         return Bounds(
-            total=Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2),
+            total=self.limits,
             accel_mps2=self.accel_change_mps2,
             curvature_per_m=self.curvature_change_per_m,
             lateral_mps2=self.lateral_change_mps2,
@@ -178,7 +171,7 @@ class SearchSettings(OpponentSettings):
 
 
 MakeOptimiser = Callable[[int, np.random.Generator], Optimiser]
-"""An optimiser of so many dimensions."""
+"""Creates an optimiser for a number of dimensions."""
 
 
 class Search:
@@ -192,11 +185,11 @@ class Search:
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
-        """The attack of least cost that the budget finds, among those that hit if any does.
+        """The attack with the smallest cost within the budget, among those that hit if any does.
 
-        ``generation_s`` is everything but loading weights: candidates, rollouts, the optimiser; see
-        `Spending.generation_s`. At least one attack is tried, whatever the budget; with nobody to
-        attack none is.
+        ``generation_s`` includes candidates, rollouts and the optimiser, but not loading weights;
+        see `Spending.generation_s`. At least one attack is tried, whatever the budget, unless no
+        vehicle can attack.
         """
         choose = self._choice.of(case)
         spending = Spending(simulate, budget, self._settings.simulations)
@@ -223,22 +216,25 @@ class Search:
         knots = Knots(settings.knots, bicycle.steps)
         optimiser = self._make(knots.dimensions, rng)
         best = _Best(case, settings.cost, knots.names)
+        of = scouted.view, scouted.opponent_id
         while True:
             points = optimiser.ask()
             driven = bicycle.drive(*knots.controls(points))
             costs = []
             for row, point in enumerate(points):
-                costs.append(best.judge(spending.simulate(Planned(driven.plan(row))), point))
+                costs.append(
+                    best.judge(spending.simulate(Planned(plan_of(*of, driven, row))), point)
+                )
                 if spending.over or (settings.stop_at_contact and best.hits):
                     return best
             optimiser.tell(np.array(costs))
 
 
 class _Best:
-    """Judges rollouts and keeps the best one.
+    """Evaluates rollouts and keeps the best one.
 
-    One that hits is better than any that does not, whatever it costs: a cost that a near miss on
-    the road can beat would count hits that were found as none.
+    A hit is better than any miss, whatever its cost: otherwise a near miss on the road could
+    replace a hit that was found.
     """
 
     def __init__(self, case: Case, weights: Weights, names: tuple[str, ...]) -> None:
@@ -251,7 +247,7 @@ class _Best:
 
     @property
     def hits(self) -> bool:
-        """Whether the best one hits the AV."""
+        """Whether the best rollout hits the AV."""
         misses, _ = self._rank
         return not misses
 

@@ -1,8 +1,6 @@
-"""The stages of `strive`: latents of a scene, matched, attacked and solved.
+"""The stages of `strive`: Adam moves a scene's latents to match, to attack, and to save the AV.
 
-STRIVE's three stages: latents by Adam that match what happens, attack the AV, and save it.
-
-Costs are in metres: a weight says how much nearer to the AV its term is worth.
+Costs are in metres: a weight converts its term into distance to the AV.
 """
 
 import time
@@ -25,13 +23,13 @@ from deepmf_sumo.predictors.strive.motion_prior import Context, Gaussian, Motion
 
 _DISCS = 5
 _ROAD_M = 250.0
-"""Lanes farther from the AV than this are out of everybody's reach."""
+"""No vehicle reaches lanes farther from the AV than this."""
 _LANE_M = 1.6
-"""From a lane's centre line: farther away a vehicle begins to leave it."""
+"""Distance from a lane's centre line at which a vehicle starts to leave the lane."""
 
 
 class Path(NamedTuple):
-    """What one agent does in the next 8 s: (80, 2), (80), and (80) whether it is there."""
+    """Motion of one agent in the next 8 s: (80, 2), (80), and (80) whether it is present."""
 
     position: Tensor
     heading: Tensor
@@ -39,7 +37,7 @@ class Path(NamedTuple):
 
 
 class Obstacles(NamedTuple):
-    """Discs of other agents: centres (O, 80, 5, 2), radii (O), there (O, 80)."""
+    """Discs of other agents: centres (O, 80, 5, 2), radii (O), present (O, 80)."""
 
     discs: Tensor
     radius: Tensor
@@ -48,17 +46,17 @@ class Obstacles(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """The graph, what the network says of it, and what everybody does un-attacked.
+    """The graph, its encoding by the network, and the unattacked motion of all agents.
 
     Attributes:
         ids: (N) vehicles of the graph, the AV first.
         graph, context: of the network, B = 1.
-        paths: (N) what they do un-attacked.
-        others: what everybody around does, by id, those beside the graph included.
-        sizes: (2) length and width of everybody, by id.
+        paths: (N) their unattacked motion.
+        others: unattacked motion of all agents by id, including those outside the graph.
+        sizes: (2) length and width of all agents, by id.
         road: (Q, 2) points on lanes, every metre.
-        allowed: (N, 1) metres from the centre line that each may be: more than a lane's half where
-            it begins farther away.
+        allowed: (N, 1) metres from the centre line without a cost: more than half a lane for
+            vehicles that start farther away.
     """
 
     view: View
@@ -88,7 +86,7 @@ class Situation:
         return costs.disc_radius(self.sizes[agent_id])
 
     def obstacles(self, but: Sequence[AgentId], also: dict[AgentId, Path]) -> Obstacles | None:
-        """Everybody but some, on their own paths or those given; None if there is nobody."""
+        """All agents except ``but``, on their own paths or those given; None if there are none."""
         paths = {name: path for name, path in (self.others | also).items() if name not in but}
         if not paths:
             return None
@@ -99,7 +97,7 @@ class Situation:
         )
 
     def plan(self, motions: Motions, agent_id: AgentId, steps: int) -> Plan:
-        """A decoded motion as a plan of the scene's frame; constant motion beyond its 8 s."""
+        """A decoded motion as a plan in the scene's frame; constant motion beyond its 8 s."""
         row, view = self.row(agent_id), self.view
         origin, turn = _frame(view)
         local = motions.position[0, row].double().numpy()
@@ -152,7 +150,7 @@ def situation_of(scouted: Scouted, net: MotionPrior, wanted: Sequence[AgentId]) 
 
 
 def _frame(view: View) -> tuple[Floats, float]:
-    """Where the AV is now: the frame of the graph."""
+    """Present pose of the AV: the frame of the graph."""
     av = view.history.row(view.av_id)
     return view.history.position_m[av, -1], float(view.history.heading_rad[av, -1])
 
@@ -186,15 +184,15 @@ def _tensor(values: Floats) -> Tensor:
 
 
 _EVERY: Final = 5
-"""Costs but for the distance to the AV look at every fifth step."""
+"""Costs other than the distance to the AV use every fifth step."""
 _AV: Final = 0
 """Row of the AV in a graph."""
 _RATE: Final = {"match": 0.1, "adversarial": 0.1, "solution": 0.1}
 _FREE_STEP: Final = 20
-"""Nearer to now, nobody can do much about a gap: where cars part, the least one is that of now."""
+"""Earlier gaps can hardly be changed; the smallest gap of cars that drive apart is the first."""
 _HEADING_M: Final = 2.0
 _TOUCH_M: Final = -0.3
-"""Discs overlap by so much where boxes touch: they stick out at the sides."""
+"""Overlap of discs when boxes touch: discs extend beyond the sides."""
 
 
 class Costs(NamedTuple):
@@ -203,8 +201,8 @@ class Costs(NamedTuple):
     Attributes:
         others: of the overlap with others, 0 to 1 deep.
         road: of a metre off the road.
-        prior: of half a square of standard deviations of the prior, summed over a latent.
-        init: of the square by which a latent has changed.
+        prior: of half the squared distance to the prior's mean, in standard deviations.
+        init: of the squared change of a latent.
     """
 
     others: float
@@ -218,8 +216,8 @@ class Attacked(NamedTuple):
 
     Attributes:
         motions: of all vehicles, in the graph's frame.
-        closest: who comes closest to the AV's last rollout. gap_m: how close, below 0 in contact.
-        iterations: made in all so far.
+        closest: vehicle that comes closest to the AV's last rollout. gap_m: its gap, below 0 in
+            contact. iterations: total number so far.
     """
 
     motions: Motions
@@ -236,7 +234,7 @@ class Search:
         situation: what is attacked.
         attackers: vehicles of the graph that may attack; the others keep their matched latents.
         weights: of the adversarial stage.
-        deadline: of `time.perf_counter`; no iteration is begun after it.
+        deadline: of `time.perf_counter`; no iteration starts after it.
     """
 
     def __init__(
@@ -257,17 +255,17 @@ class Search:
         self.iterations = 0
 
     def match(self, iterations: int) -> float:
-        """First stage: all vehicles do what they do un-attacked. The mean error left, metres."""
+        """First stage: match the unattacked motion of all vehicles. Returns the mean error in m."""
         error = self._fit(range(len(self._situation.ids)), self._situation.paths, iterations)
         self._init = self._latent
         return error
 
     def match_av(self, rollout: Path, iterations: int) -> float:
-        """The AV does what it did in a rollout: the others keep theirs."""
+        """Match the AV's motion in a rollout; the others keep their latents."""
         return self._fit([_AV], [rollout], iterations)
 
     def attack(self, rollout: Path, iterations: int) -> Attacked:
-        """Second stage: until an attacker meets the AV's rollout, or for so many iterations."""
+        """Second stage: until an attacker meets the AV's rollout, at most ``iterations``."""
         if self._moments is None:
             self._attack = self._latent[:, self._rows].clone().requires_grad_()
             self._moments = torch.optim.Adam([self._attack], lr=_RATE["adversarial"])
@@ -292,10 +290,7 @@ class Search:
         )
 
     def save(self, attacks: dict[AgentId, Path], iterations: int, weights: Costs) -> bool | None:
-        """Third stage: whether a motion of the AV is found that touches nobody.
-
-        None where time ran out before one was found.
-        """
+        """Third stage: whether a motion of the AV without contact is found; None out of time."""
         situation = self._situation
         obstacles = situation.obstacles([situation.ids[_AV]], attacks)
         if obstacles is None:
@@ -315,7 +310,7 @@ class Search:
         return False
 
     def _fit(self, rows: Sequence[int], paths: Sequence[Path], iterations: int) -> float:
-        """Move latents until the vehicles follow the paths; the mean error left, metres."""
+        """Move latents until the vehicles follow the paths. Returns the mean error, metres."""
         rows = list(rows)
         latent = self._latent[:, rows].clone().requires_grad_()
         moments = torch.optim.Adam([latent], lr=_RATE["match"])
@@ -353,9 +348,9 @@ class Search:
         return self._net.decode(graph, self._situation.context, latent).placed(graph)
 
     def _gaps(self, motions: Motions, rollout: Path) -> Tensor:
-        """(attackers, 80) between discs of the AV and of each attacker; huge without the AV.
+        """(attackers, 80) gaps between discs of the AV and of each attacker; huge without the AV.
 
-        The AV is where its last rollout had it, and yields from there as the prior has it yield.
+        The AV is at its pose in the last rollout, and reacts from there as the prior lets it react.
         """
         situation, av = self._situation, self._situation.ids[_AV]
         yields = motions.position[0, _AV] - motions.position[0, _AV].detach()
@@ -371,7 +366,7 @@ class Search:
 
     @staticmethod
     def _adversarial(gaps: Tensor) -> Tensor:
-        """The least gap over attackers and time from 2 s on, softly."""
+        """Soft minimum of the gaps over attackers and time from 2 s on."""
         near = gaps[:, _FREE_STEP:].flatten()
         loss: Tensor = ((-near.detach()).softmax(-1) * near).sum()
         return loss
@@ -384,7 +379,7 @@ class Search:
         latent: Tensor,
         weights: Costs,
     ) -> Tensor:
-        """What the motions of some vehicles cost besides."""
+        """The other costs of the motions of some vehicles."""
         situation, every = self._situation, slice(_EVERY - 1, None, _EVERY)
         total = weights.prior * self._surprise(rows, latent).sum()
         total = total + weights.init * (latent - self._init[:, rows]).square().sum()
@@ -410,7 +405,7 @@ class Search:
         return 0.5 * ((latent - prior.mean[:, list(rows)]) * scale).square().sum(-1)
 
     def _touches(self, motions: Motions, attacks: dict[AgentId, Path]) -> bool:
-        """Whether the AV's box meets anybody's, who did not touch it already."""
+        """Whether the AV's box meets that of an agent that did not touch it at first."""
         situation, av = self._situation, self._situation.ids[_AV]
         place = motions.position[0, _AV].detach().double().numpy()
         heading = motions.heading[0, _AV].detach().double().numpy()
@@ -438,7 +433,7 @@ def _distance(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _posterior(net: MotionPrior, situation: Situation) -> Tensor:
-    """(1, N, 16) where the first stage begins: the posterior's means."""
+    """(1, N, 16) start of the first stage: the posterior's means."""
     pose = situation.graph["pose"][0]
     rows = []
     for path, (x, y, turn) in zip(situation.paths, pose, strict=True):

@@ -1,27 +1,24 @@
-"""ART: a bounded perturbation, found by gradient, brings the opponent into the AV's way.
+"""ART: a bounded perturbation, found by gradient descent, brings the opponent into the AV's path.
 
 Source: Zhang et al., On Adversarial Robustness of Trajectory Prediction for Autonomous Vehicles,
 CVPR 2022, which perturbs the *history* of a vehicle by at most 1 m a point so that a predictor
 errs, within bounds on speed, acceleration and jerk. Adapted to an attack on the AV in two forms:
 
-- ``future`` (default): the opponent's own un-attacked future is perturbed until its box meets the
-  AV's un-attacked one. It is the default since it is the stronger by far: a perturbed history only
-  shifts probability between futures that the predictor proposes anyway, by little within the
-  bounds. Its bound of 32 m is what 1 m/s2 reaches in 8 s; DeepMF's authors report Hausdorff
-  distances of 30 to 39 m for ART.
-- ``history``: the last second is perturbed, by gradient through our marginal predictor; the
+- ``future`` (default): the opponent's unattacked future is perturbed until its box meets the AV's
+  unattacked one. This form is much stronger: within the bounds, a perturbed history shifts little
+  probability between the futures that the predictor proposes anyway. Its bound of 32 m is what
+  1 m/s2 reaches in 8 s; DeepMF's authors report Hausdorff distances of 30 to 39 m for ART.
+- ``history``: the last second is perturbed, with gradients through our marginal predictor; the
   likeliest future that it then predicts is driven.
 
-Points are 2 Hz as in the paper, and smooth in between: its free points would be jitter at 10 Hz.
-Either way the trajectory is tracked within DeepMF's limits before it is judged and driven.
+Points are at 2 Hz as in the paper, and smooth in between: free points at 10 Hz would be jitter.
+In both forms the trajectory is tracked within DeepMF's limits before it is evaluated and driven.
 
 Budget: gradient steps, not simulations: ``restarts`` x ``iterations`` (10 x 100 as in the paper),
-at most ``seconds`` if that is set; and two simulations, one un-attacked and the attack. With more,
-every further round aims at what the AV did in the round before, until it is hit.
+at most ``seconds`` if that is set; and two simulations, one unattacked and the attack. With more,
+every further round aims at the AV's rollout of the round before, until it is hit.
 """
 
-import math
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
@@ -29,7 +26,14 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.adversaries import _open_loop as open_loop
-from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, Scouted
+from deepmf_sumo.adversaries._episodes import (
+    Motion,
+    OpponentChoice,
+    Scouted,
+    deadline,
+    limited,
+    plan_of,
+)
 from deepmf_sumo.adversaries._open_loop import Aimed, AimedSettings, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
@@ -44,15 +48,15 @@ FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponen
 
 
 class Settings(AimedSettings):
-    """How the perturbation is made.
+    """The perturbation and its bounds.
 
     Attributes:
         form: what is perturbed, see above.
         reach_m: largest move of a point of the future.
         history_reach_m: largest move of a point of the history.
         restarts, iterations: descents, and gradient steps of each at most.
-        seconds: at most so long where the budget says nothing; None is no limit. With one the
-            result depends on the machine.
+        seconds: time limit if the budget has none; null: no limit. With a limit the result depends
+            on the machine.
         modes: futures that are predicted under a perturbed history; the likeliest is driven.
         speed_mps, jerk_mps3: bounds of the perturbed trajectory; that of its acceleration is the
             larger of ``accel_mps2`` and ``brake_mps2``.
@@ -82,30 +86,27 @@ class ART:
     ) -> Attack:
         """The attack; trials are the rounds."""
         chosen = self._settings
-        # What brings torch along is imported and loaded here, before the time counts.
+        # Torch and the networks are loaded here, before the time counts.
+        from deepmf_sumo.adversaries import _art_gradients as art_gradients  # noqa: F401
+
         if chosen.form == "history":
-            from deepmf_sumo.adversaries import _art_gradients as art_gradients
             from deepmf_sumo.predictors.weights import cached_predictors
 
             cached_predictors(self._weights)
-        else:
-            from deepmf_sumo.adversaries import _art_gradients as art_gradients  # noqa: F401
         choose = self._opponent.of(case)
-        if budget.seconds is None:
-            most = budget.simulations or 1 + chosen.rounds
-            budget = Budget(simulations=most, seconds=chosen.seconds)
-        deadline = math.inf if budget.seconds is None else time.perf_counter() + budget.seconds
+        budget = limited(budget, 1 + chosen.rounds, chosen.seconds)
+        until = deadline(budget)
         perturb = self._history if chosen.form == "history" else self._future
 
         def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
-            return self._aim(scouted, rollouts[-1], *perturb(scouted, rollouts[-1], deadline, rng))
+            return self._aim(scouted, rollouts[-1], *perturb(scouted, rollouts[-1], until, rng))
 
         return attack_in_rounds(case, simulate, choose, aim, chosen.rounds, budget)
 
     def _future(
         self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
     ) -> tuple[Floats, "Descent"]:
-        """(R, K, 2) the opponent's reference, made drivable and bent into the AV's way."""
+        """(R, K, 2) the opponent's reference, made drivable and bent into the AV's path."""
         from deepmf_sumo.adversaries import _art_gradients as art_gradients
 
         view, chosen = scouted.view, self._settings
@@ -165,7 +166,7 @@ class ART:
         )
 
     def _aim(self, scouted: Scouted, av: Motion, reference_m: Floats, found: "Descent") -> Aimed:
-        """The least perturbation that meets the AV once it is tracked, else the nearest miss."""
+        """The smallest perturbation that meets the AV when tracked, else the nearest miss."""
         view = scouted.view
         start = Start.of(view, scouted.opponent_id)
         tracked = track(reference_m, start, self._settings.limits.rows(len(reference_m)))
@@ -173,7 +174,7 @@ class ART:
         moved = np.hypot(found.offset_m[..., 0], found.offset_m[..., 1]).mean(axis=1)
         row = int(np.lexsort((moved, gap))[0])
         return Aimed(
-            plan=open_loop.plan_of(view, scouted.opponent_id, tracked, row),
+            plan=plan_of(view, scouted.opponent_id, tracked, row),
             parameters={
                 "restart": float(row),
                 "iterations": float(found.iterations),

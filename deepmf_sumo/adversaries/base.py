@@ -1,4 +1,4 @@
-"""What an adversary is: a way of finding an attack."""
+"""Adversaries: methods that find an attack."""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
@@ -9,7 +9,7 @@ from deepmf_sumo.datatypes import Attack, Budget, Case, Rollout
 from deepmf_sumo.policies.base import Policy
 
 Simulate = Callable[[Policy | None], Rollout]
-"""One episode under a policy; without one nobody is attacked."""
+"""One episode under a policy; without one, no vehicle attacks."""
 
 
 class Adversary(Protocol):
@@ -24,8 +24,8 @@ class Adversary(Protocol):
 
 @runtime_checkable
 class Checkable(Protocol):
-    """An adversary that needs what its settings do not name."""
+    """An adversary that needs more than its settings name."""
 
     def check(self) -> None:
-        """Raises WeightsError or PluginError where it lacks; asked before hours of work."""
+        """Raise WeightsError or PluginError if that is missing; called before hours of work."""
         ...

@@ -1,17 +1,16 @@
 """BBO: Bayesian optimisation of a bicycle's controls, by a Gaussian process.
 
 Source: AdvSim (Wang et al., CVPR 2021), whose best search it is, as DeepMF's paper compares with
-it. Adapted: as in `brs`; one point after the other is where the expected improvement (Jones,
-Schonlau and Welch 1998) under a Gaussian process is largest, among points drawn everywhere and
-around the best ones. Length scales are fitted again every ten points. Optuna's sampler, which does
-the same with a costlier search for the next point, can take its place (`optimiser: optuna`).
+it. Adapted: as in `brs`; each point maximises the expected improvement (Jones, Schonlau and Welch
+1998) under a Gaussian process, among points drawn everywhere and around the best ones. Length
+scales are fitted again every ten points. Optuna's sampler, which does the same with a costlier
+search for the next point, can replace it (`optimiser: optuna`).
 
-Budget: 100 simulations, the scouting one included.
+The Gaussian process has a Matern 5/2 kernel with one length scale per axis, zero mean, and an
+amplitude that maximises the likelihood in closed form (Rasmussen and Williams 2006, chapters 4 and
+5).
 
-A small Gaussian process: what is known of a function from few evaluations.
-
-Kernel Matern 5/2 with a length scale an axis, zero mean, and an amplitude that maximises the
-likelihood in closed form (Rasmussen and Williams 2006, chapters 4 and 5).
+Budget: 100 simulations, the unattacked one included.
 """
 
 import math
@@ -27,8 +26,8 @@ from deepmf_sumo.adversaries._search import TRIALS_FORESIGHT, Search, SearchSett
 from deepmf_sumo.datatypes import Floats, Ints
 from deepmf_sumo.errors import PluginError
 
-_NOISE = 1e-4  # variance per amplitude: keeps near points from making the kernel singular
-_FLAT = 1e-12  # smallest amplitude: a function that is the same everywhere
+_NOISE = 1e-4  # variance per amplitude: close points would make the kernel singular
+_FLAT = 1e-12  # smallest amplitude: that of a constant function
 _FACTORS = (0.5, 2.0)  # of all length scales at once,
 _AXIS_FACTORS = (0.6, 1 / 0.6)  # and of one at a time, that a fit tries
 _SHORTEST, _LONGEST = 0.1, 20.0
@@ -61,7 +60,7 @@ class GaussianProcess:
 def fitted_scales(points: Floats, values: Floats, scales: Floats) -> Floats:
     """(D) length scales that are likelier than those given: one round of steps along each axis.
 
-    Few points say little of ten scales: a log-normal prior around 1 keeps them within reason.
+    A log-normal prior around 1 regularises them, since few points determine ten scales badly.
     """
 
     def evidence(tried: Floats) -> float:
@@ -91,7 +90,7 @@ def _matern(first: Floats, second: Floats) -> Floats:
 
 
 class OptunaSearch:
-    """One point after the other, by Optuna's sampler: Matern kernel, log expected improvement."""
+    """Points one by one from Optuna's sampler: Matern kernel, log expected improvement."""
 
     def __init__(self, drawn: int, dimensions: int, rng: np.random.Generator) -> None:
         import optuna
@@ -123,7 +122,7 @@ class OptunaSearch:
 
 FORESIGHT = TRIALS_FORESIGHT
 
-_DRAWN = 400  # points everywhere, and as many around the best,
+_DRAWN = 400  # points everywhere, and as many around the best ones,
 _BEST = 4
 _NEAR = (0.03, 0.1, 0.3)  # at these standard deviations
 _KEPT, _CHILDREN = 8, 12  # those of most improvement, and points around each of them,
@@ -138,7 +137,7 @@ class Settings(SearchSettings):
     Attributes:
         drawn: uniform points before the Gaussian process proposes any.
         fit_every: points after which its length scales are fitted again (``own`` alone).
-        optimiser: ``own`` Gaussian process, or ``optuna``'s (the extra `search`; a tenfold time).
+        optimiser: ``own`` Gaussian process, or ``optuna``'s (the extra `search`; ten times slower).
     """
 
     drawn: int = Field(default=10, ge=1)
@@ -147,7 +146,7 @@ class Settings(SearchSettings):
 
 
 class BayesianSearch:
-    """One point after the other, where the Gaussian process expects the most."""
+    """Points one by one, where the Gaussian process expects the largest improvement."""
 
     def __init__(self, settings: Settings, dimensions: int, rng: np.random.Generator) -> None:
         self._settings = settings
@@ -172,7 +171,7 @@ class BayesianSearch:
         self._costs = np.concatenate([self._costs, costs])
 
     def _most_promising(self) -> Floats:
-        """(1, D) the point of the largest expected improvement that is found."""
+        """(1, D) the point with the largest expected improvement found."""
         rows = self._remembered()
         known, costs = self._points[rows], self._costs[rows] - self._costs[rows].mean()
         values = costs / max(float(costs.std()), 1e-9)
@@ -214,7 +213,7 @@ class BayesianSearch:
 
 
 def _expected_improvement(process: GaussianProcess, points: Floats, least: float) -> Floats:
-    """(B) by how much points are expected to be below the least value so far."""
+    """(B) expected improvement of points over the least value so far."""
     mean, deviation = process.predict(points)
     share = (least - mean) / deviation
     below = 0.5 * _erfc(-share / math.sqrt(2))

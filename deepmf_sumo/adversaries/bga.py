@@ -2,9 +2,9 @@
 
 Source: AdvSim (Wang et al., CVPR 2021), as DeepMF's paper compares with it. Adapted: as in `brs`;
 tournament selection, blend crossover (BLX-alpha: Eshelman and Schaffer 1993), Gaussian mutation,
-and the best ones live on without being simulated again.
+and an elite that survives without being simulated again.
 
-Budget: 100 simulations, the scouting one included: about five generations of 20.
+Budget: 100 simulations, the unattacked one included: about five generations of 20.
 """
 
 from functools import partial
@@ -23,10 +23,10 @@ class Settings(SearchSettings):
 
     Attributes:
         population: points of a generation.
-        elite: of them, those that live on as they are.
-        tournament: points of which the best becomes a parent.
-        blend: how far beyond its parents a child may lie, per distance between them (alpha).
-        mutation: standard deviation of what is added to a child.
+        elite: number of best points that survive unchanged.
+        tournament: number of points of which the best becomes a parent.
+        blend: how far a child may lie beyond its parents, per distance between them (alpha).
+        mutation: standard deviation of the noise added to a child.
     """
 
     population: int = Field(default=20, ge=2)
@@ -47,11 +47,11 @@ class GeneticSearch:
         self._asked = rng.uniform(-1.0, 1.0, (settings.population, dimensions))
 
     def ask(self) -> Floats:
-        """(B, D) points of the generation that are new."""
+        """(B, D) new points of the generation."""
         return self._asked
 
     def tell(self, costs: Floats) -> None:
-        """Add the new points to the elite, and make the next generation of them."""
+        """Breed the next generation from the elite and the new points."""
         settings = self._settings
         points = np.concatenate([self._points, self._asked])
         costs = np.concatenate([self._costs, costs])
@@ -68,7 +68,7 @@ class GeneticSearch:
         return winners
 
     def _children(self, mothers: Floats, fathers: Floats) -> Floats:
-        """Points between and a little beyond their parents, mutated."""
+        """Mutated points between and slightly beyond their parents."""
         beyond = self._settings.blend
         share = self._rng.uniform(-beyond, 1 + beyond, mothers.shape)
         children = mothers + share * (fathers - mothers)

@@ -2,10 +2,10 @@
 
 Source: AdvSim (Wang et al., CVPR 2021), as DeepMF's paper compares with it. Adapted: no code of
 AdvSim is public; the parameters are changes of acceleration and curvature at knots in time, the
-cost is `adversaries._search`, every candidate is scored by a simulation in which the AV reacts.
+cost is that of `adversaries._search`, and every candidate is simulated with a reacting AV.
 
-Budget: 4 simulations, the scouting one included, which is the ratio to BBO and BGA of the times
-that the paper gives; none of it is for learning, so more of them only draw more.
+Budget: 4 simulations, the unattacked one included, which is the ratio to BBO and BGA of the times
+that the paper gives; it learns nothing, so a larger budget only draws more.
 """
 
 import numpy as np
@@ -33,11 +33,11 @@ class RandomSearch:
         self._rng = rng
 
     def ask(self) -> Floats:
-        """(16, D) points that know nothing of those before."""
+        """(16, D) points, independent of those before."""
         return self._rng.uniform(-1.0, 1.0, (_BATCH, self._dimensions))
 
     def tell(self, costs: Floats) -> None:
-        """Nothing is learned."""
+        """Learn nothing."""
 
 
 def build(settings: Settings, weights: str) -> Search:

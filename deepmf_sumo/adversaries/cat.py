@@ -1,19 +1,19 @@
 """CAT: likely candidates of the opponent against the AV's last rollouts, chosen once.
 
 Source: Zhang et al., CAT: Closed-loop Adversarial Training for Safe End-to-End Driving, CoRL 2023.
-The largest P(Y_OV | X) * sum over the AV's rollouts of P(Y_AV) * Coll: the AV is not predicted but
-looked up, and does not react to the candidate. Against DeepMF's version G with
+It maximises P(Y_OV | X) * sum over the AV's rollouts of P(Y_AV) * Coll: the AV is not predicted but
+replayed, and does not react to the candidate. Against DeepMF's version G with
 ``comfort_weight: 0``, with which it shares the opponent, the candidates and their limits, it
 isolates what conditional prediction is worth.
 
-Adapted: our marginal network; candidates are tracked within limits before they are judged, and
-include ways to goals around the AV's rollout (``goal_candidates: 0`` as published); contacts are
-tested at 10 Hz with exact boxes, where CAT looks at every fifth step. As published: weights of
-candidates beyond the sixth are equal, contact counts 0.99 less a half second later, and where
-nothing touches, the candidate whose centre comes nearest to the AV's is driven.
+Adapted: our marginal network; candidates are tracked within limits before they are scored, and
+include paths to goals around the AV's rollout (``goal_candidates: 0`` as published); contacts are
+tested at 10 Hz with exact boxes, while CAT tests every fifth step. As published: candidates beyond
+the sixth have equal weights, a contact counts 0.99 times as much per half second of delay, and if
+no candidate touches the AV, the one whose centre comes closest is driven.
 
-Budget: two simulations, one un-attacked and the attack. With more, every further round adds how the
-AV answered the attack before (the last five are kept, as in CAT's training), until it is hit.
+Budget: two simulations, one unattacked and the attack. With more, every further round adds the AV's
+rollout under the attack before (the last five are kept, as in CAT's training), until it is hit.
 """
 
 from collections.abc import Sequence
@@ -43,14 +43,14 @@ FORESIGHT = "the AV's un-attacked motion"
 
 
 class Settings(AimedSettings):
-    """How CAT attacks.
+    """Candidates and their weights.
 
     Attributes:
         candidates: modes of the opponent.
-        goal_candidates: at most so many ways to goals around the AV's rollouts besides.
-        tail_after: candidates after the so many likeliest weigh as the next one; null leaves the
-            weights as predicted.
-        memory: rollouts of the AV that are kept.
+        goal_candidates: maximum number of further paths to goals around the AV's rollouts.
+        tail_after: candidates beyond this number of likeliest ones have the weight of the next one;
+            null keeps the predicted weights.
+        memory: number of the AV's last rollouts that are kept.
     """
 
     candidates: int = Field(default=32, ge=1, le=MOST_MODES)
@@ -60,7 +60,7 @@ class Settings(AimedSettings):
 
 
 class CAT:
-    """Attacks with the candidate that is likely and meets the AV's rollouts."""
+    """Attacks with a likely candidate that meets the AV's rollouts."""
 
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
@@ -73,7 +73,7 @@ class CAT:
     ) -> Attack:
         """The attack; trials are the rounds."""
         if self._marginal is None:
-            # Brings torch along, which checking a spec's settings must not.
+            # Imports torch, which a check of a spec's settings must not do.
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._marginal = cached_predictors(self._weights).marginal
@@ -88,7 +88,7 @@ class CAT:
     def _aim(
         self, scouted: Scouted, rollouts: Sequence[Motion], marginal: MarginalPredictor
     ) -> Aimed:
-        """The best candidate, and why."""
+        """The best candidate, and its scores."""
         view = scouted.view
         last = Answers.of(view, rollouts[-self._settings.memory :])
         own = self._candidates(view, scouted.opponent_id, last, marginal)
@@ -107,7 +107,7 @@ class CAT:
     def _candidates(
         self, view: View, opponent_id: str, last: Answers, marginal: MarginalPredictor
     ) -> Candidates:
-        """Predicted and made candidates of the opponent, drivable, likeliest first."""
+        """Predicted and goal-directed candidates of the opponent, drivable, likeliest first."""
         settings, limits = self._settings, self._settings.limits
         situation = Situation.of(view, opponent_id, limits, unattacked=last.forecast)
         prediction = marginal.predict(view, opponent_id)

@@ -10,7 +10,7 @@ from deepmf_sumo.deepmf.settings import Settings
 
 
 class DeepMF:
-    """Attacks in one episode, whatever the budget; the predictors are loaded at the first."""
+    """Attacks in one episode, whatever the budget; the first attack loads the predictors."""
 
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
@@ -24,9 +24,9 @@ class DeepMF:
         budget: Budget,
         rng: np.random.Generator,
     ) -> Attack:
-        """The episode; ``generation_s`` is what the policy did, without loading the predictors."""
+        """The episode; ``generation_s`` is the policy's time, without loading the predictors."""
         if self._predictors is None:
-            # Brings torch along, which checking a spec's settings must not.
+            # Imports torch, which a check of a spec's settings must not do.
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._predictors = cached_predictors(self._weights)

@@ -1,4 +1,4 @@
-"""Nobody attacks: how the AV fares in the traffic as it is."""
+"""No attack: the AV in unchanged traffic."""
 
 import numpy as np
 
@@ -8,15 +8,15 @@ from deepmf_sumo.datatypes import Attack, Budget, Case
 
 
 class Settings(plugins.Settings):
-    """Nothing to set."""
+    """No settings."""
 
     @property
     def takes_turns(self) -> bool:
-        """Goes with ``opponents: in_turn``: for comparison with those who attack in turn."""
+        """True: ``opponents: in_turn`` is allowed, for comparison with attacks in turn."""
         return True
 
 
-class Nobody:
+class NoAttack:
     """One episode without a policy."""
 
     def attack(
@@ -30,6 +30,6 @@ class Nobody:
         return Attack(rollout=simulate(None), simulations=1, generation_s=0.0)
 
 
-def build(settings: Settings, weights: str) -> Nobody:
-    """The adversary that is none."""
-    return Nobody()
+def build(settings: Settings, weights: str) -> NoAttack:
+    """The adversary."""
+    return NoAttack()

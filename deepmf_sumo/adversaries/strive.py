@@ -2,22 +2,21 @@
 
 Source: Rempe et al., Generating Useful Accident-Prone Driving Scenarios via a Learned Traffic
 Prior, CVPR 2022. A conditional VAE over the graph of vehicles decodes latents into motions; Adam
-moves the latents in three stages: match what happens un-attacked, attack the AV, and save it.
+moves the latents in three stages: match the unattacked motion, attack the AV, and save it.
 
 Adapted: the prior is ours (`predictors.strive`), trained on the data of the other networks. The
-opponent is chosen as by the other methods; ``opponent: any`` is STRIVE's own way, whoever comes
-closest. The attack's distance is taken to the AV's last rollout, and the AV is driven against the
-attack again every ``iterations / rounds`` iterations. The stage ends as soon as a rollout hits: the
-latents stay as likely as the hit allows. Only the opponent drives its motion; the others do what
-they do un-attacked, and are obstacles to it as such.
+opponent is chosen as by the other methods; ``opponent: any`` is STRIVE's choice, the vehicle that
+comes closest. The attack minimises the distance to the AV's last rollout, and the AV is simulated
+against the attack every ``iterations / rounds`` iterations. The stage ends as soon as a rollout
+hits: the latents stay as likely as the hit allows. Only the opponent drives its motion; the others
+keep their unattacked motion, and are obstacles for it.
 
 Budget: ``match_iterations`` + ``iterations`` + ``solution_iterations`` steps of Adam, at most
 ``seconds`` if that is set; and ``rounds`` + 1 simulations. The last trial says whether the AV could
-be saved: ``solvable`` 1 where a motion of the AV was found that touches nobody, 0 where none was in
-all of its steps; there is no such trial where time ran out before.
+be saved: ``solvable`` is 1 if a motion of the AV without a contact was found, 0 if not within all
+steps; the trial is missing if the time ran out before.
 """
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +25,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, OpponentSettings, Scouted
+from deepmf_sumo.adversaries._episodes import (
+    Motion,
+    OpponentChoice,
+    OpponentSettings,
+    Scouted,
+    deadline,
+    limited,
+)
 from deepmf_sumo.adversaries._open_loop import Aimed, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import AgentId, Attack, Budget, Case, Trial, View
@@ -43,16 +49,16 @@ FORESIGHT = (
 
 
 class Settings(OpponentSettings):
-    """How latents are moved.
+    """The search over latents.
 
     Attributes:
-        opponent: as of the other methods, or ``any``: whoever comes closest.
-        match_iterations, iterations, solution_iterations: of the three stages; 0 of the last
-            leaves it out.
-        rounds: rollouts of the attack, so that the AV can answer it.
-        seconds: at most so long; None is no limit. With one the result depends on the machine.
-        others, road, prior, init: weights of overlap with others, of metres off the road, of what
-            is unlikely, and of change, in metres of distance to the AV.
+        opponent: as of the other methods, or ``any``: the vehicle that comes closest.
+        match_iterations, iterations, solution_iterations: of the three stages; 0 skips the last
+            stage.
+        rounds: rollouts of the attack, so that the AV can react to it.
+        seconds: time limit; null: no limit. With a limit the result depends on the machine.
+        others, road, prior, init: weights of overlap with others, of metres off the road, of
+            unlikely latents, and of their change, in metres of distance to the AV.
     """
 
     match_iterations: int = Field(default=20, ge=0)
@@ -65,17 +71,9 @@ class Settings(OpponentSettings):
     prior: float = Field(default=0.02, ge=0.0)
     init: float = Field(default=0.01, ge=0.0)
 
-    def limited(self, budget: Budget) -> Budget:
-        """The budget, and these settings where it says nothing; their seconds always count."""
-        unlimited = budget.simulations is None and budget.seconds is None
-        return Budget(
-            simulations=self.rounds + 1 if unlimited else budget.simulations,
-            seconds=self.seconds if budget.seconds is None else budget.seconds,
-        )
-
 
 class STRIVE:
-    """Attacks through latents; the prior is loaded at the first."""
+    """Attacks through latents; the first attack loads the prior."""
 
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
@@ -85,23 +83,23 @@ class STRIVE:
         )
 
     def check(self) -> None:
-        """Raises WeightsError where the set of weights has no motion prior."""
-        from deepmf_sumo.predictors.weights import cached_motion_prior  # brings torch along
+        """Raises WeightsError if the set of weights has no motion prior."""
+        from deepmf_sumo.predictors.weights import cached_motion_prior  # imports torch
 
         cached_motion_prior(self._weights)
 
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
-        """The attack; trials are the rounds. Raises WeightsError where the set has no prior."""
-        # Brings torch along, which checking a spec's settings must not; loading is not searching.
+        """The attack; trials are the rounds. Raises WeightsError if the set has no prior."""
+        # Imports torch, which a check of a spec's settings must not do; loading is not timed.
         from deepmf_sumo.adversaries import _strive as strive  # noqa: F401
         from deepmf_sumo.predictors.weights import cached_motion_prior
 
         chosen = self._settings
         net = cached_motion_prior(self._weights)
-        choose = anybody if self._opponent is None else self._opponent.of(case)
-        limit = chosen.limited(budget)
+        choose = nearest_vehicle if self._opponent is None else self._opponent.of(case)
+        limit = limited(budget, chosen.rounds + 1, chosen.seconds)
         stages = _Stages(chosen, net, case, limit)
         attack = attack_in_rounds(case, simulate, choose, stages.aim, chosen.rounds, limit)
         if not chosen.solution_iterations or not attack.rollout.plans:
@@ -117,12 +115,11 @@ class STRIVE:
 
 
 class _Stages:
-    """The stages of one attack; made with the first scouted situation."""
+    """The stages of one attack."""
 
     def __init__(self, settings: Settings, net: "MotionPrior", case: Case, budget: Budget) -> None:
         self._settings, self._net, self._case = settings, net, case
-        limit_s = math.inf if budget.seconds is None else budget.seconds
-        self._deadline = time.perf_counter() + limit_s
+        self._deadline = deadline(budget)
         self._search: Search | None = None
         self._situation: Situation | None = None
         self._matched_m = 0.0
@@ -148,7 +145,7 @@ class _Stages:
         )
 
     def solution(self, attack: Attack) -> list[Trial]:
-        """The third stage against the best attack, whose objective it has; none out of time."""
+        """The third stage against the best attack, with its objective; empty out of time."""
         from deepmf_sumo.adversaries._strive import Costs
 
         assert self._search is not None
@@ -178,21 +175,21 @@ class _Stages:
         attackers = [scouted.opponent_id]
         self._situation = strive.situation_of(scouted, self._net, attackers)
         if chosen.opponent == ANY:
-            attackers = [name for name in self._situation.ids if _attacks(view, name)]
+            attackers = [name for name in self._situation.ids if _can_attack(view, name)]
         weights = strive.Costs(chosen.others, chosen.road, chosen.prior, chosen.init)
         self._search = strive.Search(self._net, self._situation, attackers, weights, self._deadline)
         self._matched_m = self._search.match(chosen.match_iterations)
 
 
-def anybody(view: View, rng: np.random.Generator) -> AgentId | None:
-    """The vehicle nearest to the AV: only whether there is one matters. None if there is none."""
+def nearest_vehicle(view: View, rng: np.random.Generator) -> AgentId | None:
+    """The vehicle nearest to the AV, None if there is none; STRIVE only needs to know that."""
     tracks = view.history
     away = np.hypot(*(tracks.position_m[:, -1] - tracks.position_m[tracks.row(view.av_id), -1]).T)
-    others = [row for row in np.argsort(away).tolist() if _attacks(view, tracks.ids[row])]
+    others = [row for row in np.argsort(away).tolist() if _can_attack(view, tracks.ids[row])]
     return tracks.ids[others[0]] if others else None
 
 
-def _attacks(view: View, agent_id: AgentId) -> bool:
+def _can_attack(view: View, agent_id: AgentId) -> bool:
     kind = view.history.kinds[view.history.row(agent_id)]
     return kind == "vehicle" and agent_id != view.av_id
 

@@ -1,4 +1,4 @@
-"""A fixed trajectory as an adversary: replays a known attack."""
+"""A fixed trajectory: replays a known attack."""
 
 import numpy as np
 
@@ -27,5 +27,5 @@ class Trajectory:
 
 
 def build(settings: Settings, weights: str) -> Trajectory:
-    """The adversary. Raises PluginError where the trajectory's file cannot be used."""
+    """The adversary. Raises PluginError if the trajectory's file cannot be used."""
     return Trajectory(settings)

@@ -14,7 +14,6 @@ import torch
 from deepmf_sumo import plugins
 from deepmf_sumo.adversaries import _art_gradients as art_gradients
 from deepmf_sumo.adversaries import _episodes as episodes
-from deepmf_sumo.adversaries import art
 from deepmf_sumo.adversaries._art_gradients import Bounds
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.deepmf.tracking import Start
@@ -80,7 +79,7 @@ def test_without_a_limit_in_seconds_the_clock_ends_nothing(monkeypatch):
     """However slow the machine: a day between two looks at the clock."""
     clock = itertools.count(0.0, 86400.0)
     slow = SimpleNamespace(perf_counter=lambda: next(clock))
-    for module in (art, art_gradients, episodes):
+    for module in (art_gradients, episodes):
         monkeypatch.setattr(module, "time", slow)
     calm = attack(World())
     assert not calm.out_of_time
