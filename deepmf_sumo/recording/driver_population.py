@@ -1,8 +1,8 @@
-"""Different drivers for a demand of few vehicle types: models, tempers, errors, vehicle sizes.
+"""A mixed driver population: car-following models, driving styles, errors and vehicle sizes.
 
-The ranges are chosen so that starts, stops, turns and cruising look like those of recorded traffic:
-from rest to 5 m/s in about 4 s with an acceleration that takes 1.5 s to build up and ends at 2.3
-m/s2, a stop that glides out from 2.5 m/s2, speeds that are never quite steady.
+The ranges are chosen so that starts, stops, turns and cruising resemble recorded traffic: from rest
+to 5 m/s in about 4 s with an acceleration that builds up over 1.5 s to 2.3 m/s2, a stop that eases
+off from 2.5 m/s2, speeds that are never quite constant.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _WANDER_DEVIATION: Final = 0.06
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Vehicles:
-    """How many types there are of a vehicle class, and their sizes (m)."""
+    """Number of types of a vehicle class, and their sizes (m)."""
 
     types: int
     length_m: tuple[float, float]
@@ -50,7 +50,7 @@ _CLASSES: Final = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Temper:
-    """What sets hurried and hesitant drivers apart; pairs are ranges to draw from."""
+    """A driving style; pairs are ranges of uniform distributions."""
 
     accel: tuple[float, float]
     decel: tuple[float, float]
@@ -100,11 +100,11 @@ _TEMPERS: Final = (_ORDINARY, _ORDINARY, _HURRIED, _ORDINARY, _HESITANT)
 
 
 class DriverMix:
-    """Vehicle types drawn at random; everybody who departs is given one of their class.
+    """Random vehicle types; each departing vehicle gets one of its class.
 
     Args:
         file: additional file to write the types to.
-        rng: draws the types, who gets which, and how speeds wander.
+        rng: draws the types, their assignment, and the drift of speeds.
     """
 
     def __init__(self, file: Path, rng: np.random.Generator) -> None:
@@ -124,9 +124,10 @@ class DriverMix:
         file.write_text("<additional>\n" + "\n".join(lines) + "\n</additional>\n", "utf-8")
 
     def assign(self, api: SumoApi) -> None:
-        """Give those who departed in the last step their type and temper; to be called each step.
+        """Assign types to the vehicles that departed in the last step; call it every step.
 
-        Nobody holds a speed exactly: what drivers want drifts by some per cent within seconds.
+        Drivers do not hold a speed exactly: their desired speed drifts by a few per cent within
+        seconds.
         """
         vehicle = api.vehicle
         for name in sorted(api.simulation.getDepartedIDList()):
@@ -180,7 +181,7 @@ def _vehicle_type(
 
 
 def _manners(temper: _Temper, rng: np.random.Generator) -> dict[str, float]:
-    """At junctions and beside others."""
+    """Parameters of junctions and lane changes."""
     return {
         "lcStrategic": rng.uniform(1.0, 4.0),
         "lcCooperative": rng.uniform(0.4, 1.0),
@@ -205,7 +206,7 @@ def _manners(temper: _Temper, rng: np.random.Generator) -> dict[str, float]:
 
 
 def _errors(model: str, rng: np.random.Generator) -> dict[str, float]:
-    """How late and how inexactly the driver sees and acts."""
+    """Delays and errors of perception and control."""
     errors = {"startupDelay": rng.uniform(0.0, 1.2)}
     if model == "Krauss":
         errors |= {"sigma": rng.uniform(0.2, 0.6), "sigmaStep": 1.0}
@@ -224,7 +225,7 @@ def _errors(model: str, rng: np.random.Generator) -> dict[str, float]:
 
 
 def _eased(accel: float) -> str:
-    """Krauss: acceleration that builds up from rest and wanes with speed."""
+    """Krauss: acceleration that builds up from rest and decreases with speed."""
     wanted = accel * np.array([0.3, 0.8, 1.0, 0.8, 0.5, 0.3])
     table = " ".join(f"{value:.2f}" for value in wanted)
     most = " ".join(f"{accel + 1.0:.2f}" for _ in wanted)

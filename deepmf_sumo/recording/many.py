@@ -1,4 +1,4 @@
-"""Traffic of many networks, given or generated, as folders of scenes; one task a network."""
+"""Traffic of many networks, given or generated, as folders of scenes; one task per network."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ from deepmf_sumo.recording.record import Recording, record
 from deepmf_sumo.sweep import workers
 
 MANIFEST: Final = ".record.json"
-"""Hidden from those who look for scenes."""
+"""Hidden, so that it is not taken for a scene."""
 _START_LIMIT_S: Final = 180.0
 _SCENE_LIMIT_S: Final = 10.0
 
@@ -26,10 +26,10 @@ class Wanted:
     """What to record of each network.
 
     Attributes:
-        configs: configurations with traffic. kind: of generated networks. networks: how many.
-        scenes: of each network at most. avs: scenes of one moment at most.
-        every_s: between moments. start_s: until the first.
-        diverse: mix drivers, or keep the demand's types.
+        configs: configurations with traffic. kind: of generated networks. networks: their number.
+        scenes: maximum per network. avs: maximum of scenes per moment.
+        every_s: time between moments. start_s: time until the first one.
+        diverse: use a mixed driver population instead of the demand's vehicle types.
     """
 
     configs: tuple[Path, ...]
@@ -45,7 +45,7 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """One network; ``config`` is None where it is to be generated, as number ``number``."""
+    """One network; ``config`` is None for the generated network ``number``."""
 
     name: str
     config: Path | None
@@ -57,7 +57,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """How a network went: its scenes, or why there are none."""
+    """The result for a network: its number of scenes, or why there are none."""
 
     name: str
     given: bool
@@ -66,13 +66,13 @@ class Recorded:
 
 
 def record_all(wanted: Wanted, out: Path, jobs: int) -> Iterator[Recorded]:
-    """Record all networks, each into a folder of its own; yields each as it ends.
+    """Record all networks, each into a separate folder; yields each as it finishes.
 
-    The files are the same whatever ``jobs``. A network that fails, or whose process dies, is left
-    out with the reason. Folders that are there from the same command are kept, so that one that was
-    cut off can be run again.
+    The files do not depend on ``jobs``. A network that fails, or whose process dies, is left out
+    with the reason. Existing folders of the same command are kept, so that an interrupted command
+    can be repeated.
 
-    Raises OutputError where ``out`` cannot be written, UsageError where it holds something else.
+    Raises OutputError if ``out`` cannot be written, UsageError if it contains other files.
     """
     tasks = _tasks(wanted, out)
     _claim(wanted, out)
@@ -87,7 +87,7 @@ def record_all(wanted: Wanted, out: Path, jobs: int) -> Iterator[Recorded]:
 
 
 def record_network(task: Task) -> None:
-    """Record one network; its folder appears when it is complete, and holds at least one scene."""
+    """Record one network; its folder appears when it is complete, with at least one scene."""
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         config = task.config or generated.generate(
             task.kind, task.wanted.seed, task.number, Path(folder)
@@ -113,7 +113,7 @@ def _write(recording: Recording, most: int, folder: Path) -> int:
 
 def _recording(task: Task, config: Path) -> Recording:
     wanted = task.wanted
-    # as long as it takes: moments without a possible AV give no scene
+    # some moments have no possible AV, and so give no scene
     moments = 10 + 3 * wanted.scenes // wanted.avs
     return Recording(
         config=config,
@@ -140,7 +140,7 @@ def _tasks(wanted: Wanted, out: Path) -> list[Task]:
     twice = {one.name for one in tasks if [other.name for other in tasks].count(one.name) > 1}
     if twice:
         raise UsageError(
-            f"Two configurations are called '{min(twice)}'; rename one, or record it apart."
+            f"Two configurations are named '{min(twice)}'; rename one, or record it separately."
         )
     kinds = generated.kinds_of(wanted.kind, wanted.networks)
     tasks += [
@@ -151,14 +151,14 @@ def _tasks(wanted: Wanted, out: Path) -> list[Task]:
 
 
 def _claim(wanted: Wanted, out: Path) -> None:
-    """Make the folder, and note in it what it is for; what a killed command began goes."""
+    """Create the folder with a note of the command; remove parts of a killed command."""
     note = out / MANIFEST
     described = json.dumps(asdict(wanted), indent=2, sort_keys=True, default=str) + "\n"
     try:
         out.mkdir(parents=True, exist_ok=True)
         if note.is_file() and note.read_text("utf-8", errors="replace") != described:
             raise UsageError(
-                f"'{out}' holds scenes of another command (see {note}); remove it, or give "
+                f"'{out}' contains scenes of another command (see {note}); remove it, or give "
                 "another folder."
             )
         if not note.is_file() and any(out.iterdir()):
@@ -173,5 +173,5 @@ def _claim(wanted: Wanted, out: Path) -> None:
 def _recorded(task: Task, reason: str = "") -> Recorded:
     scenes = len(list(task.out.glob("*.npz"))) if task.out.is_dir() else 0
     if not scenes and not reason:
-        reason = "no vehicle drives on for 9 s with others"
+        reason = "no vehicle moves for 9 s with others around"
     return Recorded(name=task.name, given=task.config is not None, scenes=scenes, reason=reason)

@@ -20,14 +20,14 @@ from deepmf_sumo.training.samples.feature_cache import Data
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What the command line asks for; what is None is taken from ``file``, else the default.
+    """Options of the command line; None is the value in ``file``, else the default.
 
     Attributes:
         network: its name, or ``all`` for the three of the paper.
         file: the configuration. data: ``PATH`` or ``PATH=WEIGHT`` each.
-        name: of the set of weights. out: its folder, instead of its place in the weights home.
+        name: of the set of weights. out: its folder, instead of one in the weights home.
         optimisation: values of `config.Optimisation`, for all networks.
-        threads: CPU threads; None leaves them to torch.
+        threads: CPU threads; None is torch's default.
         command: for the card.
     """
 
@@ -53,8 +53,8 @@ class Request:
 def train_requested(request: Request, report: Progress) -> None:
     """Train the networks of a request.
 
-    Raises UsageError without any data, and WeightsError where the initial weights of a network do
-    not fit, before any network is trained.
+    Raises UsageError without data, and WeightsError if the initial weights of a network do not fit,
+    both before any network is trained.
     """
     settings = config.load(request.file) if request.file is not None else Config(version=1)
     data = _sources(request, settings)
@@ -74,7 +74,7 @@ def train_requested(request: Request, report: Progress) -> None:
 def train_each(
     networks: Sequence[Network], training: Training, threads: int | None, report: Progress
 ) -> None:
-    """Train networks one after the other; ``threads`` of the CPU, None leaves them to torch."""
+    """Train networks one after the other with ``threads`` CPU threads (None: torch's default)."""
     if threads is not None:
         torch.set_num_threads(threads)
     for network in networks:
@@ -93,7 +93,7 @@ def _networks(name: str) -> list[Network]:
 def _training(
     network: Network, request: Request, settings: Config, data: Sequence[Data]
 ) -> Training:
-    """How to train one network: flags, then the file, then the defaults."""
+    """How to train one network; flags take precedence over the file, and it over defaults."""
     flags = config.Optimisation(**request.optimisation)
     return Training(
         data=data,
@@ -115,6 +115,6 @@ def _training(
 def _sources(request: Request, settings: Config) -> list[Data]:
     sources = [config.parsed(text) for text in request.data] or settings.sources()
     if not sources:
-        raise UsageError("There is no data to train on; give --data, or a --config with 'data'.")
+        raise UsageError("No data to train on; give --data, or a --config with 'data'.")
     config.check_weights(sources)
     return sources

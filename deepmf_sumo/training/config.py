@@ -1,4 +1,4 @@
-"""``train --config FILE``: what to train, in strict YAML, and the defaults of each network."""
+"""``train --config FILE``: a training in strict YAML, and the defaults of each network."""
 
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -26,7 +26,7 @@ DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
     "conditional": {"steps": 4000, "rate": 1.5e-3, "precision": "fp32"},
     "strive": {"steps": 2000, "batch": 32, "ema": 0.99, "precision": "fp32"},
 }
-"""Where they differ from those of `Optimisation.with_defaults`."""
+"""Defaults that differ from those of `Optimisation.with_defaults`."""
 PRESETS: Final[dict[Network, str]] = {
     "opponent": "light",
     "marginal": "vector",
@@ -35,14 +35,14 @@ PRESETS: Final[dict[Network, str]] = {
 }
 """Sizes of each network. Images add nothing to the trajectories; see docs/studies.md."""
 MEMBERS: Final = 1
-"""Members of the marginal network. A second lowers errors of 16 and 32 modes, not those of 6."""
+"""Members of the marginal network. A second one lowers errors of 16 and 32 modes, not of 6."""
 MOST_MEMBERS: Final = 8
 _FINE_RATE: Final = 5e-4
-"""Learning rate of a network whose initial weights are another set's."""
+"""Learning rate of a network that starts from the weights of another set."""
 
 
 class Optimisation(Strict):
-    """How to train a network; what is left out takes the network's default."""
+    """How to train a network; None is the network's default."""
 
     steps: int | None = Field(default=None, ge=1)
     batch: int | None = Field(default=None, ge=1, description="samples a step")
@@ -65,7 +65,7 @@ class Optimisation(Strict):
     )
 
     def over(self, other: "Optimisation") -> "Optimisation":
-        """These settings, and the other's where these say nothing."""
+        """These settings; those that are None are the other's."""
         own = {name: getattr(self, name) for name in Optimisation.model_fields}
         return Optimisation(
             **{
@@ -75,7 +75,7 @@ class Optimisation(Strict):
         )
 
     def with_defaults(self, network: Network, *, began: bool) -> dict[str, Any]:
-        """All values: these, then the network's own, then the common ones."""
+        """All values; those that are None are the network's defaults, else the common ones."""
         given = {name: value for name, value in dict(self).items() if value is not None}
         common: dict[str, Any] = {
             "batch": 64,
@@ -108,7 +108,7 @@ DataEntries = Annotated[list[Annotated[DataEntry, BeforeValidator(_entry)]], Fie
 
 
 class Config(Optimisation):
-    """A training: its data, how to optimise, and the same for single networks."""
+    """A training: its data, the optimisation, and that of single networks."""
 
     version: Literal[1]
     data: DataEntries | None = None
@@ -127,12 +127,12 @@ class Config(Optimisation):
     strive: Optimisation = Optimisation()
 
     def of(self, network: Network) -> Optimisation:
-        """How to train one network: its own settings over those of all."""
+        """How to train one network; its own settings take precedence."""
         own: Optimisation = getattr(self, network)
         return own.over(self)
 
     def sources(self) -> list[Data]:
-        """The recordings; as `parsed` gives them from the command line."""
+        """The recordings."""
         return [Data(path=entry.path, weight=entry.weight) for entry in self.data or ()]
 
 
@@ -149,7 +149,7 @@ def load(file: Path) -> Config:
 
 
 def parsed(text: str) -> Data:
-    """``PATH`` or ``PATH=WEIGHT``. Raises UsageError where the weight is not a number above 0."""
+    """``PATH`` or ``PATH=WEIGHT``. Raises UsageError if the weight is not a number above 0."""
     path, equals, weight = text.rpartition("=")
     if not equals or Path(text).exists():
         return Data(path=Path(text))
@@ -165,10 +165,10 @@ def parsed(text: str) -> Data:
 
 
 def check_weights(data: list[Data], place: str = "--data") -> None:
-    """Raises UsageError where some sources have a weight and others have none."""
+    """Raises UsageError if some sources have a weight and others do not."""
     without = [entry.path.name for entry in data if entry.weight is None]
     if 0 < len(without) < len(data):
         raise UsageError(
-            f"{place}: {', '.join(without)} has no weight, but other sources have; give all of them"
-            " one, or none."
+            f"{place}: {', '.join(without)} has no weight, but other sources have one; give a"
+            " weight for all sources or for none."
         )

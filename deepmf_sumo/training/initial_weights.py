@@ -1,4 +1,4 @@
-"""Initial weights: random, those of another set, or of the marginal network beside."""
+"""Initial weights: random, from another set, or from the marginal network of the same set."""
 
 import hashlib
 from pathlib import Path
@@ -15,9 +15,9 @@ from deepmf_sumo.training.samples.dataset import Progress
 MARGINAL: Final = "marginal"
 """On the card of a conditional network that started from the marginal one of its own set."""
 _ADDED: Final = frozenset({"goal_follow.weight"})
-"""Tensors that networks without the follower as input lack; they start as zeros."""
+"""Tensors that networks without the follower as an input lack; they start as zeros."""
 _NO_SIZES: Final = ("name", "dropout", "reactive")
-"""Fields of a preset on which no tensors depend but those `_ADDED`."""
+"""Fields of a preset on which no tensors except `_ADDED` depend."""
 
 
 def file_of(
@@ -30,16 +30,15 @@ def file_of(
 ) -> Path | None:
     """The file with the initial tensors; None for random ones.
 
-    A member starts from the same member of another set, or from the first where that has fewer.
-    The conditional network starts from the marginal one of the same folder where no other set is
-    named. Raises WeightsError where the set is missing or of another version or other sizes.
+    A member starts from the same member of another set, or from the first if that has fewer. If no
+    other set is named, the conditional network starts from the marginal one of the same folder.
+    Raises WeightsError if the set is missing, or has another version or other sizes.
     """
     if begin_from is not None:
         source = weights.find(begin_from)
         if source.resolve() == folder.resolve():
             raise WeightsError(
-                f"--from {begin_from} is the set that is to be trained; give the new one another"
-                " --name."
+                f"--from {begin_from} is the set to be trained; give the new set another --name."
             )
         stem = weights.member(network, member)
         if member > 1 and stem not in weights.listed(source):
@@ -60,24 +59,23 @@ def file_of(
 def check(
     network: Network, preset: Preset, folder: Path, begin_from: str | None, report: Progress
 ) -> None:
-    """Raise what `file_of` and `load` would raise."""
+    """Raise the errors of `file_of` and `load`."""
     file = file_of(network, preset, folder, begin_from, report)
     if file is not None:
         load(weights.build(network, preset), network, file)
 
 
 def digest(file: Path | None) -> str:
-    """Of the tensors in a file; empty without one."""
+    """Digest of the tensors in a file; empty without one."""
     return hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
 
 
 def load(net: nn.Module, network: Network, file: Path) -> None:
-    """Put the tensors of a file into the network.
+    """Load the tensors of a file into the network.
 
-    The conditional network shares all layers of the marginal one but those that read the condition.
-    Where the condition enters the image, its channels come after the shared ones.
-    Tensors that an older set lacks are zero at first. Raises WeightsError where they do not
-    fit.
+    The conditional network shares all layers with the marginal one except those that read the
+    condition. If the condition enters the image, its channels come after the shared ones. Tensors
+    that an older set lacks start as zeros. Raises WeightsError if the tensors do not fit.
     """
     found = weights.tensors(file.parent, file.stem)
     own = net.state_dict()
@@ -107,7 +105,7 @@ def name_of(file: Path | None, begin_from: str | None) -> str:
 
 
 def _wider(name: str, own: Tensor, shared: Tensor) -> bool:
-    """Whether a layer takes the channels of another one and more, or has more profiles."""
+    """Whether a layer has the channels of another one and more, or more profiles."""
     grows = 0 if name == "profile" else 1
     rest = [size for axis, size in enumerate(own.shape) if axis != grows]
     same = rest == [size for axis, size in enumerate(shared.shape) if axis != grows]
@@ -116,7 +114,7 @@ def _wider(name: str, own: Tensor, shared: Tensor) -> bool:
 
 
 def _check_sizes(folder: Path, network: str, preset: Preset) -> None:
-    """The card must be of this version, and name the sizes of the preset."""
+    """Raises WeightsError for another version, or other sizes than the preset's."""
     card = weights.read_card(folder, network)
     sizes, wanted = Preset.from_record(card.get("sizes")).record(), preset.record()
     for key, value in wanted.items():

@@ -1,6 +1,6 @@
-"""Several members of the marginal network: trained one after the other, measured as one.
+"""Several members of the marginal network: trained one after the other, measured as a mixture.
 
-The card of the first member lists all members once they are complete, so that a set is whole at
+The card of the first member lists all members when they are complete, so that a set can be used at
 any time.
 """
 
@@ -24,18 +24,18 @@ from deepmf_sumo.training.samples.dataset import Dataset, Progress
 _OF_EACH: Final = (
     "seed", "best_step", "held_out_loss", "hours", "temperature", "training_digest",
 )  # fmt: skip
-"""What of each member's card the first one's repeats."""
+"""Keys of each member's card that the first one's card repeats."""
 _OF_ALL: Final = ("members", "mixture", "results")
-"""What the first member's card says of all of them."""
+"""Keys of the first member's card that describe all members."""
 _MODES: Final = (6, 16, 32)
 _SAMPLES: Final = 600
 _BATCH: Final = 32
 
 
 def train(training: Training, report: Progress) -> None:
-    """Train the members that are missing, then fit the temperature of their mixture.
+    """Train missing members, then fit the temperature of their mixture.
 
-    Raises what `run.train` raises.
+    Raises the errors of `run.train`.
     """
     names = [weights.member("marginal", number + 1) for number in range(training.members)]
     for number in range(training.members):
@@ -53,13 +53,13 @@ def train(training: Training, report: Progress) -> None:
     except OSError as error:
         raise OutputError(
             f"The card of the marginal network cannot be written to {folder} ({error.strerror});"
-            " its members are there: make room, and give the same command again."
+            " its members are complete: free some space and repeat the command."
         ) from None
     report(f"marginal: {len(names)} member(s), temperature {card['temperature']}")
 
 
 def _pooled_card(names: list[str], cards_of: list[dict[str, Any]]) -> dict[str, Any]:
-    """The first member's card with a list of all members; as a single network's for one."""
+    """The first member's card with a list of all members, if there are several."""
     first = cards_of[0]
     alone = first["members"][0] if "members" in first else first  # with its own temperature
     card = {key: value for key, value in first.items() if key not in _OF_ALL}
@@ -73,7 +73,7 @@ def _pooled_card(names: list[str], cards_of: list[dict[str, Any]]) -> dict[str, 
 
 
 def _measured(training: Training, report: Progress) -> dict[str, Any]:
-    """The mixture's temperature, and its held-out figures."""
+    """The mixture's temperature and held-out figures."""
     nets = []
     for number in range(training.members):
         net, _ = weights.read_network(training.folder, "marginal", number + 1)
@@ -90,8 +90,8 @@ def _measured(training: Training, report: Progress) -> dict[str, Any]:
 def mixture_errors(nets: Sequence[DenseTNT], dataset: Dataset) -> dict[str, Any]:
     """Samples, loss (negative log density, nats) and min FDE at 8 s (m) by number of modes.
 
-    Of the mixture, and of the first network alone on the same samples: up to 600 held-out ones that
-    are known for 8 s. Empty where there are none.
+    Of the mixture, and of the first network alone, on the same up to 600 held-out samples that are
+    known for 8 s. Empty if there are none.
     """
     rows = dataset.rows(held_out=True)
     rows = rows[np.asarray(dataset.arrays["future_valid"][rows, -1]) > 0]

@@ -43,14 +43,14 @@ MODES: Final[dict[Network, int]] = {"marginal": 32, "conditional": 6}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Training:
-    """What to train, on what, and where to.
+    """What to train, on which data, and the folder of the weights.
 
     Attributes:
-        folder: of the weights; checkpoints of an interrupted training lie beside the tensors.
+        folder: of the weights; checkpoints of an interrupted training are beside the tensors.
         cache: folder of computed features. jobs: processes that compute them.
-        optimisation: of each network; one that is not named takes its defaults.
-        begin_from: set of weights whose networks are the initial weights.
-        again: train again what the same training has made before.
+        optimisation: by network; the others have their defaults.
+        begin_from: set of weights that are the initial weights.
+        again: repeat a training that is complete.
         licence: a note on the data for the card.
         command: for the card.
         members: of the marginal network, trained one after the other.
@@ -72,13 +72,13 @@ class Training:
 
 
 def train(network: Network, training: Training, report: Progress, member: int = 1) -> None:
-    """Train one network, or a member of it with a seed of its own, and write it.
+    """Train one network, or one member with its own seed, and write it.
 
     An interrupted training resumes from its last checkpoint.
 
     Raises:
         WeightsError: no such device, or initial weights that do not fit.
-        ReaderError: data without anything to learn from.
+        ReaderError: the data gives no samples.
         RunError: no pairs for the conditional network, or a loss that is not finite.
         OutputError: the weights cannot be written; the last checkpoint stays.
     """
@@ -111,9 +111,9 @@ def train(network: Network, training: Training, report: Progress, member: int = 
 
 
 def open_dataset(network: Network, training: Training, report: Progress) -> Dataset:
-    """The samples of all sources; features that are missing are computed.
+    """The samples of all sources; missing features are computed.
 
-    Raises RunError where none is left to train on.
+    Raises RunError if none is left to train on.
     """
     features = _features(network, training.preset)
     dataset = mix(
@@ -123,7 +123,7 @@ def open_dataset(network: Network, training: Training, report: Progress) -> Data
         ]
     )
     if not len(dataset.rows(held_out=False)):
-        raise RunError("All scenes that can be learnt from are held out; give more recordings.")
+        raise RunError("All scenes with samples are held out; give more recordings.")
     return dataset
 
 
@@ -138,7 +138,7 @@ def _features(network: Network, preset: Preset) -> Features:
 def _prepared(
     network: Network, training: Training, initial: Path | None, report: Progress
 ) -> tuple[nn.Module, Dataset]:
-    """The network before its first step, and the samples that it learns from."""
+    """The network before its first step, and the samples to train it on."""
     torch.manual_seed(training.seed)
     net = weights.build(network, training.preset)
     if initial is not None:
@@ -155,11 +155,11 @@ def _write(
     try:
         if stem == "marginal":  # a baseline that `evaluate` shows beside it
             clusters.write(_clusters(dataset, training.seed), training.folder)
-        cards.write(training.folder, stem, net, card)  # last: it says that the set is complete
+        cards.write(training.folder, stem, net, card)  # last, since it marks the set as complete
     except OSError as error:
         raise OutputError(
             f"The weights cannot be written to {training.folder} ({error.strerror}); the checkpoint"
-            " stays there: make room, and give the same command again."
+            " stays there: free some space and repeat the command."
         ) from None
 
 
@@ -186,9 +186,9 @@ def _schedule(network: Network, training: Training, *, began: bool) -> Schedule:
 
 
 def _precision(device: str) -> Literal["fp32", "bf16"]:
-    """bf16 on processors that have it.
+    """bf16 on processors with such instructions.
 
-    Never decided by timing: the same command must give the same weights on one machine.
+    It does not depend on timings: one machine gives the same weights for the same command.
     """
     if device == "cuda":
         return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
@@ -200,7 +200,7 @@ def _precision(device: str) -> Literal["fp32", "bf16"]:
 
 
 def _digest(network: Network, training: Training, schedule: Schedule, initial: Path | None) -> str:
-    """Of all that the trained tensors depend on."""
+    """Digest of everything that the trained tensors depend on."""
     features = _features(network, training.preset)
     described = {
         "network": network,
@@ -216,7 +216,7 @@ def _digest(network: Network, training: Training, schedule: Schedule, initial: P
 
 
 def _complete(folder: Path, stem: str, digest: str) -> bool:
-    """Whether the folder contains the network that this training makes."""
+    """Whether the folder contains the result of this training."""
     try:
         card = weights.read_card(folder, stem)
         weights.tensors(folder, stem)

@@ -45,7 +45,7 @@ def test_sources_are_mixed_by_weight_and_listed_in_the_card(train, folder, tmp_p
     mine, sumo = f"{folder / 'mine'}=3", f"{folder / 'sumo'}=1"
     code, text, _ = train("--data", mine, "--data", sumo, "--steps", 2, "--licence", "ours")
     assert code == 0
-    assert "sumo: 1 record(s) left out, as they cannot be used: broken.npz" in text
+    assert "sumo: 1 record(s) cannot be used and are left out: broken.npz" in text
     found = card(tmp_path / "set")
     assert [source["name"] for source in found["data"]] == ["mine", "sumo"]
     assert [source["share"] for source in found["data"]] == [0.75, 0.25]
@@ -125,14 +125,14 @@ def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_
     assert list((tmp_path / "set").glob("*.checkpoint"))
     code, text, _ = train(*arguments)
     assert code == 0
-    assert "going on from step 2" in text
+    assert "resuming from step 2" in text
     assert not list((tmp_path / "set").glob("*.checkpoint*"))
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "There is no data to train on"),
+        ([], "No data to train on"),
         (["--data", "nowhere"], "nowhere does not exist"),
         (["--data", "nowhere=much"], "'much' is not a weight"),
         (["--data", "mine=1", "--data", "sumo"], "sumo has no weight"),
@@ -158,4 +158,4 @@ def test_a_folder_without_recordings_ends_with_3(train, tmp_path):
     (tmp_path / "empty").mkdir()
     code, _, error = train("--data", tmp_path / "empty")
     assert code == 3
-    assert "empty contains no files; there is nothing to learn from" in error
+    assert "empty contains no files; give recordings to train on" in error

@@ -137,7 +137,7 @@ def test_a_run_cut_off_in_the_second_member_goes_on_to_the_same_bytes(training, 
             members.train(training, lines.append)
     assert "members" not in card(training)  # a set of one network until the second is there
     members.train(training, lines.append)
-    assert any("going on from step 1" in line for line in lines)
+    assert any("resuming from step 1" in line for line in lines)
     assert any(line.startswith("marginal: this training is complete") for line in lines)
     assert contents(training.folder) == contents(made[0])
 

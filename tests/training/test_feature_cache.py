@@ -63,7 +63,7 @@ def test_records_that_cannot_be_used_are_counted_and_named(folder, tmp_path):
     source = make(folder, tmp_path, lines=lines)
     assert len(source.refused) == 5
     assert len(source.scenes) == 6
-    assert lines[-1].startswith("scenes: 5 record(s) left out, as they cannot be used: broken-0")
+    assert lines[-1].startswith("scenes: 5 record(s) cannot be used and are left out: broken-0")
     assert lines[-1].endswith("; and 2 more")
     again = []
     make(folder, tmp_path, lines=again)
@@ -94,7 +94,7 @@ def test_scenes_without_moving_vehicles_are_refused(tmp_path):
         make(still, tmp_path)
 
 
-def test_a_cache_that_was_cut_off_goes_on(folder, tmp_path, monkeypatch):
+def test_an_interrupted_cache_is_resumed(folder, tmp_path, monkeypatch):
     real, read = feature_cache._scenes, []
 
     def broken(file):
@@ -117,7 +117,7 @@ def test_changed_recordings_are_read_again_and_the_old_cache_is_mentioned(folder
     npz.write(scene(av_speed=9.0), folder / "9.npz")
     lines = []
     assert len(make(folder, tmp_path, lines=lines).scenes) == 7
-    assert "contains features of scenes as it was before" in lines[0]
+    assert "contains features of an earlier state of scenes" in lines[0]
     make(folder, tmp_path, lines=lines)
     assert len(list((tmp_path / "c").iterdir())) == 2
 
@@ -145,7 +145,7 @@ def test_a_scene_whose_features_fail_is_named(folder, tmp_path):
         )
 
 
-def test_what_a_killed_process_of_the_same_number_left_is_no_obstacle(folder, tmp_path):
+def test_remains_of_a_killed_process_with_the_same_id_are_no_obstacle(folder, tmp_path):
     source = make(folder, tmp_path)
     (made,) = (tmp_path / "c").iterdir()
     left = tmp_path / "d" / "c" / f"{made.name}.{os.getpid()}"

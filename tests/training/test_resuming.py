@@ -52,7 +52,7 @@ def same(one, other):
 
 @pytest.mark.parametrize("cut", [2, 17, 31, 59])
 @pytest.mark.parametrize("checkpoint_s", [1000.0, 0.0])
-def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, cut, checkpoint_s):
+def test_an_interrupted_run_ends_as_if_it_had_not_been_interrupted(tmp_path, cut, checkpoint_s):
     schedule = Schedule(
         steps=60, batch=16, evaluate_every=15, average=0.95, rate=0.02, checkpoint_s=checkpoint_s
     )
@@ -74,7 +74,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, cut, checkp
     assert len(curve("whole")) == 5
 
 
-def test_a_finished_run_is_not_made_again_while_its_checkpoint_is_there(tmp_path):
+def test_a_finished_run_is_not_repeated_while_its_checkpoint_is_there(tmp_path):
     first, _, _ = train(tmp_path)
     second, outcome, steps = train(tmp_path)
     assert steps == 0
@@ -91,12 +91,12 @@ def test_a_checkpoint_cut_short_gives_way_to_the_one_before(tmp_path):
     lines = []
     again, _, steps = train(tmp_path / "part", lines=lines)
     assert steps == 30
-    assert "is damaged; the checkpoint before it is used" in lines[0]
-    assert "going on from step 30" in lines[1]
+    assert "is damaged; the previous checkpoint is used" in lines[0]
+    assert "resuming from step 30" in lines[1]
     assert same(whole, again)
 
 
-def test_with_both_checkpoints_damaged_training_starts_anew(tmp_path):
+def test_with_both_checkpoints_damaged_training_starts_from_step_0(tmp_path):
     whole, _, _ = train(tmp_path / "whole")
     with pytest.raises(CutError):
         train(tmp_path / "part", cut=50)
@@ -107,7 +107,7 @@ def test_with_both_checkpoints_damaged_training_starts_anew(tmp_path):
     lines = []
     again, _, steps = train(tmp_path / "part", lines=lines)
     assert steps == 60
-    assert "training starts again" in lines[0]
+    assert "training starts from step 0" in lines[0]
     assert same(whole, again)
 
 
@@ -122,7 +122,7 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
         real(descriptor)
 
     monkeypatch.setattr(checkpoints.os, "fsync", full)
-    monkeypatch.setattr(checkpoints, "write", lambda *_: None)  # of the curves
+    monkeypatch.setattr(Curves, "write", lambda *_: None)  # it flushes files, too
     lines = []
     with pytest.raises(CutError):
         train(tmp_path / "part", cut=50, lines=lines)
@@ -135,7 +135,7 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
     assert same(whole, again)
 
 
-def test_a_loss_that_is_no_number_stops_with_step_and_scenes(tmp_path):
+def test_a_loss_that_is_not_a_number_stops_with_step_and_scenes(tmp_path):
     source = tiny_training.source("bad", 200)
     source.arrays["x"][37, 1] = np.nan
     lines = []
@@ -143,7 +143,7 @@ def test_a_loss_that_is_no_number_stops_with_step_and_scenes(tmp_path):
         train(tmp_path, cache=tiny_training.cache(source), lines=lines)
 
 
-def test_what_stands_before_a_loss_that_is_no_number_stays(tmp_path):
+def test_the_last_checkpoint_stays_when_the_loss_is_not_a_number(tmp_path):
     with pytest.raises(CutError):
         train(tmp_path, cut=40)
     before = (tmp_path / "a").read_bytes()
@@ -231,7 +231,7 @@ def test_curves_go_to_tensorboard_where_it_is_installed(tmp_path, monkeypatch):
     assert events[-1] == "closed"
 
 
-def test_held_out_samples_that_are_no_numbers_stop_it(tmp_path):
+def test_held_out_samples_that_are_not_numbers_stop_it(tmp_path):
     cache = tiny_training.cache()
     cache.sources[0].arrays["y"][cache.rows(held_out=True)[3]] = np.inf
     with pytest.raises(RunError, match="held-out scenes of one is inf"):

@@ -123,7 +123,7 @@ def test_attacks_teach_neither_opponents_nor_how_people_drive(training, monkeypa
     run.train("opponent", training, lines.append)
     run.train("marginal", training, lines.append)
     assert any("3 scenes have no samples: attacks" in line for line in lines)
-    assert any("samples left out in which a planner drives" in line for line in lines)
+    assert any("samples with a planner as the driver are left out" in line for line in lines)
     monkeypatch.setattr(readers, "scenes", lambda _: iter(attacks))
     alone = replace(training, cache=training.cache / "other")
     with pytest.raises(RunError, match="planners drive in all samples"):

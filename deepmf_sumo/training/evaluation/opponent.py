@@ -22,7 +22,7 @@ from deepmf_sumo.training.samples.opponent import interacting
 _TIMES_S = np.arange(0.0, 8.01, 0.1)
 _STILL_M = 0.5
 _BESIDE, _AHEAD = 2.0, 0.2
-"""Cost of a metre beside the AV's heading, and of a metre along it."""
+"""Cost of a metre to the side of the AV's heading, and of a metre along it."""
 LABEL_HEAD, PARTNER_HEAD = "label_head", "partner_head"
 """Conditions of figures of the network's two heads."""
 ATTACKABLE: Final = "attackable"
@@ -48,8 +48,8 @@ def auroc(scores: Floats, labels: Bools) -> float | None:
 def average_precision(scores: Floats, labels: Bools) -> float | None:
     """Area under the precision-recall curve (step-wise). None without positives.
 
-    Precision is taken after the last candidate of a score, so that the order of equal scores does
-    not matter.
+    Precision is taken after the last candidate with the same score, so that the order of equal
+    scores does not matter.
     """
     if not labels.any():
         return None
@@ -62,11 +62,11 @@ def average_precision(scores: Floats, labels: Bools) -> float | None:
 
 @dataclass(slots=True)
 class Ranking:
-    """Scenes' candidates, ranked by one score. -inf is for what the score does not rank.
+    """Candidates of all scenes, ranked by one score. Candidates without a score have -inf.
 
     Attributes:
-        best_positive: place of the first positive of each scene, 0 first; infinite where none is
-            ranked.
+        best_positive: rank of the first positive of each scene, from 0; infinite if no positive has
+            a score.
         places: the same of the labelled partner, in each scene that names one.
     """
 
@@ -85,7 +85,7 @@ class Ranking:
             self.best_positive.append(float(found[0]) if len(found) else np.inf)
 
     def add_partner(self, scores: Floats, partner: int | None) -> None:
-        """The labelled partner's row among scores (A); None where it is not a candidate."""
+        """The labelled partner's row among scores (A); None if it is not a candidate."""
         if partner is None or scores[partner] == -np.inf:
             self.places.append(np.inf)
         else:
@@ -124,7 +124,7 @@ def _among_first(name: str, places: Sequence[float]) -> dict[str, Figure]:
 
 
 def corridor(view: View, rows: Ints) -> Floats:
-    """(A) the AV drives on along its heading: nearness to that line counts ten times as much."""
+    """(A) nearness to the AV, where distance from its line ahead counts ten times as much."""
     place = _local(view, rows)
     return np.asarray(-(_BESIDE * np.abs(place[:, 1]) + _AHEAD * np.abs(place[:, 0])), float)
 
@@ -136,7 +136,7 @@ def nearest(view: View, rows: Ints) -> Floats:
 
 
 def nearest_moving(view: View, rows: Ints) -> Floats:
-    """(A) nearness of those that move now or have moved in the last second; -inf for others."""
+    """(A) nearness of vehicles that move now or moved in the last second; -inf for others."""
     tracks = view.history
     first = tracks.valid[rows].argmax(1)
     moved = np.hypot(*(tracks.position_m[rows, -1] - tracks.position_m[rows, first]).T)
@@ -145,7 +145,7 @@ def nearest_moving(view: View, rows: Ints) -> Floats:
 
 
 def constant_velocity(view: View, rows: Ints) -> Floats:
-    """(A) nearness at the closest approach within 8 s if both keep their velocity."""
+    """(A) nearness at the closest approach within 8 s if both vehicles keep their velocity."""
     tracks, av = view.history, view.history.row(view.av_id)
     apart = tracks.position_m[rows, -1] - tracks.position_m[av, -1]
     relative = tracks.velocity_mps[rows, -1] - tracks.velocity_mps[av, -1]
@@ -192,7 +192,7 @@ class OpponentFigures:
     offset: float = 0.0
 
     def add(self, opponent: Opponent, scene: Scene, view: View) -> None:
-        """One scene."""
+        """Add one scene."""
         rows = vehicles_near(view)
         ids = [view.history.ids[row] for row in rows]
         positive = interacting(scene.tracks, scene.av_id, ids)

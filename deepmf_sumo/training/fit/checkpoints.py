@@ -15,9 +15,9 @@ from deepmf_sumo.training.samples.dataset import Progress
 
 
 def write(file: Path, content: bytes) -> None:
-    """Write beside, flush to the disk, rename; creates folders. Raises OSError, leaving nothing.
+    """Write a file that appears complete; creates folders. Raises OSError, and leaves no part.
 
-    Two processes may write the same file: the last one stays.
+    If two processes write the same file, the last one stays.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
     beside = file.with_name(f"{file.name}.{os.getpid()}")
@@ -37,7 +37,7 @@ _DIGEST_BYTES: Final = 32
 
 @dataclass(frozen=True, slots=True)
 class Checkpoints:
-    """The last checkpoint of a training, and the one before; a file starts with its own hash."""
+    """The last two checkpoints of a training; each file starts with its own hash."""
 
     file: Path
 
@@ -47,46 +47,42 @@ class Checkpoints:
         return self.file.with_name(f"{self.file.name}.previous")
 
     def save(self, state: dict[str, Any], report: Progress) -> bool:
-        """Whether it was written. A full disk costs this checkpoint only: those before stay."""
+        """Write a checkpoint; returns whether it was written. If not, the last two stay."""
         memory = io.BytesIO()
         torch.save(state, memory)
         content = memory.getvalue()
-        beside = self.file.with_name(f"{self.file.name}.{os.getpid()}")
+        newest = self.file.with_name(f"{self.file.name}.newest")
         try:
-            self.file.parent.mkdir(parents=True, exist_ok=True)
-            with beside.open("wb") as file:
-                file.write(hashlib.sha256(content).digest() + content)
-                file.flush()
-                os.fsync(file.fileno())
+            write(newest, hashlib.sha256(content).digest() + content)
             if self.file.exists():
                 self.file.replace(self.previous)
-            beside.replace(self.file)
+            newest.replace(self.file)
         except OSError as error:
-            beside.unlink(missing_ok=True)
+            newest.unlink(missing_ok=True)
             report(
                 f"warning: the checkpoint {self.file} cannot be written ({error.strerror});"
-                " training goes on, and the checkpoint before stays"
+                " training continues, and the previous checkpoint stays"
             )
             return False
         return True
 
     def load(self, device: str, report: Progress) -> dict[str, Any] | None:
-        """The last checkpoint that is whole; None where there is none."""
+        """The last complete checkpoint; None if there is none."""
         damaged: list[Path] = []
         for file in (self.file, self.previous):
             state = _read(file, device)
             if state is not None:
                 if damaged:
-                    report(f"{damaged[0]} is damaged; the checkpoint before it is used")
+                    report(f"{damaged[0]} is damaged; the previous checkpoint is used")
                 return state
             if file.exists():
                 damaged.append(file)
         if damaged:
-            report(f"{damaged[0]} is damaged, and there is no other; training starts again")
+            report(f"{damaged[0]} is damaged, and there is no other; training starts from step 0")
         return None
 
     def clear(self) -> None:
-        """Remove both: the training has ended."""
+        """Remove both at the end of the training."""
         self.file.unlink(missing_ok=True)
         self.previous.unlink(missing_ok=True)
 
@@ -104,10 +100,10 @@ def _read(file: Path, device: str) -> dict[str, Any] | None:
 
 
 class Curves:
-    """One row for each evaluation on the held-out samples.
+    """One row per evaluation on the held-out samples.
 
     Args:
-        file: the table; event files go into a folder of the same name without ending.
+        file: the table; event files go into a folder of the same name without its suffix.
         sources: names of the sources of held-out samples.
     """
 
@@ -117,7 +113,7 @@ class Curves:
         self.events: Any = None
 
     def begin(self, step: int) -> None:
-        """Start at a step; later steps in event files are dropped."""
+        """Start at a step; later steps are dropped from the event files."""
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
@@ -128,7 +124,7 @@ class Curves:
             self.report(f"warning: no event files for TensorBoard ({error.strerror})")
 
     def write(self, rows: Sequence[Sequence[float]]) -> None:
-        """All rows to the table, the last one to the event files; values as in ``columns``."""
+        """Write all rows to the table and the last one to the event files."""
         text = io.StringIO()
         shown = [[f"{value:.6g}" for value in row] for row in rows]
         csv.writer(text, lineterminator="\n").writerows([self.columns, *shown])
@@ -148,7 +144,7 @@ class Curves:
 
 
 def _columns(sources: Sequence[str]) -> list[str]:
-    """A name for each source; numbered where two are equal."""
+    """A name for each source; equal names are numbered."""
     names = [f"held_out {name}" for name in sources]
     return [
         name if names.count(name) == 1 else f"{name} ({number})"

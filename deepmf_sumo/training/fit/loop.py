@@ -1,4 +1,4 @@
-"""The optimisation that all networks share: AdamW, one cycle, averaging, early stopping."""
+"""The training loop of all networks: AdamW, one cycle, weight averaging, early stopping."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
 from deepmf_sumo.training.samples.dataset import Arrays, Dataset, Progress, batches
 
 Loss = Callable[[dict[str, Tensor], torch.Generator], Tensor]
-"""Batch -> mean loss; its random numbers come from the generator."""
+"""Batch -> mean loss; random numbers come from the generator."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,15 +25,15 @@ class Schedule:
 
     Attributes:
         rate: highest learning rate of the cycle.
-        fresh: name prefixes of layers with random initial weights in a network that has others.
-        fresh_rate: their highest learning rate.
+        fresh: name prefixes of layers with random initial weights, if the others have trained ones.
+        fresh_rate: highest learning rate of those layers.
         clip: largest norm of the gradient.
-        average: decay of the exponential average of the weights, which is what is evaluated and
-            kept; 0 keeps the weights themselves.
-        precision: of the layers; ``bf16`` is mixed.
+        average: decay of the exponential average of the weights, which is evaluated and kept; 0
+            keeps the weights themselves.
+        precision: of the layers; ``bf16`` is mixed precision.
         evaluate_every: steps between evaluations on the held-out samples.
-        patience: evaluations without a better held-out loss after which training stops; 0: never.
-        checkpoint_s: longest time between checkpoints, which also follow each evaluation.
+        patience: evaluations without a better held-out loss before training stops; 0: never.
+        checkpoint_s: longest time between checkpoints, which are also made at each evaluation.
     """
 
     steps: int
@@ -58,10 +58,10 @@ class Outcome:
     """The result of a training.
 
     Attributes:
-        held_out: least held-out loss, a mean over sources by their shares, at ``best_step``; the
-            network has that step's weights. None where nothing is held out.
-        by_source: the same of each source, in their order.
-        steps: made in all. hours: wall time, resumed parts included.
+        held_out: least held-out loss, a mean over sources by their shares, at ``best_step``, whose
+            weights the network has. None if nothing is held out.
+        by_source: the same for each source.
+        steps: number of all steps. hours: wall time, including resumed parts.
     """
 
     held_out: float | None
@@ -88,9 +88,9 @@ def train(
     curves: Curves,
     report: Progress,
 ) -> Outcome:
-    """Minimise the loss, from the last checkpoint if there is one.
+    """Minimise the loss, starting from the last checkpoint if there is one.
 
-    Checkpoints stay: the caller clears them when the weights are safe.
+    Checkpoints stay; the caller removes them after writing the weights.
 
     Raises:
         RunError: the loss or its gradient is not finite.
@@ -99,7 +99,7 @@ def train(
     saved = checkpoints.load(schedule.device, report)
     if saved is not None:
         run.restore(saved)
-        report(f"going on from step {run.state.step} ({checkpoints.file})")
+        report(f"resuming from step {run.state.step} ({checkpoints.file})")
     curves.begin(run.state.step)
     started = last_saved = time.monotonic()
     earlier = run.state.seconds
@@ -114,7 +114,7 @@ def train(
             checkpoints.save(run.saved(), report)
             last_saved = time.monotonic()
         if run.state.stopped:
-            report(f"stopped at step {run.state.step}: no better since {run.state.best_step}")
+            report(f"stopped at step {run.state.step}: no gain since {run.state.best_step}")
             break
     curves.end()
     net.load_state_dict(run.best)
@@ -137,7 +137,7 @@ class _State:
     rows: list[list[float]] = field(default_factory=list)
 
     def better(self, held_out: float | None, by_source: list[float | None]) -> bool:
-        """Whether to keep these weights; with nothing held out the last ones are kept."""
+        """Whether to keep these weights; if nothing is held out, the last ones are kept."""
         if held_out is not None and held_out > self.best:
             self.worse += 1
             return False
@@ -162,7 +162,7 @@ class _Run:
         self.best = _copy(net)
 
     def step(self, step: int, rows: NDArray[np.int64], dataset: Dataset, loss: Loss) -> None:
-        """One batch. Its random numbers depend on seed and step alone."""
+        """One batch. Its random numbers depend only on the seed and the step."""
         schedule = self.schedule
         torch.manual_seed(schedule.seed * 1_000_003 + step)
         generator = torch.Generator().manual_seed(schedule.seed * 7_919 + step)
@@ -183,7 +183,7 @@ class _Run:
         self.state.step = step + 1
 
     def look(self, dataset: Dataset, loss: Loss, report: Progress) -> list[list[float]]:
-        """Evaluate, keep the weights if they are the best so far; the rows of the curves."""
+        """Evaluate and keep the weights if they are the best so far; returns the curves' rows."""
         state = self.state
         with self._averaged():
             by_source = validation_losses(self.net, dataset, loss, self.schedule)
@@ -202,7 +202,7 @@ class _Run:
         return state.rows
 
     def saved(self) -> dict[str, Any]:
-        """All that `restore` needs."""
+        """The state for `restore`."""
         return {
             "net": self.net.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -213,7 +213,7 @@ class _Run:
         }
 
     def restore(self, saved: dict[str, Any]) -> None:
-        """Go back to where `saved` was taken."""
+        """Continue from a state of `saved`."""
         self.net.load_state_dict(saved["net"])
         self.optimiser.load_state_dict(saved["optimiser"])
         self.cycle.load_state_dict(saved["cycle"])
@@ -259,7 +259,7 @@ def _copy(net: nn.Module) -> Weights:
 
 @torch.no_grad()
 def _follow(average: Weights, net: nn.Module, decay: float) -> None:
-    """Move the average towards the network; counters are copied."""
+    """Move the average towards the network's weights; counters are copied."""
     for name, value in net.state_dict().items():
         if value.is_floating_point():
             average[name].lerp_(value, 1 - decay)
@@ -268,7 +268,7 @@ def _follow(average: Weights, net: nn.Module, decay: float) -> None:
 
 
 def _groups(net: nn.Module, schedule: Schedule) -> list[dict[str, Any]]:
-    """Fresh layers and others; no decay of biases, norms and single vectors."""
+    """Parameter groups: fresh layers and others, without decay of biases, norms and vectors."""
     groups = []
     for fresh in (False, True):
         own = [
@@ -285,7 +285,7 @@ def _groups(net: nn.Module, schedule: Schedule) -> list[dict[str, Any]]:
 
 
 def _not_finite(step: int, value: float, rows: NDArray[np.int64], dataset: Dataset) -> str:
-    """The message on a loss or gradient that is not finite: it names the samples."""
+    """Message on a loss or gradient that is not finite, with the samples."""
     arrays = dataset.batch(rows)
     wrong = sorted(
         {
@@ -297,7 +297,7 @@ def _not_finite(step: int, value: float, rows: NDArray[np.int64], dataset: Datas
     )
     what = f"the loss is {value}" if not np.isfinite(value) else "the gradient is not finite"
     of = np.array(wrong or sorted(map(int, rows)))
-    why = "samples with numbers that are not finite" if wrong else "samples of this batch"
+    why = "samples with values that are not finite" if wrong else "samples of this batch"
     names = dataset.names(of)
     return (
         f"Training stopped at step {step + 1}: {what}; {why}: {', '.join(map(str, of))}, of scenes "
@@ -310,9 +310,9 @@ def _not_finite(step: int, value: float, rows: NDArray[np.int64], dataset: Datas
 def validation_losses(
     net: nn.Module, dataset: Dataset, loss: Loss, schedule: Schedule
 ) -> list[float | None]:
-    """Mean loss over held-out samples of each source, always the same ones; None where none are.
+    """Mean loss over the same held-out samples of each source; None for sources without any.
 
-    Raises RunError where a loss is not finite.
+    Raises RunError if a loss is not finite.
     """
     net.eval()
     found: list[float | None] = []
@@ -329,14 +329,14 @@ def validation_losses(
         if not np.isfinite(total):
             raise RunError(
                 f"The loss on the held-out scenes of {dataset.sources[number].name} is {total}; the"
-                " last checkpoint stays; try a lower --rate, or look at these scenes."
+                " last checkpoint stays; try a lower --rate, or check these scenes."
             )
         found.append(total / len(rows) if len(rows) else None)
     return found
 
 
 def weighted_mean(by_source: list[float | None], dataset: Dataset) -> float | None:
-    """Of the sources' losses, by their shares in training; None where nothing is held out."""
+    """Mean of the sources' losses by their shares in training; None if nothing is held out."""
     known = [
         (value, share)
         for value, share in zip(by_source, dataset.shares, strict=True)
@@ -348,7 +348,7 @@ def weighted_mean(by_source: list[float | None], dataset: Dataset) -> float | No
 
 
 def _described(held_out: float | None, by_source: list[float | None], dataset: Dataset) -> str:
-    """The losses in words."""
+    """The losses as text."""
     if held_out is None:
         return "nothing"
     if len(by_source) == 1:

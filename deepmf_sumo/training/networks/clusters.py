@@ -1,7 +1,7 @@
 """k-means of recorded motion: speed profiles for the dense goals, and a map-blind baseline.
 
-The baseline clusters trajectories at each cell of a grid of speeds and yaw rates: how the vehicles
-nearest to the cell moved on, as deviation from constant velocity in the vehicle's frame.
+The baseline clusters the trajectories nearest to each cell of a grid of speeds and yaw rates, as
+deviations from constant velocity in the vehicle's frame.
 """
 
 from dataclasses import dataclass
@@ -25,9 +25,9 @@ _NEAREST: Final = 500
 _ROUNDS: Final = 25
 _PROFILE_ROUNDS: Final = 30
 _SPEED_SCALE_MPS, _YAW_SCALE_RADPS = 1.0, 0.05
-"""A cell's samples are the nearest in speed and yaw rate, counted in these units."""
+"""Units in which the distance of speeds and yaw rates to a cell is measured."""
 _EVERY: Final = 5
-"""Clusters are kept at 2 Hz."""
+"""Clusters are stored at 2 Hz."""
 _TIMES_S = np.arange(_EVERY, FUTURE_STEPS + 1, _EVERY) * DT_S
 
 
@@ -49,12 +49,12 @@ def speed_profiles(
 ) -> ProfileTable:
     """The table of R profiles from distances driven (N, 80) at start speeds (N).
 
-    Raises RunError where there are too few.
+    Raises RunError if there are too few.
     """
     if len(speed_mps) < 2 * profiles:
         raise RunError(
-            f"Only {len(speed_mps)} vehicles are known for 8 s, {2 * profiles} are the least to "
-            "fit speed profiles; give more recordings."
+            f"Only {len(speed_mps)} vehicles are known for 8 s, but speed profiles need at least "
+            f"{2 * profiles}; give more recordings."
         )
     times = np.arange(1, distance_m.shape[1] + 1) * DT_S
     relative = distance_m - speed_mps[:, None] * times
@@ -76,7 +76,7 @@ class Clusters:
     Attributes:
         deviation_m: modes -> (S, Y, M, 16, 2) position minus that of constant velocity at 2 Hz, x
             ahead and y to the left, largest cluster first; S speeds, Y yaw rates.
-        samples: how many trajectories they were fitted on.
+        samples: number of fitted trajectories.
     """
 
     deviation_m: dict[int, Floats]
@@ -87,14 +87,14 @@ def fit(future_m: Floats, valid: Bools, motion: Floats, rng: np.random.Generator
     """Clusters of futures (N, 80, 2) in each vehicle's frame, valid (N, 80), motion (N, 6).
 
     ``motion`` is that of `features.Features`: speed first, yaw rate third. Futures that are not
-    known at each half second are left out. Raises RunError where fewer than 32 are left.
+    known at each half second are left out. Raises RunError if fewer than 32 are left.
     """
     rows = slice(_EVERY - 1, None, _EVERY)
     known = np.asarray(valid, bool)[:, rows].all(1)
     if int(known.sum()) < max(MODES):
         raise RunError(
-            f"Only {int(known.sum())} vehicles are known for 8 s, {max(MODES)} are the least to "
-            "fit clusters; give more recordings."
+            f"Only {int(known.sum())} vehicles are known for 8 s, but clusters need at least "
+            f"{max(MODES)}; give more recordings."
         )
     speed = np.asarray(motion[known, 0], float)
     yaw_rate = np.asarray(motion[known, 2], float)
@@ -140,7 +140,7 @@ def predict(clusters: Clusters, speed_mps: float, yaw_rate_radps: float, modes: 
 
 
 def write(clusters: Clusters, folder: Path) -> None:
-    """Put the clusters beside the weights in ``folder``."""
+    """Write the clusters to the folder of the weights."""
     arrays = {
         f"modes_{modes}": values.astype(np.float16)
         for modes, values in clusters.deviation_m.items()
@@ -150,14 +150,14 @@ def write(clusters: Clusters, folder: Path) -> None:
 
 
 def read(folder: Path) -> Clusters | None:
-    """The clusters beside the weights in ``folder``; None where there are none.
+    """The clusters in the folder of the weights; None if there are none.
 
-    Raises WeightsError where the file is damaged or of another grid.
+    Raises WeightsError if the file is damaged or has another grid.
     """
     file = folder / FILE
     if not file.is_file():
         return None
-    again = "make it with `deepmf-sumo train marginal`, or remove it"
+    again = "write it again with `deepmf-sumo train marginal`, or remove it"
     try:
         arrays = load_file(file)
     except (SafetensorError, OSError) as error:
@@ -175,7 +175,7 @@ def read(folder: Path) -> Clusters | None:
 
 
 def _profile_means(values: Floats, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """k-means (R, 80) and shares (R); clusters are compared at each half second."""
+    """Means (R, 80) and shares (R) of clusters by distances at each half second."""
     seen = values[:, 4::5]
     centres = _spread(seen, count, rng)
     member = np.zeros(len(values), np.int64)

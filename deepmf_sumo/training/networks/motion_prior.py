@@ -15,32 +15,32 @@ from deepmf_sumo.training.fit.loop import Loss, tensors
 from deepmf_sumo.training.samples.dataset import Dataset
 
 DIVERGENCE: Final = 0.02
-"""Weight of the divergence; the reconstruction's scale is metres."""
+"""Weight of the divergence; the reconstruction error is in metres."""
 _FIRST_DIVERGENCE: Final = 0.1
-"""Share of it at the start: latents learn to say something before they learn to say little."""
+"""Share of that weight at the start, so that latents become informative first."""
 _ANNEALED: Final = 300
-"""Batches until all of it counts."""
+"""Batches until the full weight."""
 _IMAGINED: Final = 4
 _OVERLAP: Final = 0.5
 _OFF_ROAD: Final = 0.05
 _OFF_ROAD_M: Final = 4.0
-"""Farther from all of its paths a vehicle is beside the road."""
+"""A vehicle farther from all of its paths is off the road."""
 _HEADING: Final = 2.0
 _MEMBERS: Final = 8
-"""Vehicles of a graph that are trained on, for time's sake: messages do not count them."""
+"""Vehicles of a graph that are trained on, to save time: messages do not depend on the number."""
 _STANDING: Final = 0.2
-"""Weight of vehicles that stand: most do, and there is little to learn from them."""
+"""Weight of stationary vehicles, which are the majority and teach little."""
 _STANDING_M: Final = 2.0
 SAMPLES: Final = 16
 _HELD_OUT: Final = 128
-"""Samples looked at, for time's sake."""
+"""Number of samples that are measured, to save time."""
 _BATCH: Final = 32
 _MOVING_M: Final = 2.0
-"""A vehicle that moves less is easy to predict, and not counted."""
+"""Vehicles that move less are easy to predict and are not counted."""
 
 
 def loss_of(net: MotionPrior) -> Loss:
-    """The variational bound on what happened, and costs of what the prior itself makes happen."""
+    """The variational bound of the recorded motion, and costs of samples of the prior."""
 
     def loss(batch: dict[str, Tensor], generator: torch.Generator) -> Tensor:
         batch = {name: values[:, :_MEMBERS] for name, values in batch.items()}
@@ -61,7 +61,7 @@ def loss_of(net: MotionPrior) -> Loss:
 
 
 def _annealed(net: MotionPrior) -> float:
-    """Share of the divergence; all of it in evaluation."""
+    """Share of the divergence's weight; 1 in evaluation."""
     if not net.training:
         return 1.0
     net.seen += 1
@@ -69,7 +69,7 @@ def _annealed(net: MotionPrior) -> float:
 
 
 def _known(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """(B, N, 16) steps to learn from, and (B, N) weights of the vehicles."""
+    """(B, N, 16) known steps, and (B, N) weights of the vehicles."""
     known = batch["future"][..., 3]
     way = (batch["future"][..., :2].norm(dim=-1) * known).amax(-1)
     weight = torch.where(way > _STANDING_M, 1.0, _STANDING) * (known.sum(-1) > 0)
@@ -88,9 +88,9 @@ def _error(motions: Motions, future: Tensor, known: Tensor) -> Tensor:
 def _plausibility(
     net: MotionPrior, batch: dict[str, Tensor], context: Context, generator: torch.Generator
 ) -> Tensor:
-    """Overlaps and metres off the road of samples of the prior, in the mean over vehicles and time.
+    """Overlap and distance off the road of samples of the prior, mean over vehicles and time.
 
-    In a quarter of the batch, for time's sake.
+    Only a quarter of the batch is used, to save time.
     """
     part = slice(None, None, _IMAGINED)
     graph = {name: values[part] for name, values in batch.items()}
@@ -103,12 +103,12 @@ def _plausibility(
     there = graph["kind"][..., 2] > 0
     placed = motions.placed(graph)
     depth = costs.mutual_overlap(placed.position, placed.heading, graph["size"], there)
-    # Boxes that overlap already, as recorded ones do now and then, are not the motion's fault.
+    # Recorded boxes sometimes overlap already; the predicted motion does not cause that.
     now = costs.mutual_overlap(
         graph["pose"][:, :, None, :2], graph["pose"][:, :, 2:], graph["size"], there
     )
     depth = depth * (now == 0)
-    lanes = graph["way_info"][..., 0] > graph["way_info"][..., 1]  # but for straight on
+    lanes = graph["way_info"][..., 0] > graph["way_info"][..., 1]  # without the straight one
     road = (graph["ways"] * lanes[..., None, None]).flatten(2, 3)
     away = costs.off_road(motions.position, road, _OFF_ROAD_M) * lanes.any(-1, keepdim=True)
     count = there.sum() * depth.shape[-1]
@@ -116,7 +116,7 @@ def _plausibility(
 
 
 def held_out_errors(net: MotionPrior, dataset: Dataset) -> dict[str, float]:
-    """`errors` on samples that were kept from training, always the same ones."""
+    """`errors` on the same held-out samples each time."""
     rows = dataset.rows(held_out=True)
     if len(rows) > _HELD_OUT:
         rows = np.sort(np.random.default_rng(0).choice(rows, _HELD_OUT, replace=False))
@@ -133,7 +133,7 @@ def errors(
 
     ``reconstruction_ade`` of the posterior's mean, ``mean_ade`` of the prior's mean, ``min_ade_16``
     of the best of 16 samples of the prior, ``min_fde_16`` of the best last known position; and the
-    number of ``vehicles``. Empty where no vehicle moves.
+    number of ``vehicles``. Empty if no vehicle moves.
     """
     net.eval()
     rows: list[Tensor] = []
@@ -156,7 +156,7 @@ def _of_batch(
     posterior: Tensor,
     generator: torch.Generator,
 ) -> Tensor:
-    """(vehicles, 4) the four errors of those that move."""
+    """(vehicles, 4) the four errors of moving vehicles."""
     known = batch["future"][..., 3]
     last = (torch.arange(known.shape[-1]) * known).amax(-1, keepdim=True).long()
 

@@ -13,11 +13,11 @@ from deepmf_sumo.training.fit.loop import Loss, tensors
 from deepmf_sumo.training.samples.dataset import Dataset
 
 _ALPHA: Final = 0.75
-"""With one positive in ten, positives are weighed up. The paper gives neither value."""
+"""One label in ten is positive, so positives have more weight. The paper gives neither value."""
 _GAMMA: Final = 2.0
 _TEMPERATURES = np.round(np.arange(0.3, 3.01, 0.05), 2)
 _SCALE = 10.0
-"""Of the focal losses, which are small."""
+"""Factor of the focal losses, which are small."""
 _CHOICE = 0.1
 """Weight of the choice among the vehicles of a scene."""
 
@@ -32,12 +32,12 @@ def focal(logits: Tensor, labels: Tensor, alpha: float = _ALPHA, gamma: float = 
 
 
 def focal_link(alpha: float = _ALPHA, gamma: float = _GAMMA) -> tuple[float, float]:
-    """Temperature and offset that make logits trained with `focal` frequencies.
+    """Temperature and offset that turn logits trained with `focal` into frequencies.
 
-    Its least value is not where the sigmoid q is the frequency p, but where alpha p s(q) =
-    (1 - alpha) (1 - p) s(1 - q), s being the slope of (1 - q)^gamma log q (Charoenphakdee et al.
-    2021). The log odds of p are nearly straight in the logit: this is their tangent at 0, which at
-    logits of +-4 is .3 of 12 off.
+    The minimum of the loss is not where the sigmoid q equals the frequency p, but where
+    alpha p s(q) = (1 - alpha) (1 - p) s(1 - q), with s the slope of (1 - q)^gamma log q
+    (Charoenphakdee et al. 2021). The log odds of p are nearly linear in the logit: this is their
+    tangent at 0, whose error at logits of +-4 is .3 of 12.
     """
     log_2 = math.log(2.0)
     steepness = (gamma * (gamma - 1) * log_2 + 2 * gamma + 1) / (gamma * log_2 + 1)
@@ -45,10 +45,10 @@ def focal_link(alpha: float = _ALPHA, gamma: float = _GAMMA) -> tuple[float, flo
 
 
 def loss_of(net: OpponentNet) -> Loss:
-    """Focal loss of the pseudo-labels, and of the labelled partner where a scene names one.
+    """Focal loss of the pseudo-labels, and of the labelled partner if a scene names one.
 
-    The partner is one of the scene's vehicles, so its head learns the choice among them as well.
-    Each member of the network has its own loss.
+    The partner is one of the scene's vehicles, so its head also learns the choice among them. Each
+    member of the network has its own loss.
     """
 
     def loss(batch: dict[str, Tensor], _: torch.Generator) -> Tensor:
@@ -71,10 +71,10 @@ def loss_of(net: OpponentNet) -> Loss:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
-    """What makes sigmoids of logits frequencies: ``sigmoid(logit / temperature + offset)``.
+    """Calibration of logits: ``sigmoid(logit / temperature + offset)``.
 
     Attributes:
-        temperature, offset: of the first head: those of the loss that it was trained with.
+        temperature, offset: of the first head, from its loss.
         partner_temperature: of the second head, which only ranks; fitted.
     """
 
@@ -84,10 +84,10 @@ class Calibration:
 
 
 def calibrate(net: OpponentNet, dataset: Dataset) -> Calibration:
-    """The first head's from `focal_link`, the second's by held-out cross-entropy.
+    """Calibrate the first head by `focal_link`, the second by held-out cross-entropy.
 
-    Nothing is fitted for the first head: on scenes that are neither trained on nor held out the
-    loss's own link is nearer to frequencies than a fit to the held-out ones (studies.md).
+    Nothing is fitted for the first head: on other scenes the loss's own link is closer to
+    frequencies than a fit to the held-out scenes (studies.md).
     """
     temperature, offset = focal_link()
     logits, labels = _partners(net, dataset)
@@ -98,7 +98,7 @@ def calibrate(net: OpponentNet, dataset: Dataset) -> Calibration:
 
 @torch.inference_mode()
 def _partners(net: OpponentNet, dataset: Dataset) -> tuple[Tensor, Tensor]:
-    """(N) logits and labels of vehicles in held-out scenes that name a partner."""
+    """(N) logits and labels of the vehicles in held-out scenes that name a partner."""
     net.eval().cpu()
     rows = dataset.rows(held_out=True)
     logits, labels = [torch.zeros(0)], [torch.zeros(0)]

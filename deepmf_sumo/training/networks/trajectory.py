@@ -1,8 +1,8 @@
 """Training of the marginal and the conditional network: profiles, loss, augmentation, temperature.
 
-Each augmentation keeps what a sample says true: what is mirrored is mirrored everywhere. Only other
-vehicles and the map are hidden, never the target, its paths, or a given future. The past of the
-given future's vehicle may be hidden: its route can be known without its history.
+Augmented samples are consistent: a mirrored sample is mirrored everywhere. Only other vehicles and
+the map are hidden, never the target, its paths, or a given future. The history of the vehicle with
+the given future may be hidden, since its route can be known without its history.
 """
 
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.samples.dataset import Dataset
 
 _RARE = -6.9
-"""log .001: prior of profiles that are not fitted on data."""
+"""log .001: prior of profiles that are not fitted to data."""
 _GIVEN = 0.6
-"""Share of samples whose partner's future is given; the others keep the network able to predict
-without a condition."""
+"""Share of samples whose partner's future is given; with the others the network also learns to
+predict without a condition."""
 CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met", "goal_follow")
-"""Layers with random initial weights where the conditional network starts from the marginal one."""
+"""Layers with random initial weights if the conditional network starts from the marginal one."""
 _TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
 MIRRORED: Final = 0.3
 AGENT_DROPPED: Final = 0.1
@@ -44,11 +44,11 @@ _LEFT_COLUMNS: Final = {
     "future": (1,),
     "partner": (1, 2),
 }
-"""Columns that change their sign when left becomes right."""
+"""Columns whose sign changes when left and right are exchanged."""
 
 
 def fit_profiles(net: DenseTNT, dataset: Dataset, seed: int) -> None:
-    """Fit the speed profiles on the samples that are trained on, and put them into the network."""
+    """Fit the network's speed profiles to the training samples."""
     rows = dataset.rows(held_out=False)
     known = rows[np.asarray(dataset.arrays["future_valid"][rows]).all(1)]
     table = clusters.speed_profiles(
@@ -67,7 +67,7 @@ def fit_profiles(net: DenseTNT, dataset: Dataset, seed: int) -> None:
 
 
 def loss_of(net: DenseTNT) -> Loss:
-    """Mixture likelihood; a conditional network is given most of the partners' futures."""
+    """Negative log likelihood of the mixture; a conditional network gets most partners' futures."""
 
     def loss(batch: dict[str, Tensor], generator: torch.Generator) -> Tensor:
         if net.training:
@@ -83,7 +83,7 @@ def partner_condition(
     preset: Preset,
     generator: torch.Generator | None,
 ) -> Condition:
-    """The partner's future as condition; with a generator some are left out at random."""
+    """The partner's future as the condition; with a generator some are left out at random."""
     position, heading = batch["partner"][..., :2], batch["partner"][..., 2]
     given = batch["partner_known"]
     if generator is not None:
@@ -100,9 +100,9 @@ def _given(net: DenseTNT, batch: dict[str, Tensor]) -> Condition | None:
 def fit_temperature(
     nets: Sequence[DenseTNT], dataset: Dataset, modes: int, samples: int = 600
 ) -> float:
-    """The temperature at which modes nearest to true ends are likeliest, on held-out scenes.
+    """The temperature at which the modes nearest to true endpoints have the highest likelihood.
 
-    Of one network, or of the mixture of several.
+    On held-out scenes, for one network or the mixture of several.
     """
     for net in nets:
         net.eval().cpu()
@@ -127,10 +127,10 @@ def fit_temperature(
 
 
 def mixture_loss(net: DenseTNT, goals: Goals, batch: dict[str, Tensor]) -> Tensor:
-    """(B) negative log density of what happened under all goals and their kernels.
+    """(B) negative log density of the true motion under all goals and their kernels.
 
-    It trains scores and completion together: DenseTNT's nearest-goal likelihood is its limit for
-    narrow kernels.
+    It trains scores and completion together: DenseTNT's likelihood of the nearest goal is its limit
+    for narrow kernels.
     """
     knots = list(KNOT_STEPS)
     true = batch["future"][:, None, knots]
@@ -141,14 +141,14 @@ def mixture_loss(net: DenseTNT, goals: Goals, batch: dict[str, Tensor]) -> Tenso
 def augmented(
     batch: dict[str, Tensor], preset: Preset, generator: torch.Generator
 ) -> dict[str, Tensor]:
-    """A batch of `samples.trajectory_samples`, changed at random."""
+    """A batch of `samples.trajectory_samples` with random changes."""
     batch = _noisy(_dropped(dict(batch), generator), generator)
     rows = _drawn(len(batch["motion"]), MIRRORED, generator, batch["motion"].device)
     return mirrored(batch, rows, preset)
 
 
 def mirrored(batch: dict[str, Tensor], rows: Tensor, preset: Preset) -> dict[str, Tensor]:
-    """Left and right exchanged in the given rows (B)."""
+    """The batch with left and right exchanged in the given rows (B)."""
     batch = dict(batch)
     for name, columns in _LEFT_COLUMNS.items():
         values = batch[name]
@@ -165,7 +165,7 @@ def mirrored(batch: dict[str, Tensor], rows: Tensor, preset: Preset) -> dict[str
 
 
 def _dropped(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Tensor]:
-    """Agents and pieces of lanes that were overlooked; they stay in the image."""
+    """Without random agents and pieces of lanes, which stay in the image."""
     for states, info, share, column, first in (
         ("agents", "agent_info", AGENT_DROPPED, 7, 1),
         ("lanes", "lane_info", LANE_DROPPED, 9, 0),
@@ -182,7 +182,7 @@ def _dropped(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, 
 
 
 def _noisy(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Tensor]:
-    """Histories of the others with small errors, the same ones at all steps of an agent."""
+    """Histories of other agents with a small error, the same one at all steps of an agent."""
     agents = batch["agents"].clone()
     shape = (*agents.shape[:2], 1)
     shift = torch.randn(*shape, 2, generator=generator).to(agents.device) * POSITION_NOISE_M
@@ -200,6 +200,6 @@ def _noisy(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Te
 def _drawn(
     shape: int | torch.Size, share: float, generator: torch.Generator, device: torch.device
 ) -> Tensor:
-    """True with the given probability."""
+    """Random flags that are true with the given probability."""
     size = (shape,) if isinstance(shape, int) else tuple(shape)
     return (torch.rand(size, generator=generator) < share).to(device)

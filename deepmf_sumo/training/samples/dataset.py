@@ -14,12 +14,12 @@ from deepmf_sumo.predictors.weights import Network
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[str], None]
 HELD_OUT: Final = 10
-"""Scenes at one place in ten are kept from training: for early stopping and temperatures."""
+"""One place in ten is held out from training, for early stopping and temperatures."""
 _NEAR_M = 15.0
-"""The conditional network learns from pairs whose paths come this near, at any two times."""
+"""The conditional network learns from pairs whose paths come this close, at any two times."""
 _SORTED_BATCHES = 8
-"""Within this many batches, samples with similar numbers of paths go together: the networks cut a
-batch to the paths that it uses."""
+"""Within this many batches, samples with similar numbers of paths are batched together: the
+networks cut a batch to the paths that it uses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,10 +30,10 @@ class Source:
         name: of the file or folder.
         arrays: name -> (N, ...) memory-mapped.
         scene: (N) number of the scene, an index of ``scenes``.
-        scenes: names of all scenes that were read. places: where each of them is.
-        refused: records that could not be used, by name, each with the reason.
+        scenes: names of all scenes. places: the place of each of them.
+        refused: reasons of the records that could not be used, by name.
         digest: of the files and settings.
-        weight: share in training relative to the other sources'; None goes by the samples.
+        weight: share in training relative to the other sources; None is the number of samples.
     """
 
     name: str
@@ -47,25 +47,25 @@ class Source:
 
     @property
     def held_out(self) -> NDArray[np.bool_]:
-        """(N) samples kept from training: those at one place in ten, the same in all sources.
+        """(N) held-out samples: those at one place in ten, the same in all sources.
 
-        A place that was trained on cannot be a test: recordings overlap there. Where this would
-        keep none or all of the scenes that have samples, one in ten is kept, the last where there
-        are few.
+        A place that was trained on cannot be a test, since recordings overlap there. If this holds
+        out none or all of the scenes that have samples, every tenth scene is held out, or the last
+        one of fewer than ten.
         """
         kept = np.array([zlib.crc32(place.encode()) % HELD_OUT == 0 for place in self.places], bool)
-        some, place = np.unique(self.scene, return_inverse=True)  # scenes that have samples
+        some, row = np.unique(self.scene, return_inverse=True)  # scenes that have samples
         samples: NDArray[np.bool_] = kept[self.scene]
         if not samples.any() or samples.all():
             tenth = np.arange(len(some)) % HELD_OUT == HELD_OUT - 1
             if not tenth.any() and len(some) > 1:
                 tenth[-1] = True
-            samples = tenth[place]
+            samples = tenth[row]
         return samples
 
 
 class Joined:
-    """Arrays that differ in length alone, one after the other, read in place."""
+    """The concatenation of arrays that differ only in length, without a copy."""
 
     def __init__(self, parts: Sequence[NDArray[Any]]) -> None:
         self.parts = tuple(parts)
@@ -97,13 +97,13 @@ class Joined:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dataset:
-    """N samples of all sources; make one with `mix`.
+    """N samples of all sources, from `mix`.
 
     Attributes:
         arrays: name -> (N, ...).
-        scene: (N) number of the scene, counted through all sources.
-        origin: (N) number of the source. held_out: (N) whether kept from training.
-        chosen: (N) samples to use; None takes all.
+        scene: (N) number of the scene, counted over all sources.
+        origin: (N) number of the source. held_out: (N) whether the sample is held out.
+        chosen: (N) samples to use; None uses all.
     """
 
     sources: tuple[Source, ...]
@@ -115,17 +115,17 @@ class Dataset:
 
     @property
     def scenes(self) -> int:
-        """How many scenes there are."""
+        """Number of scenes."""
         return sum(len(source.scenes) for source in self.sources)
 
     @property
     def refused(self) -> int:
-        """How many records could not be used."""
+        """Number of records that could not be used."""
         return sum(len(source.refused) for source in self.sources)
 
     @property
     def shares(self) -> NDArray[np.float64]:
-        """(sources) their shares in training; they add up to 1."""
+        """(sources) shares in training, with sum 1."""
         counts = np.bincount(self.origin[self.rows(held_out=False)], minlength=len(self.sources))
         weights = [
             (float(count) if source.weight is None else source.weight) * (count > 0)
@@ -135,7 +135,7 @@ class Dataset:
         return shares
 
     def rows(self, *, held_out: bool, source: int | None = None) -> NDArray[np.int64]:
-        """Samples of scenes that are trained on, or that are held out; of one source, or all."""
+        """Held-out samples or samples to train on, of one source or of all."""
         wanted = self.held_out == held_out
         if self.chosen is not None:
             wanted &= self.chosen
@@ -144,7 +144,7 @@ class Dataset:
         return np.flatnonzero(wanted)
 
     def batch(self, rows: NDArray[np.int64]) -> Arrays:
-        """The given samples, in memory."""
+        """The arrays of the given samples, in memory."""
         order = np.argsort(rows)
         back = np.argsort(order)
         return {name: values[rows[order]][back] for name, values in self.arrays.items()}
@@ -160,7 +160,7 @@ class Dataset:
 
 
 def mix(sources: Sequence[Source]) -> Dataset:
-    """All samples of the sources, which must have the same features."""
+    """All samples of sources with the same features."""
     lengths = [len(source.scene) for source in sources]
     firsts = np.cumsum([0, *(len(source.scenes) for source in sources)])
     return Dataset(
@@ -177,27 +177,27 @@ def mix(sources: Sequence[Source]) -> Dataset:
 
 
 def filter_drivers(network: Network, dataset: Dataset, report: Progress) -> Dataset:
-    """Drop samples whose drivers a network does not learn from, and report their number.
+    """Drop samples of drivers that a network does not learn from, and report their number.
 
-    Raises RunError where none is left.
+    Raises RunError if none is left.
     """
     if network == "opponent":
         without = dataset.scenes - len(np.unique(dataset.scene))
         if without:
             report(
-                f"opponent: {without} scenes have no samples: attacks, or no vehicle is near the AV"
+                f"opponent: {without} scenes have no samples: attacks, or no vehicle near the AV"
             )
     if network != "marginal":
         return dataset
     by_people = _by_people(dataset)
     if not by_people.all():
-        report(f"marginal: {(~by_people).sum()} samples left out in which a planner drives")
-    lacks = "The marginal network learns from people, and planners drive in all samples"
+        report(f"marginal: {(~by_people).sum()} samples with a planner as the driver are left out")
+    lacks = "The marginal network learns from human drivers, and planners drive in all samples"
     return _chosen(dataset, by_people, lacks)
 
 
 def filter_pairs(dataset: Dataset) -> Dataset:
-    """The samples that the conditional network learns from. Raises RunError where none is."""
+    """The samples that the conditional network learns from. Raises RunError if there are none."""
     lacks = "No two vehicles come near each other in these recordings"
     return _chosen(dataset, _interacting(dataset), lacks)
 
@@ -210,13 +210,13 @@ def _chosen(dataset: Dataset, rows: NDArray[np.bool_], lacks: str) -> Dataset:
 
 
 def _by_people(dataset: Dataset) -> NDArray[np.bool_]:
-    """(N) samples of vehicles that no automated planner drives."""
+    """(N) samples of vehicles with a human driver."""
     driver = np.asarray(dataset.arrays["motion"])[:, 6]
     return np.asarray(driver == 0.0)
 
 
 def _interacting(dataset: Dataset) -> NDArray[np.bool_]:
-    """(N) samples with a partner whose path comes near."""
+    """(N) samples with a partner whose path comes close."""
     near = np.zeros(len(dataset.scene), bool)
     for begin in range(0, len(near), 1024):
         rows = slice(begin, begin + 1024)
@@ -232,10 +232,10 @@ def _interacting(dataset: Dataset) -> NDArray[np.bool_]:
 def batches(
     dataset: Dataset, size: int, seed: int, first: int, stop: int
 ) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """(step, rows) for the steps from ``first`` to before ``stop``.
+    """(step, rows) for the steps from ``first`` up to but not including ``stop``.
 
-    An epoch has as many samples as are trained on. How many of them each source gives is drawn by
-    its share; which ones goes round the source, so that each of its samples is seen equally often.
+    An epoch has as many samples as there are to train on. The number from each source is drawn by
+    its share; each source cycles through its samples, so that all of them are used equally often.
     """
     size = min(size, len(dataset.rows(held_out=False)))
     an_epoch = len(dataset.rows(held_out=False)) // size
@@ -261,7 +261,7 @@ def batches(
 
 
 class _Round:
-    """The samples of one source in random order, again and again, each time in another one."""
+    """Cycles through the samples of one source, each time in another random order."""
 
     def __init__(self, rows: NDArray[np.int64], seed: list[int]) -> None:
         self.rows, self.seed = rows, seed

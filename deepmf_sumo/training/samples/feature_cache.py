@@ -1,7 +1,7 @@
-"""Recordings -> features in a folder of memory-mapped arrays, one folder for each source.
+"""Recordings -> features in a folder of memory-mapped arrays, one folder per source.
 
-An interrupted build continues: the features of each recorded file are kept in a shard until all
-shards are complete, and then joined. Their order is that of the files, whatever the number of
+An interrupted build can be resumed: the features of each recorded file are kept in a shard until
+all shards are complete, and then joined. Their order is that of the files, whatever the number of
 processes.
 """
 
@@ -31,20 +31,20 @@ from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.dataset import Arrays, Progress, Source
 
 VERSION: Final = 4
-"""Changes when features change: older caches are not read."""
+"""Increased when features change, so that older caches are not read."""
 _SHOWN: Final = 3
-"""Refused records that a message names."""
+"""Number of refused records that a message names."""
 _SILENCE_S: Final = 10.0
 """Longest time between two progress reports."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Data:
-    """Where recordings are, and how much they count in training.
+    """A source of recordings.
 
     Attributes:
-        path: a recorded file, or a folder of such.
-        weight: relative to the other sources'; None goes by the number of samples.
+        path: a recorded file, or a folder of such files.
+        weight: share in training relative to the other sources; None is the number of samples.
     """
 
     path: Path
@@ -53,12 +53,12 @@ class Data:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Features:
-    """What is computed of a scene.
+    """How the samples of a scene are computed.
 
     Attributes:
         kind: ``opponent``, ``trajectory`` or ``graph``.
-        settings: all that the features depend on besides the scene.
-        of: the samples of one scene; with several processes it must be picklable.
+        settings: everything that the features depend on, except the scene.
+        of: gives the samples of one scene; must be picklable for several processes.
     """
 
     kind: str
@@ -68,7 +68,7 @@ class Features:
 
 @dataclass(slots=True)
 class Contents:
-    """What a folder of arrays contains; written to its ``index.json``."""
+    """Contents of a folder of arrays; written to its ``index.json``."""
 
     count: int = 0
     scenes: list[str] = field(default_factory=list)
@@ -77,25 +77,25 @@ class Contents:
     arrays: dict[str, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
-        """Put it into the folder that it describes."""
+        """Write the index of a folder."""
         (folder / "index.json").write_text(json.dumps(asdict(self)), encoding="utf-8")
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """The contents of a folder of arrays."""
+        """The index of a folder."""
         return cls(**json.loads((folder / "index.json").read_text(encoding="utf-8")))
 
 
 def open_or_build(
     features: Features, data: Data, root: Path, report: Progress, jobs: int = 1
 ) -> Source:
-    """The features of these recordings, computed by ``jobs`` processes if they are missing.
+    """The features of recordings; if they are missing, ``jobs`` processes compute them.
 
     ``root`` is the folder of all caches.
 
     Raises:
         UsageError: the path does not exist.
-        ReaderError: there is nothing to learn from.
+        ReaderError: there are no samples.
         OutputError: the features cannot be written.
     """
     files = readers.find([data.path])
@@ -134,9 +134,9 @@ def open_or_build(
 
 
 def digest_of(kind: str, settings: str, path: Path) -> str:
-    """Digest of what the features depend on, and of the files' names and contents.
+    """Digest of the settings of the features, and of the files' names and contents.
 
-    A copy of the recordings has the same digest. Raises UsageError where the path does not exist.
+    A copy of the recordings has the same digest. Raises UsageError if the path does not exist.
     """
     hasher = hashlib.sha256(f"{VERSION} {kind} {settings}".encode())
     for file in readers.find([path]):
@@ -157,14 +157,14 @@ def _build(
     report: Progress,
     jobs: int,
 ) -> None:
-    """Write a shard for each file, join the shards, and put the result in place."""
+    """Write a shard for each file and join the shards."""
     shards = folder.with_name(f"{folder.name}.parts")
     shards.mkdir(parents=True, exist_ok=True)
     places = [shards / f"{number:06}" for number in range(len(files))]
     missing = [pair for pair in zip(files, places, strict=True) if not pair[1].is_dir()]
     complete = len(files) - len(missing)
     if complete:
-        report(f"features for {features.kind}: going on after {complete} files")
+        report(f"features for {features.kind}: resuming after {complete} files")
     last = time.monotonic()
     for number, _ in enumerate(_each(partial(_write_shard, features), missing, jobs), start=1):
         if time.monotonic() - last > _SILENCE_S:
@@ -185,9 +185,9 @@ def _build(
 
 @contextmanager
 def _appears_whole(folder: Path) -> Iterator[Path]:
-    """An empty folder beside, which takes the folder's name at the end.
+    """A temporary folder that is renamed to ``folder`` if the block succeeds.
 
-    Unless another process was faster, or something fails.
+    If another process has made the folder in the meantime, that one stays.
     """
     beside = folder.with_name(f"{folder.name}.{os.getpid()}")
     shutil.rmtree(beside, ignore_errors=True)  # left by a killed process of the same id
@@ -212,8 +212,8 @@ def _each(
             yield from pool.map(work, pairs)
         except BrokenProcessPool:
             raise RunError(
-                "A process that computes features was ended from outside, perhaps for want of"
-                " memory; give the same command again, with fewer --jobs."
+                "A process that computes features was killed, perhaps for lack of memory; repeat"
+                " the command with fewer --jobs."
             ) from None
         except BaseException:
             pool.shutdown(cancel_futures=True)
@@ -221,7 +221,7 @@ def _each(
 
 
 def _write_shard(features: Features, pair: tuple[Path, Path]) -> None:
-    """Features of one recorded file, in a folder that appears whole."""
+    """Write the features of one recorded file into a folder that appears complete."""
     file, place = pair
     contents = Contents()
     with _appears_whole(place) as unfinished:
@@ -253,7 +253,7 @@ def _samples(features: Features, scene: Scene, file: Path) -> Iterator[Arrays]:
     except (ArithmeticError, LookupError, ValueError) as error:
         raise RunError(
             f"The features of scene {scene.name} of {file} cannot be computed"
-            f" ({type(error).__name__}: {error}); leave it out, and tell the developers."
+            f" ({type(error).__name__}: {error}); leave it out and report this."
         ) from error
 
 
@@ -267,7 +267,7 @@ def _append(folder: Path, sample: Arrays, arrays: dict[str, tuple[str, tuple[int
 
 
 def _join_shards(places: Sequence[Path], folder: Path) -> Contents:
-    """Concatenate the arrays of all shards; scenes are counted through."""
+    """Concatenate the arrays of all shards; scenes are numbered over all shards."""
     whole = Contents()
     for place in places:
         shard = Contents.read(place)
@@ -290,14 +290,14 @@ def _join_shards(places: Sequence[Path], folder: Path) -> Contents:
 
 def _nothing(path: Path, files: Sequence[Path], contents: Contents) -> str:
     if not files:
-        return f"{path} contains no files; there is nothing to learn from."
+        return f"{path} contains no files; give recordings to train on."
     if contents.scenes:
         return (
-            f"None of the {len(contents.scenes)} scenes of {path} gives a sample: no vehicle moves"
-            " there for 3 s; there is nothing to learn from."
+            f"None of the {len(contents.scenes)} scenes of {path} gives a sample, since no vehicle"
+            " moves for 3 s; give other recordings."
         )
     why = next(iter(contents.refused.values()), "the files are empty")
-    return f"No record of {path} can be used ({why.rstrip('.')}); there is nothing to learn from."
+    return f"No record of {path} can be used ({why.rstrip('.')}); give other recordings."
 
 
 def _report_refused(path: Path, contents: Contents, report: Progress) -> None:
@@ -307,17 +307,17 @@ def _report_refused(path: Path, contents: Contents, report: Progress) -> None:
     rest = len(contents.refused) - len(shown)
     more = f"; and {rest} more" if rest else ""
     report(
-        f"{path.name}: {len(contents.refused)} record(s) left out, as they cannot be used: "
+        f"{path.name}: {len(contents.refused)} record(s) cannot be used and are left out: "
         f"{'; '.join(shown)}{more}"
     )
 
 
 def _report_others(root: Path, kind: str, path: Path, report: Progress) -> None:
-    """Caches are large: name those of the same recordings that exist already."""
+    """Name other caches of the same recordings, since caches are large."""
     for file in sorted(root.glob(f"{kind}-*/source")):
         if file.read_text(encoding="utf-8") == str(path.resolve()):
             size = sum(each.stat().st_size for each in file.parent.iterdir()) / 2**20
             report(
-                f"{file.parent} ({size:.0f} MB) contains features of {path.name} as it was"
-                " before, or computed otherwise; delete it if you no longer need them"
+                f"{file.parent} ({size:.0f} MB) contains features of an earlier state of"
+                f" {path.name}, or with other settings; delete it if you no longer need them"
             )

@@ -1,4 +1,4 @@
-"""One scene -> training samples of the motion prior: a graph, and what each vehicle did then."""
+"""One scene -> training samples of the motion prior: a graph, and each vehicle's future."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -13,12 +13,12 @@ from deepmf_sumo.training.samples.dataset import Arrays
 from deepmf_sumo.training.samples.feature_cache import Features
 
 WINDOW_STEPS: Final = (10, 20, 30, 40)
-"""Current steps at which a recording is looked at; later ones know less of the future."""
+"""Current steps of the windows of a recording; after later ones less of the future is known."""
 SIMULATED_STEPS: Final = (10,)
-"""Simulated scenes are plentiful and overlap: they are looked at once."""
+"""Simulated scenes are plentiful and overlap, so one window is used."""
 KNOTS: Final = 16
 VERSION: Final = 1
-"""Changes when features change."""
+"""Increased when features change."""
 
 
 def features() -> Features:
@@ -28,7 +28,7 @@ def features() -> Features:
 
 
 def graph_samples(scene: Scene) -> Iterator[Arrays]:
-    """The graph around the AV at each window, and the vehicles' futures.
+    """The graph around the AV in each window, and the vehicles' futures.
 
     Added to `graph.Graph`: future (16, 16, 4), x, y, heading in the vehicle's own frame every
     0.5 s, and 1 where known.
@@ -53,7 +53,7 @@ def _steps(scene: Scene) -> tuple[int, ...]:
 
 
 def _teaches(scene: Scene, agent_id: AgentId) -> bool:
-    """Of a simulated attack only the AV does: its opponent drives a plan, the others the log."""
+    """Whether a vehicle is learnt from. In a simulated attack that is only the AV."""
     if scene.source.dataset == ROLLOUT and agent_id != scene.av_id:
         return False
     return not windows.jumps(scene.tracks, scene.tracks.row(agent_id))

@@ -1,7 +1,7 @@
 """One scene -> training samples of the opponent network, and the paper's pseudo-labels.
 
-The pseudo-labels (section IV-B1) need no human: any vehicle of a recording can stand in for the AV.
-Each window is seen from the AV, and from some of the vehicles that drive near it.
+The pseudo-labels (section IV-B1) are computed, so any vehicle of a recording can stand in for the
+AV. Each window gives samples around the AV and around some of the vehicles that drive near it.
 """
 
 import json
@@ -31,24 +31,24 @@ from deepmf_sumo.training.samples.dataset import Arrays
 from deepmf_sumo.training.samples.feature_cache import Features
 
 AV_STEPS = (10, 15, 20, 25, 30, 40)
-"""Current steps at which the AV looks around."""
+"""Current steps of the samples around the AV."""
 STAND_IN_STEPS = (10, 30)
-"""Current steps at which others look around in its place."""
+"""Current steps of the samples around stand-ins."""
 STAND_INS: Final = 2
 """Stand-ins per window, the labelled partner of the AV first."""
 SIMULATED_STEPS: Final = (10, 30)
-"""Those of simulated traffic, which is plentiful: the AV alone looks around there."""
+"""Current steps in simulated traffic, which is plentiful: there are no stand-ins."""
 VERSION: Final = 2
-"""Changes when features change."""
+"""Increased when features change."""
 
 _NEAR_M = 60.0
 _KNOWN_STEPS = 45
 _WAY_M = 4.0
-"""A vehicle stands in for the AV only if it drives farther, and is seen for longer."""
+"""A vehicle stands in for the AV only if it drives farther and is observed for longer."""
 
 
 def features_for(preset: Preset) -> Features:
-    """The features of this network; of the preset they depend on the image's sizes alone."""
+    """The features of this network, which depend only on the preset's image sizes."""
     image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
     steps = f"{AV_STEPS} {STAND_IN_STEPS} {STAND_INS} {SIMULATED_STEPS}"
     settings = f"{VERSION} {steps} {json.dumps(image, sort_keys=True)}"
@@ -58,10 +58,10 @@ def features_for(preset: Preset) -> Features:
 def opponent_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
     """Features around the AV and its stand-ins, with both labels of each vehicle.
 
-    Labels look at the recording from the start of the window's history on. Added to
+    Labels use the recording from the start of the window's history on. Added to
     `opponent_features`: interacts (63), partner (63) one-hot, partner_known (), stands_in ().
-    Networks without a branch train on the same samples. Simulated attacks have none: there the
-    vehicle that meets the AV is the attack's choice.
+    Networks without a branch train on the same samples. Simulated attacks give no samples, since
+    the attack chooses which vehicle meets the AV.
     """
     if scene.source.dataset == ROLLOUT:
         return
@@ -102,7 +102,7 @@ def _stand_ins(scene: Scene, step: int, rng: np.random.Generator) -> list[AgentI
 
 
 def _sample(scene: Scene, view: View, preset: Preset) -> Arrays | None:
-    """One view with its labels; None where there is no other vehicle."""
+    """One view with its labels; None if there is no other vehicle."""
     tracks = scene.tracks
     stands_in = view.av_id != scene.av_id
     known_s = (tracks.steps - 1 - view.step) * view.dt_s
@@ -128,8 +128,8 @@ def _sample(scene: Scene, view: View, preset: Preset) -> Arrays | None:
 def interacting(tracks: Tracks, av_id: AgentId, agent_ids: Sequence[AgentId]) -> Bools:
     """(A) vehicles whose path overlaps the AV's, at any two times, or that come close to it.
 
-    Close: at one time the centres are nearer than the AV's length. Any vehicle may be taken as
-    the AV.
+    Close: at one time the distance of the centres is less than the AV's length. Any vehicle may be
+    taken as the AV.
     """
     av = tracks.row(av_id)
     length = float(tracks.size_m[av, 0])
@@ -152,7 +152,7 @@ def interacting(tracks: Tracks, av_id: AgentId, agent_ids: Sequence[AgentId]) ->
 
 
 def _close(tracks: Tracks, av: int, other: int, length_m: float) -> bool:
-    """Whether the centres are at one time nearer than the AV's length."""
+    """Whether the centres come closer than the AV's length."""
     both = tracks.valid[av] & tracks.valid[other]
     apart = tracks.position_m[av, both] - tracks.position_m[other, both]
     return bool(len(apart) and np.hypot(apart[:, 0], apart[:, 1]).min() < length_m)

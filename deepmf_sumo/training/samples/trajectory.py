@@ -19,15 +19,15 @@ from deepmf_sumo.training.samples.dataset import Arrays
 from deepmf_sumo.training.samples.feature_cache import Features
 
 WINDOW_STEPS = (10, 20, 30, 40)
-"""Current steps at which a recording is looked at; later ones know less of the future."""
+"""Current steps of the windows of a recording; after later ones less of the future is known."""
 ATTACKED_STEPS = (10, 15, 20, 25, 30, 35, 40, 50, 60)
-"""The same of attacks, where the later steps matter as much as the first."""
+"""The same for attacks, whose later steps matter as much as the first."""
 SIMULATED_TARGETS: Final = 3
-"""Simulated scenes are plentiful and overlap: few vehicles of each are enough, at fewer steps."""
+"""Simulated scenes are plentiful and overlap, so a few vehicles at every other step are enough."""
 
 
 def features_for(preset: Preset) -> Features:
-    """The features of these networks; of the preset they depend on the image's sizes alone."""
+    """The features of these networks, which depend only on the preset's image sizes."""
     image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
     counts = f"{WINDOW_STEPS} {SIMULATED_TARGETS} {MEANING}"
     return Features(
@@ -38,7 +38,7 @@ def features_for(preset: Preset) -> Features:
 
 
 def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
-    """Features of each target at each window, its future and its partner's.
+    """Features of each target in each window, its future and its partner's.
 
     Added to `features.Features`: future (80, 2), future_valid (80), driven (80) m along the path,
     partner (80, 3) x, y, heading, partner_known () 0 or 1; futures in the target's frame.
@@ -69,7 +69,7 @@ def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
 
 
 def _some(scene: Scene, step: int, futures: list[windows.Future]) -> list[windows.Future]:
-    """The AV and others drawn by the scene's name: always the same ones."""
+    """The AV and other targets, drawn with the scene's name as the seed."""
     rng = np.random.default_rng(zlib.crc32(f"{scene.name} {step}".encode()))
     order = rng.permutation(len(futures)).tolist()
     order.sort(key=lambda row: futures[row].agent_id != scene.av_id)
@@ -81,7 +81,7 @@ def _float(values: object) -> NDArray[np.float32]:
 
 
 def _driven(view: View, future: windows.Future) -> Floats:
-    """(80) metres along the path, where the whole future is known, else zeros."""
+    """(80) metres along the path if the whole future is known, else zeros."""
     if not future.valid.all():
         return np.zeros(FUTURE_STEPS)
     row = view.history.row(future.agent_id)
@@ -94,7 +94,7 @@ def _driven(view: View, future: windows.Future) -> Floats:
 
 
 def distance_driven(position_m: Floats, heading_rad: Floats) -> Floats:
-    """(80) distance driven by positions (81, 2) with headings (81): motion ahead only, summed."""
+    """(80) distance driven forwards through positions (81, 2) with headings (81)."""
     step = np.diff(position_m, axis=0)
     ahead = step[:, 0] * np.cos(heading_rad[:-1]) + step[:, 1] * np.sin(heading_rad[:-1])
     distance: Floats = np.maximum.accumulate(np.cumsum(ahead)).clip(min=0.0)

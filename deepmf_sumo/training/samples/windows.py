@@ -1,4 +1,4 @@
-"""Scene -> what a predictor would have seen at a step, and what happened then."""
+"""Scene -> the view of a predictor at a step, and the future after it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.geometry import frames
 
 MIN_FUTURE_STEPS: Final = 30
-"""A target is known for at least 3 s."""
+"""Targets are known for at least 3 s."""
 MIN_ATTACKED_STEPS: Final = 10
-"""An AV under attack is for 1 s: what it does just before a contact counts most."""
+"""An attacked AV is known for at least 1 s: its motion just before a contact matters most."""
 MIN_DISTANCE_M: Final = 2.0
-"""A vehicle that moves less is not a target, except the AV and labelled agents."""
+"""Vehicles that move less are not targets, except the AV and labelled agents."""
 _FARTHEST_M: Final = 30.0
-"""Others that stay farther away, in space and time, are no partners."""
+"""Vehicles that stay farther away, in space and time, are not partners."""
 _PLACE_M: Final = 500.0
 _MAX_STEP_M: Final = 12.0
-"""Tracks that jump farther in 0.1 s are the tracker's mistakes."""
+"""Tracks that move farther in 0.1 s are errors of the tracker."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Future:
-    """What an agent did after the view, in the scene's frame.
+    """The motion of an agent after the view, in the scene's frame.
 
     Attributes:
         position_m: (80, 2). heading_rad: (80). valid: (80).
@@ -49,10 +49,10 @@ class Future:
 
 
 def place_of(scene: Scene) -> str:
-    """Where a scene is: scenes of one place share its roads, be they recorded, driven or attacked.
+    """The place of a scene; all scenes of a place, recorded or simulated, share its roads.
 
-    A cell of 500 m of the recording's frame. Networks have frames of their own: scenes of SUMO
-    traffic name theirs, a configuration or a generated one, where others name a recorded file.
+    A cell of 500 m in the recording's frame. Each network has its own frame: scenes of SUMO traffic
+    name a configuration or a generated network as their source, others a recorded file.
     """
     row = scene.tracks.row(scene.av_id)
     cell = np.floor(scene.tracks.position_m[row, scene.now] / _PLACE_M).astype(int)
@@ -62,7 +62,7 @@ def place_of(scene: Scene) -> str:
 
 
 def view_at(scene: Scene, step: int) -> View:
-    """The view at a step of a recording, with the agents that are there."""
+    """The view at a step of a recording, with the agents that are valid at the step."""
     window = scene.tracks.window(step - HISTORY_STEPS + 1, step + 1)
     rows = np.flatnonzero(window.valid[:, -1]).tolist()
     return View(
@@ -78,9 +78,9 @@ def view_at(scene: Scene, step: int) -> View:
 
 
 def _recorded_steps(scene: Scene, step: int) -> int:
-    """Of the last 10 steps before a window those before the planner of an attacked AV took over."""
+    """Number of the last 10 steps in which the AV of an attack still drove as recorded."""
     if scene.source.dataset != ROLLOUT or not scene.source.sha256:
-        return 0  # not a log, or traffic that SUMO drove before as well
+        return 0  # not a log, or traffic that SUMO also drove before
     return min(max(scene.now + HISTORY_STEPS - 1 - step, 0), HISTORY_STEPS - 1)
 
 
@@ -98,14 +98,14 @@ def future_of(scene: Scene, agent_id: AgentId, step: int) -> Future:
 
 
 def least_steps(scene: Scene) -> int:
-    """Steps after a window that must be known of a target."""
+    """Number of steps after a window in which a target must be known."""
     return MIN_ATTACKED_STEPS if scene.source.dataset == ROLLOUT else MIN_FUTURE_STEPS
 
 
 def targets(scene: Scene, step: int) -> Iterator[Future]:
-    """Vehicles to learn from at a step: known for long enough, moving; labelled ones always.
+    """Futures of vehicles to learn from: known for long enough, and moving or labelled.
 
-    Of a simulated attack only the AV is: its opponent drives a plan, and the others the log.
+    In a simulated attack this is only the AV: its opponent follows a plan, the others the log.
     """
     tracks = scene.tracks
     labelled = {scene.av_id, *scene.interest}
@@ -127,9 +127,9 @@ def targets(scene: Scene, step: int) -> Iterator[Future]:
 
 
 def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
-    """The future that matters most to the agent: the labelled partner's, else the closest one's.
+    """The future that matters most to the agent: the labelled partner's, else the closest.
 
-    The approach of two futures is the least of distance plus 2 m per second of time between them.
+    The closeness of two futures is the minimum of distance plus 2 m per second between them.
     """
     attacked = scene.source.dataset == ROLLOUT
     if agent_id in scene.interest and (attacked or step == scene.now):
@@ -159,7 +159,7 @@ def local_future(view: View, agent_id: AgentId, future: Future) -> Floats:
 
 @lru_cache(maxsize=2)
 def _movers(scene: Scene, step: int) -> tuple[Future, ...]:
-    """Completed futures of all vehicles that move after the step."""
+    """Futures, without gaps, of all vehicles that move after the step."""
     found = []
     for row, agent_id in enumerate(scene.tracks.ids):
         if scene.tracks.kinds[row] != "vehicle" or not _known(scene, agent_id, step):
@@ -179,7 +179,7 @@ def _known(scene: Scene, agent_id: AgentId, step: int) -> bool:
 
 
 def _filled(scene: Scene, future: Future, step: int) -> Future:
-    """Gaps filled by interpolation, the end by constant velocity: a given future is complete."""
+    """A complete future: gaps are interpolated, the end continues at constant velocity."""
     row = scene.tracks.row(future.agent_id)
     known = np.flatnonzero(future.valid)
     if len(known) == FUTURE_STEPS or len(known) == 0:
@@ -202,7 +202,7 @@ def _filled(scene: Scene, future: Future, step: int) -> Future:
 
 
 def jumps(tracks: Tracks, row: int) -> bool:
-    """Whether an agent moves farther in a step than vehicles do: the tracker's mistake."""
+    """Whether an agent moves farther in a step than vehicles can: an error of the tracker."""
     valid = tracks.valid[row]
     both = valid[1:] & valid[:-1]
     step = np.diff(tracks.position_m[row], axis=0)[both]
