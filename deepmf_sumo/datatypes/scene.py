@@ -1,6 +1,6 @@
 """A recorded scene: the road, its signals, and the motion of its agents."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Final, Literal
 
@@ -160,6 +160,7 @@ FUTURE_STEPS: Final = 80
 
 AgentId = str
 AgentKind = Literal["vehicle", "pedestrian", "cyclist", "other"]
+_BY_STEP: Final = ("position_m", "z_m", "heading_rad", "velocity_mps", "valid")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -226,28 +227,16 @@ class Tracks(Frozen):
 
     def window(self, start: int, stop: int) -> "Tracks":
         """Steps start..stop-1 of all agents."""
-        return Tracks(
-            ids=self.ids,
-            kinds=self.kinds,
-            size_m=self.size_m,
-            position_m=self.position_m[:, start:stop],
-            z_m=self.z_m[:, start:stop],
-            heading_rad=self.heading_rad[:, start:stop],
-            velocity_mps=self.velocity_mps[:, start:stop],
-            valid=self.valid[:, start:stop],
-        )
+        return replace(self, **{name: getattr(self, name)[:, start:stop] for name in _BY_STEP})
 
     def select(self, rows: list[int]) -> "Tracks":
         """The given rows, in the given order."""
-        return Tracks(
+        return replace(
+            self,
             ids=tuple(self.ids[row] for row in rows),
             kinds=tuple(self.kinds[row] for row in rows),
             size_m=self.size_m[rows],
-            position_m=self.position_m[rows],
-            z_m=self.z_m[rows],
-            heading_rad=self.heading_rad[rows],
-            velocity_mps=self.velocity_mps[rows],
-            valid=self.valid[rows],
+            **{name: getattr(self, name)[rows] for name in _BY_STEP},
         )
 
 

@@ -18,6 +18,7 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.simulation.vehicle_control import MATCH_M, HandOver, move
 
 
 class RouteAhead:
@@ -89,7 +90,6 @@ class RouteAhead:
         return self._lengths_m[lane]
 
 
-_AT_ONCE_MPS: Final = 1000.0
 _STEPS: Final = 30
 """A lane change is shown within 3 s. It goes on while the vehicle stands: SUMO has already given
 its position on the old lane to the vehicles behind it."""
@@ -98,62 +98,6 @@ _TELEPORT_M: Final = 1.0
 _ASKEW_RAD: Final = 0.6
 """A vehicle that is turned against its lane by more than this is still in a turn, beside both lanes
 of a change: that change is shown as SUMO makes it."""
-
-
-class HandOver:
-    """Prepares a vehicle in SUMO for being placed at each step, and for being driven by SUMO again.
-
-    Two states crash SUMO 1.28 where a vehicle may be on two lanes at once (the first with
-    `lanechange.duration`, the second with the sublane model too):
-
-    - A lane change under way moves a vehicle sideways by time, even while a client places it
-      elsewhere. If the vehicle is placed beyond the border of its lane before SUMO has it half-way
-      across, SUMO looks for one more lane to move it to. So the change is ended first.
-    - A vehicle that is placed on a lane that its class may not use is taken off its own lane, but
-      stays listed on the lane beside it. So it may use every lane until SUMO drives it again, and
-      the vehicles of that lane see it.
-    """
-
-    def __init__(self, api: SumoApi) -> None:
-        self._api = api
-        self._hurried: tuple[AgentId, float] | None = None
-        self._class: dict[AgentId, str] = {}
-        self._lost: set[AgentId] = set()
-
-    def take(self, vehicle_id: AgentId) -> None:
-        """From the coming step on a client places the vehicle."""
-        vehicle, option = self._api.vehicle, self._api.simulation.getOption
-        sublane = float(option("lateral-resolution")) > 0
-        self._lost.discard(vehicle_id)
-        if (sublane or float(option("lanechange.duration")) > 0) and vehicle_id not in self._class:
-            self._class[vehicle_id] = str(vehicle.getVehicleClass(vehicle_id))
-            vehicle.setVehicleClass(vehicle_id, "ignoring")
-        if float(vehicle.getLateralSpeed(vehicle_id)) != 0.0 and not sublane:
-            self._hurried = vehicle_id, float(vehicle.getMaxSpeedLat(vehicle_id))
-            vehicle.setMaxSpeedLat(vehicle_id, _AT_ONCE_MPS)
-
-    def give_back(self, vehicle_id: AgentId) -> None:
-        """From the coming step on SUMO drives the vehicle."""
-        permission = self._class.pop(vehicle_id, None)
-        if permission is not None:
-            self._api.vehicle.setVehicleClass(vehicle_id, permission)
-
-    def lose(self, vehicle_id: AgentId) -> None:
-        """The vehicle has left the road; if SUMO brings it back, SUMO drives it."""
-        if vehicle_id in self._class:
-            self._lost.add(vehicle_id)
-
-    def after_step(self) -> None:
-        """Restore the lateral speed of the vehicle, and the class of those that are back."""
-        if self._hurried is None and not self._lost:
-            return
-        there = self._api.vehicle.getIDList()
-        for vehicle_id in self._lost.intersection(there):
-            self._lost.remove(vehicle_id)
-            self.give_back(vehicle_id)
-        if self._hurried is not None and self._hurried[0] in there:
-            self._api.vehicle.setMaxSpeedLat(*self._hurried)
-        self._hurried = None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -293,8 +237,6 @@ _COMMANDED = 24
 _NO_CHECKS = 0
 _RISE_HELD_MPS = 0.02
 _RISE_FREE_MPS = 0.15
-_EXACT = 2  # keepRoute: exactly where it is put, on or off the lanes
-_MATCH_M = 5.0
 _LOOK_M = 100.0
 """Distance within which SUMO's leader of the AV is recorded."""
 
@@ -393,7 +335,7 @@ class Av:
         self.leaders = None if leader_id is None else (leader_id,)
         self._previous_mps = float(self._api.vehicle.getSpeed(self.id))
         self._commanded_mps = None
-        move(self._api, self.id, pose, self.length_m, _MATCH_M)
+        move(self._api, self.id, pose, self.length_m, MATCH_M)
 
     def after_step(self) -> None:
         """Tell SUMO the speed after a placement, and note the pose of the AV."""
@@ -442,17 +384,6 @@ class Av:
             target = min(target, speed + own - self._previous_mps + rise)
         hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
         return max(0.0, hardest, target)
-
-
-def move(api: SumoApi, vehicle_id: str, pose: Pose, length_m: float, match_m: float) -> None:
-    """Put a vehicle exactly there at the end of the coming step.
-
-    ``match_m``: largest distance of the front from a lane on which SUMO still takes the vehicle.
-    """
-    front, angle = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
-    api.vehicle.moveToXY(
-        vehicle_id, "", -1, float(front[0]), float(front[1]), float(angle), _EXACT, match_m
-    )
 
 
 def read_pose(api: SumoApi, vehicle_id: str, length_m: float) -> Pose:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -31,6 +32,9 @@ class Pose:
     speed_mps: float
     course_rad: float | None = None
     z_m: float = 0.0
+
+
+_ARRAYS: Final = ("position_m", "z_m", "heading_rad", "velocity_mps", "driver")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,23 +99,14 @@ class Frame:
         more = Frame.of_poses(poses)
         row_of = {agent: row for row, agent in enumerate([*self.ids, *more.ids])}
         rows = list(row_of.values())  # the given pose in the place of the frame's own
-        return Frame(
-            ids=list(row_of),
-            position_m=np.concatenate([self.position_m, more.position_m])[rows],
-            z_m=np.concatenate([self.z_m, more.z_m])[rows],
-            heading_rad=np.concatenate([self.heading_rad, more.heading_rad])[rows],
-            velocity_mps=np.concatenate([self.velocity_mps, more.velocity_mps])[rows],
-            driver=np.concatenate([self.driver, more.driver])[rows],
-        )
+        both = {
+            name: np.concatenate([getattr(self, name), getattr(more, name)])[rows]
+            for name in _ARRAYS
+        }
+        return Frame(ids=list(row_of), **both)
 
     def without(self, agent: AgentId) -> "Frame":
         """This frame without an agent."""
         rows = [row for row, one in enumerate(self.ids) if one != agent]
-        return Frame(
-            ids=[self.ids[row] for row in rows],
-            position_m=self.position_m[rows],
-            z_m=self.z_m[rows],
-            heading_rad=self.heading_rad[rows],
-            velocity_mps=self.velocity_mps[rows],
-            driver=self.driver[rows],
-        )
+        kept = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        return Frame(ids=[self.ids[row] for row in rows], **kept)

@@ -22,7 +22,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of
-from deepmf_sumo.simulation.av import Av, ShownMotion, move, read_pose
+from deepmf_sumo.simulation.av import Av, ShownMotion, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.ignored_vehicles import IgnoredVehicles
 from deepmf_sumo.simulation.log_plan import Log, check_route, log_of, recorded_body
@@ -38,7 +38,7 @@ from deepmf_sumo.simulation.sumo_api import (
     running,
     write_types,
 )
-from deepmf_sumo.simulation.vehicle_control import Takeover
+from deepmf_sumo.simulation.vehicle_control import Takeover, move
 from deepmf_sumo.simulation.world import World
 
 _EXACT = 2  # keepRoute: exactly there, on or off the lanes

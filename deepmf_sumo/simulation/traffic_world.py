@@ -22,10 +22,11 @@ from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.network.sumo_road import signal_links
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.simulation.free_positions import FreePositions, Occupancy
 from deepmf_sumo.simulation.observation import LiveSignals, TrafficReader
 from deepmf_sumo.simulation.sumo_api import AV_TYPE, Backend, SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
-from deepmf_sumo.simulation.vehicle_control import FreePositions, Occupancy, Takeover
+from deepmf_sumo.simulation.vehicle_control import Takeover
 from deepmf_sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0

@@ -3,7 +3,7 @@
 import libsumo
 import pytest
 
-from deepmf_sumo.simulation.vehicle_control import FreePositions
+from deepmf_sumo.simulation.free_positions import FreePositions
 
 from tests.support.live_doubles import OPTIONS, Brake, session_on, step
 from tests.support.tiny_network import build

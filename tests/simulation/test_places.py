@@ -7,7 +7,7 @@ import pytest
 
 from deepmf_sumo.datatypes import Driver
 from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.vehicle_control import FreePositions, Occupancy
+from deepmf_sumo.simulation.free_positions import FreePositions, Occupancy
 
 from tests.support.predictor_doubles import straight_road
 
