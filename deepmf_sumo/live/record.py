@@ -25,6 +25,7 @@ from deepmf_sumo.metrics import measure
 from deepmf_sumo.results import artifacts, folder, result
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.tasks import Task
 
@@ -65,7 +66,7 @@ class Results:
         run_id = f"attack-{fought.number:03d}"
         folder = self._store.runs / run_id
         (folder / "sumo").mkdir(parents=True, exist_ok=True)
-        artifacts.write_tracks(folder / "tracks.csv.gz", fought.rollout)
+        write_tracks(folder / "tracks.csv.gz", fought.rollout)
         artifacts.write_plans(folder / "plans.npz", fought.rollout)
         self._keep_net(folder / "sumo")
         scene = f"{fought.rollout.av_id}-{fought.begin_s:g}s"
