@@ -13,7 +13,6 @@ from typing import Any, Final, Literal
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results import reader, stored
-from deepmf_sumo.results.folder import FORMAT_VERSION as FOLDER_VERSION
 from deepmf_sumo.results.quantities import COMPARABLE, judged
 from deepmf_sumo.results.result import Result
 
@@ -95,29 +94,13 @@ def write(path: Path, found: Results) -> None:
 
 
 def _of_folder(out: Path) -> Results:
-    file = out / stored.MANIFEST
-    if not file.exists():
-        raise UsageError(f"{out} is no result folder: it has no manifest.json.")
-    manifest = stored.mapping(file)
-    if manifest.get("tool") != "deepmf-sumo":
-        raise UsageError(f"{file} is not a manifest of deepmf-sumo.")
-    if manifest.get("format_version") != FOLDER_VERSION:
-        raise UsageError(
-            f"{out} has format {manifest.get('format_version')}, this version of deepmf-sumo reads"
-            f" format {FOLDER_VERSION}; run it anew."
-        )
+    manifest = stored.manifest_of(out)
     rows: dict[str, Row] = {}
     attacks: dict[str, dict[str, Any]] = {}
     for run_id, result in reader.planned(out).items():
-        try:
-            rows[run_id] = _missing(run_id) if result is None else _row(result)
-            if result is not None:
-                attacks.setdefault(rows[run_id].attack, _attack(result))
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise UsageError(
-                f"{out / 'runs' / run_id / 'result.json'} is no result of this version of"
-                f" deepmf-sumo ({type(error).__name__}: {error}); run it anew."
-            ) from None
+        rows[run_id] = _missing(run_id) if result is None else _row(result)
+        if result is not None:
+            attacks.setdefault(rows[run_id].attack, _attack(result))
     return Results(source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks)
 
 
@@ -137,11 +120,11 @@ def _row(result: Result) -> Row:
     return Row(
         run_id=result["run_id"],
         spec=result["spec"],
-        network=str(result.get("network") or result["scene"]),
+        network=result["network"] or result["scene"],
         scene=result["scene"],
         seed=result["seed"],
-        method=str(result.get("method", result["spec"])),
-        planner=str(result.get("planner_label", result["planner"])),
+        method=result["method"] or result["spec"],
+        planner=result["planner_label"] or result["planner"],
         attack=hashlib.sha256(attack).hexdigest()[:16],
         status=result["status"],
         judged=judged(result),

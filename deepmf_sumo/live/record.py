@@ -24,6 +24,7 @@ from deepmf_sumo.metrics import measure
 from deepmf_sumo.results import artifacts, folder, result
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.tasks import Task
 
@@ -64,7 +65,7 @@ class Results:
         run_id = f"attack-{attack.number:03d}"
         folder = self._store.runs / run_id
         (folder / "sumo").mkdir(parents=True, exist_ok=True)
-        artifacts.write_tracks(folder / "tracks.csv.gz", attack.rollout)
+        write_tracks(folder / "tracks.csv.gz", attack.rollout)
         artifacts.write_plans(folder / "plans.npz", attack.rollout)
         self._keep_net(folder / "sumo")
         scene = f"{attack.rollout.av_id}-{attack.begin_s:g}s"

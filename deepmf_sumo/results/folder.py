@@ -106,7 +106,6 @@ def _is(file: Path, number: int) -> bool:
         return False
 
 
-FORMAT_VERSION: Final = 1
 MADE: Final = (
     "runs", "runs.csv", "summary.json", "junit.xml", "report.html", "study.json", "table.csv",
     "table.md", "table.tex", "differences.csv", "equal_seconds.csv", "curves.csv", "accidents.csv",
@@ -165,7 +164,7 @@ class Store:
     def manifest(self, keys: dict[str, str], machine: dict[str, Any]) -> None:
         """Write the manifest of runs, given by id and `Task.key`."""
         manifest = {
-            "format_version": FORMAT_VERSION,
+            "format_version": stored.FORMAT_VERSION,
             "tool": "deepmf-sumo",
             "version": deepmf_sumo.__version__,
             "packages": {name: _installed(name) for name in _PACKAGES},

@@ -24,7 +24,7 @@ from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.results import artifacts, stored
+from deepmf_sumo.results import artifacts, stored, tracks
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec import document
 
@@ -94,7 +94,7 @@ class Run:
         Raises UsageError where it cannot be read, or is damaged.
         """
         found = stored.result_of(self.folder / "result.json")
-        if isinstance(found.get("search"), dict):
+        if found["status"] == "ok":
             found["search"].pop("trials", None)
         return found
 
@@ -106,7 +106,7 @@ class Run:
     @property
     def recorded(self) -> bool:
         """Whether the tracks are there."""
-        return (self.folder / "tracks.csv.gz").is_file()
+        return (self.folder / tracks.FILE).is_file()
 
     @property
     def hit(self) -> bool:
@@ -173,6 +173,21 @@ class Run:
         return next((one for one in self.rollout.contacts if one.kind == self.outcome), None)
 
     @property
+    def spec_text(self) -> str:
+        """``spec.yaml``, which repeats the run; empty where there is none, as of live attacks."""
+        return _text(self.folder / "spec.yaml")
+
+    @property
+    def log_text(self) -> str:
+        """What the run printed; empty where it left no log."""
+        return _text(self.folder / "log.txt")
+
+    @property
+    def opens_in_sumo(self) -> bool:
+        """Whether sumo-gui can show the run."""
+        return (self.folder / "sumo" / "replay.sumocfg").is_file()
+
+    @property
     def source(self) -> dict[str, Any]:
         """Of the run's spec. Live attacks have none, and their network is in the folder.
 
@@ -183,7 +198,7 @@ class Run:
             return {}
         source = document.read(file).values.get("source")
         if not isinstance(source, dict):
-            raise UsageError(f"{file} is damaged: it has no key 'source' with keys; run it anew.")
+            raise UsageError(f"{file} is damaged: it has no key 'source' with keys; run it again.")
         return source
 
     def road(self) -> tuple[RoadMap, str]:
@@ -295,15 +310,19 @@ def planned(out: Path) -> dict[str, Result | None]:
         result = stored.result_of(file) if file.is_file() else None
         if result is not None and result["key"] != key:
             result = None
-        if result is None or result.get("part", "main") == "main":
+        if result is None or result["part"] == "main":
             found[run_id] = result
     return found
 
 
+def _text(file: Path) -> str:
+    return file.read_text("utf-8", errors="replace") if file.is_file() else ""
+
+
 def _metrics(run: Run) -> dict[str, float | None]:
-    if not run.has_result:
+    if run.status != "ok" or not run.has_result:
         return {}
-    return {name: one["value"] for name, one in run.result.get("metrics", {}).items()}
+    return {name: one["value"] for name, one in run.result["metrics"].items()}
 
 
 @lru_cache(maxsize=16)

@@ -135,7 +135,7 @@ class Result(TypedDict, total=False):
     key: Required[str]
     spec: Required[str]
     scene: Required[str]
-    network: str | None
+    network: Required[str | None]
     planner: Required[str]
     perception: str | None
     parameters: str | None
@@ -170,7 +170,7 @@ class Result(TypedDict, total=False):
     search: dict[str, Any]
     conversion: dict[str, Any] | None
     repairs: list[str]
-    turns: list[dict[str, Any]]
+    turns: list[dict[str, Any]] | None
 
 
 COLUMNS: Final = (

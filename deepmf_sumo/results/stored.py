@@ -38,6 +38,7 @@ DAMAGE: Final = (
 )  # fmt: skip
 """What files raise that were cut off, or hold something else."""
 
+FORMAT_VERSION: Final = 1
 RUNS: Final = "runs.csv"
 MANIFEST: Final = "manifest.json"
 MOMENTS: Final = "moments.csv"
@@ -48,7 +49,7 @@ NEEDED: Final = (
 )  # fmt: skip
 """Columns of ``runs.csv`` in all versions."""
 
-_WITHOUT: Final = "run it anew, or remove it: places then come from the tracks alone"
+_WITHOUT: Final = "run it again, or remove it: places then come from the tracks alone"
 _AGAIN: Final = "remove the run's folder and go on with --resume"
 
 
@@ -70,6 +71,8 @@ class _Contact(_Part):
     step: int = Field(default=0, ge=0)
     pose_first: _Pose = [0.0] * 3
     pose_second: _Pose = [0.0] * 3
+    first_id: str = ""
+    second_id: str = ""
     relative_mps: float = 0.0
     sector: int = Field(default=0, ge=0, le=7)
     time_s: float = 0.0
@@ -144,11 +147,12 @@ class _Result(_Part):
 
 
 class _Finished(_Result):
-    """That of a run that went through."""
+    """That of a run that succeeded."""
 
     outcome: str
     ended: str
     steps: int = Field(ge=0)
+    duration_steps: int = 0
     opponent: str | None
     opponent_score: float | None = None
     contacts: Sequence[_Contact]
@@ -192,13 +196,14 @@ class _Whole(_Finished):
 def result_of(file: Path, *, whole: bool = False) -> Result:
     """A run's ``result.json``, ``whole`` as this version writes it.
 
-    Raises UsageError where it cannot be read, or is not one.
+    What results of earlier versions lack has the defaults of `_Finished`, so that readers find
+    every key that they have there. Raises UsageError where it cannot be read, or is not one.
     """
     found = mapping(file, again=_AGAIN)
     went: type[_Result] = _Whole if whole else _Finished
     shape = went if found.get("status") == "ok" else _Result
     try:
-        shape.model_validate(found)
+        _complete(shape.model_validate(found), found)
     except ValidationError as error:
         raise UsageError(
             f"{file} is no result of this version of deepmf-sumo ({first_wrong(error)}); {_AGAIN}."
@@ -211,6 +216,20 @@ def result_of(file: Path, *, whole: bool = False) -> Result:
     return cast(Result, found)
 
 
+def _complete(part: _Part, found: dict[str, Any]) -> None:
+    """Add the defaults of the keys that are missing, at all depths."""
+    for name in type(part).model_fields:
+        value = getattr(part, name)
+        inside = found.setdefault(name, value.model_dump() if isinstance(value, _Part) else value)
+        if isinstance(value, _Part):
+            _complete(value, inside)
+        elif isinstance(value, list) or name == "metrics":
+            known = value.items() if isinstance(value, dict) else enumerate(value)
+            for key, one in known:
+                if isinstance(one, _Part):
+                    _complete(one, inside[key])
+
+
 def run_folder(out: Path, run_id: object, file: str) -> Path:
     """The folder of a run that ``file`` of a result folder names.
 
@@ -219,9 +238,25 @@ def run_folder(out: Path, run_id: object, file: str) -> Path:
     if not is_run_id(run_id):
         raise UsageError(
             f"{out / file} is damaged: {str(run_id)[:80]!r} is not the id of a run (lower-case"
-            " letters, digits and dashes); run it anew."
+            " letters, digits and dashes); run it again."
         )
     return out / "runs" / str(run_id)
+
+
+def manifest_of(out: Path) -> dict[str, Any]:
+    """The manifest of a result folder. Raises UsageError where there is none of this version."""
+    file = out / MANIFEST
+    if not file.exists():
+        raise UsageError(f"{out} is not a result folder: it has no manifest.json.")
+    manifest = mapping(file)
+    if manifest.get("tool") != "deepmf-sumo":
+        raise UsageError(f"{file} is not a manifest of deepmf-sumo.")
+    if manifest.get("format_version") != FORMAT_VERSION:
+        raise UsageError(
+            f"{out} has format {manifest.get('format_version')}, this version of deepmf-sumo reads"
+            f" format {FORMAT_VERSION}; run it again."
+        )
+    return manifest
 
 
 def keys_of(out: Path) -> dict[str, str]:
@@ -229,7 +264,7 @@ def keys_of(out: Path) -> dict[str, str]:
     file = out / MANIFEST
     keys = mapping(file).get("runs")
     if not isinstance(keys, dict) or not all(isinstance(key, str) for key in keys.values()):
-        raise UsageError(f"{file} is damaged: it names no runs; run it anew.")
+        raise UsageError(f"{file} is damaged: it names no runs; run it again.")
     for run_id in keys:
         run_folder(out, run_id, file.name)
     return keys
@@ -286,7 +321,7 @@ def result_folders(folder: Path) -> list[Path]:
     inside = sorted(file.parent for file in folder.glob(f"*/{MANIFEST}"))
     if not inside:
         raise UsageError(
-            f"{folder} is no result folder, and holds none: there is no manifest.json; give the"
+            f"{folder} is not a result folder, and holds none: there is no manifest.json; give the"
             " --out of run, attack or benchmark."
         )
     return inside
@@ -297,7 +332,7 @@ def net_file(folder: Path) -> Path | None:
     return next(iter(sorted((folder / "sumo").glob("net.net.xml*"))), None)
 
 
-def mapping(file: Path, *, again: str = "run it anew") -> dict[str, Any]:
+def mapping(file: Path, *, again: str = "run it again") -> dict[str, Any]:
     """The JSON object in a file. Raises UsageError where there is none, saying ``again``."""
     try:
         found: Any = json.loads(files.content(file, _LARGEST))

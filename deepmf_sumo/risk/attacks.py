@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
@@ -21,10 +21,11 @@ from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
+from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk import places as places_module
 from deepmf_sumo.risk.criticality import criticality
 from deepmf_sumo.risk.places import Places, Spot
-from deepmf_sumo.risk.tracks import OFF, Driven, Spots, read_tracks
+from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
 
 _SPARE: Final = "time_to_spare"
 
@@ -89,19 +90,18 @@ def of_run(
     """
     parts = _parts(result)
     file = out / "runs" / result["run_id"] / "tracks.csv.gz"
-    tracks = read_tracks(file, [part.opponent for part in parts])
-    av = Spots(tracks, tracks.lanes(road), every, moment)
+    found = read_tracks(file, [part.opponent for part in parts])
+    av = Spots(found, road, every, found.av_id, moment)
     # those that left before the attack began have no tracks
-    there = [part.opponent for part in parts if part.opponent in tracks.ids]
-    opponents = {one: Spots(tracks, tracks.lanes(road, one), every, {}, one) for one in there}
+    there = [part.opponent for part in parts if part.opponent in found.tracks.ids]
+    opponents = {one: Spots(found, road, every, one, {}) for one in there}
     return [
-        _attacked(str(out), result, part, tracks, av, opponents.get(part.opponent))
-        for part in parts
+        _attacked(str(out), result, part, found, av, opponents.get(part.opponent)) for part in parts
     ]
 
 
 def _parts(result: Result) -> list[_Part]:
-    turns: list[dict[str, Any]] | None = result.get("turns")
+    turns = result["turns"]
     if turns is None:
         values = {name: one["value"] for name, one in result["metrics"].items()}
         return [_Part(str(result["opponent"]), 0, result["steps"], values)]
@@ -121,18 +121,18 @@ def _attacked(
     folder: str,
     result: Result,
     part: _Part,
-    tracks: Driven,
+    found: RecordedTracks,
     spots: Spots,
     opponent: Spots | None,
 ) -> Attacked:
-    last = min(tracks.now + part.last, tracks.valid.shape[1] - 1)
-    first = min(tracks.now + part.first, last)
+    last = min(found.now + part.last, found.tracks.steps - 1)
+    first = min(found.now + part.first, last)
     hits = _contacts(result, "av_opponent", first, last, part.opponent)
     others = _contacts(result, "av_other", first, last)
-    nearest = tracks.nearest_step(part.opponent, first, last)
+    nearest = nearest_step(found, part.opponent, first, last)
     # of the opponent, else of another, else when the gap was least, else at the start
     step = next(iter((*hits, *others, first if nearest is None else nearest)))
-    place_m: Floats = tracks.position_m[0, step]
+    place_m: Floats = found.tracks.position_m[found.tracks.row(found.av_id), step]
     avoidable = part.metrics.get("avoidable")
     return Attacked(
         folder=folder,
@@ -241,22 +241,17 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
             left_out["without a result"] += 1
         elif result["status"] != "ok":
             left_out[result["status"]] += 1
-        elif not result.get("network"):
+        elif not result["network"]:
             left_out["on recorded scenes"] += 1
         elif not attacked(result):
             left_out["with no vehicle to attack"] += 1
         else:
-            network = _network(out / "runs" / run_id, str(result["network"]), networks)
+            network = _network(out / "runs" / run_id, result["network"], networks)
             moment = moments.get(run_id, {})
             try:
                 network.attacks += of_run(out, result, moment, network.places, network.road)
             except UsageError:
                 network.left_out["without readable tracks"] += 1
-            except (KeyError, TypeError) as error:
-                raise UsageError(
-                    f"{out / 'runs' / run_id / 'result.json'} is no result of this version of"
-                    f" deepmf-sumo ({type(error).__name__}: {error}); run it anew."
-                ) from None
 
 
 def of_runs(folders: Sequence[Path]) -> dict[str, Result]:
@@ -293,7 +288,7 @@ def net_digest(folder: Path) -> str:
 def _net_file(folder: Path) -> Path:
     file = stored.net_file(folder)
     if file is None:
-        raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it anew.")
+        raise UsageError(f"{folder / 'sumo'} holds no net.net.xml; run it again.")
     return file
 
 

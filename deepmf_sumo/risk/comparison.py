@@ -88,7 +88,7 @@ def _traffic(folders: Iterable[Path]) -> dict[str, set[str]]:
 
 def _durations_s(side: Iterable[Result]) -> set[float]:
     """How long attacks could last."""
-    steps = {one["duration_steps"] for one in side if one.get("opponent")}
+    steps = {one["duration_steps"] for one in side if one["opponent"]}
     return {round(one * DT_S, 1) for one in steps}
 
 
@@ -96,9 +96,9 @@ def _networks(side: Mapping[str, Result]) -> dict[str, set[str]]:
     """Digests of the networks by name; one run of each folder speaks for the others in it."""
     first: dict[tuple[Path, str], Path] = {}
     for key, result in side.items():
-        if result.get("network"):
+        if result["network"]:
             run = Path(key)
-            first.setdefault((run.parents[1], str(result["network"])), run)
+            first.setdefault((run.parents[1], result["network"]), run)
     found: dict[str, set[str]] = {}
     for (_, name), run in first.items():
         found.setdefault(name, set()).add(net_digest(run))

@@ -35,6 +35,7 @@ from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.results import artifacts, result
 from deepmf_sumo.results.result import Result, first_contact
+from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.spec import Expect, FromNetwork
 from deepmf_sumo.sweep import fork
 from deepmf_sumo.sweep.fork import logged
@@ -148,7 +149,7 @@ class Episode:
         decisive = result.decisive_part(rollout, case)
         metrics = measure(*decisive)
         by_turn = result.judged(rollout, case, measure)
-        artifacts.write_tracks(folder / "tracks.csv.gz", rollout)
+        write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
         if self.sumo or isinstance(task.spec.source, FromNetwork):
             plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")

@@ -66,4 +66,4 @@ def test_half_a_folder_is_no_verdict(tmp_path, capsys):
     assert "max_failed_runs is 1 (2 runs), allowed at most 0" in capsys.readouterr().out
     (out / "manifest.json").unlink()
     assert check(tmp_path, out, "") == 2
-    assert "is no result folder" in capsys.readouterr().err
+    assert "is not a result folder" in capsys.readouterr().err

@@ -42,7 +42,7 @@ def test_what_is_no_result_folder_is_refused_in_one_line(arguments, tmp_path, ca
     folders = [str(tmp_path)] * (1 if arguments == ["risk"] else 2)
     assert main._run([*arguments, *folders]) == 2
     [line] = capsys.readouterr().err.strip().splitlines()
-    assert "is no result folder" in line
+    assert "is not a result folder" in line
 
 
 def test_an_unknown_quantity_is_refused(out, capsys):

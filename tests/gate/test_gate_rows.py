@@ -130,7 +130,7 @@ def test_folders_that_are_none(tmp_path, change, told):
     with pytest.raises(UsageError, match=told):
         rows.read(out)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(UsageError, match="is no result folder"):
+    with pytest.raises(UsageError, match="is not a result folder"):
         rows.read(tmp_path / "empty")
 
 

@@ -25,6 +25,7 @@ from deepmf_sumo.plans import compare
 from deepmf_sumo.report import table
 from deepmf_sumo.results import artifacts, junit, result
 from deepmf_sumo.results import folder as folder_module
+from deepmf_sumo.results.tracks import TRACK_COLUMNS, write_tracks
 from deepmf_sumo.sweep import episode
 from deepmf_sumo.tasks import Task
 
@@ -134,9 +135,9 @@ def test_row_of_a_failed_run(task):
 
 
 def test_tracks(rollout, tmp_path):
-    artifacts.write_tracks(tmp_path / "t.csv.gz", rollout)
+    write_tracks(tmp_path / "t.csv.gz", rollout)
     table = pd.read_csv(tmp_path / "t.csv.gz")
-    assert ",".join(table.columns) == artifacts.TRACK_COLUMNS
+    assert ",".join(table.columns) == TRACK_COLUMNS
     assert len(table) == rollout.tracks.valid.sum()
     now = table[(table.time_s == 0) & (table.id == "av")].iloc[0]
     assert (now.step, now.role, now.driver, now.x_m, now.speed_mps) == (10, "av", "log", 0, 10)
@@ -144,7 +145,7 @@ def test_tracks(rollout, tmp_path):
     assert 'odd,"id"' in set(table.id)
     tracks = rollout.tracks
     high = replace(rollout, tracks=replace(tracks, z_m=np.full(tracks.z_m.shape, 8.0)))
-    artifacts.write_tracks(tmp_path / "high.csv.gz", high)
+    write_tracks(tmp_path / "high.csv.gz", high)
     assert set(table.z_m) == {0.0}
     assert set(pd.read_csv(tmp_path / "high.csv.gz").z_m) == {8.0}
     raw = (tmp_path / "t.csv.gz").read_bytes()
@@ -232,6 +233,7 @@ def test_summary(found, task):
     assert folder_module.summary([])["collision_rate"] is None
 
 
+@pytest.mark.sumo  # the manifest names the platform, for which Python calls uname
 def test_results_of_an_earlier_batch_are_deleted_only_where_that_is_asked_for(tmp_path):
     out = tmp_path / "deep" / "out"
     with folder_module.opened(out, resume=False) as folder:
@@ -260,6 +262,7 @@ def _checked(out):
     yield
 
 
+@pytest.mark.sumo  # the manifest names the platform, for which Python calls uname
 def test_tables_without_their_runs_are_results_too(tmp_path):
     with folder_module.opened(tmp_path, resume=False) as folder:
         folder.manifest({"one": "key"}, {})

@@ -179,7 +179,7 @@ def test_what_cannot_be_compared_is_refused(tmp_path):
         comparison.compare(a, b)
     with pytest.raises(UsageError, match="'speed' is no quantity"):
         comparison.compare(a, a, ("speed",))
-    with pytest.raises(UsageError, match="is no result folder"):
+    with pytest.raises(UsageError, match="is not a result folder"):
         comparison.compare(a, tmp_path / "a" / "runs")
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.results import tracks as stored_tracks
 from deepmf_sumo.risk import tracks
 
 COLUMNS = ("step", "time_s", "id", "kind", "role", "driver", "x_m", "y_m", "heading_rad")
@@ -29,17 +30,20 @@ def write(file, vehicles, steps):
 
 
 @pytest.mark.parametrize("piece", [7, 100, 4096, 1 << 20])
-def test_whoever_is_asked_for_is_read_whole_wherever_the_text_is_cut(tmp_path, monkeypatch, piece):
+def test_vehicles_asked_for_are_read_whole_wherever_the_text_is_cut(tmp_path, monkeypatch, piece):
     file = tmp_path / "tracks.csv.gz"
     others = [("12", "opponent"), ("123", "other"), (OPPONENT, "opponent"), ("à 12", "other")]
     write(file, [("ego", "av"), *others], 60)
-    monkeypatch.setattr(tracks, "_PIECE", piece)
-    found = tracks.read_tracks(file, ["12", OPPONENT, "never there"])
-    assert found.ids == ("", "12", OPPONENT)
-    assert (found.now, found.valid.shape) == (10, (3, 60))
+    monkeypatch.setattr(stored_tracks, "_PIECE", piece)
+    read = tracks.read_tracks(file, ["12", OPPONENT, "never there"])
+    found = read.tracks
+    assert read.av_id == "ego"
+    assert set(found.ids) == {"ego", "12", OPPONENT}
+    assert (read.now, found.valid.shape) == (10, (3, 60))
     with gzip.open(file, "rt", encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
-    for number, name in enumerate(("ego", "12", OPPONENT)):
+    for name in ("ego", "12", OPPONENT):
+        number = found.row(name)
         own = {int(row["step"]): row for row in rows if row["id"] == name}
         assert list(np.flatnonzero(found.valid[number])) == sorted(own)
         for step, row in own.items():
@@ -50,12 +54,12 @@ def test_whoever_is_asked_for_is_read_whole_wherever_the_text_is_cut(tmp_path, m
 def test_heights_are_read_where_a_result_has_them(tmp_path):
     file = tmp_path / "tracks.csv.gz"
     write(file, [("ego", "av"), ("12", "opponent")], 20)
-    assert not tracks.read_tracks(file, ["12"]).z_m.any()
+    assert not tracks.read_tracks(file, ["12"]).tracks.z_m.any()
     with gzip.open(file, "rt", encoding="utf-8") as stream:
         head, *rows = stream.read().splitlines()
     with gzip.open(file, "wt", encoding="utf-8") as stream:
         stream.write("\n".join([head + ",z_m", *(row + ",8.0" for row in rows)]) + "\n")
-    found = tracks.read_tracks(file, ["12"])
+    found = tracks.read_tracks(file, ["12"]).tracks
     assert (found.z_m[found.valid] == 8.0).all()
 
 
@@ -65,5 +69,5 @@ def test_a_file_cut_short_is_refused_by_name(tmp_path, share):
     write(file, [("ego", "av"), ("12", "opponent")], 60)
     whole = file.read_bytes()
     file.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(UsageError, match=r"tracks.csv.gz is damaged \(.+\); run it anew"):
+    with pytest.raises(UsageError, match=r"tracks.csv.gz is damaged \(.+\); run it again"):
         tracks.read_tracks(file, ["12"])

@@ -18,6 +18,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.readers import npz
 from deepmf_sumo.results import artifacts, result
+from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.tasks import Label, Task
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
@@ -107,7 +108,7 @@ class Folder:
         folder = self.out / "runs" / task.run_id
         folder.mkdir()
         files.write(folder / "spec.yaml", yaml.safe_dump(task.resolved()))
-        artifacts.write_tracks(folder / "tracks.csv.gz", rollout)
+        write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
         values = [
             MetricValue(name=name, value=value, unit="1", better="lower")

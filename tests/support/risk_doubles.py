@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmf_sumo.results.artifacts import TRACK_COLUMNS
+from deepmf_sumo.results.tracks import TRACK_COLUMNS
 from deepmf_sumo.tasks import slug
 
 NET = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.net.xml"

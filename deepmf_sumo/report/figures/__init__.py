@@ -28,7 +28,7 @@ def draw_all(out: Path) -> list[Path]:
 
     ``figures/index.md`` says of each figure what it shows and of which runs, or why it is missing.
 
-    Returns the files, the index last. Raises UsageError where ``out`` is no result folder.
+    Returns the files, the index last. Raises UsageError where ``out`` is not a result folder.
     """
     found = Results.of(out)
     folder = out / "figures"

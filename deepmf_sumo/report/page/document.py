@@ -31,7 +31,7 @@ def write(out: Path) -> Path:
 
     Where a SUMO network was attacked, the page has a risk map, too. The same runs give the same
     page. Runs that cannot be read or replayed are in the table with the reason. Raises UsageError
-    where ``out`` is no result folder, OutputError where it cannot be written.
+    where ``out`` is not a result folder, OutputError where it cannot be written.
     """
     table, manifest = _table(out), _json(out / stored.MANIFEST)
     roads = Roads()

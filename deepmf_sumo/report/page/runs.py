@@ -13,7 +13,7 @@ from deepmf_sumo.report.page.columns import run_row
 from deepmf_sumo.report.page.replay import main_places, packed, reasons, replay
 from deepmf_sumo.report.page.roads import Roads, element
 from deepmf_sumo.report.table import OUTCOMES
-from deepmf_sumo.results import stored
+from deepmf_sumo.results import artifacts, stored
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result, attacked
 
@@ -54,21 +54,21 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     place = ""
     if result and table["status"] == "ok":
         try:
-            shown, place = _shown(run, roads, result.get("turns") or [])
+            shown, place = _shown(run, roads, result["turns"] or [])
         except stored.DAMAGE as error:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
     note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
     return RunPage(
         row=run_row(table, result, place, note),
-        details=packed({**_facts(run.folder, result), **shown, "missing": missing}),
-        weights=result.get("weights") if result else None,
-        network=str(result.get("network") or "") if result and attacked(result) else "",
+        details=packed({**_facts(run, result), **shown, "missing": missing}),
+        weights=result["weights"] if result else None,
+        network=(result["network"] or "") if result and attacked(result) else "",
         missing=missing,
     )
 
 
 def _result(run: Run) -> tuple[Result | None, str]:
-    if not (run.folder / "result.json").exists():
+    if not run.has_result:
         return None, "" if run.status == "skipped" else "result.json is missing"
     try:
         return run.result, ""
@@ -91,10 +91,10 @@ def _shown(
     origin = np.rint(places[0])
     shown = {
         "replay": replay(rollout, origin, turns),
-        "reasons": reasons(run.folder / "plans.npz", origin),
+        "reasons": reasons(run.folder / artifacts.PLANS, origin),
         "road": number,
         "road_note": note,
-        "gui": (run.folder / "sumo" / "replay.sumocfg").is_file(),
+        "gui": run.opens_in_sumo,
     }
     return shown, _element(run, road)
 
@@ -106,29 +106,29 @@ def _element(run: Run, road: RoadMap | None) -> str:
     return element(road, pose[:2], float(pose[2]))
 
 
-def _facts(folder: Path, result: Result | None) -> dict[str, Any]:
-    found: Any = result or {}
-    metrics = found.get("metrics", {})
-    return {
-        **{name: found[name] for name in _FACTS if name in found},
-        "metrics": {
-            name: [value["value"], value.get("unit", ""), value.get("reason", "")]
-            for name, value in metrics.items()
-        },
-        "events": [
-            [event["step"], event["agent_id"], event["kind"], event.get("detail", "")]
-            for event in found.get("events", [])
-        ],
-        "turns": _turns(found),
-        "repairs": found.get("repairs", []),
-        "spec": _text(folder / "spec.yaml"),
-        "log": _text(folder / "log.txt", last=_LOG_LINES),
-    }
+def _facts(run: Run, result: Result | None) -> dict[str, Any]:
+    facts: dict[str, Any] = {"metrics": {}, "events": [], "turns": [], "repairs": []}
+    if result:
+        facts |= {name: value for name, value in result.items() if name in _FACTS}
+    if result and result["status"] == "ok":
+        facts |= {
+            "metrics": {
+                name: [one["value"], one["unit"], one["reason"]]
+                for name, one in result["metrics"].items()
+            },
+            "events": [
+                [event["step"], event["agent_id"], event["kind"], event.get("detail", "")]
+                for event in result["events"]
+            ],
+            "turns": _turns(result["turns"] or []),
+            "repairs": result["repairs"],
+        }
+    log = run.log_text.splitlines()[-_LOG_LINES:]
+    return {**facts, "spec": run.spec_text, "log": "\n".join(log)}
 
 
-def _turns(result: Result) -> list[dict[str, Any]]:
+def _turns(turns: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Which opponent attacked when, and how that ended, where opponents took turns."""
-    turns: list[dict[str, Any]] = result.get("turns") or []
     gaps = [turn["metrics"].get("min_gap") for turn in turns]
     nearest = min((gap for gap in gaps if gap is not None), default=None)
     hits = [number for number, turn in enumerate(turns) if turn["ended"] == "contact"]
@@ -149,10 +149,3 @@ def _turns(result: Result) -> list[dict[str, Any]]:
         }
         for number, turn in enumerate(turns)
     ]
-
-
-def _text(file: Path, last: int | None = None) -> str:
-    if not file.is_file():
-        return ""
-    lines = file.read_text("utf-8", errors="replace").splitlines()
-    return "\n".join(lines[-last:] if last else lines)
