@@ -124,7 +124,7 @@ class StopSign:
         object.__setattr__(self, "position_m", frozen(self.position_m))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class RoadMap:
     """All known features of the road; ``lanes`` by id, in the source's order."""
 

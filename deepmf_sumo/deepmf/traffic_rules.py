@@ -169,7 +169,8 @@ def takes_way(view: View, driven: LaneFutures) -> Bools:
         first = [one for one in first if view.signals.get(one.id) not in RED]
         if not first or driven.ways.begins[row]:
             continue
-        used = [on_lane(one, driven.av_position_m, driven.av_heading_rad)[0] for one in first]
+        av_poses = driven.av_position_m, driven.av_heading_rad
+        used = [on_lane(view.road, one, *av_poses)[0] for one in first]
         goes_first = np.any(used, axis=(0, 2))  # (K)
         if goes_first.any():
             there = driven.ways.on[:, :, row, None] & driven.av_comes(GIVE_WAY_S)

@@ -107,13 +107,12 @@ def _lines(index: RoadIndex, routes: list[Route]) -> tuple[Floats, Floats]:
     lines = np.empty((len(routes), NODES, 2))
     ends = np.empty(len(routes))
     for row, (foot, lanes) in enumerate(routes):
-        first = index.points_m[lanes[0]]
+        first, *rest = (index.map.line_m[lane] for lane in lanes)
         spacing = index.length_m[lanes[0]] / (len(first) - 1)
         at = min(foot.along_m / spacing, len(first) - 1 - 1e-6)
         base = int(at)
         start = first[base] + (at - base) * (first[base + 1] - first[base])
-        parts = [start[None], first[base + 1 :], *(index.points_m[lane][1:] for lane in lanes[1:])]
-        points = np.concatenate(parts)
+        points = np.concatenate([start[None], first[base + 1 :], *(line[1:] for line in rest)])
         step = np.diff(points, axis=0)
         length = np.hypot(step[:, 0], step[:, 1])
         keep = length > 1e-6

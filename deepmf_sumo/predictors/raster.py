@@ -131,11 +131,11 @@ def _signals(
 ) -> None:
     """The first metres of each lane with a signal, in the channel of its state."""
     base = preset.raster_channels - preset.raster_signals
-    row_of = {lane_id: row for row, lane_id in enumerate(index.lane_ids)}
     for lane_id, state in view.signals.items():
-        if lane_id not in row_of:
+        if lane_id not in index.map.row:
             continue
         number = _SEVEN.get(state, 6) if preset.raster_signals == 7 else signal_colour(state)
         if number < preset.raster_signals:
-            local = frames.to_local(index.points_m[row_of[lane_id]][:6], origin_m, heading_rad)
+            line = index.map.line_m[index.map.row[lane_id]]
+            local = frames.to_local(line[:6], origin_m, heading_rad)
             _set(image, local, np.full(len(local), base + number), preset)
