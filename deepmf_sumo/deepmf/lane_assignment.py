@@ -159,8 +159,7 @@ def _leaves(road: RoadMap, lane: Lane) -> bool:
 def _around(lane: Lane, point_m: Floats) -> Bools:
     """(...) whether points (..., 2) can be on a lane, by the rectangle around it."""
     low, high = lane.centre_m.min(axis=0) - reach_m(lane), lane.centre_m.max(axis=0) + reach_m(lane)
-    around: Bools = np.asarray(((point_m >= low) & (point_m <= high)).all(axis=-1))
-    return around
+    return np.asarray(((point_m >= low) & (point_m <= high)).all(axis=-1))
 
 
 def _within(road: RoadMap, first: Iterable[str], ahead_m: float, *, beside: bool) -> list[str]:
@@ -279,11 +278,9 @@ class LaneFutures:
             self.av_size_m,
         )
         hit &= ~clear(self.z_m[:, :, None], self.av_z_m[:, row].T[None])
-        meeting: Bools = hit & (times == row)[None, :, None]
-        return meeting
+        return hit & (times == row)[None, :, None]
 
     def av_comes(self, within_s: float) -> Bools:
         """(N, S, K) the AV is there at the same time, or at most ``within_s`` later."""
         later = np.append(np.arange(0.0, within_s, 2 * PACE_S), within_s)
-        comes: Bools = np.any([self.meets(float(one)) for one in later], axis=0)
-        return comes
+        return np.any([self.meets(float(one)) for one in later], axis=0)

@@ -27,8 +27,7 @@ _ROW: Final = 1 << 32
 
 def clear(z_m: Floats, other_m: Floats) -> Bools:
     """(...) whether what is at one height passes above or below what is at the other."""
-    apart: Bools = np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
-    return apart
+    return np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
 
 
 def on_nearest_level(group: Ints, heights_m: Floats, z_m: Floats) -> Bools:
@@ -51,8 +50,7 @@ def distance_m(gap_m: Floats, z_m: Floats, other_m: Floats) -> Floats:
     Of a difference in height what is beyond the clearance counts.
     """
     above = np.maximum(np.abs(np.asarray(z_m, float) - other_m) - CLEARANCE_M, 0.0)
-    distance: Floats = np.where(clear(z_m, other_m), np.hypot(gap_m, above), gap_m)
-    return distance
+    return np.where(clear(z_m, other_m), np.hypot(gap_m, above), gap_m)
 
 
 @per_road
@@ -165,13 +163,11 @@ def _surface(lane: Lane) -> Floats:
 
 def _cells(points: Floats) -> Ints:
     column, row = np.moveaxis(np.floor(points / _CELL_M).astype(np.int64), -1, 0)
-    cells: Ints = column * _ROW + row
-    return cells
+    return column * _ROW + row
 
 
 def _nearest(surface: Floats, z_m: Floats) -> Floats:
     """(N) the height of N surfaces (N, L) that is nearest to (N); nan where there is none."""
     away = np.abs(surface - z_m[:, None])
     best = np.where(np.isnan(away), np.inf, away).argmin(axis=1)
-    nearest: Floats = surface[np.arange(len(surface)), best]
-    return nearest
+    return surface[np.arange(len(surface)), best]

@@ -156,8 +156,7 @@ class LaneMap:
 
     def heights_m(self, feet: Feet) -> Floats:
         """(K) heights of the lanes at feet."""
-        heights: Floats = self.z_m[feet.segment] + feet.share * self.rise_m[feet.segment]
-        return heights
+        return self.z_m[feet.segment] + feet.share * self.rise_m[feet.segment]
 
     def _segments(self, runs: Ints) -> tuple[Ints, Ints]:
         """Row of the run in the argument, and row, of each segment of the runs."""

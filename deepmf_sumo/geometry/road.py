@@ -69,5 +69,4 @@ def against_traffic(
     on_it, along = np.zeros((2, len(points_m)), bool)
     on_it[under.point] = True
     along[under.point[turn > np.cos(_AGAINST_RAD)]] = True
-    against: Bools = on_it & ~along
-    return against
+    return on_it & ~along

@@ -148,8 +148,7 @@ def _length(points_m: Floats) -> float:
 def _heights(lane: Lane, line_m: Floats) -> Floats:
     """(P) heights of a lane at the points (P, 2) of its line, which are equally far apart."""
     along, last = polylines.arc_lengths(lane.centre_m), len(line_m) - 1
-    heights: Floats = np.interp(np.arange(last + 1) / last * along[-1], along, lane.z_m)
-    return heights
+    return np.interp(np.arange(last + 1) / last * along[-1], along, lane.z_m)
 
 
 def _restarting_sums(lengths: Floats, counts: Ints) -> Floats:

@@ -50,8 +50,7 @@ class PathSet:
     @property
     def valid(self) -> Bools:
         """(16)."""
-        valid: Bools = self.info[:, 0] > 0
-        return valid
+        return self.info[:, 0] > 0
 
 
 def path_set(
@@ -136,8 +135,7 @@ def _joined(lines: Floats, routes: list[Route], merge_m: float) -> Floats:
     tangent = np.gradient(lines, axis=1)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
-    joined: Floats = lines + offset[..., None] * normal
-    return joined
+    return lines + offset[..., None] * normal
 
 
 def _distinct(lines: Floats, nodes: int) -> list[int]:

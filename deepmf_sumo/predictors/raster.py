@@ -65,8 +65,7 @@ def repack(image: Tensor) -> Tensor:
     flat = image.flatten(1).to(torch.uint8)
     flat = torch.nn.functional.pad(flat, (0, -flat.shape[1] % 8)).view(len(flat), -1, 8)
     places = torch.arange(7, -1, -1, device=image.device, dtype=torch.uint8)
-    bits: Tensor = (flat << places).sum(-1).to(torch.uint8)
-    return bits
+    return (flat << places).sum(-1).to(torch.uint8)
 
 
 def draw_future(position_m: Tensor, preset: Preset) -> Tensor:
@@ -114,8 +113,7 @@ def _box_points(tracks: Tracks, rows: Ints, step: int) -> Floats:
     cos, sin = np.cos(heading), np.sin(heading)
     x = local[..., 0] * cos - local[..., 1] * sin
     y = local[..., 0] * sin + local[..., 1] * cos
-    points: Floats = np.stack([x, y], -1) + tracks.position_m[rows, step][:, None]
-    return points
+    return np.stack([x, y], -1) + tracks.position_m[rows, step][:, None]
 
 
 def _set(image: Bytes, local_m: Floats, channel: Ints, preset: Preset) -> None:
