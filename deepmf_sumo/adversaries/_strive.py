@@ -172,7 +172,7 @@ def _road(view: View) -> Tensor:
     index = road_index(view.road)
     origin, turn = _frame(view)
     lanes = [
-        line for line, drivable in zip(index.points_m, index.drivable, strict=True) if drivable
+        line for line, drivable in zip(index.map.line_m, index.drivable, strict=True) if drivable
     ]
     points = np.concatenate(lanes) if lanes else np.zeros((0, 2))
     near = np.hypot(*(points - origin).T) < _ROAD_M

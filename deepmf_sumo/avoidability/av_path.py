@@ -18,6 +18,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
+from deepmf_sumo.geometry.lane_map import MARGIN_M
 
 BEHIND_M: Final = 100.0
 AHEAD_M: Final = 400.0
@@ -29,6 +30,8 @@ _FIRST_M = 3.0
 _TURN_RAD = 0.1  # 6 cm of sagitta on a curve of 50 m
 _REACH_M = 150.0
 _BESIDE_M = 2.0
+_CHORD_M = 0.5
+"""Farthest that a line of points a metre apart is from the line that they are on."""
 _TURNED_RAD = np.pi / 6
 _ALONG_M = 4.0
 _ASIDE_M = 1.0
@@ -140,10 +143,12 @@ def _along_lanes(road_map: RoadMap, position_m: Floats, heading_rad: float, z_m:
 
     Where roads cross at different heights, of the lanes on the level nearest to ``z_m``.
     """
+    lanes = road.lanes_for_cars(road_map)
     found: list[tuple[float, Lane, Floats]] = []
     heights: list[float] = []
-    for lane in road_map.lanes.values():
-        rest = None if lane.kind == "bike" else _near(lane, position_m, heading_rad)
+    for row in np.unique(lanes.lane[lanes.around(position_m, _BESIDE_M + _CHORD_M)]):
+        lane = lanes.lanes[row]
+        rest = _rest(lane.centre_m, position_m, heading_rad)
         if rest is None:
             continue
         foot = polylines.project(lane.centre_m, position_m)
@@ -159,27 +164,17 @@ def _along_lanes(road_map: RoadMap, position_m: Floats, heading_rad: float, z_m:
     _, lane, path = min(found, key=lambda each: each[0])
     seen = {lane.id}
     while polylines.arc_lengths(path)[-1] < _REACH_M:
-        following = [road_map.lanes[name] for name in lane.next if name in road_map.lanes]
-        following = [after for after in following if after.id not in seen and _drawn(after)]
+        following = [
+            lanes.lanes[lanes.row[name]]
+            for name in lane.next
+            if name in lanes.row and name not in seen
+        ]
         if not following:
             break
         lane = min(following, key=lambda after: abs(_turn(after)))
         seen.add(lane.id)
         path = np.concatenate([path, polylines.resample(lane.centre_m, 1.0)])
     return path
-
-
-def _near(lane: Lane, position_m: Floats, heading_rad: float) -> Floats | None:
-    """As `_rest`, for lanes whose bounds are near the position."""
-    if not _drawn(lane):
-        return None
-    low, high = lane.centre_m.min(axis=0) - _BESIDE_M, lane.centre_m.max(axis=0) + _BESIDE_M
-    inside = bool(((position_m >= low) & (position_m <= high)).all())
-    return _rest(lane.centre_m, position_m, heading_rad) if inside else None
-
-
-def _drawn(lane: Lane) -> bool:
-    return len(lane.centre_m) > 1 and lane.kind != "bike"
 
 
 def _turn(lane: Lane) -> float:
@@ -222,12 +217,9 @@ def keeps_lane(
     road_map: RoadMap, position_m: Floats, heading_rad: float, width_m: float, z_m: float = 0.0
 ) -> bool:
     """Whether a car is within one lane of its direction, or at most 0.2 m over its border."""
-    pieces = road.pieces_near(road_map, position_m[None])
-    on_it = road.covering(pieces, position_m[None])[0]
-    if ground_of(road_map).has_levels:
-        on_it &= road.at_height(pieces, position_m[None], np.array([z_m]))[0]
-    aligned = np.abs(frames.difference(pieces.heading_rad, heading_rad)) < _ALIGNED_RAD
-    normal = frames.unit(pieces.heading_rad + np.pi / 2)
-    left = np.abs(((position_m - pieces.start_m) * normal).sum(-1))
-    within = left + width_m / 2 <= pieces.reach_m - road.MARGIN_M + BORDER_M
-    return bool((on_it & aligned & within).any())
+    under = road.covering(road_map, position_m[None], np.array([z_m]))
+    aligned = np.abs(frames.difference(under.heading_rad, heading_rad)) < _ALIGNED_RAD
+    normal = frames.unit(under.heading_rad + np.pi / 2)
+    left = np.abs(((position_m - under.start_m) * normal).sum(-1))
+    within = left + width_m / 2 <= under.reach_m - MARGIN_M + BORDER_M
+    return bool((aligned & within).any())

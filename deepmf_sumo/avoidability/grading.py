@@ -160,8 +160,7 @@ def avoidable(
     driven_m = steady_m if av_along_m is None else av_along_m
     models = list(MODELS.values()) if by in ("any", "all") else [MODELS[by]]
     avoided = reference_drivers.outcome(models, path, approach, driven_m).avoided
-    result: Bools = np.all(avoided, axis=0) if by == "all" else np.any(avoided, axis=0)
-    return result
+    return np.all(avoided, axis=0) if by == "all" else np.any(avoided, axis=0)
 
 
 def collision_class(rollout: Rollout, contact: Contact) -> Collision:

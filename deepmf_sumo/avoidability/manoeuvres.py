@@ -131,5 +131,4 @@ def _holds(path: AvPath, along_m: Floats, speed_mps: Floats) -> Bools:
     moving = speed_mps > 0
     needed = np.where(moving, np.hypot(turning + swerving, braking), 0.0)
     gentle = (GRID.lateral_mps2 == 0) & (GRID.braking_mps2 <= BRAKING_MPS2[-2])
-    holds: Bools = gentle | (needed.max(axis=1) <= GRIP_MPS2 + 0.5)
-    return holds
+    return gentle | (needed.max(axis=1) <= GRIP_MPS2 + 0.5)

@@ -199,8 +199,7 @@ def _velocities(position_m: Floats, dt_s: float) -> Floats:
     now = np.maximum(np.arange(position_m.shape[1]), 1)
     before = np.maximum(now - _SPAN, 0)
     moved = position_m[:, now] - position_m[:, before]
-    velocity: Floats = moved / ((now - before) * dt_s)[:, None]
-    return velocity
+    return moved / ((now - before) * dt_s)[:, None]
 
 
 def _crossing_times(
@@ -222,8 +221,7 @@ def _crossing_times(
 def _time(distance_m: Floats, speed_mps: Floats) -> Floats:
     """Seconds to cover a distance; inf at less than 0.05 m/s."""
     moving = speed_mps > _STILL_MPS
-    seconds: Floats = np.where(moving, distance_m / np.where(moving, speed_mps, 1.0), np.inf)
-    return seconds
+    return np.where(moving, distance_m / np.where(moving, speed_mps, 1.0), np.inf)
 
 
 class Driver(Protocol):
@@ -321,8 +319,7 @@ def in_the_way(sight: Sight) -> Bools:
     passing = np.maximum(sight.gap_m, 0.0) + sight.lengths_m
     gross_s = passing / np.maximum(sight.speed_mps, 1e-3) + 0.1
     still_there = np.isinf(sight.leaves_s) | (sight.leaves_s > sight.reach_s)
-    conflict: Bools = sight.ahead & (sight.enters_s <= gross_s) & still_there
-    return conflict
+    return sight.ahead & (sight.enters_s <= gross_s) & still_there
 
 
 def proactive_safety(gap_m: Floats, speed_mps: Floats, leader_mps: Floats) -> Floats:
@@ -377,8 +374,7 @@ def _response(speed_mps: Floats) -> Floats:
     """Stopping distance of a vehicle that accelerates during the response time, then brakes."""
     model = ResponsibilitySensitive
     after = speed_mps + model.ACCEL_MPS2 * DELAY_S
-    distance: Floats = (speed_mps + after) / 2 * DELAY_S + after**2 / (2 * model.BRAKING_MPS2)
-    return distance
+    return (speed_mps + after) / 2 * DELAY_S + after**2 / (2 * model.BRAKING_MPS2)
 
 
 def drive(

@@ -109,7 +109,7 @@ class StopSign(Frozen):
     lane_ids: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class RoadMap:
     """All known features of the road; ``lanes`` by id, in the source's order."""
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -13,7 +12,7 @@ from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.geometry import boxes, polylines
 from deepmf_sumo.geometry.ground import clear, ground_of, on_nearest_level
-from deepmf_sumo.geometry.road import MARGIN_M, WIDTH_M
+from deepmf_sumo.geometry.lane_map import WIDTH_M, LaneMap, per_road, reach_m
 
 EVERY_STEPS: Final = 2
 """Futures are examined every 0.2 s."""
@@ -51,7 +50,7 @@ class LaneAssignment:
         road: RoadMap,
         now: tuple[Floats, float],
         futures: tuple[Floats, Floats],
-        reach_m: float,
+        ahead_m: float,
         z_m: float = 0.0,
     ) -> "LaneAssignment":
         """Of a pose now, (2) and heading, and futures: positions (N, S, 2), headings (N, S).
@@ -59,15 +58,15 @@ class LaneAssignment:
         Where roads cross the lanes now are those of the level nearest to the height ``z_m``.
         """
         first = lanes_at(road, *now, z_m)
-        straight = _within(road, first, reach_m, beside=False)
-        lanes = tuple(road.lanes[name] for name in _within(road, first, reach_m, beside=True))
+        straight = _within(road, first, ahead_m, beside=False)
+        lanes = tuple(road.lanes[name] for name in _within(road, first, ahead_m, beside=True))
         shape = (*futures[1].shape, len(lanes))
         on, left_m = np.zeros(shape, bool), np.full(shape, np.inf)
         for row, lane in enumerate(lanes):
             endless = _leaves(road, lane)
             near = np.ones(futures[1].shape, bool) if endless else _around(lane, futures[0])
             poses = futures[0][near], futures[1][near]
-            on[near, row], left_m[near, row] = on_lane(lane, *poses, endless=endless)
+            on[near, row], left_m[near, row] = on_lane(road, lane, *poses, endless=endless)
         off = np.where(on, np.abs(left_m), np.inf)
         nearest = (
             np.where(on.any(axis=-1), off.argmin(axis=-1), OFF) if lanes else _none(futures[1])
@@ -90,17 +89,34 @@ def lanes_at(
 
     Where roads cross only those of the level nearest to the height ``z_m``.
     """
-    point, heading = np.asarray(position_m, float)[None], np.array([heading_rad])
+    lanes, point = coarse_lanes(road), np.asarray(position_m, float)[None]
+    near = np.unique(lanes.lane[lanes.around(point[0], lanes.widest_m)])
+    heading = np.array([heading_rad])
     found = [
         lane
-        for lane in road.lanes.values()
-        if lane.kind != "bike" and _around(lane, point)[0] and on_lane(lane, point, heading)[0][0]
+        for lane in (lanes.lanes[row] for row in near)
+        if lane.kind != "bike" and on_lane(road, lane, point, heading)[0][0]
     ]
     if len(found) > 1 and ground_of(road).has_levels:
         heights = np.array([_height_m(lane, point) for lane in found])
         level = on_nearest_level(np.zeros(len(found), np.int64), heights, np.array(z_m))
         found = [lane for lane, same in zip(found, level, strict=True) if same]
     return tuple(lane.id for lane in found)
+
+
+@per_road
+def coarse_lanes(road: RoadMap) -> LaneMap:
+    """All lanes along lines with few points: recorded ones have one every half metre."""
+    lanes = tuple(road.lanes.values())
+    lines = [_coarse(lane.centre_m) for lane in lanes]
+    return LaneMap.of(lanes, lines, [np.zeros(len(line)) for line in lines])
+
+
+def _coarse(line_m: Floats) -> Floats:
+    """The line with a point every 4 m, if these are fewer."""
+    if polylines.arc_lengths(line_m)[-1] > _SPACING_M * (len(line_m) - 2):
+        return line_m
+    return polylines.resample(line_m, _SPACING_M)
 
 
 def _height_m(lane: Lane, point_m: Floats) -> float:
@@ -110,17 +126,21 @@ def _height_m(lane: Lane, point_m: Floats) -> float:
 
 
 def on_lane(
-    lane: Lane, position_m: Floats, heading_rad: Floats, *, endless: bool = False
+    road: RoadMap, lane: Lane, position_m: Floats, heading_rad: Floats, *, endless: bool = False
 ) -> tuple[Bools, Floats]:
     """(...) whether poses are on a lane and in its direction, and their offsets to its left.
 
     An ``endless`` lane goes on straight beyond its last point.
     """
-    line = _endless(lane) if endless else _line(lane)
+    lanes = coarse_lanes(road)
+    line = lanes.line_m[lanes.row[lane.id]]
     if len(line) < 2:
         return np.zeros(np.shape(heading_rad), bool), np.full(np.shape(heading_rad), np.inf)
+    if endless:
+        last = line[-1] - line[-2]
+        line = np.concatenate([line, [line[-1] + _BEYOND_M * last / max(np.hypot(*last), 1e-9)]])
     foot = polylines.project(line, position_m)
-    near = foot.distance_m <= width_m(lane) / 2 + MARGIN_M
+    near = foot.distance_m <= reach_m(lane)
     on: Bools = near & (np.cos(heading_rad - foot.heading_rad) > _SAME_WAY)
     return on, foot.left_m
 
@@ -130,50 +150,31 @@ def width_m(lane: Lane) -> float:
     return lane.width_m or WIDTH_M
 
 
-@lru_cache(maxsize=8192)
-def _line(lane: Lane) -> Floats:
-    """Its centre line with few points: recorded ones have one every half metre."""
-    if len(lane.centre_m) < 2:
-        return lane.centre_m
-    coarse = polylines.resample(lane.centre_m, _SPACING_M)
-    return coarse if len(coarse) < len(lane.centre_m) else lane.centre_m
-
-
-@lru_cache(maxsize=1024)
-def _endless(lane: Lane) -> Floats:
-    line = _line(lane)
-    if len(line) < 2:
-        return line
-    last = line[-1] - line[-2]
-    return np.concatenate([line, [line[-1] + _BEYOND_M * last / max(np.hypot(*last), 1e-9)]])
-
-
 def _leaves(road: RoadMap, lane: Lane) -> bool:
     """Whether a lane leads out of the map: it ends, and so do those beside it."""
     beside = [one.lane_id for one in (*lane.left, *lane.right)]
     return not lane.next and not any(road.lanes[one].next for one in beside if one in road.lanes)
 
 
-@lru_cache(maxsize=8192)
-def _bounds(lane: Lane) -> tuple[Floats, Floats]:
-    reach = width_m(lane) / 2 + MARGIN_M
-    return lane.centre_m.min(axis=0) - reach, lane.centre_m.max(axis=0) + reach
-
-
 def _around(lane: Lane, point_m: Floats) -> Bools:
     """(...) whether points (..., 2) can be on a lane, by the rectangle around it."""
-    low, high = _bounds(lane)
-    around: Bools = np.asarray(((point_m >= low) & (point_m <= high)).all(axis=-1))
-    return around
+    low, high = lane.centre_m.min(axis=0) - reach_m(lane), lane.centre_m.max(axis=0) + reach_m(lane)
+    return np.asarray(((point_m >= low) & (point_m <= high)).all(axis=-1))
 
 
-def _within(road: RoadMap, first: Iterable[str], reach_m: float, *, beside: bool) -> list[str]:
-    """Lanes ahead within a distance from the beginning of the first ones; also those beside."""
-    left_m = {name: reach_m + _length_m(road.lanes[name]) for name in first}
+def _within(road: RoadMap, first: Iterable[str], ahead_m: float, *, beside: bool) -> list[str]:
+    """Lanes ahead within a distance from the start of the first ones; also those beside."""
+    lanes = coarse_lanes(road)
+
+    def length_m(name: str) -> float:
+        line = lanes.line_m[lanes.row[name]]
+        return float(np.hypot(*np.diff(line, axis=0).T).sum()) if len(line) > 1 else 0.0
+
+    left_m = {name: ahead_m + length_m(name) for name in first}
     queue = list(left_m)
     while queue:
         lane = road.lanes[queue.pop(0)]
-        rest = left_m[lane.id] - _length_m(lane)
+        rest = left_m[lane.id] - length_m(lane.id)
         after = [(name, rest) for name in lane.next]
         if beside:
             after += [(one.lane_id, left_m[lane.id]) for one in (*lane.left, *lane.right)]
@@ -182,11 +183,6 @@ def _within(road: RoadMap, first: Iterable[str], reach_m: float, *, beside: bool
                 left_m[name] = more
                 queue.append(name)
     return [name for name in left_m if road.lanes[name].kind != "bike"]
-
-
-def _length_m(lane: Lane) -> float:
-    line = _line(lane)
-    return float(np.hypot(*np.diff(line, axis=0).T).sum()) if len(line) > 1 else 0.0
 
 
 def _none(like: Floats) -> Ints:
@@ -206,7 +202,7 @@ def _driven(lanes: tuple[Lane, ...], nearest: Ints) -> Bools:
 
 
 PACE_S = DT_S * EVERY_STEPS
-_REACH_M = 20.0  # lanes are searched this far beyond what is driven
+_AHEAD_M = 20.0  # lanes are searched this far beyond what is driven
 _LIKELY = 0.1  # futures of the AV with at least this probability must not be obstructed
 
 
@@ -245,7 +241,7 @@ class LaneFutures:
         steps = slice(EVERY_STEPS - 1, min(left, own.speed_mps.shape[1]), EVERY_STEPS)
         position, heading = futures.position_m[:, steps], futures.heading_rad[:, steps]
         along = np.hypot(*np.moveaxis(position - start.position_m, -1, 0))
-        reach_m = float(along.max(initial=0.0)) + _REACH_M
+        ahead_m = float(along.max(initial=0.0)) + _AHEAD_M
         now = start.position_m, start.heading_rad
         likely = alone.probability >= min(_LIKELY, float(alone.probability.max()))
         every = slice(EVERY_STEPS - 1, None, EVERY_STEPS)
@@ -260,7 +256,7 @@ class LaneFutures:
             speed_mps=own.speed_mps[:, steps],
             size_m=situation.size_m,
             start=start,
-            ways=LaneAssignment.of(view.road, now, (position, heading), reach_m, z_now_m),
+            ways=LaneAssignment.of(view.road, now, (position, heading), ahead_m, z_now_m),
             av_position_m=av_m[:, every],
             av_heading_rad=alone.futures.heading_rad[likely, every],
             av_size_m=situation.av_size_m,
@@ -282,11 +278,9 @@ class LaneFutures:
             self.av_size_m,
         )
         hit &= ~clear(self.z_m[:, :, None], self.av_z_m[:, row].T[None])
-        meeting: Bools = hit & (times == row)[None, :, None]
-        return meeting
+        return hit & (times == row)[None, :, None]
 
     def av_comes(self, within_s: float) -> Bools:
         """(N, S, K) the AV is there at the same time, or at most ``within_s`` later."""
         later = np.append(np.arange(0.0, within_s, 2 * PACE_S), within_s)
-        comes: Bools = np.any([self.meets(float(one)) for one in later], axis=0)
-        return comes
+        return np.any([self.meets(float(one)) for one in later], axis=0)

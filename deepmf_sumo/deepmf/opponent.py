@@ -106,5 +106,4 @@ def named(view: View, agent_id: AgentId) -> AgentId:
 def softmax(logits: Floats) -> Floats:
     """(N) probabilities of logits (N)."""
     power = np.exp(logits - np.max(logits))
-    share: Floats = power / power.sum()
-    return share
+    return power / power.sum()

@@ -355,8 +355,7 @@ def _contact_offsets(turn: Floats, sizes_m: tuple[Floats, Floats], sector: int) 
     supports = np.stack([nearest[:, :, 0], nearest.mean(axis=2)], axis=2)
     centre = touch[None, :, None] - supports
     deep = np.array(_DEEP_M)[:, None] * outward[:, None]
-    offsets: Floats = (centre[:, :, :, None] - deep[None, :, None]).reshape(len(turn), -1, 2)
-    return offsets
+    return (centre[:, :, :, None] - deep[None, :, None]).reshape(len(turn), -1, 2)
 
 
 def _projected(paths: list[OwnPath], path: Ints, aim_m: Floats) -> tuple[Floats, Floats, Bools]:

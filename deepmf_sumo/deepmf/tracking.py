@@ -83,8 +83,7 @@ class Courses:
     def point(self, along_m: Floats) -> Complexes:
         """Points at arc lengths (M), one a path."""
         cell, share = self._cell(along_m)
-        where: Complexes = self.path_m.take(cell) + share * self.ahead_m.take(cell)
-        return where
+        return self.path_m.take(cell) + share * self.ahead_m.take(cell)
 
     def progress(self, guess_m: Floats, least_m: Floats, position_m: Complexes) -> Floats:
         """Arc lengths (M) of the feet of points near ``guess_m``; never behind ``least_m``."""
@@ -93,13 +92,11 @@ class Courses:
         product = off * ahead.conj()
         foot = product.real / np.maximum(square(ahead), 1e-9)
         correction = np.minimum(np.maximum((foot - share) * _SPACING_M, -0.5), 0.5)
-        place: Floats = np.maximum(guess_m + correction, least_m)
-        return place
+        return np.maximum(guess_m + correction, least_m)
 
     def speed_limit(self, along_m: Floats) -> Floats:
         """Highest speed (M) from which the curves ahead can still be driven."""
-        limit: Floats = self.fastest_mps.take(self._cell(along_m)[0])
-        return limit
+        return self.fastest_mps.take(self._cell(along_m)[0])
 
     def _cell(self, along_m: Floats) -> tuple[Ints, Floats]:
         """Places (M) in the flat arrays, and shares of the way to the next point."""
@@ -110,8 +107,7 @@ class Courses:
 
 def square(number: Complexes) -> Floats:
     """Squares of the lengths of complex numbers."""
-    squares: Floats = number.real**2 + number.imag**2
-    return squares
+    return number.real**2 + number.imag**2
 
 
 def _resampled(points: Complexes, length: Floats, course_rad: float) -> Complexes:
@@ -133,8 +129,7 @@ def _smooth_speed(length: Floats) -> Floats:
     steps = np.arange(last + 1)
     low = np.maximum(steps - _SMOOTHING_STEPS, 0)
     high = np.minimum(steps + _SMOOTHING_STEPS, last)
-    speed: Floats = (length[:, high] - length[:, low]) / ((high - low) * DT_S)
-    return speed
+    return (length[:, high] - length[:, low]) / ((high - low) * DT_S)
 
 
 def _curve_limit(path: Complexes, limits: Floats) -> Floats:
@@ -148,8 +143,7 @@ def _curve_limit(path: Complexes, limits: Floats) -> Floats:
     square = np.maximum(square, _SLOWEST_MPS**2)
     # v(s)^2 <= v(s')^2 + 2 b (s' - s) for every s' ahead: a running minimum from the far end.
     slope = 2 * _SHARE * limits[:, 1:2] * _SPACING_M * np.arange(path.shape[1])
-    fastest: Floats = np.minimum.accumulate((square + slope)[:, ::-1], axis=1)[:, ::-1] - slope
-    return fastest
+    return np.minimum.accumulate((square + slope)[:, ::-1], axis=1)[:, ::-1] - slope
 
 
 _JOIN_STEPS = 15  # an initial mismatch of the prediction fades out over 1.5 s
@@ -232,8 +226,7 @@ def joined(reference_m: Floats, start: Start) -> Floats:
     expected = start.position_m + start.speed_mps * DT_S * frames.unit(start.course_rad)
     share = np.clip(np.arange(reference.shape[1]) / _JOIN_STEPS, 0.0, 1.0)
     fade = 1.0 - share * share * (3.0 - 2.0 * share)
-    moved: Floats = reference + (expected - reference[:, :1]) * fade[:, None]
-    return moved
+    return reference + (expected - reference[:, :1]) * fade[:, None]
 
 
 def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
@@ -298,8 +291,7 @@ class _State:
         wanted = wanted + _DAMPING_PER_S**2 * (due - self._along)
         allowed = (courses.speed_limit(self._along) - self._speed) / DT_S
         chosen = np.maximum(np.minimum(np.minimum(wanted, allowed), self._accel), -self._brake)
-        after: Floats = np.maximum(self._speed + chosen * DT_S, 0.0)
-        return after
+        return np.maximum(self._speed + chosen * DT_S, 0.0)
 
     def _steer(self, courses: Courses, fastest: Floats) -> Floats:
         """Curvature of the arc to the point ahead on the course, within the limits."""
@@ -308,5 +300,4 @@ class _State:
         left = (target * np.exp(-1j * self._course)).imag
         wanted = 2 * left / np.maximum(square(target), 1e-6)
         bound = np.minimum(self._curvature, self._lateral / np.maximum(fastest**2, 1e-6))
-        curvature: Floats = np.minimum(np.maximum(wanted, -bound), bound)
-        return curvature
+        return np.minimum(np.maximum(wanted, -bound), bound)

@@ -149,16 +149,14 @@ _SLOWING_S = 0.4
 
 def off_lanes(driven: LaneFutures) -> Bools:
     """Somewhere on none of the lanes that lead on from its own."""
-    off: Bools = np.asarray((driven.ways.nearest == OFF).any(axis=1))
-    return off
+    return np.asarray((driven.ways.nearest == OFF).any(axis=1))
 
 
 def speeds(driven: LaneFutures) -> Bools:
     """Faster than the lane allows, and than now."""
     limits = np.array([lane.speed_limit_mps or np.inf for lane in driven.ways.lanes])
     allowed = np.maximum(_FASTER * limits[driven.ways.nearest], driven.start.speed_mps)
-    too_fast: Bools = np.asarray((driven.speed_mps > allowed + 0.1).any(axis=1))
-    return too_fast
+    return np.asarray((driven.speed_mps > allowed + 0.1).any(axis=1))
 
 
 def takes_way(view: View, driven: LaneFutures) -> Bools:
@@ -169,7 +167,8 @@ def takes_way(view: View, driven: LaneFutures) -> Bools:
         first = [one for one in first if view.signals.get(one.id) not in RED]
         if not first or driven.ways.begins[row]:
             continue
-        used = [on_lane(one, driven.av_position_m, driven.av_heading_rad)[0] for one in first]
+        av_poses = driven.av_position_m, driven.av_heading_rad
+        used = [on_lane(view.road, one, *av_poses)[0] for one in first]
         goes_first = np.any(used, axis=(0, 2))  # (K)
         if goes_first.any():
             there = driven.ways.on[:, :, row, None] & driven.av_comes(GIVE_WAY_S)
@@ -200,8 +199,7 @@ def blocks(driven: LaneFutures, free: Bools, so_far_mps: float) -> Bools:
     inside = np.append(free, False)[driven.ways.nearest]  # `OFF` is the last
     fastest = np.maximum.accumulate(np.where(inside, driven.speed_mps, 0.0), axis=1)
     slowest = np.maximum(fastest, so_far_mps) / 2 - 0.1
-    broken: Bools = np.asarray((inside & (driven.speed_mps < slowest)).any(axis=1))
-    return broken
+    return np.asarray((inside & (driven.speed_mps < slowest)).any(axis=1))
 
 
 def cuts_in(driven: LaneFutures, collision_step: Floats) -> Bools:
@@ -216,8 +214,7 @@ def cuts_in(driven: LaneFutures, collision_step: Floats) -> Bools:
     time = collision_step.astype(int) // EVERY_STEPS  # (N, M), beyond the last where there is none
     there = np.minimum(time, outside.shape[1] - 1)
     touches = np.take_along_axis(outside, there, axis=1) & (time <= there)
-    broken: Bools = np.asarray(cuts.any(axis=(1, 2)) | touches.any(axis=1))
-    return broken
+    return np.asarray(cuts.any(axis=(1, 2)) | touches.any(axis=1))
 
 
 def hinders(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bools:
@@ -229,8 +226,7 @@ def hinders(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bo
     if _follows(view, driven):
         near = np.any([driven.meets(-back) for back in (PACE_S, FOLLOW_S / 2, FOLLOW_S)], axis=0)
         faster = (driven.speed_mps > driven.start.speed_mps + 0.1).any(axis=1)
-        pushes: Bools = collides | (near.any(axis=(1, 2)) & faster)
-        return pushes
+        return collides | (near.any(axis=(1, 2)) & faster)
     if halts or not _leads(driven):
         return np.zeros(len(collides), bool)
     now = np.full((len(collides), 1), driven.start.speed_mps)
@@ -239,8 +235,7 @@ def hinders(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bo
     slowing = (speed[:, :-span] - speed[:, span:]).max(axis=1, initial=0.0) / _SLOWING_S
     turns = np.cos(driven.heading_rad - driven.start.heading_rad).min(axis=1) < _SAME_WAY
     crawls = driven.speed_mps.min(axis=1) < driven.start.speed_mps / 2
-    broken: Bools = (slowing > CAUSELESS_MPS2 + 0.2) | (crawls & ~turns)
-    return broken
+    return (slowing > CAUSELESS_MPS2 + 0.2) | (crawls & ~turns)
 
 
 def _follows(view: View, driven: LaneFutures) -> bool:

@@ -17,8 +17,7 @@ def corners(centre_m: Floats, heading_rad: Floats, size_m: Floats) -> Floats:
     cos, sin = np.cos(heading), np.sin(heading)
     x = local[..., 0] * cos - local[..., 1] * sin
     y = local[..., 0] * sin + local[..., 1] * cos
-    placed: Floats = np.stack([x, y], axis=-1) + np.asarray(centre_m, float)[..., None, :]
-    return placed
+    return np.stack([x, y], axis=-1) + np.asarray(centre_m, float)[..., None, :]
 
 
 def overlap(
@@ -43,13 +42,12 @@ def overlap(
     turn_sin = np.abs(sin_a * cos_b - cos_a * sin_b)
     x, y = offset[..., 0], offset[..., 1]
     la, wa, lb, wb = half_a[..., 0], half_a[..., 1], half_b[..., 0], half_b[..., 1]
-    hit: Bools = (
+    return (
         (np.abs(x * cos_a + y * sin_a) < la + lb * turn_cos + wb * turn_sin)
         & (np.abs(y * cos_a - x * sin_a) < wa + lb * turn_sin + wb * turn_cos)
         & (np.abs(x * cos_b + y * sin_b) < lb + la * turn_cos + wa * turn_sin)
         & (np.abs(y * cos_b - x * sin_b) < wb + la * turn_sin + wa * turn_cos)
     )
-    return hit
 
 
 def touching(
@@ -96,8 +94,7 @@ def gap(
         _points_to_box(corners_a, centre_b, heading_b, size_b),
         _points_to_box(corners_b, centre_a, heading_a, size_a),
     )
-    result: Floats = np.where(hit, 0.0, distance)
-    return result
+    return np.where(hit, 0.0, distance)
 
 
 def _points_to_box(points: Floats, centre: Floats, heading: Floats, size: Floats) -> Floats:
@@ -108,5 +105,4 @@ def _points_to_box(points: Floats, centre: Floats, heading: Floats, size: Floats
     half = np.asarray(size, float)[..., None, :] / 2
     along = np.abs(offset[..., 0] * cos + offset[..., 1] * sin) - half[..., 0]
     across = np.abs(offset[..., 1] * cos - offset[..., 0] * sin) - half[..., 1]
-    distance: Floats = np.hypot(np.maximum(along, 0), np.maximum(across, 0)).min(axis=-1)
-    return distance
+    return np.hypot(np.maximum(along, 0), np.maximum(across, 0)).min(axis=-1)

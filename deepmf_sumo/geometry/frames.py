@@ -13,8 +13,7 @@ from deepmf_sumo.datatypes import Floats
 
 def wrap(angle_rad: Floats | float) -> Floats:
     """The same direction in (-pi, pi]."""
-    wrapped: Floats = np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2 * np.pi)
-    return wrapped
+    return np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2 * np.pi)
 
 
 def difference(to_rad: Floats | float, from_rad: Floats | float) -> Floats:
@@ -32,22 +31,19 @@ def to_local(points_m: Floats, origin_m: Floats, heading_rad: float) -> Floats:
     """Points (..., 2) of the scene in the frame of the pose."""
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
     shifted = np.asarray(points_m, float) - origin_m
-    local: Floats = shifted @ np.array([[cos, -sin], [sin, cos]])
-    return local
+    return shifted @ np.array([[cos, -sin], [sin, cos]])
 
 
 def to_scene(points_m: Floats, origin_m: Floats, heading_rad: float) -> Floats:
     """Points (..., 2) of the pose's frame in the scene's."""
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
-    scene: Floats = np.asarray(points_m, float) @ np.array([[cos, sin], [-sin, cos]]) + origin_m
-    return scene
+    return np.asarray(points_m, float) @ np.array([[cos, sin], [-sin, cos]]) + origin_m
 
 
 def rotate(vectors: Floats, angle_rad: float) -> Floats:
     """Vectors (..., 2) turned counter-clockwise by an angle."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    turned: Floats = np.asarray(vectors, float) @ np.array([[cos, sin], [-sin, cos]])
-    return turned
+    return np.asarray(vectors, float) @ np.array([[cos, sin], [-sin, cos]])
 
 
 def to_sumo(
@@ -71,5 +67,4 @@ def from_sumo(
 
 def sumo_angle(heading_rad: ArrayLike) -> Floats:
     """Degrees clockwise from north, in [0, 360)."""
-    angle: Floats = np.mod(90.0 - np.degrees(np.asarray(heading_rad, float)), 360.0)
-    return angle
+    return np.mod(90.0 - np.degrees(np.asarray(heading_rad, float)), 360.0)

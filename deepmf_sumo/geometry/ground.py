@@ -1,26 +1,25 @@
-"""Heights: which of two vehicles passes above the other, and at which height a road runs where.
+"""Heights: which of two vehicles passes above the other, and how high the road is at a position.
 
 A vehicle's z is that of the road under it (SUMO) or of its middle (recordings). Neither says how
 high it reaches, so two vehicles meet if their heights differ by less than `CLEARANCE_M`, whatever
 they are: roads that cross leave each other more room than that.
 """
 
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, Lane, RoadMap
 from deepmf_sumo.geometry import polylines
+from deepmf_sumo.geometry.lane_map import per_road, reach_m
 
 CLEARANCE_M: Final = 2.5
-"""Vehicles whose heights differ by so much pass over each other."""
+"""Vehicles whose heights differ by at least this pass over each other."""
 _CELL_M: Final = 4.0
 _SPACING_M: Final = 2.8
-"""Of points on lanes: no cell of a lane is without one."""
+"""Of points on lanes: every cell of a lane has one."""
 _APART_M: Final = CLEARANCE_M / 2
-"""Lanes that differ by more in one cell are two levels, nearer ones are one surface."""
-_WIDTH_M, _MARGIN_M = 3.7, 0.5
+"""Lanes in one cell whose heights differ by more are two levels; others are one surface."""
 _MOST_STEPS: Final = 64
 _ROW: Final = 1 << 32
 """Cells of a column are numbered one after the other."""
@@ -28,15 +27,14 @@ _ROW: Final = 1 << 32
 
 def clear(z_m: Floats, other_m: Floats) -> Bools:
     """(...) whether what is at one height passes above or below what is at the other."""
-    apart: Bools = np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
-    return apart
+    return np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
 
 
 def on_nearest_level(group: Ints, heights_m: Floats, z_m: Floats) -> Bools:
     """(K) which heights of roads are of that level of their group which is nearest to a height.
 
-    ``group`` (K) tells what belongs together, e.g. all lanes under one vehicle, whose height is
-    ``z_m`` (K). Nearest, and not near: recordings may count heights from elsewhere than maps.
+    ``group`` (K): rows with the same number belong together, e.g. all lanes under one vehicle,
+    whose height is ``z_m`` (K). Nearest, not near: heights of recordings may have another origin.
     """
     heights, away = np.asarray(heights_m, float), np.abs(np.asarray(heights_m, float) - z_m)
     order = np.lexsort((away, group))
@@ -52,23 +50,22 @@ def distance_m(gap_m: Floats, z_m: Floats, other_m: Floats) -> Floats:
     Of a difference in height what is beyond the clearance counts.
     """
     above = np.maximum(np.abs(np.asarray(z_m, float) - other_m) - CLEARANCE_M, 0.0)
-    distance: Floats = np.where(clear(z_m, other_m), np.hypot(gap_m, above), gap_m)
-    return distance
+    return np.where(clear(z_m, other_m), np.hypot(gap_m, above), gap_m)
 
 
-@lru_cache(maxsize=8)
+@per_road
 def ground_of(road: RoadMap) -> "Ground":
-    """The ground of a road; a road is compared by identity, and the last eight are kept."""
+    """The ground of a road."""
     return Ground(road)
 
 
 def off_level(
     road: RoadMap, position_m: Floats, z_m: float, others_m: Floats, others_z_m: Floats
 ) -> Bools:
-    """(N) who of others (N, 2), (N) is where one does not get to straight from a place (2).
+    """(N) which of others (N, 2), (N) are on a level that no straight drive from a pose reaches.
 
-    One that is on the bridge ahead, but not one that is farther up on the same slope. False for all
-    where the road passes nowhere over itself.
+    True for a vehicle on the bridge ahead, False for one farther up on the same slope. False for
+    all where the road passes nowhere over itself.
     """
     ground, others = ground_of(road), np.asarray(others_m, float)
     if not ground.has_levels or not len(others):
@@ -155,7 +152,7 @@ def _surface(lane: Lane) -> Floats:
     step = np.diff(line, axis=0, append=2 * line[-1:] - line[-2:-1])
     run = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)[:, None]
     course = step[:, :2] / run
-    half = (lane.width_m or _WIDTH_M) / 2 + _MARGIN_M
+    half = reach_m(lane)
     asides = np.linspace(-half, half, 2 + int(2 * half / _SPACING_M))
     normal = np.stack([-course[:, 1], course[:, 0]], axis=-1)
     points = line[:, None, :2] + asides[:, None] * normal[:, None]
@@ -166,13 +163,11 @@ def _surface(lane: Lane) -> Floats:
 
 def _cells(points: Floats) -> Ints:
     column, row = np.moveaxis(np.floor(points / _CELL_M).astype(np.int64), -1, 0)
-    cells: Ints = column * _ROW + row
-    return cells
+    return column * _ROW + row
 
 
 def _nearest(surface: Floats, z_m: Floats) -> Floats:
     """(N) the height of N surfaces (N, L) that is nearest to (N); nan where there is none."""
     away = np.abs(surface - z_m[:, None])
     best = np.where(np.isnan(away), np.inf, away).argmin(axis=1)
-    nearest: Floats = surface[np.arange(len(surface)), best]
-    return nearest
+    return surface[np.arange(len(surface)), best]

@@ -40,8 +40,7 @@ def sectors(
     x, y = np.moveaxis(
         _overlap_middle(centre_a, heading_a, size_a, centre_b, heading_b, size_b), -1, 0
     )
-    sector: Ints = np.round(np.arctan2(y, x) / (np.pi / 4)).astype(np.int64) % 8
-    return sector
+    return np.round(np.arctan2(y, x) / (np.pi / 4)).astype(np.int64) % 8
 
 
 def _overlap_middle(
@@ -78,8 +77,7 @@ def _turned(vectors: Floats, angle_rad: Floats) -> Floats:
 
 def _within(points: Floats, half: Floats) -> Bools:
     """(..., 4) whether points lie in a box that is centred and aligned."""
-    inside: Bools = np.all(np.abs(points) <= half * (1 + _WITHIN), axis=-1)
-    return inside
+    return np.all(np.abs(points) <= half * (1 + _WITHIN), axis=-1)
 
 
 def _crossings(a: Floats, b: Floats) -> tuple[Floats, Bools]:
@@ -113,5 +111,4 @@ def _centroid(points: Floats, valid: Bools, otherwise: Floats) -> Floats:
     weighted = ((local + ahead) * area[..., None]).sum(axis=-2)
     usable: Bools = np.logical_and(np.any(valid, axis=-1), total >= 1e-12)
     centroid = middle[..., 0, :] + weighted / np.where(usable, 3 * total, 1.0)[..., None]
-    result: Floats = np.where(usable[..., None], centroid, otherwise)
-    return result
+    return np.where(usable[..., None], centroid, otherwise)

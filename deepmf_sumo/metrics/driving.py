@@ -6,7 +6,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Case, Floats, RecordedCase, Rollout, SignalState
 from deepmf_sumo.geometry import frames, polylines, road
-from deepmf_sumo.geometry.road import WIDTH_M
+from deepmf_sumo.geometry.lane_map import WIDTH_M
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 
 _ALONG_MPS2, _ACROSS_MPS2 = 8.0, 5.0

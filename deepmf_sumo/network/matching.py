@@ -1,6 +1,4 @@
-"""Matching of recorded motion to lanes and routes of the network.
-
-From lanes to SUMO routes that SUMO accepts.
+"""Matching of recorded motion to lanes, and of lanes to routes that SUMO accepts.
 
 A route with a pair of edges that no connection joins ends the whole simulation, so every pair is
 checked, and a route that breaks is cut there.
@@ -16,11 +14,11 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-import shapely
 
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SumoNet
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
+from deepmf_sumo.geometry.lane_map import LaneMap, per_road
 from deepmf_sumo.network.lane_graph import simplified
 from deepmf_sumo.network.sumo_net import NetFile, NetLink, Way, edge_of, read_once
 
@@ -117,52 +115,41 @@ def _between(road: RoadMap, before: str, after: str) -> list[str]:
     return [first] if first else []
 
 
-@lru_cache(maxsize=4)
+@per_road
 def lane_index(road: RoadMap) -> "LaneIndex":
-    """The road's lanes as a search tree, built once a road."""
+    """The simplified lanes of a road."""
     return LaneIndex(road)
 
 
 class LaneIndex:
-    """Segments of all lanes in a search tree, and the cost of going from lane to lane."""
+    """The simplified lanes of a road, and the cost of going from lane to lane."""
 
     def __init__(self, road: RoadMap) -> None:
         shapes = {key: xyz for key, xyz in simplified(road).items() if len(xyz) > 1}
         self.lane_ids = list(shapes)
-        self._road = road
-        self._number = {key: number for number, key in enumerate(self.lane_ids)}
+        self._lanes = road.lanes
         self._costs: dict[int, dict[int, float]] = {}
-        empty = np.zeros((0, 2))
-        starts = [xyz[:-1, :2] for xyz in shapes.values()]
-        deltas = [np.diff(xyz[:, :2], axis=0) for xyz in shapes.values()]
-        self._start = np.concatenate([empty, *starts])
-        self._delta = np.concatenate([empty, *deltas])
-        self._owner = np.repeat(np.arange(len(shapes)), [len(delta) for delta in deltas])
-        self._heading = np.arctan2(self._delta[:, 1], self._delta[:, 0])
-        self._z = np.concatenate([np.zeros(0), *(xyz[:-1, 2] for xyz in shapes.values())])
-        self._rise = np.concatenate([np.zeros(0), *(np.diff(xyz[:, 2]) for xyz in shapes.values())])
+        self._map = LaneMap.of(
+            [road.lanes[key] for key in shapes],
+            [xyz[:, :2] for xyz in shapes.values()],
+            [xyz[:, 2] for xyz in shapes.values()],
+        )
         self._has_levels = ground_of(road).has_levels
-        lines = np.stack([self._start, self._start + self._delta], axis=1)
-        self._tree = shapely.STRtree(np.asarray(shapely.linestrings(lines)))
 
     def candidates(
         self, position_m: Floats, heading_rad: Floats, z_m: Floats | None = None
     ) -> tuple[Ints, Ints, Floats, Floats]:
         """Lanes near points (N, 2) and headings (N): point, lane, cost, distance, by point."""
-        points = shapely.points(np.asarray(position_m, float))
-        place, segment = self._tree.query(points, predicate="dwithin", distance=NEAR_M)
-        offset = position_m[place] - self._start[segment]
-        delta = self._delta[segment]
-        square = np.maximum((delta**2).sum(axis=1), 1e-12)
-        share = np.clip((offset * delta).sum(axis=1) / square, 0.0, 1.0)
-        distance = np.hypot(*(offset - share[:, None] * delta).T)
-        turn = np.abs(frames.difference(heading_rad[place], self._heading[segment]))
+        feet = self._map.feet(position_m, NEAR_M)
+        place, lane = feet.point, self._map.lane[feet.segment]
+        distance = np.hypot(*feet.away_m.T)
+        x, y = self._map.vector_m[feet.segment].T
+        turn = np.abs(frames.difference(heading_rad[place], np.arctan2(y, x)))
         cost = distance**2 + HEADING_WEIGHT_M2 * turn**2
-        lane = self._owner[segment]
         order = np.lexsort((cost, lane, place))
-        order = order[turn[order] <= TURNED_RAD]
+        order = order[(turn[order] <= TURNED_RAD) & (distance[order] <= NEAR_M)]
         if z_m is not None and self._has_levels:
-            heights = (self._z[segment] + share * self._rise[segment])[order]
+            heights = self._map.heights_m(feet)[order]
             order = order[on_nearest_level(place[order], heights, z_m[place[order]])]
         place, lane, cost, distance = place[order], lane[order], cost[order], distance[order]
         best = np.ones(len(order), dtype=bool)
@@ -191,7 +178,8 @@ class LaneIndex:
 
     def cost(self, before: str, after: str) -> float:
         """Cost of going from a lane to another."""
-        return self._costs_from(self._number[before]).get(self._number[after], ELSEWHERE)
+        row = self._map.row
+        return self._costs_from(row[before]).get(row[after], ELSEWHERE)
 
     def _changes(self, before: Ints, after: Ints) -> Floats:
         """(B, A) cost of going from lane to lane."""
@@ -202,7 +190,7 @@ class LaneIndex:
     def _costs_from(self, number: int) -> dict[int, float]:
         """Cost of going from a lane to each lane that is near in the graph."""
         if number not in self._costs:
-            lanes = self._road.lanes
+            lanes, row = self._lanes, self._map.row
             lane = lanes[self.lane_ids[number]]
             onward = [key for key in lane.next if key in lanes]
             beside = [item.lane_id for item in (*lane.left, *lane.right)]
@@ -215,7 +203,7 @@ class LaneIndex:
                 ((lane.id,), STAY),
             )
             for keys, cost in ways:
-                costs.update({self._number[key]: cost for key in keys if key in self._number})
+                costs.update({row[key]: cost for key in keys if key in row})
             self._costs[number] = costs
         return self._costs[number]
 

@@ -1,40 +1,33 @@
 """Sizes of the networks: ``light`` runs on a CPU, ``paper`` follows the published sizes."""
 
-import math
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Final, Literal, get_type_hints
+from dataclasses import asdict, replace
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass
 
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.lanes import ROAD_CHANNELS
 
 AGENT_CLASSES: Final = ("target", "vehicle", "vru", "av")
-_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "hidden": (1, 1024),
-    "heads": (1, 64),
-    "profiles": (7, 1024),
-    "raster_pixels": (32, 1024),
-    "raster_m": (0, 100),
-    "condition_stage": (0, 5),
-    "condition_channels": (0, 1024),
-    "dropout": (0, 1),
-}
-"""Smallest and largest sizes, so that no card asks for all memory.
-
-VGG16 halves the image five times; a vehicle has at least five paths, and `evaluate` asks for 32
-modes of their goals."""
-
-_WIDEST: Final = 1024
-"""Channels of a block of VGG16."""
+Width = Annotated[int, Field(ge=1, le=1024)]
+HistoryStep = Annotated[int, Field(ge=0, le=10)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(
+    frozen=True,
+    slots=True,
+    kw_only=True,
+    config=ConfigDict(strict=True, extra="forbid", allow_inf_nan=False),
+)
 class Preset:
-    """Sizes of all three networks.
+    """Sizes of all three networks. They are bounded, so that no card asks for all memory.
 
     Attributes:
         hidden: width of VectorNet and of the heads.
         heads: attention heads.
-        raster_pixels, raster_m: image side in pixels, and metres a pixel.
+        raster_pixels, raster_m: image side in pixels (VGG16 halves it five times), and metres a
+            pixel.
         raster_frames: history steps (0..10) that are drawn, one channel each and agent class.
         raster_signals: 3 (red, yellow, green) or 7 (all states) signal channels.
         vgg_widths: channels of VGG16's five blocks.
@@ -45,25 +38,26 @@ class Preset:
         raster, vectors: False leaves the VGG16 or the VectorNet branch out (ablations).
         reactive: a conditional network is told what a driver who follows cars would do, and for
             how long a planner has driven.
-        profiles: speed profiles a path that are fitted on data; a conditional network has
-            those of `anchors.BRAKING` on top.
+        profiles: speed profiles a path that are fitted on data; a conditional network has those of
+            `anchors.BRAKING` in addition. At least 7: `evaluate` asks for 32 modes, and a vehicle
+            has at least five paths.
     """
 
     name: str
-    hidden: int
-    heads: int
-    raster_pixels: int
-    raster_m: float
-    raster_frames: tuple[int, ...]
+    hidden: Width
+    heads: Annotated[int, Field(ge=1, le=64)]
+    raster_pixels: Annotated[int, Field(ge=32, le=1024)]
+    raster_m: Annotated[float, Field(ge=0, le=100)]
+    raster_frames: Annotated[tuple[HistoryStep, ...], Field(min_length=1, max_length=11)]
     raster_signals: Literal[3, 7]
-    vgg_widths: tuple[int, int, int, int, int]
-    condition_stage: int
-    condition_channels: int
-    dropout: float = 0.1
+    vgg_widths: tuple[Width, Width, Width, Width, Width]
+    condition_stage: Annotated[int, Field(ge=0, le=5)]
+    condition_channels: Annotated[int, Field(ge=0, le=1024)]
+    dropout: Annotated[float, Field(ge=0, le=1)] = 0.1
     raster: bool = True
     vectors: bool = True
     reactive: bool = False
-    profiles: int = 24
+    profiles: Annotated[int, Field(ge=7, le=1024)] = 24
 
     @property
     def raster_channels(self) -> int:
@@ -78,19 +72,19 @@ class Preset:
     @classmethod
     def from_record(cls, record: Any) -> "Preset":
         """The preset of a card. Raises WeightsError where a size is missing, unknown or wrong."""
-        known = {each.name for each in fields(cls)}
-        if not isinstance(record, dict) or not set(record) <= known:
-            raise WeightsError(f"These are no sizes of a network: {str(record)[:200]}.")
-        values: dict[str, Any] = {
-            key: tuple(v) if isinstance(v, list) else v for key, v in record.items()
-        }
+        if not isinstance(record, dict):
+            raise WeightsError(f"The sizes of the network are {record!r:.80}, which is no mapping.")
+        sizes = {str(k): tuple(v) if isinstance(v, list) else v for k, v in record.items()}
         try:
-            preset = cls(**values)
-        except TypeError as error:
-            raise WeightsError(f"Sizes of the network are missing: {error}.") from None
-        for key, kind in get_type_hints(cls).items():
-            _check(key, getattr(preset, key), kind)
-        return preset
+            return cls(**sizes)
+        except ValidationError as error:
+            first = error.errors()[0]
+        key = str(first["loc"][0])
+        if key not in sizes:
+            raise WeightsError(f"The size '{key}' of the network is missing.")
+        if first["type"] == "unexpected_keyword_argument":
+            raise WeightsError(f"'{key:.80}' is not a size of a network.")
+        raise WeightsError(f"The size '{key}' is {sizes[key]!r:.80}: {first['msg']}.")
 
 
 LIGHT: Final = Preset(
@@ -139,35 +133,3 @@ def preset_named(name: str) -> Preset:
 def changed(preset: Preset, name: str, sizes: dict[str, Any]) -> Preset:
     """A preset with other sizes and a name of its own. Raises WeightsError for unknown sizes."""
     return Preset.from_record({**replace(preset, name=name).record(), **sizes})
-
-
-def _check(key: str, value: Any, kind: Any) -> None:
-    whole = _whole(value)
-    right = {
-        str: isinstance(value, str),
-        bool: isinstance(value, bool),
-        int: whole and _within(key, value),
-        float: (whole or isinstance(value, float)) and _within(key, value),
-    }.get(kind)
-    if right is None:  # a tuple or a choice
-        right = value in (3, 7) if key == "raster_signals" else _numbers(key, value)
-    if not right:
-        raise WeightsError(f"The size '{key}' of the network is {value!r:.80}; that cannot be.")
-
-
-def _within(key: str, value: float) -> bool:
-    least, most = _RANGES.get(key, (0, math.inf))
-    return least <= value <= most
-
-
-def _numbers(key: str, value: Any) -> bool:
-    """Whether these are the widths of five blocks, or steps of the history."""
-    if not (isinstance(value, tuple) and all(map(_whole, value))):
-        return False
-    if key == "vgg_widths":
-        return len(value) == 5 and min(value) > 0 and max(value) <= _WIDEST
-    return 0 < len(value) <= 11 and all(0 <= step <= 10 for step in value)
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)

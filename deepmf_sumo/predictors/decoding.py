@@ -180,8 +180,7 @@ def end_density(goals: Goals, pose: Pose, ends_m: Floats, kernel_m: float) -> Fl
     score = goals.logits[0, 0].flatten().log_softmax(-1)
     square = torch.cdist(local, ends, compute_mode="donot_use_mm_for_euclid_dist") ** 2
     log_kernel = -square / (2 * kernel_m**2) - float(np.log(2 * np.pi * kernel_m**2))
-    density: Floats = (score + log_kernel).logsumexp(-1).double().numpy()
-    return density
+    return (score + log_kernel).logsumexp(-1).double().numpy()
 
 
 def complete(goals: Goals, chosen: Tensor) -> tuple[Tensor, Tensor]:

@@ -242,8 +242,7 @@ class DenseTNT(nn.Module):
         factor = others.new_tensor([1 / 30, 0.3, 1 / 15, 0.3, 1, 1, 0.2, 1])
         met = self.path_agents(others * factor).masked_fill(others[..., 7:8] <= 0, 0.0).amax(2)
         line = self.path_to_elements(line + met, elements, there)
-        out: Tensor = self.path_to_paths(line, line, valid)
-        return out
+        return self.path_to_paths(line, line, valid)
 
     def _target(self, scene: Encoding, given: Condition | None) -> Tensor:
         """(B, K, 3H) the vehicle: its vectors and motion, the given future, the image."""

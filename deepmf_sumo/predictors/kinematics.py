@@ -44,8 +44,7 @@ class Motion:
     @property
     def moving(self) -> Bools:
         """(V)."""
-        moving: Bools = (self.moved_m > 0.5) | (self.speed_mps > STILL_MPS)
-        return moving
+        return (self.moved_m > 0.5) | (self.speed_mps > STILL_MPS)
 
 
 def motion_of(view: View, rows: Ints) -> Motion:
@@ -130,8 +129,7 @@ def _ways(motion: Motion, gain_mps2: Floats, yaw_rps: Floats) -> Floats:
     middle = 0.5 * (course[:, 1:] + course[:, :-1]) + slip[:, None]
     ways = np.zeros((len(speed), len(_TIMES_S), 2))
     ways[:, 1:] = np.cumsum(step[..., None] * frames.unit(middle), axis=1)
-    placed: Floats = ways + motion.position_m[:, None]
-    return placed
+    return ways + motion.position_m[:, None]
 
 
 def _nearest(ways: Floats) -> Floats:
@@ -172,5 +170,4 @@ def _rays(motion: Motion) -> Floats:
 
 def rank(values: Floats) -> Floats:
     """Logarithm of one plus each value's rank, the least first."""
-    ranks: Floats = np.log1p(values.argsort(kind="stable").argsort(kind="stable"))
-    return ranks
+    return np.log1p(values.argsort(kind="stable").argsort(kind="stable"))

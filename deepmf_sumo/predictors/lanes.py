@@ -1,7 +1,6 @@
 """Look-up of lanes: the nearest points of lanes to poses, and sequences of lanes ahead."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from deepmf_sumo.datatypes import Bools, Floats, Ints, Lane, Polygon, RoadMap, SignalState
 from deepmf_sumo.geometry import polylines
 from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
+from deepmf_sumo.geometry.lane_map import LaneMap, per_road
 
 LANE_SPACING_M = 1.0
 PIECE_POINTS = 10
@@ -34,31 +34,29 @@ class Foot(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoadIndex:
-    """A road, prepared for fast queries. L lanes with at least two distinct points.
+    """A road, prepared for features. L lanes that are longer than 0.1 m.
 
     Attributes:
-        lane_ids: (L). points_m: (L) arrays (P, 2) at 1 m. length_m: (L). limit_mps: (L) 0 unknown.
+        map: of the lanes, with a point every metre.
+        lane_ids: (L). length_m: (L). limit_mps: (L) 0 where unknown.
         following: (L) rows of the lanes that follow. drivable: (L) False for bike lanes.
-        segment_start_m, segment_direction: (S, 2). segment_length_m, segment_along_m: (S).
-        segment_lane: (S) row of the lane. segment_z_m: (S) height of its beginning.
+        direction: (S, 2) unit vectors of the map's segments. step_m: (S) their lengths.
+        along_m: (S) how far along its lane each of them starts.
         has_levels: the road passes over itself somewhere.
         piece_m: (N, 10, 2). piece_kind: (N, 4) one-hot: freeway, street, bike or unknown,
             interpolating. piece_lane: (N) row of the lane.
         pixel_m: (Q, 2) points of everything drawn. pixel_channel: (Q) index in ROAD_CHANNELS.
     """
 
+    map: LaneMap
     lane_ids: tuple[str, ...]
-    points_m: tuple[Floats, ...]
     length_m: Floats
     limit_mps: Floats
     following: tuple[tuple[int, ...], ...]
     drivable: Bools
-    segment_start_m: Floats
-    segment_direction: Floats
-    segment_length_m: Floats
-    segment_along_m: Floats
-    segment_lane: Ints
-    segment_z_m: Floats
+    direction: Floats
+    step_m: Floats
+    along_m: Floats
     has_levels: bool
     piece_m: Floats
     piece_kind: Floats
@@ -76,30 +74,32 @@ class RoadIndex:
     ) -> list[Foot]:
         """The pose's foot on each drivable lane within reach and angle, nearest first.
 
-        Where roads cross only lanes of the level nearest to its height, if that is given.
+        Where roads cross: only on lanes of the level nearest to its height, if that is given.
         """
-        offset = position_m - self.segment_start_m
-        direction = self.segment_direction
-        share = np.clip((offset * direction).sum(-1), 0.0, self.segment_length_m)
+        rows = self.map.around(position_m, reach_m)
+        rows = rows[self.drivable[self.map.lane[rows]]]
+        # Not the formula of `LaneMap.feet`: features depend on the last digit where a foot is on
+        # the point between two segments.
+        direction = self.direction[rows]
+        offset = position_m - self.map.start_m[rows]
+        share = np.clip((offset * direction).sum(-1), 0.0, self.step_m[rows])
         away = offset - share[:, None] * direction
         square = (away * away).sum(-1)
         aligned = direction @ np.array([np.cos(heading_rad), np.sin(heading_rad)])
-        near = (square < reach_m**2) & (aligned > np.cos(turn_rad))
-        rows = np.flatnonzero(near & self.drivable[self.segment_lane])
+        near = np.flatnonzero((square < reach_m**2) & (aligned > np.cos(turn_rad)))
         if z_m is not None and self.has_levels:
-            one = np.zeros(len(rows), np.int64)
-            rows = rows[on_nearest_level(one, self.segment_z_m[rows], np.array(z_m))]
-        rows = rows[np.argsort(square[rows], kind="stable")]
-        lanes, first = np.unique(self.segment_lane[rows], return_index=True)
+            one = np.zeros(len(near), np.int64)
+            near = near[on_nearest_level(one, self.map.z_m[rows[near]], np.array(z_m))]
+        near = near[np.argsort(square[near], kind="stable")]
+        lanes, first = np.unique(self.map.lane[rows[near]], return_index=True)
         feet = []
-        for lane, row in zip(lanes, rows[first], strict=True):
+        for lane, row in zip(lanes, near[first], strict=True):
             dx, dy = direction[row]
-            lane_heading = np.arctan2(dy, dx)
-            turn = (heading_rad - lane_heading + np.pi) % (2 * np.pi) - np.pi
+            turn = (heading_rad - np.arctan2(dy, dx) + np.pi) % (2 * np.pi) - np.pi
             feet.append(
                 Foot(
                     int(lane),
-                    float(self.segment_along_m[row] + share[row]),
+                    float(self.along_m[rows[row]] + share[row]),
                     float(dx * offset[row, 1] - dy * offset[row, 0]),
                     float(np.sqrt(square[row])),
                     float(turn),
@@ -108,43 +108,34 @@ class RoadIndex:
         return sorted(feet, key=lambda foot: foot.distance_m)
 
 
-@lru_cache(maxsize=8)
+@per_road
 def road_index(road: RoadMap) -> RoadIndex:
-    """The index of a road; a road is compared by identity, and the last eight are kept."""
-    lanes = {lane.id: lane for lane in road.lanes.values() if _length(lane.centre_m) > 0.1}
-    ids = tuple(lanes)
-    row_of = {lane_id: row for row, lane_id in enumerate(ids)}
-    points = tuple(polylines.resample(lane.centre_m, LANE_SPACING_M) for lane in lanes.values())
-    length = np.array([_length(line) for line in points])
-    starts = [line[:-1] for line in points]
-    steps = [np.diff(line, axis=0) for line in points]
-    start = np.concatenate(starts) if starts else np.zeros((0, 2))
-    step = np.concatenate(steps) if steps else np.zeros((0, 2))
-    step_length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
-    counts = np.array([len(line) - 1 for line in points], np.int64)
-    pieces = [_pieces(line) for line in points]
-    piece_counts = np.array([len(piece) for piece in pieces], np.int64)
-    pixel, channel = _pixels(road, tuple(lanes.values()), points)
+    """The index of a road."""
+    lanes = tuple(lane for lane in road.lanes.values() if _length(lane.centre_m) > 0.1)
+    lines = tuple(polylines.resample(lane.centre_m, LANE_SPACING_M) for lane in lanes)
+    heights = [_heights(*each) for each in zip(lanes, lines, strict=True)]
+    lane_map = LaneMap.of(lanes, lines, heights)
+    step = np.maximum(np.hypot(*lane_map.vector_m.T), 1e-9)
+    pieces = [_pieces(line) for line in lines]
+    counts = np.array([len(piece) for piece in pieces], np.int64)
+    pixel, channel = _pixels(road, lanes, lines)
     return RoadIndex(
-        lane_ids=ids,
-        points_m=points,
-        length_m=length,
-        limit_mps=np.array([lane.speed_limit_mps or 0.0 for lane in lanes.values()]),
+        map=lane_map,
+        lane_ids=tuple(lane.id for lane in lanes),
+        length_m=np.array([_length(line) for line in lines]),
+        limit_mps=np.array([lane.speed_limit_mps or 0.0 for lane in lanes]),
         following=tuple(
-            tuple(row_of[after] for after in lane.next if after in row_of)
-            for lane in lanes.values()
+            tuple(lane_map.row[after] for after in lane.next if after in lane_map.row)
+            for lane in lanes
         ),
-        drivable=np.array([lane.kind != "bike" for lane in lanes.values()], bool),
-        segment_start_m=start,
-        segment_direction=step / step_length[:, None],
-        segment_length_m=step_length,
-        segment_along_m=_restarting_sums(step_length, counts),
-        segment_lane=np.repeat(np.arange(len(ids)), counts),
-        segment_z_m=np.concatenate([np.zeros(0), *map(_heights, lanes.values(), counts)]),
+        drivable=np.array([lane.kind != "bike" for lane in lanes], bool),
+        direction=lane_map.vector_m / step[:, None],
+        step_m=step,
+        along_m=_restarting_sums(step, np.diff(lane_map.first)),
         has_levels=ground_of(road).has_levels,
-        piece_m=np.concatenate(pieces) if pieces else np.zeros((0, PIECE_POINTS, 2)),
-        piece_kind=_kinds(tuple(lanes.values()), piece_counts),
-        piece_lane=np.repeat(np.arange(len(ids)), piece_counts),
+        piece_m=np.concatenate([np.zeros((0, PIECE_POINTS, 2)), *pieces]),
+        piece_kind=_kinds(lanes, counts),
+        piece_lane=np.repeat(np.arange(len(lanes)), counts),
         pixel_m=pixel,
         pixel_channel=channel,
     )
@@ -154,18 +145,17 @@ def _length(points_m: Floats) -> float:
     return float(polylines.arc_lengths(points_m)[-1]) if len(points_m) > 1 else 0.0
 
 
-def _heights(lane: Lane, segments: int) -> Floats:
-    """(segments) heights where segments of equal length begin."""
-    along = polylines.arc_lengths(lane.centre_m)
-    heights: Floats = np.interp(np.arange(segments) / max(segments, 1) * along[-1], along, lane.z_m)
-    return heights
+def _heights(lane: Lane, line_m: Floats) -> Floats:
+    """(P) heights of a lane at the points (P, 2) of its line, which are equally far apart."""
+    along, last = polylines.arc_lengths(lane.centre_m), len(line_m) - 1
+    return np.interp(np.arange(last + 1) / last * along[-1], along, lane.z_m)
 
 
 def _restarting_sums(lengths: Floats, counts: Ints) -> Floats:
     """Distance before each segment on its own lane."""
     parts = np.split(lengths, np.cumsum(counts)[:-1]) if len(counts) else []
     sums = [np.concatenate([[0.0], np.cumsum(part)[:-1]]) for part in parts]
-    return np.concatenate(sums) if sums else np.zeros(0)
+    return np.concatenate([np.zeros(0), *sums])
 
 
 def _pieces(line_m: Floats) -> Floats:

@@ -115,8 +115,7 @@ def _parked(view: View, rows: Ints) -> Bools:
     )
     pose = tracks.position_m[rows, -1], tracks.heading_rad[rows, -1]
     near = on_lanes(view.road, *pose, _ON_LANE_M, float(_ALONG_LANE_RAD), tracks.z_m[rows, -1])
-    parked: Bools = still & ~near
-    return parked
+    return still & ~near
 
 
 def _pairs(view: View, around: Surroundings, known_s: float, stands_in: bool) -> Floats:
@@ -182,8 +181,7 @@ class Block(nn.Module):
         """(B, V, H) and mask (B, V) -> (B, V, H)."""
         if self.attends:
             vehicles = vehicles + self._mixed(vehicles, there)
-        out: Tensor = vehicles + self.mlp(vehicles)
-        return out
+        return vehicles + self.mlp(vehicles)
 
     def _mixed(self, vehicles: Tensor, there: Tensor) -> Tensor:
         size, count, hidden = vehicles.shape
@@ -218,8 +216,7 @@ class Member(nn.Module):
             vehicles = vehicles + self.scene(scene)
         for block in self.blocks:
             vehicles = block(vehicles, there)
-        logits: Tensor = self.heads(vehicles)
-        return logits
+        return self.heads(vehicles)
 
 
 class OpponentNet(nn.Module):

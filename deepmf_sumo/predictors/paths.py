@@ -50,8 +50,7 @@ class PathSet:
     @property
     def valid(self) -> Bools:
         """(16)."""
-        valid: Bools = self.info[:, 0] > 0
-        return valid
+        return self.info[:, 0] > 0
 
 
 def path_set(
@@ -107,13 +106,12 @@ def _lines(index: RoadIndex, routes: list[Route]) -> tuple[Floats, Floats]:
     lines = np.empty((len(routes), NODES, 2))
     ends = np.empty(len(routes))
     for row, (foot, lanes) in enumerate(routes):
-        first = index.points_m[lanes[0]]
+        first, *rest = (index.map.line_m[lane] for lane in lanes)
         spacing = index.length_m[lanes[0]] / (len(first) - 1)
         at = min(foot.along_m / spacing, len(first) - 1 - 1e-6)
         base = int(at)
         start = first[base] + (at - base) * (first[base + 1] - first[base])
-        parts = [start[None], first[base + 1 :], *(index.points_m[lane][1:] for lane in lanes[1:])]
-        points = np.concatenate(parts)
+        points = np.concatenate([start[None], first[base + 1 :], *(line[1:] for line in rest)])
         step = np.diff(points, axis=0)
         length = np.hypot(step[:, 0], step[:, 1])
         keep = length > 1e-6
@@ -137,8 +135,7 @@ def _joined(lines: Floats, routes: list[Route], merge_m: float) -> Floats:
     tangent = np.gradient(lines, axis=1)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
-    joined: Floats = lines + offset[..., None] * normal
-    return joined
+    return lines + offset[..., None] * normal
 
 
 def _distinct(lines: Floats, nodes: int) -> list[int]:

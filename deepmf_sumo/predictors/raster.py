@@ -65,8 +65,7 @@ def repack(image: Tensor) -> Tensor:
     flat = image.flatten(1).to(torch.uint8)
     flat = torch.nn.functional.pad(flat, (0, -flat.shape[1] % 8)).view(len(flat), -1, 8)
     places = torch.arange(7, -1, -1, device=image.device, dtype=torch.uint8)
-    bits: Tensor = (flat << places).sum(-1).to(torch.uint8)
-    return bits
+    return (flat << places).sum(-1).to(torch.uint8)
 
 
 def draw_future(position_m: Tensor, preset: Preset) -> Tensor:
@@ -114,8 +113,7 @@ def _box_points(tracks: Tracks, rows: Ints, step: int) -> Floats:
     cos, sin = np.cos(heading), np.sin(heading)
     x = local[..., 0] * cos - local[..., 1] * sin
     y = local[..., 0] * sin + local[..., 1] * cos
-    points: Floats = np.stack([x, y], -1) + tracks.position_m[rows, step][:, None]
-    return points
+    return np.stack([x, y], -1) + tracks.position_m[rows, step][:, None]
 
 
 def _set(image: Bytes, local_m: Floats, channel: Ints, preset: Preset) -> None:
@@ -131,11 +129,11 @@ def _signals(
 ) -> None:
     """The first metres of each lane with a signal, in the channel of its state."""
     base = preset.raster_channels - preset.raster_signals
-    row_of = {lane_id: row for row, lane_id in enumerate(index.lane_ids)}
     for lane_id, state in view.signals.items():
-        if lane_id not in row_of:
+        if lane_id not in index.map.row:
             continue
         number = _SEVEN.get(state, 6) if preset.raster_signals == 7 else signal_colour(state)
         if number < preset.raster_signals:
-            local = frames.to_local(index.points_m[row_of[lane_id]][:6], origin_m, heading_rad)
+            line = index.map.line_m[index.map.row[lane_id]]
+            local = frames.to_local(line[:6], origin_m, heading_rad)
             _set(image, local, np.full(len(local), base + number), preset)

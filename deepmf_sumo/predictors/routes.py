@@ -7,7 +7,6 @@ around it need many vehicles' routes in a few milliseconds, and care for metres 
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SignalState, View
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import clear, on_nearest_level
+from deepmf_sumo.geometry.lane_map import per_road
 from deepmf_sumo.predictors.kinematics import Motion
 from deepmf_sumo.predictors.lanes import RoadIndex, first_signal, lane_sequences, road_index
 from deepmf_sumo.predictors.paths import signal_colour
@@ -92,7 +92,6 @@ class _Grid:
 
     key: Ints
     segment: Ints
-    first: Ints
     low_m: Floats
     rows: int
 
@@ -134,26 +133,23 @@ def lane_routes(
         left_m=feet.left_m[picked],
         turn_rad=feet.turn_rad[picked],
         limit_mps=index.limit_mps[feet.lane[picked]],
-        **_geometry(index, grid, feet, picked, chains),
+        **_geometry(index, feet, picked, chains),
         **_stops(index, feet, picked, chains, signals),
     )
 
 
-@lru_cache(maxsize=8)
+@per_road
 def _grid(road: RoadMap) -> _Grid:
-    """Made once a road, like its index."""
     index = road_index(road)
-    start = index.segment_start_m
+    start = index.map.start_m
     low = start.min(0) - 2 * _CELL_M if len(start) else np.zeros(2)
     cell = np.floor((start - low) / _CELL_M).astype(np.int64)
     rows = int(cell[:, 1].max()) + 3 if len(cell) else 1
     key = cell[:, 0] * rows + cell[:, 1]
     segment = np.argsort(key, kind="stable")
-    lanes = np.arange(len(index.lane_ids) + 1)
     return _Grid(
         key=key[segment],
         segment=segment,
-        first=np.searchsorted(index.segment_lane, lanes),
         low_m=low,
         rows=rows,
     )
@@ -205,14 +201,14 @@ def _pairs(
 ) -> _Pairs:
     """Vehicles and the drivable segments near them."""
     vehicle, segment = _near(grid, position_m)
-    drivable = index.drivable[index.segment_lane[segment]]
+    drivable = index.drivable[index.map.lane[segment]]
     vehicle, segment = vehicle[drivable], segment[drivable]
     if z_m is not None and index.has_levels:
-        level = on_nearest_level(vehicle, index.segment_z_m[segment], z_m[vehicle])
+        level = on_nearest_level(vehicle, index.map.z_m[segment], z_m[vehicle])
         vehicle, segment = vehicle[level], segment[level]
-    direction = index.segment_direction[segment]
-    offset = position_m[vehicle] - index.segment_start_m[segment]
-    share = np.clip((offset * direction).sum(-1), 0.0, index.segment_length_m[segment])
+    direction = index.direction[segment]
+    offset = position_m[vehicle] - index.map.start_m[segment]
+    share = np.clip((offset * direction).sum(-1), 0.0, index.step_m[segment])
     away = offset - share[:, None] * direction
     ahead = frames.unit(heading_rad)[vehicle]
     cross = direction[:, 0] * ahead[:, 1] - direction[:, 1] * ahead[:, 0]
@@ -237,7 +233,7 @@ def _feet(
     pairs = _pairs(index, grid, position_m, heading_rad, z_m)
     kept = np.flatnonzero((pairs.apart_m < _REACH_M) & (np.abs(pairs.turn_rad) < _TURN_RAD))
     kept = kept[np.argsort(pairs.apart_m[kept], kind="stable")]
-    lane = index.segment_lane[pairs.segment[kept]]
+    lane = index.map.lane[pairs.segment[kept]]
     _, first = np.unique(pairs.vehicle[kept] * (len(index.lane_ids) + 1) + lane, return_index=True)
     kept = kept[first]
     cost = pairs.apart_m[kept] + 4 * np.abs(pairs.turn_rad[kept])
@@ -246,8 +242,8 @@ def _feet(
     return _Feet(
         pairs.vehicle[kept],
         segment,
-        index.segment_lane[segment],
-        index.segment_along_m[segment] + pairs.along_m[kept],
+        index.map.lane[segment],
+        index.along_m[segment] + pairs.along_m[kept],
         pairs.left_m[kept],
         pairs.turn_rad[kept],
     )
@@ -267,24 +263,25 @@ def _near(grid: _Grid, position_m: Floats) -> tuple[Ints, Ints]:
 
 
 def _geometry(
-    index: RoadIndex, grid: _Grid, feet: _Feet, picked: Ints, chains: list[tuple[int, ...]]
+    index: RoadIndex, feet: _Feet, picked: Ints, chains: list[tuple[int, ...]]
 ) -> dict[str, Floats]:
     """Nodes, directions and ends of the routes."""
     node, direction = np.empty((2, len(chains), NODES, 2))
     height = np.empty((len(chains), NODES))
     end = np.empty(len(chains))
+    first_of = index.map.first
     for row, (foot, lanes) in enumerate(zip(picked.tolist(), chains, strict=True)):
-        spans = [np.arange(feet.segment[foot], grid.first[lanes[0] + 1])]
-        spans += [np.arange(grid.first[lane], grid.first[lane + 1]) for lane in lanes[1:]]
+        spans = [np.arange(feet.segment[foot], first_of[lanes[0] + 1])]
+        spans += [np.arange(first_of[lane], first_of[lane + 1]) for lane in lanes[1:]]
         segment = np.concatenate(spans)
-        length = index.segment_length_m[segment]
+        length = index.step_m[segment]
         before = np.cumsum(length) - length
-        first = feet.along_m[foot] - index.segment_along_m[feet.segment[foot]]
+        first = feet.along_m[foot] - index.along_m[feet.segment[foot]]
         at = np.maximum(np.searchsorted(before, _ALONG + first, side="right") - 1, 0)
-        direction[row] = index.segment_direction[segment[at]]
-        height[row] = index.segment_z_m[segment[at]]
+        direction[row] = index.direction[segment[at]]
+        height[row] = index.map.z_m[segment[at]]
         on = _ALONG + first - before[at]
-        node[row] = index.segment_start_m[segment[at]] + on[:, None] * direction[row]
+        node[row] = index.map.start_m[segment[at]] + on[:, None] * direction[row]
         end[row] = before[-1] + length[-1] - first
     return {
         "node_m": node,

@@ -31,8 +31,7 @@ class SubGraph(nn.Module):
             vectors = layer(vectors).masked_fill(gone, 0.0)  # ReLU: zero is below all others
             pooled = vectors.amax(1, keepdim=True).expand_as(vectors)
             vectors = torch.cat([vectors, pooled], -1)
-        out: Tensor = vectors.amax(1)
-        return out
+        return vectors.amax(1)
 
 
 class Attention(nn.Module):
@@ -75,13 +74,11 @@ class Attention(nn.Module):
         return vectors.reshape(*vectors.shape[:2], self.heads, -1).transpose(1, 2)
 
     def _share(self, scores: Tensor) -> Tensor:
-        share: Tensor = (scores / (self.query.out_features // self.heads) ** 0.5).softmax(-1)
-        return share
+        return (scores / (self.query.out_features // self.heads) ** 0.5).softmax(-1)
 
     def _mixed(self, queries: Tensor, seen: Tensor) -> Tensor:
         """Queries (B, Q or 1, H) and what their heads saw (B, heads, Q, D) -> (B, Q, H)."""
-        out: Tensor = self.norm(queries + self.out(seen.transpose(1, 2).flatten(2)))
-        return out
+        return self.norm(queries + self.out(seen.transpose(1, 2).flatten(2)))
 
 
 class VectorNet(nn.Module):

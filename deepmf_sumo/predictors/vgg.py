@@ -61,8 +61,7 @@ class VGG16(nn.Module):
         image = first(shared) if future is None else first[1:](_convolved(first[0], shared, future))
         for block in rest:
             image = block(image)
-        feature: Tensor = self.out(image.mean((2, 3)))
-        return feature
+        return self.out(image.mean((2, 3)))
 
 
 def _convolved(layer: nn.Conv2d, shared: Tensor, future: Tensor) -> Tensor:

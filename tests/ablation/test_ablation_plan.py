@@ -82,7 +82,12 @@ def test_a_key_can_be_set_from_outside(folder):
         ("test: val", "test: nowhere", "plan.yaml:3", "no such file"),
         ("test: val", "test: train", "plan.yaml:3", "is trained on"),
         ("planners:", "planner:", "plan.yaml:5", "Did you mean 'planners'"),
-        ("raster: false}}", "rasters: false}}", "plan.yaml:9", "no sizes of a network"),
+        (
+            "raster: false}}",
+            "rasters: false}}",
+            "plan.yaml:9",
+            "'rasters' is not a size of a network",
+        ),
         ("raster: false}}", "vgg_widths: [8, 8]}}", "plan.yaml:9", "'vgg_widths'"),
         ("raster: false}}", "raster_pixels: 16}}", "plan.yaml:9", "'raster_pixels'"),
         ("candidates: 16,", "candidate: 16,", "plan.yaml:10", "Did you mean 'candidates'"),

@@ -29,7 +29,7 @@ def test_a_card_gives_the_preset_back(preset: Preset) -> None:
         ({"raster": 1}, "raster"),
         ({"raster_signals": 5}, "raster_signals"),
         ({"vgg_widths": 3}, "vgg_widths"),
-        ({"depth": 3}, "no sizes"),
+        ({"depth": 3}, "'depth' is not a size of a network"),
     ],
 )
 def test_sizes_that_cannot_be_are_named(sizes: dict[str, object], named: str) -> None:

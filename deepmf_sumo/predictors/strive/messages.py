@@ -29,8 +29,7 @@ class Messages(nn.Module):
             self.receiver(nodes).unsqueeze(2) + self.sender(nodes).unsqueeze(1) + self.edge(edges)
         )
         heard = sent.relu().masked_fill(~linked.unsqueeze(-1), 0.0).amax(2)
-        out: Tensor = self.out(heard)
-        return out
+        return self.out(heard)
 
 
 def edge_features(position: Tensor, heading: Tensor, speed: Tensor, size: Tensor) -> Tensor:
