@@ -114,8 +114,9 @@ def command(
     batch = None if file else sweep.begin(pictures=True)
     if wanted["of"] is not None:
         _refuse_others(configs, **wanted)
-    keys = {key: wanted.pop(key) for key in _KEYS}
-    keys = {key: value for key, value in keys.items() if value is not None}
+    keys = {key: value for key in _KEYS if (value := wanted.pop(key)) is not None}
+    if "planner" in keys:
+        keys["planner"] = {"name": keys["planner"]}
     documents = moments.documents(
         configs, keys, sets, sumo_options=ctx.meta[_AFTER], **_plain(wanted)
     )

@@ -11,7 +11,7 @@ from deepmf_sumo.cli._sweep import Sweep, end, end_of_runs, options, write_page
 from deepmf_sumo.errors import UsageError
 
 if TYPE_CHECKING:
-    from deepmf_sumo.sweep.batch import Options
+    from deepmf_sumo.spec import Spec
 
 _OPTIONS: Final = (
     click.option(
@@ -78,22 +78,29 @@ def command(
     deepmf-sumo run paper --set source.recording=DIR.
     """
     from deepmf_sumo import plans
+    from deepmf_sumo.cli._screen import announce_moments, progress
 
-    over = [*sets, *([f"seed={seed}"] if seed is not None else [])]
-    if seeds and any(one.partition("=")[0].strip() == "seed" for one in over):
-        raise UsageError("--seeds goes without --seed and without --set seed=N: leave one out.")
     sweep = Sweep.of(wanted)
+    if seeds and (seed is not None or any(_sets_seed(one) for one in sets)):
+        raise UsageError("--seeds goes without --seed and without --set seed=N: leave one out.")
     if any(map(plans.is_plan, files)):
         _check_alone(files, name_filter)
-        chosen = seeds or (() if seed is None else (seed,))
-        over = [*sets, *([f"seeds={list(chosen)}"] if chosen else [])]
-        code = run_plan(files[0], sweep, sets=over, scenes=scenes, page=report, **wanted)
-    else:
-        if wanted["without"]:
-            raise UsageError("--without is for a plan: specs have one method each.")
-        batch = sweep.begin(pictures=True, name_filter=name_filter, scenes=scenes)
-        code = _run_specs(files, over, seeds, sweep, batch, page=report)
-    ctx.exit(code)
+        chosen = list(seeds or (() if seed is None else (seed,)))
+        over = [*sets, *([f"seeds={chosen}"] if chosen else [])]
+        ctx.exit(run_plan(files[0], sweep, sets=over, scenes=scenes, page=report, **wanted))
+    if wanted["without"]:
+        raise UsageError("--without is for a plan: specs have one method each.")
+    batch = sweep.begin(pictures=True, name_filter=name_filter, scenes=scenes)
+    specs = _loaded(files, sets, seed, seeds)
+    with progress() as show:
+        results = plans.run_specs(specs, batch, show, announce_moments)
+    if report:
+        write_page(sweep.out)
+    ctx.exit(end_of_runs(sweep, results))
+
+
+def _sets_seed(assignment: str) -> bool:
+    return assignment.partition("=")[0].strip() == "seed"
 
 
 def _check_alone(files: Sequence[Path], name_filter: str) -> None:
@@ -103,27 +110,17 @@ def _check_alone(files: Sequence[Path], name_filter: str) -> None:
         raise UsageError("-k is for specs; --without, or --set, leaves out parts of a plan.")
 
 
-def _run_specs(
-    files: Sequence[Path],
-    sets: Sequence[str],
-    seeds: Sequence[int] | None,
-    sweep: Sweep,
-    batch: "Options",
-    *,
-    page: bool,
-) -> int:
-    from deepmf_sumo import plans
-    from deepmf_sumo.cli._screen import announce_moments, progress
+def _loaded(
+    files: Sequence[Path], sets: Sequence[str], seed: int | None, seeds: Sequence[int] | None
+) -> "list[Spec]":
+    """The specs, each with each of the seeds."""
     from deepmf_sumo.spec import load
 
-    specs = [load(path, sets) for path in files]
-    if seeds:
-        specs = [one.model_copy(update={"seed": each}) for one in specs for each in seeds]
-    with progress() as report:
-        results = plans.run_specs(specs, batch, report, announce_moments)
-    if page:
-        write_page(sweep.out)
-    return end_of_runs(sweep, results)
+    over = [*sets, *([] if seed is None else [f"seed={seed}"])]
+    specs = [load(path, over) for path in files]
+    if not seeds:
+        return specs
+    return [one.model_copy(update={"seed": each}) for one in specs for each in seeds]
 
 
 def run_plan(
