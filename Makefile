@@ -66,12 +66,14 @@ FEATURES := --cache .cache/features --jobs 2 --seed 1
 train: $(READY) open-weights  ## train the weights of the package, from our own SUMO traffic alone
 
 open-scenes: $(READY)  ## record the SUMO traffic that `open` is trained on: 68 networks, 3000 scenes
-	$(RUN) record $(foreach net,arterial four_way highway roundabout rural,sumo_nets/$(net)/$(net).sumocfg) --generate mix --networks 63 --scenes 45 --avs 3 --seed 1 \
+	$(RUN) data record $(foreach net,arterial four_way highway roundabout rural,sumo_nets/$(net)/$(net).sumocfg) --generate mix --networks 63 --scenes 45 --avs 3 --seed 1 \
 	    --jobs 2 --out $(OPEN)
 
 open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
-	$(RUN) record --generate mix --networks 21 --scenes 8 --seed 1001 --jobs 2 --out .cache/open-test-scenes
+	$(RUN) data record --generate mix --networks 21 --scenes 8 --seed 1001 --jobs 2 --out .cache/open-test-scenes
 
+SCENES ?= $(WOMD)/val
+WEIGHTS ?= womd
 # An AV under attack in recorded scenes, each run as a scene: what planners do when somebody comes at them.
 # Attacks as they are made, and, cheaply, candidates of all kinds (`drawn`): what happens if they are tried.
 REACT = $(RUN) run studies/reactions.yaml --set source.recording=$(abspath $(SCENES)) --set weights=$(WEIGHTS) \
@@ -119,45 +121,8 @@ womd-light-weights: womd-weights  ## besides, the set `womd-light`: all networks
 womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
-SCENES ?= $(WOMD)/val
-RESULTS ?= out/val
-STUDY = $(RUN) run studies/recorded.yaml --set source.recording=$(abspath $(SCENES)) --jobs 2 --no-pictures --resume
-no-attack-results: $(READY)  ## the IDM on recorded scenes without attack: contacts and distance to the log
-	for seen in lane corridor; do for parameters in treiber metadrive; do \
-	    $(STUDY) --set adversary=none --set "name=$$seen $$parameters" \
-	    --set "planner={name: idm, perception: $$seen, parameters: $$parameters}" \
-	    --out $(RESULTS)/none-$$seen-$$parameters > /dev/null || exit 1; done; done
-	$(RUN) table $(RESULTS)/none-*
-
-WEIGHTS ?= womd
-VERSIONS ?= S1 G
-OPPONENTS ?= argmax
-RULES ?= expected likeliest
-LIKELIHOOD_WEIGHTS ?= 1
-COMFORT ?= null
-TRIED ?= 3
-REACTIONS ?= 16
-GOALS ?= 64
-SHORTLIST ?= 32
-CONDITIONAL ?= true
-PLANNERS = replay idm-lane idm-corridor
-driven = $(if $(filter replay,$(1)),{name: replay},{name: idm$(comma) perception: $(patsubst idm-%,%,$(1))})
-comma := ,
-attack-results: $(READY)  ## DeepMF on recorded scenes, for docs/results.md
-	$(foreach planner,$(PLANNERS),for version in $(VERSIONS); do for opponent in $(OPPONENTS); do \
-	for rule in $(RULES); do for weight in $(LIKELIHOOD_WEIGHTS); do \
-	    $(STUDY) --set weights=$(WEIGHTS) --set "planner=$(call driven,$(planner))" \
-	    --set "name=$$opponent $$rule $$weight" --set "adversary={name: deepmf, version: $$version, \
-	    opponent: $$opponent, tried_opponents: $(TRIED), reactions: $(REACTIONS), goal_candidates: $(GOALS), shortlist: $(SHORTLIST), \
-	    conditional: $(CONDITIONAL), rule: $$rule, likelihood_weight: $$weight, \
-	    comfort_weight: $(COMFORT)}" \
-	    --out $(RESULTS)/$(WEIGHTS)-$(planner)-$$version-$$opponent-$(TRIED)-$(REACTIONS)-$(GOALS)-$(SHORTLIST)-$(CONDITIONAL)-$$rule-$$weight-$(COMFORT) \
-	    > /dev/null || exit 1; \
-	done; done; done; done; )
-	$(RUN) table $(RESULTS)/$(WEIGHTS)-*
-
 docs: $(READY)  ## build the documentation into build/site
 	$(PY) -m pip install --quiet --group docs
 	$(VENV)/bin/mkdocs build --quiet
 
-.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs no-attack-results attack-results
+.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs

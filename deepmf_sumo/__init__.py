@@ -2,13 +2,14 @@
 
 What ``__all__`` lists is public; everything else may change.
 
-- `run`: run specs and write a result folder.
+- `run`: run specs, or a plan of methods and planners, and write a result folder.
 - `attack`: attack vehicles of SUMO configurations at moments that are chosen; no spec needed.
 - `Results`: the runs of result folders; ``frame()`` is a pandas table.
 - `Attacker`: attacks in a SUMO that a TraCI script steps.
 - `AttackEnv`: a Gymnasium environment in which the AV is attacked (extra ``gym``).
 - `read_scenes`: recorded scenes of any format that is read.
 - `load_predictors`: the networks of a set of weights.
+- `Plan`: the trajectory that a policy drives an opponent along, with the reason for it.
 """
 
 import importlib
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deepmf_sumo.api import attack, read_scenes, run
+    from deepmf_sumo.datatypes import Plan
     from deepmf_sumo.gym import AttackEnv
     from deepmf_sumo.live.attacker import Attacker
     from deepmf_sumo.predictors.weights import load as load_predictors
@@ -25,6 +27,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AttackEnv",
     "Attacker",
+    "Plan",
     "Results",
     "__version__",
     "attack",
@@ -36,6 +39,7 @@ __all__ = [
 _PLACES = {
     "AttackEnv": ("gym", "AttackEnv"),
     "Attacker": ("live.attacker", "Attacker"),
+    "Plan": ("datatypes", "Plan"),
     "Results": ("results.reader", "Results"),
     "attack": ("api", "attack"),
     "load_predictors": ("predictors.weights", "load"),

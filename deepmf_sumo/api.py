@@ -1,15 +1,15 @@
-"""What a program calls in place of the command line; offered by `deepmf_sumo` itself."""
+"""What a program calls instead of the command line; offered by `deepmf_sumo` itself."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from deepmf_sumo import readers, spec
+from deepmf_sumo import moments as moments_module
+from deepmf_sumo import plans, readers, spec
 from deepmf_sumo.datatypes import Scene
-from deepmf_sumo.moments import attack as attack_moments
-from deepmf_sumo.moments import find, prepare
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.readers import Refusal
-from deepmf_sumo.report import picture
-from deepmf_sumo.results import folder
+from deepmf_sumo.report import picture, tables
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.sweep import batch
 
@@ -25,15 +25,16 @@ def run(
     resume: bool = False,
     overwrite: bool = False,
 ) -> Results:
-    """Run specs and write a result folder, as ``deepmf-sumo run`` does: the same files and bytes.
+    """Run specs, or a plan, and write a result folder: that of ``deepmf-sumo run``, byte for byte.
 
     Runs are done in worker processes, so a script calls this below ``if __name__ == "__main__":``.
 
     Args:
-        specs: a spec file, or several.
+        specs: a spec file, or several, or one plan; ``"paper"`` is the plan of the package.
         out: the result folder.
-        sets: ``KEY=VALUE``, each overrides a key of every spec.
-        seeds: every spec is run with each of these; none means the spec's own seed.
+        sets: ``KEY=VALUE``, each overrides a key of the plan or of every spec.
+        seeds: every spec is run with each of these; none means its own. Those of a plan are a key
+            of it.
         jobs: number of runs at a time.
         pictures: draw each run as ``picture.png``.
         resume: keep the runs that an earlier call finished.
@@ -41,15 +42,21 @@ def run(
 
     Returns all runs, those that failed included: see ``status``.
 
-    Raises SpecError for a wrong spec, OutputError for a folder that cannot be used; RunError where
-    no worker starts.
+    Raises SpecError for a wrong spec, UsageError for a plan beside other files or ``seeds``,
+    OutputError for a folder that cannot be used; RunError where no worker starts.
     """
-    paths = [specs] if isinstance(specs, str | Path) else specs
-    loaded = [spec.load(Path(path), list(sets)) for path in paths]
-    if seeds:
-        loaded = [one.model_copy(update={"seed": seed}) for one in loaded for seed in seeds]
+    paths = [Path(path) for path in ([specs] if isinstance(specs, str | Path) else specs)]
     options = _options(out, jobs, pictures, resume, overwrite)
-    batch.run(loaded, options)
+    if any(map(plans.is_plan, paths)):
+        if len(paths) > 1 or seeds:
+            raise UsageError("A plan is run by itself, and its seeds are its key 'seeds'.")
+        plans.run(plans.load(paths[0], sets), replace(options, sumo=False))
+        tables.write(options.out)
+    else:
+        loaded = [spec.load(path, list(sets)) for path in paths]
+        if seeds:
+            loaded = [one.model_copy(update={"seed": seed}) for one in loaded for seed in seeds]
+        plans.run_specs(loaded, options)
     return Results.of(Path(out))
 
 
@@ -84,7 +91,7 @@ def attack(
         av_type: attack only vehicles of this type.
         at_s: attack only at these times of the simulation, in seconds.
         until_s: look for moments up to this time only.
-        encounters: at each place, prefer moments before another vehicle crosses the AV's path.
+        encounters: at each position, prefer moments before another vehicle crosses the AV's path.
         seed: of all choices and of SUMO; None means the configuration's own.
         sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.
@@ -99,7 +106,7 @@ def attack(
     OutputError for a folder that cannot be used; RunError where no worker starts.
     """
     paths = [Path(path) for path in ([configs] if isinstance(configs, str | Path) else configs)]
-    wanted = prepare(
+    documents = moments_module.documents(
         paths,
         {} if seed is None else {"seed": seed},
         sets,
@@ -109,12 +116,10 @@ def attack(
         av=av,
         av_type=av_type,
         at_s=tuple(at_s),
-        prefer="encounters" if encounters else "spread",
+        prefer="encounters" if encounters else None,
     )
-    options = _options(out, jobs, pictures, resume, overwrite)
-    folder.check(options.out, resume=resume, overwrite=overwrite)
-    found = [(one.spec, find(one.scouting, one.wish, options.timeout_s).moments) for one in wanted]
-    attack_moments(found, options)
+    specs = [moments_module.spec_of(one) for one in documents]
+    plans.run_specs(specs, _options(out, jobs, pictures, resume, overwrite), by_option=True)
     return Results.of(Path(out))
 
 

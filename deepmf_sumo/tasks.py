@@ -4,8 +4,8 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 from zlib import crc32
@@ -14,7 +14,7 @@ import deepmf_sumo
 from deepmf_sumo import readers
 from deepmf_sumo.errors import ReaderError, SpecError, UsageError, nearest
 from deepmf_sumo.readers import RecordRef
-from deepmf_sumo.spec import First, FromNetwork, FromRecording, Spec
+from deepmf_sumo.spec import First, FromMoments, FromNetwork, FromRecording, Spec
 
 Part = Literal["main", "budgets", "figures"]
 """``budgets``: what a method finds with other budgets than its own; ``figures``: in no table."""
@@ -94,37 +94,57 @@ class Task:
         return values
 
 
-def plan(specs: Sequence[Spec], cache: Path, name_filter: str = "") -> list[Task]:
+def plan(
+    specs: Sequence[Spec],
+    cache: Path,
+    name_filter: str = "",
+    moments: Mapping[int, Sequence[Task]] | None = None,
+) -> list[Task]:
     """All runs of the specs whose id holds ``name_filter``, in order.
 
     Specs of one name on a network, such as ``attack`` writes for its runs, are called after their
     moments. Raises SpecError where a recording holds no scene, or not the one asked for, or where
     two runs would have one id; UsageError where the filter leaves nothing.
+
+    Args:
+        specs: any.
+        cache: keeps what is known of recordings.
+        name_filter: empty leaves all runs.
+        moments: runs of the specs whose moments are chosen (`FromMoments`), by index.
     """
-    wanted = [(spec, *found) for spec in specs for found in scenes(spec, cache)]
-    times = Counter(run_id_of(spec, scene) for spec, scene, _ in wanted)
+    moments = moments or {}
+    found = [
+        list(moments[index]) if index in moments else list(_of(spec, cache))
+        for index, spec in enumerate(specs)
+    ]
+    times = Counter(task.run_id for tasks in found for task in tasks)
     tasks: dict[str, Task] = {}
-    for spec, named, record in wanted:
-        scene = named if times[run_id_of(spec, named)] == 1 else _told_apart(spec, named)
-        run_id = run_id_of(spec, scene)
-        if run_id in tasks:
+    for task in (_told_apart(task, times) for each in found for task in each):
+        if task.run_id in tasks:
             raise SpecError(
-                f"Two runs are called '{run_id}'; give the specs different names or seeds."
+                f"Two runs are called '{task.run_id}'; give the specs different names or seeds."
             )
-        tasks[run_id] = Task(run_id=run_id, spec=spec, scene=scene, record=record)
+        tasks[task.run_id] = task
     chosen = [task for task in tasks.values() if name_filter.lower() in task.run_id.lower()]
-    if not chosen:
+    if not chosen and (name_filter or not moments):
         raise UsageError(
             f"-k {name_filter} leaves none of {len(tasks)} runs; e.g. {next(iter(tasks), 'none')}."
         )
     return chosen
 
 
-def _told_apart(spec: Spec, scene: str) -> str:
-    source = spec.source
-    return (
-        moment_name(source.av.vehicle, source.start_s) if isinstance(source, FromNetwork) else scene
-    )
+def _of(spec: Spec, cache: Path) -> Iterator[Task]:
+    for scene, record in scenes(spec, cache):
+        yield Task(run_id=run_id_of(spec, scene), spec=spec, scene=scene, record=record)
+
+
+def _told_apart(task: Task, times: Mapping[str, int]) -> Task:
+    """The task, called after its moment where another one has its id."""
+    source = task.spec.source
+    if times[task.run_id] == 1 or not isinstance(source, FromNetwork):
+        return task
+    scene = moment_name(source.av.vehicle, source.start_s)
+    return replace(task, run_id=run_id_of(task.spec, scene), scene=scene)
 
 
 def moment_name(av: str, start_s: float) -> str:
@@ -155,9 +175,15 @@ def slug(name: str) -> str:
 def scenes(spec: Spec, cache: Path) -> Iterator[tuple[str, RecordRef | None]]:
     """Names of a spec's scenes, and where they are recorded (None of a network).
 
-    Raises SpecError if there is none, or not the one asked for.
+    Raises SpecError if there is none, or not the one asked for, and for moments that are to be
+    chosen, which takes a simulation (`deepmf_sumo.moments`).
     """
     source = spec.source
+    if isinstance(source, FromMoments):
+        raise SpecError(
+            f"spec '{spec.name}': key 'source.moments' is for `deepmf-sumo run`; give 'start_s' and"
+            " 'av' here."
+        )
     if isinstance(source, FromNetwork):
         yield source.network.stem, None
         return

@@ -1,5 +1,6 @@
 """The public names of the package, and that they do what the command line does."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -8,18 +9,23 @@ import pytest
 
 import deepmf_sumo
 from deepmf_sumo.cli import main
+from deepmf_sumo.cli.init import lay_out
 from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.plans.compare import differences
 
+from tests.support import tiny_plan
+
 pytestmark = pytest.mark.sumo
 
-SCENARIO = Path(__file__).resolve().parents[1] / "scenarios" / "cut_in.yaml"
+ROOT = Path(__file__).resolve().parents[1]
+SCENARIO = ROOT / "scenarios" / "cut_in.yaml"
 
 
 def test_the_public_names_are_these():
     assert deepmf_sumo.__all__ == [
         "AttackEnv",
         "Attacker",
+        "Plan",
         "Results",
         "__version__",
         "attack",
@@ -53,6 +59,35 @@ def test_run_writes_what_the_command_writes(tmp_path):
         deepmf_sumo.run(SCENARIO, tmp_path / "a", sets=["adversary=none"])
 
 
+def test_run_takes_a_plan(tiny, tmp_path):
+    plan = tiny_plan.write(tiny, name="of_the_api.yaml")
+    found = deepmf_sumo.run(plan, tmp_path / "a", resume=True)
+    assert len(found.runs) == 8
+    command = ["run", str(plan), "--no-figures", "--out", str(tmp_path / "b")]
+    assert main._run(command) == 0
+    assert differences(tmp_path / "a", tmp_path / "b") == []
+    with pytest.raises(UsageError, match="A plan is run by itself"):
+        deepmf_sumo.run([plan, SCENARIO], tmp_path / "c")
+    with pytest.raises(UsageError, match="its key 'seeds'"):
+        deepmf_sumo.run(plan, tmp_path / "c", seeds=[1])
+
+
+def test_the_notebook_of_the_docs_runs(monkeypatch, tmp_path):
+    """Its cells are executed as they are, in a folder that `init` made."""
+    notebook = json.loads((ROOT / "docs" / "quickstart.ipynb").read_text("utf-8"))
+    assert notebook["nbformat"] == 4
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert sum(len(cell.splitlines()) for cell in cells) < 30
+    assert not any(cell.get("outputs") for cell in notebook["cells"])
+    lay_out(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for cell in cells:
+        exec(compile(cell, "quickstart.ipynb", "exec"), names)
+    assert names["table"]["status"].eq("ok").all()
+    assert (names["run"].folder / "picture.png").is_file()
+
+
 def test_attack_writes_what_the_command_writes(tiny, tmp_path):
     config = tiny / "tiny.sumocfg"
     sets = ["adversary=rule"]
@@ -71,8 +106,12 @@ def test_attack_writes_what_the_command_writes(tiny, tmp_path):
 def test_attack_refuses_before_it_simulates(tiny, tmp_path):
     with pytest.raises(UsageError, match="no such vehicle"):
         deepmf_sumo.attack(tiny / "tiny.sumocfg", tmp_path / "a", av="gone")
-    for wrong in ({"moments": 0}, {"at_s": [float("nan")]}, {"until_s": -1.0}):
-        with pytest.raises(UsageError, match="give"):
+    for wrong, told in (
+        ({"moments": 0}, "should be greater than or equal to 1"),
+        ({"at_s": [float("nan")]}, "should be a finite number"),
+        ({"until_s": -1.0}, "should be greater than or equal to 0"),
+    ):
+        with pytest.raises(UsageError, match=told):
             deepmf_sumo.attack(tiny / "tiny.sumocfg", tmp_path / "a", **wrong)
     assert not (tmp_path / "a").exists()
 

@@ -1,4 +1,4 @@
-"""Types of options that several commands share."""
+"""Options, and types of options, that several commands share."""
 
 import math
 import re
@@ -6,6 +6,10 @@ from typing import Any, Final
 
 import click
 
+format_option: Final = click.option(
+    "--format", "form", type=click.Choice(["table", "json", "csv", "md"]), default="table",
+    show_default=True, help="Print the result in this format.",
+)  # fmt: skip
 MOST: Final = 100_000
 _LARGEST: Final = 2**31 - 1
 _PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
@@ -18,7 +22,7 @@ class FiniteRange(click.FloatRange):
         """As click's, else the option is refused (exit code 2)."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
-            self.fail(f"{value} is no finite number.", param, ctx)
+            self.fail(f"{value} is not a finite number.", param, ctx)
         return number
 
 

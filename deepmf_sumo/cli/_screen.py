@@ -5,34 +5,36 @@ Imports inside functions: help and short commands load nothing that they do not 
 
 from __future__ import annotations
 
+import json
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 import click
+import rich.progress
 from rich import markup
 from rich.console import Console
 from rich.table import Table
 
+from deepmf_sumo import tables
 from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
     from deepmf_sumo.ablation.table import Row as VariantRow
     from deepmf_sumo.gate.verdict import Verdict
     from deepmf_sumo.live.attacker import Attached
-    from deepmf_sumo.moments.moment import Found, Wish
+    from deepmf_sumo.moments import Found, Request
     from deepmf_sumo.report.comparison import Line, SideBySide
     from deepmf_sumo.report.risk import Written
     from deepmf_sumo.report.tables.layouts import Row as MethodRow
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.risk.comparison import Compared
     from deepmf_sumo.risk.table import Row as PlaceRow
-    from deepmf_sumo.simulation.sumo_config import Configuration
     from deepmf_sumo.sweep.batch import Progress
 
 
@@ -81,26 +83,60 @@ def leaving() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
+def emit(form: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> None:
+    """Print rows as ``json``, ``csv`` or ``md``, for other programs and documents."""
+    if form == "json":
+        click.echo(json.dumps(rows, indent=1))
+        return
+    if form == "csv":
+        lines = tables.to_csv(rows, columns).splitlines()
+    else:
+        heads = list(columns or (rows[0] if rows else ()))
+        cells = ([tables.cell(row[head]) for head in heads] for row in rows)
+        lines = tables.to_markdown(heads, cells)
+    for line in lines:
+        click.echo(shown(line))
+
+
 @contextmanager
 def progress() -> Iterator[Callable[[Progress], None]]:
-    """A line that is written over on a terminal; elsewhere a line a run."""
+    """A bar with the time left on a terminal; elsewhere a line for each run."""
     console = Console(stderr=True, highlight=False)
     begin = time.monotonic()
-    with console.status("reading specs ...") as status:
+    bar = rich.progress.Progress(
+        rich.progress.TextColumn("{task.description}"),
+        rich.progress.BarColumn(),
+        rich.progress.MofNCompleteColumn(),
+        rich.progress.TimeRemainingColumn(),
+        rich.progress.TextColumn("{task.fields[last]}"),
+        console=console,
+        transient=True,
+    )
+    shown = bar.add_task("runs", last="")
 
-        def report(now: Progress) -> None:
-            if now.again and not (now.last or now.lost):
-                console.print(escape(_again(now)), soft_wrap=True)
-            last = f"; last: {now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
-            kept = f" ({now.kept} kept from before)" if now.kept else ""
-            lost = f", {now.lost} done again (machine lost)" if now.lost else ""
+    def report(now: Progress) -> None:
+        if now.again and not (now.last or now.lost):
+            console.print(escape(_again(now)), soft_wrap=True)
+        last = f"{now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
+        kept = f" ({now.kept} kept from before)" if now.kept else ""
+        lost = f", {now.lost} done again (machine lost)" if now.lost else ""
+        if console.is_terminal:
+            if not now.last:  # the first report: what is kept from before took no time
+                bar.start()
+                bar.reset(shown, total=now.of, completed=now.done)
+            bar.update(
+                shown, completed=now.done, last=escape(last), description=f"runs{kept}{lost}"
+            )
+        elif now.last:
             left = _left(now, time.monotonic() - begin)
-            line = escape(f"{now.done} of {now.of} runs{kept}{lost}{left}{last}")
-            status.update(line)
-            if now.last and not console.is_terminal:
-                console.print(line, soft_wrap=True)
+            line = escape(f"{now.done} of {now.of} runs{kept}{lost}{left}; last: {last}")
+            console.print(line, soft_wrap=True)
 
+    try:
         yield report
+    finally:
+        if console.is_terminal:
+            bar.stop()
 
 
 def table(results: Sequence[Result], summary: dict[str, Any], out: Path) -> None:
@@ -123,8 +159,8 @@ def _again(now: Progress) -> str:
     """Which runs of an earlier sweep are not kept, and why."""
     which = ", ".join(now.changed)
     return (
-        f"{now.again} of the runs that went through before are done again, for their spec, the"
-        f" version or files that they read are not what they were{': ' * bool(which)}{which}"
+        f"{now.again} runs that succeeded before are done again: their spec, the version or the"
+        f" files that they read have changed{': ' * bool(which)}{which}"
     )
 
 
@@ -233,11 +269,12 @@ def _add(grid: Table, cells: tuple[str, ...]) -> None:
     grid.add_row(*(escape(cell) for cell in plain), style="red" if marked else "")
 
 
-def announce_moments(configuration: Configuration, found: Found, wish: Wish) -> None:
+def announce_moments(request: Request, found: Found) -> None:
     """A line on what was found, on standard error; one on standard output if it was nothing."""
     from deepmf_sumo.datatypes import DT_S
     from deepmf_sumo.report.table import counted
 
+    configuration, wish = request.configuration, request.wish
     name = configuration.file.name
     if abs(configuration.step_s - DT_S) > 1e-9:
         steps = f"asks for steps of {configuration.step_s:g} s; it is run with {DT_S:g} s"
@@ -246,7 +283,7 @@ def announce_moments(configuration: Configuration, found: Found, wish: Wish) -> 
         click.echo(shown(f"nobody to attack in {name}: {found.reason}"))
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
-    further = "" if found.complete or wish.at_s else " (--until S looks further)"
+    further = "" if found.complete or wish.at_s else f" ({wish.later})"
     seen = counted(found.vehicles, "vehicle")
     click.echo(shown(f"{name}: {seen} from {span}{further}"), err=True)
     moments = counted(len(found.moments), "moment")

@@ -1,24 +1,22 @@
-"""What the commands that do many runs share: their options, and how they end.
+"""The options that `run` and `attack` share, and how both end."""
 
-`run`, `attack`, `benchmark` and `reproduce` do the same with a list of runs, wherever it is from.
-"""
-
-import functools
 import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import click
 
 import deepmf_sumo
 from deepmf_sumo.cli._parameters import FiniteRange
+from deepmf_sumo.errors import UsageError, exit_code
 
 if TYPE_CHECKING:
     from deepmf_sumo.results.result import Result
+    from deepmf_sumo.sweep.batch import Options
 
 _POSITIVE: Final = FiniteRange(min=0, min_open=True)
 _GIVEN: Final = click.Path(exists=True, path_type=Path)
@@ -26,7 +24,7 @@ _GIVEN: Final = click.Path(exists=True, path_type=Path)
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """How runs are done, where their results go, and how they are judged; an option each."""
+    """How runs are done, where their results go, and how they are judged: one option each."""
 
     jobs: int | None
     executor: str
@@ -38,16 +36,22 @@ class Sweep:
     timeout: float
     memory: float
     gui: bool
-    pictures: bool
+    pictures: bool | None
     junit: bool
     thresholds: Path | None
     baseline: Path | None
 
-    def begin(self, **more: Any) -> Any:
+    @classmethod
+    def of(cls, values: dict[str, Any]) -> Self:
+        """Take the shared options out of all options of a command."""
+        return cls(**{field.name: values.pop(field.name) for field in fields(cls)})
+
+    def begin(self, *, pictures: bool, **more: Any) -> "Options":
         """Options of a batch, ``more`` of them the command's own.
 
-        Raises UsageError for what would show only after hours of runs: a shard, an executor,
-        thresholds or a baseline that are wrong; OutputError for a folder that cannot be used.
+        ``pictures``: whether runs are drawn where no option says so. Raises UsageError for what
+        would show only after hours of runs: a shard, an executor, thresholds or a baseline that are
+        wrong; OutputError for a folder that cannot be used.
         """
         from deepmf_sumo.report.picture import draw
         from deepmf_sumo.sweep import batch
@@ -68,7 +72,7 @@ class Sweep:
             memory_mb=None if self.gui else self.memory,
             minutes=self.max_minutes,
             shard=shard,
-            draw=draw if self.pictures else None,
+            draw=draw if (pictures if self.pictures is None else self.pictures) else None,
             gui=self.gui,
             junit=self.junit,
             resume=self.resume,
@@ -77,7 +81,6 @@ class Sweep:
         )
 
     def _check_place(self) -> None:
-        from deepmf_sumo.errors import UsageError
         from deepmf_sumo.results import folder
 
         if self.resume and self.overwrite:
@@ -88,8 +91,6 @@ class Sweep:
         folder.check(self.out, resume=self.resume, overwrite=self.overwrite)
 
     def _check_gui(self) -> None:
-        from deepmf_sumo.errors import UsageError
-
         if self.gui and self.executor != "local":
             raise UsageError(
                 f"--gui shows runs on this machine: leave --executor {self.executor} out."
@@ -103,24 +104,13 @@ class Sweep:
             )
 
 
-def options(*, out: str, pictures: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator: a command's last parameter is ``sweep``, with the values of the shared options.
-
-    Args:
-        out: the result folder where none is named.
-        pictures: whether each run is drawn unless asked otherwise.
-    """
+def options(*, out: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator: the shared options, as keywords that `Sweep.of` takes; ``out`` is a default."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(command)
-        def called(*args: Any, **values: Any) -> Any:
-            shared = {field.name: values.pop(field.name) for field in fields(Sweep)}
-            return command(*args, **values, sweep=Sweep(**shared))
-
-        decorated: Callable[..., Any] = called
-        for option in reversed((*_place(out), *_limits(), *_shown(pictures), *_judged())):
-            decorated = option(decorated)
-        return decorated
+        for option in reversed((*_place(out), *_limits(), *_shown(), *_judged())):
+            command = option(command)
+        return command
 
     return decorate
 
@@ -130,22 +120,26 @@ def _place(out: str) -> tuple[Callable[..., Any], ...]:
     return (
         click.option(
             "--jobs", "-j", type=click.IntRange(1, 4096),
-            help="Runs at a time.  [default: 1; with Ray all its processors]",
+            help="Do this number of runs at a time.  [default: 1; with Ray all its processors]",
         ),
         click.option(
             "--executor", metavar="WHERE", default="local", show_default=True,
-            help="local, ray (this machine's cluster), or ray://HOST:PORT.",
-        ),
-        click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True),
-        click.option(
-            "--resume", is_flag=True, help="Keep equal runs that are in the folder already."
+            help="Do the runs here (local), on this machine's Ray cluster (ray), or on that of"
+            " ray://HOST:PORT.",
         ),
         click.option(
-            "--overwrite", is_flag=True, help="Delete the results that the folder holds."
+            "--out", type=click.Path(path_type=Path), default=out, show_default=True,
+            help="Write the results into this folder.",
+        ),
+        click.option(
+            "--resume", is_flag=True, help="Keep the runs that the folder already has."
+        ),
+        click.option(
+            "--overwrite", is_flag=True, help="Delete the results that the folder has."
         ),
         click.option(
             "--shard", metavar="I/N",
-            help="Only every N-th run, from the I-th on; `deepmf-sumo merge` joins the shards.",
+            help="Do every N-th run, from the I-th on; `deepmf-sumo merge` joins the shards.",
         ),
     )  # fmt: skip
 
@@ -154,27 +148,27 @@ def _limits() -> tuple[Callable[..., Any], ...]:
     return (
         click.option(
             "--max-minutes", metavar="M", type=_POSITIVE,
-            help="Begin no run after M minutes; ends with 130, and --resume goes on.",
+            help="Start no run after M minutes: exit code 130; --resume does the others.",
         ),
         click.option(
             "--timeout", metavar="S", type=_POSITIVE, default=600.0, show_default=True,
-            help="Seconds that one run may take.",
+            help="End a run that takes more seconds.",
         ),
         click.option(
             "--memory", metavar="MB", type=_POSITIVE, default=4096.0, show_default=True,
-            help="Memory that one run may take.",
+            help="End a run that takes more memory.",
         ),
     )  # fmt: skip
 
 
-def _shown(pictures: bool) -> tuple[Callable[..., Any], ...]:
+def _shown() -> tuple[Callable[..., Any], ...]:
     return (
         click.option("--gui", is_flag=True, help="Show each run in sumo-gui, one at a time."),
         click.option(
-            "--pictures/--no-pictures", default=pictures, show_default=True,
-            help="Draw a picture of every run.",
+            "--pictures/--no-pictures", default=None,
+            help="Draw a picture of every run.  [default: yes, but not for a plan]",
         ),
-        click.option("--junit", is_flag=True, help="Write junit.xml."),
+        click.option("--junit", is_flag=True, help="Write junit.xml into the folder."),
     )  # fmt: skip
 
 
@@ -186,7 +180,7 @@ def _judged() -> tuple[Callable[..., Any], ...]:
         ),
         click.option(
             "--baseline", metavar="RESULTS", type=_GIVEN,
-            help="With --thresholds: earlier results to compare with.",
+            help="Compare with these earlier results as well, where --thresholds is given.",
         ),
     )  # fmt: skip
 
@@ -207,12 +201,10 @@ def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
 
 
 def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
-    """The exit code: 130 where runs are missing, 2 where a spec was wrong, else the verdict's.
+    """The exit code, see `errors.exit_code`.
 
-    Without thresholds the verdict is that of the runs themselves, see `batch.exit_code`.
+    Thresholds judge the results instead of the expectations of specs and the runs that failed.
     """
-    from deepmf_sumo.cli.main import INTERRUPTED
-    from deepmf_sumo.errors import UsageError
     from deepmf_sumo.results import folder
     from deepmf_sumo.sweep import batch
     from deepmf_sumo.sweep.workers import watched
@@ -220,19 +212,28 @@ def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
     if not watched():
         click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
     if not folder.known(sweep.out):
-        unlocked = "its file system has no locks: let no two sweeps write into it at a time"
+        unlocked = "its file system has no locks: do not let two sweeps write into it at a time"
         click.echo(f"deepmf-sumo: {sweep.out}: {unlocked}", err=True)
-    code = batch.exit_code(results)
-    if sweep.thresholds:
-        verdict = judge(sweep)
-        code = code if code == UsageError.exit_code else verdict
-    return INTERRUPTED if missing else code
+    endings = batch.endings(results)
+    verdict = judge(sweep) if sweep.thresholds else None
+    if missing:
+        return exit_code("interrupted")
+    if verdict is None or "wrong" in endings:
+        return exit_code(*endings)
+    return verdict
+
+
+def write_page(out: Path) -> None:
+    """Write report.html and say where it is."""
+    from deepmf_sumo.report import page
+
+    click.echo(page.write(out))
 
 
 def map_risk(out: Path) -> None:
-    """Write ``out/risk`` anew and say where; what stands in the way of a map is a line.
+    """Write ``out/risk`` again and say where; a line says why there is no map.
 
-    The runs are there either way, so it is no error.
+    The runs are complete either way, so that is not an error.
     """
     from deepmf_sumo import risk
     from deepmf_sumo.errors import DeepmfError
@@ -251,7 +252,6 @@ def map_risk(out: Path) -> None:
 def check(sweep: Sweep) -> None:
     """Raise UsageError for files that no result could be judged by."""
     from deepmf_sumo import gate
-    from deepmf_sumo.errors import UsageError
 
     if sweep.thresholds is None:
         if sweep.baseline:
@@ -264,7 +264,7 @@ def check(sweep: Sweep) -> None:
         if version != deepmf_sumo.__version__:
             raise UsageError(
                 f"{place} was made by version {version} of deepmf-sumo, and this is"
-                f" {deepmf_sumo.__version__}: the attacks differ; write the baseline anew."
+                f" {deepmf_sumo.__version__}: the attacks differ; write the baseline again."
             )
 
 
@@ -280,46 +280,3 @@ def judge(sweep: Sweep) -> int:
     if sweep.junit:
         write_junit(sweep.out / "junit.xml", verdict)
     return verdict.exit_code
-
-
-_OPTIONS: Final = (
-    click.option(
-        "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a plan's key."
-    ),
-    click.option(
-        "--without", metavar="METHOD", multiple=True, help="Leave a method of the plan out."
-    ),
-    click.option("--sumo", is_flag=True, help="Write a folder a run that sumo-gui opens."),
-    click.option("--figures/--no-figures", default=True, show_default=True),
-)
-
-
-def plan_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options of a plan, beside those of every sweep."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
-
-
-def execute(
-    file: Path,
-    sweep: Sweep,
-    *,
-    sets: tuple[str, ...],
-    without: tuple[str, ...],
-    sumo: bool,
-    figures: bool,
-) -> int:
-    """Run a plan, write its tables and figures, show the table; returns the exit code."""
-    from deepmf_sumo import plans
-    from deepmf_sumo.cli._screen import progress, show_study
-    from deepmf_sumo.report import benchmark as report
-
-    wanted = sweep.begin(sumo=sumo)
-    loaded = plans.load(file, sets, without)
-    with progress() as tell:
-        results = plans.run(loaded, replace(wanted, shard=None), tell, wanted.shard)
-    made = report.finish(sweep.out, figures=figures)
-    expected = plans.expected(sweep.out, wanted.shard)
-    show_study(sweep.out, results, expected, made)
-    return end(sweep, results, expected - len(results))

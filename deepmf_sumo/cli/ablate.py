@@ -1,32 +1,40 @@
-"""``deepmf-sumo ablate``: what each part of the networks and of the attack is worth, and costs."""
+"""``deepmf-sumo ablate``: what each part of the networks and of the attack gains and costs."""
 
 import sys
 from pathlib import Path
 
 import click
 
+from deepmf_sumo.errors import exit_code
 
-@click.command(name="ablate")
+
+@click.command(
+    name="ablate", short_help="Measure what each part of DeepMF contributes.", hidden=True
+)
 @click.argument("file", metavar="PLAN", type=click.Path(path_type=Path))
-@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a plan's key.")
+@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a key.")
 @click.option(
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder of weights, figures, runs and tables; finished parts are kept.",
+    help="Write weights, figures, runs and tables here; finished parts are kept.",
 )
 @click.option(
     "--jobs", "-j", type=click.IntRange(1, 256), default=1, show_default=True,
-    help="Processes that compute features, and that attack.",
+    help="Use this number of processes to compute features and to attack.",
 )  # fmt: skip
 @click.option(
-    "--threads", type=click.IntRange(min=1), help="CPU threads of training; torch's own by default."
-)
-@click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
+    "--threads", type=click.IntRange(min=1),
+    help="Train with this number of CPU threads.  [default: torch's own]",
+)  # fmt: skip
+@click.option(
+    "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
+    help="Train on this device.",
+)  # fmt: skip
 @click.option(
     "--cache",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for computed features, else under the weights home.",
+    help="Keep computed features in this folder.  [default: under the weights home]",
 )
 @click.pass_context
 def command(
@@ -63,4 +71,4 @@ def command(
         ablation.write(out, notes, rows)
     show_ablation(notes, rows, out)
     failed = any(attacked.failed for row in rows for attacked in row.attacks)
-    ctx.exit(3 if failed else 0)
+    ctx.exit(exit_code("failed") if failed else 0)

@@ -1,57 +1,61 @@
-"""``deepmf-sumo attach``: joins a running SUMO and attacks a vehicle in it."""
+"""``deepmf-sumo attach``: join a running SUMO and attack a vehicle in it."""
 
 from pathlib import Path
 
 import click
 
 from deepmf_sumo.cli._parameters import FiniteRange
+from deepmf_sumo.errors import exit_code
 
 
-@click.command(name="attach")
+@click.command(name="attach", short_help="Attack a vehicle in a SUMO that already runs.")
 @click.option(
-    "--port", "-p", required=True, type=click.IntRange(1, 65535), help="SUMO's --remote-port."
-)
-@click.option("--host", default="localhost", show_default=True)
-@click.option("--av", metavar="ID", required=True, help="The vehicle to attack.")
+    "--port", "-p", required=True, type=click.IntRange(1, 65535),
+    help="Connect to this port, SUMO's --remote-port.",
+)  # fmt: skip
+@click.option("--host", default="localhost", show_default=True, help="Connect to this machine.")
+@click.option("--av", metavar="ID", required=True, help="Attack this vehicle.")
 @click.option(
-    "--order", type=int, default=2, show_default=True, help="This client's number at SUMO."
+    "--order", type=int, default=2, show_default=True, help="Register at SUMO under this number."
 )
 @click.option(
     "--wait", "wait_s", metavar="S", type=FiniteRange(min=0), default=10.0, show_default=True,
-    help="For somebody to listen on the port.",
+    help="Wait this time for SUMO to listen on the port.",
 )  # fmt: skip
 @click.option(
     "--trigger", "triggers", metavar="WHEN", multiple=True,
-    help="time=S, edge=ID or ttc=S; may be repeated.  [default: whenever somebody can attack]",
+    help="Attack at time=S, edge=ID or ttc=S; may be repeated.  [default: whenever a vehicle can]",
 )  # fmt: skip
 @click.option(
     "--duration", metavar="S", type=FiniteRange(min=3), default=15.0, show_default=True,
-    help="Of an attack, at most.",
+    help="End an attack after this time.",
 )  # fmt: skip
 @click.option(
     "--pause", metavar="S", type=FiniteRange(min=0), default=5.0, show_default=True,
-    help="After an attack.",
+    help="Wait this time after an attack.",
 )  # fmt: skip
-@click.option("--attacks", metavar="N", type=click.IntRange(min=1), help="Leave after so many.")
+@click.option("--attacks", metavar="N", type=click.IntRange(min=1), help="Stop after N attacks.")
 @click.option(
     "--until", "until_s", metavar="S", type=FiniteRange(min=0),
     help="Leave at this time of the simulation.",
 )  # fmt: skip
 @click.option(
     "--patience", metavar="S", type=FiniteRange(min=0), default=600.0, show_default=True,
-    help="Of the simulation's time, for the AV to appear.",
+    help="Wait this time of the simulation for the AV to appear.",
 )  # fmt: skip
 @click.option(
-    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="adversary.KEY, weights or seed."
-)
+    "--set", "sets", metavar="KEY=VALUE", multiple=True,
+    help="Set adversary.KEY, weights or seed; may be repeated.",
+)  # fmt: skip
 @click.option(
     "--net", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="The network.  [default: as SUMO names it, from this folder]",
+    help="Read the network from this file.  [default: the one that SUMO names]",
 )  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default=Path("live"), show_default=True)
 @click.option(
-    "--overwrite", is_flag=True, help="Delete the results of an earlier command in --out."
-)
+    "--out", type=click.Path(path_type=Path), default=Path("live"), show_default=True,
+    help="Write the results into this folder.",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Delete the results that the folder has.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -74,8 +78,8 @@ def command(
     """Join a running sumo or sumo-gui, and attack a vehicle that another client drives.
 
     Start SUMO with --remote-port P --num-clients 2; the other client calls setOrder(1). Both step
-    together. Ends when the vehicle leaves, at --until, after --attacks, or at Ctrl-C, and hands
-    back whom it drives; a second Ctrl-C breaks off, which ends SUMO.
+    together. Ends when the vehicle leaves, at --until, after --attacks, or at Ctrl-C, and hands its
+    opponent back to SUMO; a second Ctrl-C stops at once, which ends SUMO.
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import leaving, show_session, tell_attack
@@ -92,4 +96,4 @@ def command(
             place, wish, stay, out, overwrite=overwrite, stopped=stopped, tell=tell_attack
         )
     show_session(done, av, out)
-    ctx.exit(130 if done.end == "stopped" else 0)
+    ctx.exit(exit_code("interrupted") if done.end == "stopped" else 0)

@@ -1,4 +1,4 @@
-"""``deepmf-sumo attack``: .sumocfgs -> result folder, without a spec."""
+"""``deepmf-sumo attack``: SUMO configurations -> result folder, without a spec."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,16 +10,16 @@ from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
 
 if TYPE_CHECKING:
-    from deepmf_sumo import moments
+    from deepmf_sumo.spec.document import Document
 
 _AFTER: Final = "after --"
 
 
 class _WithSumoOptions(click.Command):
-    """A command line of which all after ``--`` is SUMO's: click itself drops the mark."""
+    """A command line of which all after ``--`` is SUMO's: click itself drops the two dashes."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse what stands before the mark, and keep the rest."""
+        """Parse what comes before ``--``, and keep the rest."""
         end = args.index("--") if "--" in args else len(args)
         ctx.meta[_AFTER] = tuple(args[end + 1 :])
         return super().parse_args(ctx, args[:end])
@@ -29,104 +29,131 @@ class _WithSumoOptions(click.Command):
         return [*super().collect_usage_pieces(ctx), "[-- SUMO OPTIONS]"]
 
 
-@click.command(name="attack", cls=_WithSumoOptions)
+@click.command(
+    name="attack",
+    cls=_WithSumoOptions,
+    short_help="Attack vehicles of a .sumocfg at moments that are chosen.",
+)
 @click.argument(
     "configs", metavar="CONFIG...", nargs=-1, required=True,
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
 )  # fmt: skip
 @click.option(
     "--moments", "-n", "count", type=click.IntRange(1, 100_000),
-    help="How many attacks of each CONFIG.  [default: 10, or one for each --at]",
+    help="Attack this often in each CONFIG.  [default: 10, or once for each --at]",
 )  # fmt: skip
 @click.option("--av", metavar="ID", help="Attack this vehicle.")
 @click.option("--av-type", metavar="TYPE", help="Attack vehicles of this type.")
 @click.option(
     "--at", "at_s", metavar="S", multiple=True, type=FiniteRange(min=0),
-    help="Attack at this time of the simulation; may be repeated.",
+    help="Attack at this time of the simulation, in s; may be repeated.",
 )  # fmt: skip
 @click.option(
-    "--moments-of", "again", metavar="OUT", type=click.Path(path_type=Path),
-    help="The same vehicles at the same times as in that result folder, to compare with it.",
+    "--moments-of", "of", metavar="OUT", type=click.Path(path_type=Path),
+    help="Attack the same vehicles at the same times as in that result folder, to compare.",
 )  # fmt: skip
 @click.option(
     "--prefer", type=click.Choice(["spread", "encounters"]), default="spread", show_default=True,
-    help="At each place moments at any time, or first those before another vehicle crosses the AV's"
-    " way at a junction.",
+    help="Choose moments at any time, or first those before another vehicle crosses the AV's path"
+    " at a junction.",
 )  # fmt: skip
 @click.option(
     "--until", "until_s", metavar="S", type=FiniteRange(min=1),
-    help="Look for moments so far.  [default: the end, or a million steps of vehicles]",
+    help="Look for moments up to this time.  [default: the end, or a million vehicle steps]",
 )  # fmt: skip
 @click.option(
-    "--duration", "duration_s", metavar="S", type=float, help="Of an attack.  [default: 8]"
-)
+    "--duration", "duration_s", metavar="S", type=float,
+    help="Attack for this time, in s.  [default: 8]",
+)  # fmt: skip
 @click.option(
     "--opponents", type=click.Choice(["one", "in_turn"]),
-    help="One, or one after another until the time is over.  [default: one up to 15 s]",
+    help="Attack with one opponent, or with one after another.  [default: one up to 15 s]",
 )  # fmt: skip
-@click.option("--planner", metavar="NAME", help="Drives the AV.  [default: idm]")
-@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="A key of a spec.")
+@click.option("--planner", metavar="NAME", help="Let this planner drive the AV.  [default: idm]")
+@click.option(
+    "--set", "sets", metavar="KEY=VALUE", multiple=True,
+    help="Set a key of the spec; may be repeated.",
+)  # fmt: skip
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
-    help="Of all choices and of SUMO.  [default: the configuration's]",
+    help="Seed all choices and SUMO.  [default: the configuration's]",
 )
 @click.option(
     "--risk/--no-risk", "mapped", default=True, show_default=True,
     help="Write the risk map at the end, as `deepmf-sumo risk` does.",
 )  # fmt: skip
-@options(out="results", pictures=True)
+@click.option(
+    "--save-spec", "file", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the spec of this attack, for `deepmf-sumo run`, and attack nothing.",
+)  # fmt: skip
+@options(out="results")
 @click.pass_context
 def command(
     ctx: click.Context,
     /,
     configs: tuple[Path, ...],
-    until_s: float | None,
     sets: tuple[str, ...],
-    again: Path | None,
     mapped: bool,
-    sweep: Sweep,
+    file: Path | None,
     **wanted: Any,
 ) -> None:
     """Attack vehicles of CONFIG, a .sumocfg, at moments spread over its roads and its time.
 
-    One simulation without an attack shows who is where when; each moment chosen is then a run of
-    its own: SUMO's traffic up to the moment, the planner and the attack from there on. Writes a
-    result folder as `run` does, moments.csv and a risk map. Where nobody can be attacked it says
-    why, and ends with 0. Of several CONFIGs each is attacked alike, all in one result folder.
-    """
-    from deepmf_sumo import moments
-    from deepmf_sumo.cli._screen import progress
+    A simulation without an attack records where each vehicle is; each moment chosen is then a
+    separate run: SUMO's traffic up to the moment, the planner and the attack from then on. Writes a
+    result folder as `run` does, moments.csv and a risk map. Where no vehicle can be attacked it
+    says why, and ends with 0. Several CONFIGs are attacked alike, all in one result folder.
 
-    batch = sweep.begin()
-    if again is not None:
+    It is short for `deepmf-sumo run` with a spec whose source is {network: CONFIG, moments: {...}}.
+    """
+    from deepmf_sumo import moments, plans
+    from deepmf_sumo.cli._screen import announce_moments, progress
+
+    sweep = Sweep.of(wanted)
+    batch = None if file else sweep.begin(pictures=True)
+    if wanted["of"] is not None:
         _refuse_others(configs, **wanted)
-        wanted["again"] = moments.read(again)
-    common = {key: wanted.pop(key) for key in _KEYS}
-    asked = moments.prepare(
-        configs, _keys(**common), sets, sumo_options=ctx.meta[_AFTER], until_s=until_s, **wanted
+    keys = {key: value for key in _KEYS if (value := wanted.pop(key)) is not None}
+    if "planner" in keys:
+        keys["planner"] = {"name": keys["planner"]}
+    documents = moments.documents(
+        configs, keys, sets, sumo_options=ctx.meta[_AFTER], **_plain(wanted)
     )
-    chosen = [(one.spec, _found(one, sweep.timeout)) for one in asked]
+    specs = [moments.spec_of(one) for one in documents]
+    if file or batch is None:
+        _save(file, documents)
+        return
     with progress() as report:
-        results = moments.attack(chosen, batch, report)
+        results = plans.run_specs(specs, batch, report, announce_moments, by_option=True)
     code = end_of_runs(sweep, results)
     if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):
         map_risk(sweep.out)
     ctx.exit(code)
 
 
-def _found(asked: "moments.Request", timeout_s: float) -> Any:
-    """The moments of a configuration; says how they were found."""
-    from deepmf_sumo.cli._screen import announce_moments
-    from deepmf_sumo.moments import find
-
-    found = find(asked.scouting, asked.wish, timeout_s)
-    announce_moments(asked.configuration, found, asked.wish)
-    return found.moments
-
-
 _KEYS = ("duration_s", "opponents", "planner", "seed")
 """Options that are keys of the spec."""
+
+
+def _plain(wanted: dict[str, Any]) -> dict[str, Any]:
+    """Values as a spec holds them."""
+    of = wanted["of"]
+    return wanted | {"of": of and str(of.absolute())}
+
+
+def _save(file: Path | None, documents: "list[Document]") -> None:
+    import yaml
+
+    from deepmf_sumo import files
+
+    assert file is not None
+    if len(documents) > 1:
+        raise UsageError("--save-spec goes with one configuration: a spec has one network.")
+    text = yaml.safe_dump(documents[0].values, sort_keys=False, allow_unicode=True)
+    with files.writing(file):
+        files.write(file, text)
+    click.echo(f"{file}: deepmf-sumo run {file}")
 
 
 def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
@@ -144,9 +171,3 @@ def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
         raise UsageError(
             "--prefer encounters cannot be given with --moments-of: leave one of them out."
         )
-
-
-def _keys(planner: str | None, **given: Any) -> dict[str, Any]:
-    """Keys of the spec that are given."""
-    keys = {key: value for key, value in given.items() if value is not None}
-    return keys if planner is None else {**keys, "planner": {"name": planner}}

@@ -4,42 +4,47 @@ from pathlib import Path
 
 import click
 
-from deepmf_sumo.cli._parameters import FiniteRange
+from deepmf_sumo.cli._parameters import FiniteRange, format_option
 
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
-@click.command(name="compare")
+@click.command(name="compare", short_help="Compare two results, with intervals.")
 @click.argument("a", type=_FOLDER)
 @click.argument("b", type=_FOLDER)
+@format_option
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),
     help="Write the tables to a folder, as CSV and Markdown.",
 )  # fmt: skip
 @click.option(
     "--quantity", "quantities", multiple=True, metavar="NAME",
-    help="Compare this instead of the usual ones; may be repeated.",
+    help="Compare this instead of the usual quantities; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--confidence", type=FiniteRange(0.5, 1, max_open=True), default=0.95, show_default=True,
-    help="Of all intervals of a table together.",
+    help="Let all intervals of a table hold together with this probability.",
 )  # fmt: skip
 def command(
-    a: Path, b: Path, out: Path | None, quantities: tuple[str, ...], confidence: float
+    a: Path, b: Path, form: str, out: Path | None, quantities: tuple[str, ...], confidence: float
 ) -> None:
     """Compare the results B with the results A: two designs of a network, or two planners.
 
-    A and B are folders of attack, run or benchmark, or hold such folders, e.g. one a seed. Runs of
+    A and B are folders of attack or run, or contain such folders, e.g. one for each seed. Runs of
     the same moment and seed are pairs.
     """
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report.risk import comparison as files
     from deepmf_sumo.risk import comparison
 
-    wanted = quantities or comparison.COMPARED
-    compared = comparison.compare(a, b, wanted, confidence)
+    compared = comparison.compare(a, b, quantities or comparison.COMPARED, confidence)
     names = str(a), str(b)
-    screen.show_comparison(compared, names)
+    if form == "table":
+        screen.show_comparison(compared, names)
+    elif form == "md":
+        click.echo(files.markdown(compared, names), nl=False)
+    else:
+        screen.emit(form, files.difference_rows(compared))
     if out:
         files.write(out, compared, names)
-        click.echo(f"{out}/{files.TEXT}, {files.DIFFERENCES}, {files.ORIGINS}")
+        click.echo(f"{out}/{files.TEXT}, {files.DIFFERENCES}, {files.ORIGINS}", err=form != "table")

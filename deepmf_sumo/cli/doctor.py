@@ -1,4 +1,4 @@
-"""``deepmf-sumo doctor``: whether all that a run needs is there and fits together."""
+"""``deepmf-sumo doctor``: whether everything that a run needs is installed and fits together."""
 
 import os
 import re
@@ -15,20 +15,22 @@ from typing import Final, Literal
 
 import click
 
+from deepmf_sumo.errors import exit_code
+
 _MARKS: Final = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "broken": ("BAD", "red")}
 
 
-@click.command(name="doctor")
+@click.command(name="doctor", short_help="Check that everything a run needs works.")
 @click.option(
     "--weights", metavar="NAME", multiple=True, default=("open",), show_default=True,
-    help="Look at these weights.",
+    help="Check these weights.",
 )  # fmt: skip
 @click.pass_context
 def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
-    """Look at Python, SUMO, libraries, machine, weights and cache: a line each.
+    """Check Python, SUMO, libraries, machine, weights and cache: one line each.
 
     \b
-    Exit codes: 0 runs will work (a warning is about what not everybody needs); 1 they will not.
+    Exit codes: 0 runs will work (a warning is about what few users need); 1 they will not.
     """
     from concurrent.futures import ThreadPoolExecutor
 
@@ -56,7 +58,7 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
             mark, colour = _MARKS[found.state]
             text = " ".join(found.text.split())
             click.echo(f"{click.style(f'{mark:4}', fg=colour)} {found.name:14} {text}")
-    ctx.exit(int("broken" in states))
+    ctx.exit(exit_code("broken") if "broken" in states else 0)
 
 
 State = Literal["ok", "warning", "broken"]

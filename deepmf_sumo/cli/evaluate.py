@@ -1,28 +1,42 @@
 """``deepmf-sumo evaluate``: measure a set of weights on recordings."""
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 
+from deepmf_sumo.cli._parameters import format_option
 
-@click.command(name="evaluate")
+
+@click.command(name="evaluate", short_help="Measure the predictors on recordings.")
 @click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--weights", "name", default="open", show_default=True, help="Name or folder.")
 @click.option(
-    "--json", "file", type=click.Path(dir_okay=False, path_type=Path), help="Write figures here."
-)
+    "--weights", "name", default="open", show_default=True,
+    help="Measure these weights, a name or a folder.",
+)  # fmt: skip
+@format_option
+@click.option(
+    "--json", "file", type=click.Path(dir_okay=False, path_type=Path), hidden=True,
+    help="Write the figures to this file.",
+)  # fmt: skip
 @click.option(
     "--candidates",
     type=click.IntRange(6, 96),
     default=32,
     show_default=True,
-    help="N1: measure this number of modes besides 6, 16 and 32.",
+    help="Measure this number of modes (N1) besides 6, 16 and 32.",
 )
-@click.option("--card", is_flag=True, help="Also put the figures on the cards of the weights.")
-@click.option("--threads", type=click.IntRange(min=1), help="CPU threads; torch's own by default.")
+@click.option("--card", is_flag=True, help="Also write the figures to the cards of the weights.")
+@click.option(
+    "--threads", type=click.IntRange(min=1),
+    help="Use this number of CPU threads.  [default: torch's own]",
+)  # fmt: skip
 def command(
     data: tuple[Path, ...],
     name: str,
+    form: str,
     file: Path | None,
     candidates: int,
     card: bool,
@@ -30,10 +44,10 @@ def command(
 ) -> None:
     """Measure the three predictors on the recordings DATA, which should not be training data.
 
-    Records that cannot be used are named and left out. Baselines without a network are shown
-    beside the figures.
+    Records that cannot be used are named and left out. The figures of baselines without a network
+    are shown as well.
     """
-    from deepmf_sumo.cli import _evaluation
+    from deepmf_sumo.cli import _evaluation, _screen
     from deepmf_sumo.training import evaluation
 
     found = evaluation.run(
@@ -45,4 +59,18 @@ def command(
         report=lambda line: click.echo(line, err=True),
         candidates=candidates,
     )
-    _evaluation.show(found)
+    if form == "table":
+        _evaluation.show(found)
+    elif form == "json":
+        click.echo(json.dumps(found, indent=1))
+    else:
+        _screen.emit(form, list(_rows(found)))
+
+
+def _rows(values: Any, quantity: str = "") -> Iterator[dict[str, Any]]:
+    """One row for each figure: the keys that lead to it, joined by dots, and its value."""
+    if not isinstance(values, dict | list):
+        yield {"quantity": quantity, "value": values}
+        return
+    for key, value in values.items() if isinstance(values, dict) else enumerate(values):
+        yield from _rows(value, f"{quantity}.{key}" if quantity else str(key))

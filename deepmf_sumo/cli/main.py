@@ -1,6 +1,6 @@
-"""``deepmf-sumo``: a file a command, found by its name.
+"""``deepmf-sumo``: one file for each command, found by its name.
 
-A command file exposes ``command`` and imports what is heavy inside it, so that help is quick.
+A command file exposes ``command`` and imports large libraries inside it, so that help is fast.
 """
 
 import errno
@@ -11,21 +11,24 @@ import pkgutil
 import signal
 import sys
 import traceback
-from typing import NoReturn
+from typing import Final, NoReturn
 
 import click
 
 import deepmf_sumo
 from deepmf_sumo import cli
-from deepmf_sumo.errors import DeepmfError, OutputError
+from deepmf_sumo.errors import EXIT_CODES, DeepmfError, OutputError, nearest
 from deepmf_sumo.texts import shown
 
-INTERRUPTED = 130
-FAILED = DeepmfError.exit_code
-_FULL = {errno.ENOSPC, errno.EDQUOT}
-_MAKE_ROOM = (
-    "make room where --out is, and give the same command again; sweeps go on with --resume, what"
-    " was finished is kept"
+OLD_NAMES: Final = {
+    "benchmark": "run", "convert": "data convert", "record": "data record",
+    "reproduce": "run paper", "scenes": "data list", "table": "show",
+}  # fmt: skip
+"""Commands of the release before, which still work, and their names of now."""
+_FULL: Final = {errno.ENOSPC, errno.EDQUOT}
+_MAKE_ROOM: Final = (
+    "make room where --out is, and give the same command again; sweeps go on with --resume, and"
+    " finished runs are kept"
 )
 
 
@@ -33,32 +36,49 @@ class Commands(click.Group):
     """The modules of this folder."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Names of all commands, sorted; underscores of file names are dashes."""
-        found = [
-            module
-            for module in pkgutil.iter_modules(cli.__path__)
-            if not (module.ispkg or module.name.startswith("_"))
-        ]
-        return sorted(one.name.replace("_", "-") for one in found if one.name != "main")
+        """Names of all commands, sorted."""
+        found = (module.name for module in pkgutil.iter_modules(cli.__path__))
+        return sorted(name for name in found if not name.startswith("_") and name != "main")
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """A command of `list_commands`."""
+        """A command of `list_commands` or of `OLD_NAMES`."""
+        if cmd_name in OLD_NAMES:
+            from deepmf_sumo.cli import _old_names
+
+            return _old_names.COMMANDS[cmd_name]
         if cmd_name not in self.list_commands(ctx):
             return None
-        module = importlib.import_module(f"deepmf_sumo.cli.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
+        command: click.Command = importlib.import_module(f"deepmf_sumo.cli.{cmd_name}").command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click's; an unknown name gets a suggestion, an old one a line about the new one."""
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            ctx.fail(f"No such command '{name}'.{nearest(name, self.list_commands(ctx))}")
+        if name in OLD_NAMES:
+            new = f"`deepmf-sumo {OLD_NAMES[name]}`"
+            click.echo(
+                f"deepmf-sumo: `{name}` is now {new}; the next release drops the old name.",
+                err=True,
+            )
+        return super().resolve_command(ctx, args)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(deepmf_sumo.__version__, prog_name="deepmf-sumo")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-def commands(debug: bool) -> None:
+@click.option(
+    "--debug", is_flag=True, expose_value=False,
+    help="Show the traceback of an error; may be given anywhere in the command.",
+)  # fmt: skip
+def commands() -> None:
     """Attack an automated vehicle in SUMO traffic, in closed loop, with DeepMF and others.
 
     \b
-    Exit codes: 0 fine; 1 an expectation is broken; 2 the command or a spec is wrong;
-    3 a run failed; 130 interrupted.
+    Exit codes: 0 success; 1 an expectation is broken; 2 the command or a spec
+    is wrong; 3 a run failed; 130 interrupted.
     """
 
 
@@ -72,39 +92,39 @@ def main() -> NoReturn:
 
 
 def _run(arguments: list[str]) -> int:
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    debug = "--debug" in arguments[:end]
+    given = [one for one in arguments[:end] if one != "--debug"] + arguments[end:]
     try:
-        code = commands.main(arguments, prog_name="deepmf-sumo", standalone_mode=False)
+        code = commands.main(given, prog_name="deepmf-sumo", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         click.echo("deepmf-sumo: interrupted", err=True)
-        return INTERRUPTED
+        return EXIT_CODES["interrupted"]
     except BrokenPipeError:  # e.g. `| head`; a second complaint at exit is avoided
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
-    except DeepmfError as error:
-        _show(error, str(error), arguments)
-        return error.exit_code
+        return EXIT_CODES["failed"]
     except Exception as error:  # noqa: BLE001 - people get a line; --debug shows the rest
-        where, failed = "deepmf-sumo --debug ... shows where", FAILED
-        text = f"unexpected {type(error).__name__}: {error} ({where})"
-        if isinstance(error, OSError) and error.filename:  # rights, or a full disk
-            text, failed = (
-                f"{error.filename} cannot be used: {error.strerror}.",
-                OutputError.exit_code,
-            )
-        elif isinstance(error, OSError) and error.errno in _FULL:
-            text, failed = f"{error.strerror}: {_MAKE_ROOM}.", OutputError.exit_code
-        _show(error, text, arguments)
-        return failed
+        if debug:
+            traceback.print_exception(error)
+        text, code = _told(error)
+        click.echo(f"deepmf-sumo: {shown(' '.join(text.split()))}", err=True)
+        return code
     return code if isinstance(code, int) else 0
 
 
-def _show(error: Exception, text: str, arguments: list[str]) -> None:
-    if "--debug" in arguments[:1]:
-        traceback.print_exception(error)
-    click.echo(f"deepmf-sumo: {shown(' '.join(text.split()))}", err=True)
+def _told(error: Exception) -> tuple[str, int]:
+    """The line and the exit code of an error."""
+    if isinstance(error, DeepmfError):
+        return str(error), error.exit_code
+    if isinstance(error, OSError) and error.filename:  # rights, or a full disk
+        return f"{error.filename} cannot be used: {error.strerror}.", OutputError.exit_code
+    if isinstance(error, OSError) and error.errno in _FULL:
+        return f"{error.strerror}: {_MAKE_ROOM}.", OutputError.exit_code
+    where = "deepmf-sumo --debug ... shows where"
+    return f"unexpected {type(error).__name__}: {error} ({where})", EXIT_CODES["failed"]
 
 
 def _interrupt(number: int, frame: object) -> NoReturn:  # noqa: ARG001 - as `signal` wants it

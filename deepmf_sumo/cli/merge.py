@@ -1,43 +1,43 @@
 """``deepmf-sumo merge``: folders of shards -> one folder."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from deepmf_sumo.results.result import Result
+from deepmf_sumo.errors import exit_code
 
 
-@click.command(name="merge")
+@click.command(name="merge", short_help="Join the shards of a sweep.")
 @click.argument("out", type=click.Path(file_okay=False, path_type=Path))
 @click.argument(
-    "shards",
-    metavar="SHARD...",
-    nargs=-1,
-    required=True,
+    "shards", metavar="SHARD...", nargs=-1, required=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
+)  # fmt: skip
+@click.option(
+    "--figures/--no-figures", default=True, show_default=True, help="Draw the figures of a plan."
 )
-@click.option("--figures/--no-figures", default=True, show_default=True, help="Of a benchmark.")
-@click.option("--overwrite", is_flag=True, help="Delete the results that OUT holds.")
+@click.option("--overwrite", is_flag=True, help="Delete the results that OUT has.")
 @click.pass_context
 def command(
     ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bool, overwrite: bool
 ) -> None:
     """Join the folders SHARD... of runs with --shard in OUT, as if run in one piece.
 
-    They are those of one command: run, attack, benchmark or reproduce.
+    They are those of one command, run or attack.
     """
+    from deepmf_sumo import plans
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.cli._sweep import map_risk
-    from deepmf_sumo.cli.main import INTERRUPTED
+    from deepmf_sumo.report import benchmark
     from deepmf_sumo.report.table import counted
     from deepmf_sumo.results.folder import summary
     from deepmf_sumo.sweep import batch
     from deepmf_sumo.sweep import shards as parts
 
     if parts.of_benchmark(shards[0]):
-        results, missing = _benchmark(out, shards, figures=figures, overwrite=overwrite)
+        results, missing = plans.merge(out, shards, overwrite=overwrite)
+        made = benchmark.finish(out, figures=figures)
+        screen.show_study(out, results, len(results) + len(missing), made)
     else:
         results, missing = parts.merge(out, shards, overwrite=overwrite)
         screen.table(results, summary(results), out)
@@ -46,19 +46,6 @@ def command(
         if missing:
             click.echo(
                 f"{counted(len(missing), 'run is', 'runs are')} in no shard: the command without"
-                f" --shard, with --out {out} --resume, makes the rest"
+                f" --shard, with --out {out} --resume, does them"
             )
-    ctx.exit(INTERRUPTED if missing else batch.exit_code(results))
-
-
-def _benchmark(
-    out: Path, shards: tuple[Path, ...], *, figures: bool, overwrite: bool
-) -> "tuple[list[Result], list[str]]":
-    from deepmf_sumo import plans
-    from deepmf_sumo.cli import _screen as screen
-    from deepmf_sumo.report import benchmark as report
-
-    results, missing = plans.merge(out, shards, overwrite=overwrite)
-    made = report.finish(out, figures=figures)
-    screen.show_study(out, results, len(results) + len(missing), made)
-    return results, missing
+    ctx.exit(exit_code("interrupted") if missing else batch.exit_code(results))

@@ -5,13 +5,13 @@ from pathlib import Path
 import click
 
 
-@click.command(name="report")
+@click.command(name="report", short_help="Write a page with all runs and replays.")
 @click.argument("out", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--open", "show", is_flag=True, help="Show the page in the browser.")
 def command(out: Path, show: bool) -> None:
     """Write OUT/report.html: all runs of a result folder, each with a replay.
 
-    OUT is what run, benchmark, merge or reproduce wrote. The page is one file and needs no network.
+    OUT is what run, attack or merge wrote. The page is one file and needs no network.
     """
     from deepmf_sumo.report import page
 

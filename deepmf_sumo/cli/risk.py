@@ -5,23 +5,26 @@ from pathlib import Path
 import click
 
 
-@click.command(name="risk")
+@click.command(name="risk", short_help="Map where a network is dangerous.")
 @click.argument(
     "folders", metavar="OUT...", nargs=-1, required=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),
-    help="Where the map is written.  [default: OUT/risk, of the first OUT]",
+    help="Write the map into this folder.  [default: OUT/risk, of the first OUT]",
 )  # fmt: skip
-@click.option("--top", type=click.IntRange(0), default=10, show_default=True, help="Places shown.")
+@click.option(
+    "--top", type=click.IntRange(0), default=10, show_default=True,
+    help="Show this number of places.",
+)  # fmt: skip
 @click.option("--open", "show", is_flag=True, help="Show the page in the browser.")
 def command(folders: tuple[Path, ...], out: Path | None, top: int, show: bool) -> None:
     """Map the risk of the networks that OUT..., results of attack or run, attacked on.
 
-    Per movement, edge, junction and lane: attacks, hits, how many were avoidable, least time to
+    For each movement, edge, junction and lane: attacks, hits, avoidable hits, least time to
     collision, delta-v. Written as CSV, SUMO edge data, polygons for sumo-gui, and a page. OUT may
-    hold result folders, e.g. one a seed.
+    contain result folders, e.g. one for each seed.
     """
     from deepmf_sumo import risk
     from deepmf_sumo.cli import _screen as screen

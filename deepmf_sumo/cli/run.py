@@ -1,56 +1,150 @@
-"""``deepmf-sumo run``: specs -> result folder."""
+"""``deepmf-sumo run``: specs or a plan -> result folder."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from deepmf_sumo.cli._parameters import Seeds
-from deepmf_sumo.cli._sweep import Sweep, end_of_runs, options
+from deepmf_sumo.cli._sweep import Sweep, end, end_of_runs, options, write_page
+from deepmf_sumo.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepmf_sumo.spec import Spec
+
+_OPTIONS: Final = (
+    click.option(
+        "--set", "sets", metavar="KEY=VALUE", multiple=True,
+        help="Override a key of each spec or of the plan; may be repeated.",
+    ),
+    click.option(
+        "--without", metavar="METHOD", multiple=True,
+        help="Leave a method of the plan out; may be repeated.",
+    ),
+    click.option(
+        "--sumo", is_flag=True, help="Write a folder for sumo-gui for each run of a plan, too."
+    ),
+    click.option(
+        "--figures/--no-figures", default=True, show_default=True, help="Draw a plan's figures."
+    ),
+)  # fmt: skip
 
 
-@click.command(name="run")
+def plan_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: the options of a plan, beside those of every sweep."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+@click.command(name="run", short_help="Run specs, or a plan of methods and planners.")
 @click.argument(
-    "specs", metavar="SPEC...", nargs=-1, required=True, type=click.Path(path_type=Path)
+    "files", metavar="SPEC...|PLAN", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a spec's key.")
-@click.option("--seed", type=click.IntRange(min=0), help="Short for --set seed=N.")
+@plan_options
+@click.option("--seed", type=click.IntRange(min=0), help="Run with this seed.")
 @click.option(
     "--seeds", metavar="SEEDS", type=Seeds(),
     help="Run every spec with each of these seeds, e.g. 1-20 or 1,5,9-12.",
 )  # fmt: skip
-@click.option("-k", "name_filter", metavar="TEXT", default="", help="Only runs whose id holds it.")
+@click.option(
+    "-k",
+    "name_filter",
+    metavar="TEXT",
+    default="",
+    help="Do only the runs of specs whose id contains TEXT.",
+)
 @click.option("--scenes", is_flag=True, help="Also write each run as a scene, scene.npz.")
 @click.option("--report", is_flag=True, help="Write report.html: all runs, each with a replay.")
-@options(out="results", pictures=True)
+@options(out="results")
 @click.pass_context
 def command(
     ctx: click.Context,
-    specs: tuple[Path, ...],
-    sets: tuple[str, ...],
+    /,
+    files: tuple[Path, ...],
     seed: int | None,
     seeds: tuple[int, ...] | None,
     name_filter: str,
     scenes: bool,
     report: bool,
-    sweep: Sweep,
+    sets: tuple[str, ...],
+    **wanted: Any,
 ) -> None:
-    """Run every SPEC and write a result folder: tables, and a folder a run with its picture."""
-    from deepmf_sumo.cli._screen import progress
-    from deepmf_sumo.errors import UsageError
-    from deepmf_sumo.spec import load
-    from deepmf_sumo.sweep import batch
+    """Run every SPEC, or a PLAN, and write a result folder: tables, and a folder for each run.
 
-    wanted = sweep.begin(name_filter=name_filter, scenes=scenes)
-    over = [*sets, *([f"seed={seed}"] if seed is not None else [])]
-    if seeds and any(one.partition("=")[0].strip() == "seed" for one in over):
+    A PLAN compares methods x planners x scenes x seeds and gets tables (CSV, Markdown, LaTeX) and
+    figures; it is run by itself. `paper` is the plan of the paper's tables:
+    deepmf-sumo run paper --set source.recording=DIR.
+    """
+    from deepmf_sumo import plans
+    from deepmf_sumo.cli._screen import announce_moments, progress
+
+    sweep = Sweep.of(wanted)
+    if seeds and (seed is not None or any(_sets_seed(one) for one in sets)):
         raise UsageError("--seeds goes without --seed and without --set seed=N: leave one out.")
-    loaded = [load(path, over) for path in specs]
-    if seeds:
-        loaded = [one.model_copy(update={"seed": each}) for one in loaded for each in seeds]
+    if any(map(plans.is_plan, files)):
+        _check_alone(files, name_filter)
+        chosen = list(seeds or (() if seed is None else (seed,)))
+        over = [*sets, *([f"seeds={chosen}"] if chosen else [])]
+        ctx.exit(run_plan(files[0], sweep, sets=over, scenes=scenes, page=report, **wanted))
+    if wanted["without"]:
+        raise UsageError("--without is for a plan: specs have one method each.")
+    batch = sweep.begin(pictures=True, name_filter=name_filter, scenes=scenes)
+    specs = _loaded(files, sets, seed, seeds)
     with progress() as show:
-        results = batch.run(loaded, wanted, show)
+        results = plans.run_specs(specs, batch, show, announce_moments)
     if report:
-        from deepmf_sumo.report import page
-
-        click.echo(page.write(sweep.out))
+        write_page(sweep.out)
     ctx.exit(end_of_runs(sweep, results))
+
+
+def _sets_seed(assignment: str) -> bool:
+    return assignment.partition("=")[0].strip() == "seed"
+
+
+def _check_alone(files: Sequence[Path], name_filter: str) -> None:
+    if len(files) > 1:
+        raise UsageError(f"{files[0]}, ...: a plan is run by itself; give one file.")
+    if name_filter:
+        raise UsageError("-k is for specs; --without, or --set, leaves out parts of a plan.")
+
+
+def _loaded(
+    files: Sequence[Path], sets: Sequence[str], seed: int | None, seeds: Sequence[int] | None
+) -> "list[Spec]":
+    """The specs, each with each of the seeds."""
+    from deepmf_sumo.spec import load
+
+    over = [*sets, *([] if seed is None else [f"seed={seed}"])]
+    specs = [load(path, over) for path in files]
+    if not seeds:
+        return specs
+    return [one.model_copy(update={"seed": each}) for one in specs for each in seeds]
+
+
+def run_plan(
+    file: Path,
+    sweep: Sweep,
+    *,
+    sets: Sequence[str],
+    without: Sequence[str],
+    figures: bool,
+    page: bool = False,
+    **more: Any,
+) -> int:
+    """Run a plan, write its tables and figures, show the table; returns the exit code."""
+    from deepmf_sumo import plans
+    from deepmf_sumo.cli._screen import announce_moments, progress, show_study
+    from deepmf_sumo.report import benchmark
+
+    wanted = sweep.begin(pictures=False, **more)
+    loaded = plans.load(file, sets, without)
+    with progress() as report:
+        results = plans.run(loaded, wanted, report, announce_moments)
+    made = benchmark.finish(sweep.out, figures=figures)
+    if page:
+        write_page(sweep.out)
+    expected = plans.expected(sweep.out, wanted.shard)
+    show_study(sweep.out, results, expected, made)
+    return end(sweep, results, expected - len(results))

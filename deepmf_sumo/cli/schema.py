@@ -5,14 +5,14 @@ from pathlib import Path
 import click
 
 
-@click.command(name="schema")
+@click.command(name="schema", short_help="Print the JSON Schema of specs, for an editor.")
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write to this file instead of the screen.",
+    help="Write the schema to this file instead of the screen.",
 )
 @click.option(
-    "--planner", is_flag=True, help="Of the messages between a simulation and a planner program."
+    "--planner", is_flag=True, help="Describe the messages to and from a planner program instead."
 )
 def command(out: Path | None, planner: bool) -> None:
     """Print the JSON Schema of specs, for completion and checks in an editor.

@@ -1,4 +1,4 @@
-"""``deepmf-sumo train``: make a set of weights from recordings."""
+"""``deepmf-sumo train``: recordings -> a set of weights."""
 
 import sys
 from pathlib import Path
@@ -13,7 +13,7 @@ _ABOVE_0 = FiniteRange(min=0, min_open=True)
 _RATE = FiniteRange(min=0, min_open=True, max=1)
 
 
-@click.command(name="train")
+@click.command(name="train", short_help="Train the predictors on recordings.")
 @click.argument(
     "network", type=click.Choice(["opponent", "marginal", "conditional", "strive", "all"])
 )
@@ -21,72 +21,85 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
     "--data",
     multiple=True,
     metavar="PATH[=WEIGHT]",
-    help="Recorded file or folder, and its share in training; may be given several times.",
+    help="Train on this recorded file or folder, with this share; may be repeated.",
 )
 @click.option(
     "--config",
     "file",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="YAML file with these settings, also for single networks; flags take precedence.",
+    help="Read these settings from a YAML file, also for single networks; options override it.",
 )
-@click.option("--name", default="custom", show_default=True, help="Name of the set of weights.")
+@click.option("--name", default="custom", show_default=True, help="Name the set of weights.")
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder of the set, instead of its place in the weights home.",
+    help="Write the set into this folder instead of the weights home.",
 )
-@click.option("--from", "begin_from", metavar="NAME", help="Set of weights to start from.")
+@click.option("--from", "begin_from", metavar="NAME", help="Start from this set of weights.")
 @click.option(
     "--preset",
-    help="Sizes of the networks: light, paper or vector (light without images).  [default: vector"
-    " for marginal and conditional, light for the others]",
+    help="Choose the sizes: light, paper or vector (light without images).  [default: vector for"
+    " marginal and conditional, light for the others]",
 )
 @click.option(
     "--members",
     type=click.IntRange(min=1, max=8),
-    help="Networks of the marginal predictor, each with a seed of its own.  [default: 1]",
+    help="Train this number of marginal networks, each with its seed.  [default: 1]",
 )
-@click.option("--steps", type=_STEPS, help="Steps of each network.")
-@click.option("--batch", type=_STEPS, help="Samples a step.")
-@click.option("--rate", type=_RATE, help="Highest learning rate.")
-@click.option("--weight-decay", type=FiniteRange(min=0, max=1))
-@click.option("--clip", type=_ABOVE_0, help="Largest norm of the gradient.")
+@click.option("--steps", type=_STEPS, help="Train each network for this number of steps.")
+@click.option("--batch", type=_STEPS, help="Use this number of samples per step.")
+@click.option("--rate", type=_RATE, help="Set the highest learning rate.")
+@click.option("--weight-decay", type=FiniteRange(min=0, max=1), help="Set the weight decay.")
+@click.option("--clip", type=_ABOVE_0, help="Limit the norm of the gradient.")
 @click.option(
     "--ema",
     type=FiniteRange(min=0, max=1, max_open=True),
-    help="Decay of the average of the weights; 0 for none.",
+    help="Average the weights with this decay; 0 for no average.",
 )
-@click.option("--precision", type=click.Choice(["auto", "bf16", "fp32"]))
-@click.option("--evaluate-every", type=_STEPS, help="Steps between evaluations on held-out scenes.")
+@click.option(
+    "--precision", type=click.Choice(["auto", "bf16", "fp32"]), help="Compute with this precision."
+)
+@click.option(
+    "--evaluate-every", type=_STEPS, help="Evaluate on held-out scenes once in so many steps."
+)
 @click.option(
     "--patience",
     type=click.IntRange(min=0),
-    help="Evaluations without gain after which to stop; 0: never.",
+    help="Stop after this number of evaluations without gain; 0: never.",
 )
-@click.option("--seed", type=click.IntRange(min=0, max=2**31 - 1), help="0 by default.")
-@click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
-@click.option("--threads", type=click.IntRange(min=1), help="CPU threads; torch's own by default.")
+@click.option(
+    "--seed", type=click.IntRange(min=0, max=2**31 - 1), help="Seed everything.  [default: 0]"
+)
+@click.option(
+    "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
+    help="Train on this device.",
+)  # fmt: skip
+@click.option(
+    "--threads", type=click.IntRange(min=1),
+    help="Use this number of CPU threads.  [default: torch's own]",
+)  # fmt: skip
 @click.option(
     "--jobs",
+    "-j",
     default=1,
     show_default=True,
     type=click.IntRange(min=1),
-    help="Processes that compute features.",
+    help="Compute features in this number of processes.",
 )
 @click.option(
     "--cache",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for computed features (1 GB for 700 scenes), else under the weights home.",
+    help="Keep computed features (1 GB for 700 scenes) here.  [default: under the weights home]",
 )
 @click.option("--again", is_flag=True, help="Repeat a training that is complete.")
-@click.option("--licence", help="Note on the data's licence, for the card.")
+@click.option("--licence", help="Note the data's licence on the card.")
 def command(network: str, name: str, **settings: Any) -> None:
     """Train NETWORK, or all three of DeepMF, on recordings of any known format.
 
-    strive is the motion prior of the baseline of that name; nothing else needs it.
-    The scenes at one place in ten are held out for early stopping and temperatures. Sources count
-    by their samples, or by the weights given to them. The same command resumes an interrupted
-    training, and keeps a network that is complete.
+    strive is the motion prior of the baseline of that name; nothing else needs it. The scenes at
+    one place in ten are held out for early stopping and temperatures. Sources count by their
+    samples, or by the weights given to them. The same command resumes an interrupted training, and
+    keeps a network that is complete.
     """
     if Path(name).name != name:
         raise click.UsageError(f"--name {name} is not a plain name; give a folder with --out.")

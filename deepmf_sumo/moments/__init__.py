@@ -1,6 +1,27 @@
-"""AVs and moments of a SUMO scenario to attack, chosen by ourselves: no spec needed."""
+"""AVs and moments of a SUMO configuration to attack: ``source.moments`` of a spec, and `attack`."""
 
 from deepmf_sumo.moments.moment import Found, Moment, Wish
-from deepmf_sumo.moments.search import Request, attack, find, prepare, read
+from deepmf_sumo.moments.search import (
+    Request,
+    at,
+    documents,
+    find,
+    request,
+    spec_of,
+    table,
+    tasks,
+)
 
-__all__ = ["Found", "Moment", "Request", "Wish", "attack", "find", "prepare", "read"]
+__all__ = [
+    "Found",
+    "Moment",
+    "Request",
+    "Wish",
+    "at",
+    "documents",
+    "find",
+    "request",
+    "spec_of",
+    "table",
+    "tasks",
+]

@@ -18,16 +18,18 @@ Preference = Literal["spread", "encounters"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wish:
-    """What the moments shall be like.
+    """The moments that are asked for.
 
     Attributes:
-        count: how many, at most.
+        count: number of moments, at most.
         av, av_type: only this vehicle, only vehicles of this type.
-        at_s: only these moments of the simulation's time; empty leaves them open.
+        at_s: only these times of the simulation; empty leaves them open.
         again: only these vehicles at these times; empty leaves them open.
         duration_s: of each attack.
         seed: of the choice.
-        prefer: ``encounters`` chooses first who meets somebody at a junction without any attack.
+        prefer: ``encounters`` first chooses vehicles that meet another one at a junction without
+            any attack.
+        by_option: whether messages name the options of ``attack`` or the keys of a spec.
     """
 
     count: int
@@ -38,6 +40,19 @@ class Wish:
     duration_s: float = 8.0
     seed: int = 0
     prefer: Preference = "spread"
+    by_option: bool = True
+
+    def named(self, key: str) -> str:
+        """The option or the key of a spec behind a field."""
+        return _OPTIONS[key] if self.by_option else f"source.moments.{key}"
+
+    @property
+    def later(self) -> str:
+        """How to look for moments in more of the simulation."""
+        return f"{self.named('until_s')}{' S' * self.by_option} looks further"
+
+
+_OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +130,7 @@ def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
     if not sightings.bodies:
-        return np.zeros(0, np.int64), _no_vehicles(sightings)
+        return np.zeros(0, np.int64), _no_vehicles(sightings, wish)
     _check(sightings, wish)
     kept = np.ones(len(sightings.time_s), bool)
     for mask, reason in _conditions(sightings, wish):
@@ -142,12 +157,12 @@ def around(sightings: Sightings, able: Bools, row: int, reach_m: float = REACH_M
     return int(near.sum())
 
 
-def _no_vehicles(sightings: Sightings) -> str:
+def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
     span = f"{sightings.begin_s:g} to {sightings.until_s:g} s"
     if sightings.waiting:
         return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
     others = ", only persons" if sightings.persons else ""
-    later = "" if sightings.complete else "; --until S looks further"
+    later = "" if sightings.complete else f"; {wish.later}"
     return f"there is no vehicle from {span}{others}{later}"
 
 
@@ -202,17 +217,18 @@ def _is_asked(body: Body, wish: Wish) -> bool:
 
 def check_times(wish: Wish, begin_s: float, until_s: float, later: str = "") -> None:
     """Raise UsageError for times of the wish that are between steps, or outside the traffic."""
+    at = wish.named("at_s")
     for between in (one for one in wish.at_s if abs(one - round(one, 1)) > 1e-6):
         raise UsageError(
-            f"--at {between:.10g}: the simulation goes in steps of {DT_S:g} s; give a multiple."
+            f"{at} {between:.10g}: the simulation goes in steps of {DT_S:g} s; give a multiple."
         )
     for late in (one for one in wish.at_s if one > until_s + _ROUNDING_S):
         raise UsageError(
-            f"--at {late:g}: there is traffic from {begin_s:g} to {until_s:g} s only{later}."
+            f"{at} {late:g}: there is traffic from {begin_s:g} to {until_s:g} s only{later}."
         )
     for early in (one for one in wish.at_s if one < begin_s + SEEN_S - _ROUNDING_S):
         raise UsageError(
-            f"--at {early:g}: the simulation begins at {begin_s:g} s, and a vehicle must have been"
+            f"{at} {early:g}: the simulation begins at {begin_s:g} s, and a vehicle must have been"
             f" there for {SEEN_S:g} s."
         )
 
@@ -220,17 +236,17 @@ def check_times(wish: Wish, begin_s: float, until_s: float, later: str = "") -> 
 def _check(sightings: Sightings, wish: Wish) -> None:
     """Names and times that are not there are the user's mistakes."""
     span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
-    later = "" if sightings.complete else " (--until S looks further)"
+    later = "" if sightings.complete else f" ({wish.later})"
     check_times(wish, sightings.begin_s, sightings.until_s, later)
     names = {
-        "--av": (wish.av, "vehicle", sorted(body.id for body in sightings.bodies)),
-        "--av-type": (wish.av_type, "type", sorted({body.type for body in sightings.bodies})),
+        "av": (wish.av, "vehicle", sorted(body.id for body in sightings.bodies)),
+        "av_type": (wish.av_type, "type", sorted({body.type for body in sightings.bodies})),
     }
-    for option, (name, kind, known) in names.items():
+    for key, (name, kind, known) in names.items():
         if name is not None and name not in known:
             nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[:3]
             raise UsageError(
-                f"{option} {name}: no such {kind} is on the road {span}{later}; there are"
+                f"{wish.named(key)} {name}: no such {kind} is on the road {span}{later}; there are"
                 f" {', '.join(nearest)}{', ...' if len(known) > len(nearest) else ''}."
             )
 

@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -19,15 +19,13 @@ from deepmf_sumo.moments.choice import LONG_S, choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
 from deepmf_sumo.moments.moment import Found, Moment, VehicleTime, Wish, check_times
 from deepmf_sumo.network.sumo_net import NetFile, read_once
-from deepmf_sumo.results import stored
-from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.stored import MOMENTS
 from deepmf_sumo.simulation import demand
 from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
 from deepmf_sumo.simulation.traffic_survey import EVERY_S, Scouting, scout
-from deepmf_sumo.spec import Av, Plugin, Spec, of_document, takes_turns
+from deepmf_sumo.spec import FromMoments, Plugin, Spec, of_document, takes_turns
 from deepmf_sumo.spec.document import Document
-from deepmf_sumo.sweep import batch, workers
+from deepmf_sumo.sweep import workers
 from deepmf_sumo.tasks import Task, moment_name, run_id_of, slug
 from deepmf_sumo.texts import of_cell
 
@@ -41,7 +39,7 @@ class _Search:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """Which moments of a configuration are wanted, and what all runs on it have in common."""
+    """Which moments of a configuration are wanted, and the spec of all runs on it."""
 
     configuration: Configuration
     spec: Spec
@@ -49,59 +47,31 @@ class Request:
     wish: Wish
 
 
-def prepare(
-    configs: Sequence[Path],
-    keys: dict[str, Any],
-    sets: Sequence[str] = (),
-    *,
-    sumo_options: Sequence[str] = (),
-    until_s: float | None = None,
-    count: int | None = None,
-    **wanted: Any,
-) -> list[Request]:
-    """What is wanted of each configuration, checked before the first of them is simulated.
+def request(spec: Spec, *, by_option: bool = False) -> Request:
+    """The request of a spec whose source is `FromMoments`, checked before anything is simulated.
 
-    Args:
-        configs: .sumocfg files.
-        keys: of the spec of all runs; ``seed`` is the configuration's own if it is not there.
-        sets: ``key=value`` over them.
-        sumo_options: beside the configurations.
-        until_s: see `Scouting`.
-        count: attacks of each configuration; None means one a time that is named, else 10.
-        wanted: further fields of `Wish`.
-
-    Raises SimulationError, UsageError or SpecError for what is known to be wrong by now.
+    ``by_option``: see `Wish`. Raises SimulationError or UsageError for what is known to be wrong.
     """
-    if count is not None and count < 1:
-        raise UsageError(f"{count} moments are wanted; give 1 or more.")
-    times = wanted.get("at_s", ())
-    for time_s in (*times, *(() if until_s is None else (until_s,))):
-        if not (math.isfinite(time_s) and time_s >= 0):
-            raise UsageError(f"{time_s} s is not a time of a simulation; give seconds from 0 on.")
-    return [
-        _request(config, name, keys, sets, tuple(sumo_options), until_s, count, wanted)
-        for config, name in zip(configs, names_of(configs), strict=True)
-    ]
-
-
-def _request(
-    config: Path,
-    name: str,
-    keys: dict[str, Any],
-    sets: Sequence[str],
-    sumo_options: tuple[str, ...],
-    until_s: float | None,
-    count: int | None,
-    wanted: dict[str, Any],
-) -> Request:
-    configuration = read_configuration(config, sumo_options)
-    if "seed" not in keys:  # a seed that cannot be used is refused only where it would be used
-        keys = {**keys, "seed": configuration.seed}
-    spec = base_spec(config, keys, sets, sumo_options, name)
-    count = count or len(wanted.get("at_s", ()) or wanted.get("again", ())) or 10
-    wish = Wish(count=count, duration_s=spec.duration_s, seed=spec.seed, **wanted)
+    source = spec.source
+    assert isinstance(source, FromMoments)
+    asked = source.moments
+    again = read(asked.of, "--moments-of" if by_option else "source.moments.of") if asked.of else ()
+    wish = Wish(
+        count=asked.count or len(asked.at_s or again) or 10,
+        **asked.model_dump(include={"av", "av_type", "at_s", "prefer"}),
+        again=again,
+        duration_s=spec.duration_s,
+        seed=spec.seed,
+        by_option=by_option,
+    )
+    configuration = read_configuration(source.network, source.sumo_options)
     check(configuration, wish)
-    scouting = Scouting(config=config, sumo_options=sumo_options, seed=spec.seed, until_s=until_s)
+    scouting = Scouting(
+        config=source.network,
+        sumo_options=source.sumo_options,
+        seed=spec.seed,
+        until_s=asked.until_s,
+    )
     return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish)
 
 
@@ -202,16 +172,18 @@ def check(configuration: Configuration, wish: Wish) -> None:
     place = f"in the demand of {configuration.file}"
     if wish.av is not None and not known.has_vehicle(wish.av):
         there = ", ".join(known.like_vehicle(wish.av)) or "none"
-        raise UsageError(f"--av {wish.av}: no such vehicle is {place}; there are {there}.")
+        option = wish.named("av")
+        raise UsageError(f"{option} {wish.av}: no such vehicle is {place}; there are {there}.")
     if wish.av_type is not None and not known.has_type(wish.av_type):
         there = ", ".join(known.like_type(wish.av_type)) or "none"
-        raise UsageError(f"--av-type {wish.av_type}: no such type is {place}; there are {there}.")
+        option = wish.named("av_type")
+        raise UsageError(f"{option} {wish.av_type}: no such type is {place}; there are {there}.")
 
 
-def read(path: Path) -> tuple[VehicleTime, ...]:
+def read(path: Path, key: str = "--moments-of") -> tuple[VehicleTime, ...]:
     """Vehicles and times of a result folder of `attack`, or of its moments.csv; each once.
 
-    Raises UsageError where there is no such table, or it holds none.
+    Raises UsageError, which names ``key``, where there is no such table, or it holds none.
     """
     file = path / MOMENTS if path.is_dir() else path
     try:
@@ -219,15 +191,15 @@ def read(path: Path) -> tuple[VehicleTime, ...]:
         found = tuple(dict.fromkeys(_rows(csv.DictReader(table))))
     except OSError as error:
         raise UsageError(
-            f"--moments-of {path}: {file} cannot be read ({files.reason(error)}); give a result"
+            f"{key} {path}: {file} cannot be read ({files.reason(error)}); give a result"
             " folder of `deepmf-sumo attack`."
         ) from None
     except (KeyError, TypeError, ValueError, csv.Error):
         raise UsageError(
-            f"--moments-of {path}: {file} is no table of moments (columns av and start_s)."
+            f"{key} {path}: {file} is no table of moments (columns av and start_s)."
         ) from None
     if not found:
-        raise UsageError(f"--moments-of {path}: {file} holds no moments.")
+        raise UsageError(f"{key} {path}: {file} holds no moments.")
     return found
 
 
@@ -240,36 +212,59 @@ def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
 
 
 MET: Final = "met"
-"""The adversary's ``opponent`` that is whoever the AV is about to meet."""
+"""The adversary's ``opponent`` that is the vehicle that the AV is about to meet."""
+
+_OPTIONS: Final = {"count": "--moments", "av_type": "--av-type", "at_s": "--at"} | {
+    "until_s": "--until", "of": "--moments-of",
+}  # fmt: skip
 
 
-def base_spec(
-    config: Path,
-    options: dict[str, Any],
-    sets: Sequence[str],
-    sumo_options: Sequence[str],
-    name: str = "",
-) -> Spec:
-    """What all runs have in common; its AV and start are to be replaced.
+def documents(
+    configs: Sequence[Path],
+    keys: Mapping[str, Any],
+    sets: Sequence[str] = (),
+    *,
+    sumo_options: Sequence[str] = (),
+    **wanted: Any,
+) -> list[Document]:
+    """The specs that ``attack`` is short for, one for each configuration.
 
     Args:
-        config: the .sumocfg.
-        options: keys of a spec and their values, as of the command line's options.
+        configs: .sumocfg files; their runs are named after them.
+        keys: of all specs; ``seed`` is the configuration's own where it is not given.
         sets: ``key=value`` over them.
-        sumo_options: beside the configuration.
-        name: what the runs are called after; the configuration's name where it is empty.
+        sumo_options: beside the configurations.
+        wanted: keys of `Moments`; None is not given.
 
-    In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
-    adversary looks for one attack, or is told whom to attack. Raises SpecError as `spec.load`,
-    WeightsError where weights are named that are not there.
+    Raises SimulationError for a configuration that cannot be read, UsageError or SpecError.
     """
-    source = {
-        "network": str(config.absolute()),
-        "av": {"vehicle": "chosen"},
-        "sumo_options": list(sumo_options),
+    return [
+        _document(config, name, keys, sets, sumo_options, wanted)
+        for config, name in zip(configs, names_of(configs), strict=True)
+    ]
+
+
+def _document(
+    config: Path,
+    name: str,
+    keys: Mapping[str, Any],
+    sets: Sequence[str],
+    sumo_options: Sequence[str],
+    wanted: Mapping[str, Any],
+) -> Document:
+    moments = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in wanted.items()
+        if value not in (None, ())
     }
-    values = {"version": 1, "name": name or config.stem, "source": source, **options}
-    places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in options}
+    source = {"network": str(config.absolute()), "moments": moments}
+    if sumo_options:
+        source["sumo_options"] = list(sumo_options)
+    if "seed" not in keys:  # a seed that cannot be used is refused only where it would be used
+        keys = {**keys, "seed": read_configuration(config, tuple(sumo_options)).seed}
+    values = {"version": 1, "name": name, "source": source, **keys}
+    places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in keys}
+    places |= {("source", "moments", key): _OPTIONS.get(key, f"--{key}") for key in moments}
     document = Document(file=Path("deepmf-sumo attack"), values=values, places=places)
     for assignment in sets:
         key = assignment.partition("=")[0].strip().partition(".")[0]
@@ -277,54 +272,40 @@ def base_spec(
             raise UsageError(f"--set {assignment}: the source is chosen by the other options.")
         document.assign(assignment)
         places.setdefault((key,), f"--set {assignment}")
+    return document
+
+
+def spec_of(document: Document) -> Spec:
+    """The spec of one of `documents`.
+
+    In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
+    adversary looks for one attack, or its opponent is named. Raises SpecError as `spec.load`,
+    WeightsError where weights are named that do not exist.
+    """
     spec = of_document(document)
     if "weights" in document.values:
         from deepmf_sumo.predictors import weights  # brings torch along
 
         weights.find(spec.weights)
+        document.values["weights"] = spec.weights
     if spec.duration_s > LONG_S and "opponents" not in document.values and takes_turns(spec):
+        document.values["opponents"] = "in_turn"
         return spec.model_copy(update={"opponents": "in_turn"})
     return spec
 
 
-def attack(
-    chosen: Sequence[tuple[Spec, Sequence[Moment]]],
-    options: batch.Options,
-    report: Callable[[batch.Progress], None] = lambda _: None,
-) -> list[Result]:
-    """Attack each moment, and write the result folder; ``moments.csv`` says where they are.
-
-    Args:
-        chosen: of each configuration what its runs have in common, and its moments.
-        options: of the batch.
-        report: is told of each run that is over.
-
-    The configurations have names of their own, see `names_of`. Raises OutputError before anything
-    runs.
-    """
-    tasks = [task for spec, moments in chosen for task in _tasks(spec, moments)]
-    moments = [moment for _, found in chosen for moment in found]
-
-    def tell(progress: batch.Progress) -> None:
-        if progress.last is None:  # the folder is there by now, and empty
-            files.write(options.out / stored.MOMENTS, _table(tasks, moments))
-        report(progress)
-
-    return batch.run_tasks(tasks, options, tell)
-
-
-def _tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:
-    """One a moment, in order, with ids of their own.
+def tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:
+    """The runs of a spec whose source is `FromMoments`: one for each moment, in order.
 
     SUMO tells ``A1``, ``a1`` and ``a.1`` apart, but names of files do not: there a checksum does.
     """
-    tasks = [_task(spec, one) for one in moments]
-    times = Counter(task.run_id for task in tasks)
+    found = [_task(spec, one) for one in moments]
+    times = Counter(task.run_id for task in found)
     return [
         task
         if times[task.run_id] == 1
         else replace(task, run_id=run_id_of(spec, _marked(task.scene)))
-        for task in tasks
+        for task in found
     ]
 
 
@@ -333,17 +314,24 @@ def _marked(scene: str) -> str:
 
 
 def _task(spec: Spec, moment: Moment) -> Task:
-    chosen = {"start_s": moment.start_s, "av": Av(vehicle=moment.av)}
-    source = spec.source.model_copy(update=chosen)
-    own = spec.model_copy(update={"source": source, "adversary": _against(spec, moment)})
     scene = moment_name(moment.av, moment.start_s)
-    return Task(run_id=run_id_of(spec, scene), spec=own, scene=scene)
+    return Task(run_id=run_id_of(spec, scene), spec=at(spec, moment), scene=scene)
 
 
-def _against(spec: Spec, moment: Moment) -> Plugin:
-    """The adversary; ``opponent: met`` is whom the AV meets, else chosen as by default."""
-    adversary = spec.adversary
-    if not _of_met(spec):
+def at(spec: Spec, moment: Moment) -> Spec:
+    """The spec of one moment, of one whose source is `FromMoments`."""
+    source = spec.source
+    assert isinstance(source, FromMoments)
+    chosen = {
+        "source": source.at(moment.start_s, moment.av),
+        "adversary": _against(spec.adversary, moment),
+    }
+    return spec.model_copy(update=chosen)
+
+
+def _against(adversary: Plugin, moment: Moment) -> Plugin:
+    """The adversary; ``opponent: met`` is the vehicle that the AV meets, else as by default."""
+    if adversary.settings.get("opponent") != MET:
         return adversary
     settings = {key: value for key, value in adversary.settings.items() if key != "opponent"}
     if moment.meets is not None:
@@ -351,14 +339,8 @@ def _against(spec: Spec, moment: Moment) -> Plugin:
     return Plugin(name=adversary.name, **settings)
 
 
-def _of_met(spec: Spec) -> bool:
-    return spec.adversary.settings.get("opponent") == MET
-
-
-def _table(tasks: Sequence[Task], moments: Sequence[Moment]) -> str:
-    rows = [
-        {"run_id": task.run_id, **asdict(moment)}
-        for task, moment in zip(tasks, moments, strict=True)
-    ]
+def table(chosen: Iterable[tuple[str, Moment]]) -> str:
+    """``moments.csv``, from run ids and their moments."""
+    rows = [{"run_id": run_id, **asdict(moment)} for run_id, moment in chosen]
     names = ["run_id", *(field.name for field in fields(Moment))]
     return tables.to_csv(rows, names, cell=tables.exact)

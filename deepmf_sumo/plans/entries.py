@@ -3,30 +3,37 @@
 import copy
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deepmf_sumo import plugins, spec
+from deepmf_sumo import moments, plugins, spec
 from deepmf_sumo import tasks as tasks_module
 from deepmf_sumo.adversaries.base import Checkable
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.errors import PluginError, SpecError, WeightsError
+from deepmf_sumo.moments import Moment
 from deepmf_sumo.plans.plan import Loaded, Plan, Subset
 from deepmf_sumo.readers import RecordRef
-from deepmf_sumo.spec import First, FromNetwork, SearchBudget, Spec
+from deepmf_sumo.spec import First, FromMoments, FromNetwork, SearchBudget, Spec
 from deepmf_sumo.spec.document import Document
 from deepmf_sumo.tasks import Label, Task
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """A scene; ``source`` is the number of its source in the plan, ``record`` as of `Task`."""
+    """A scene of the plan.
+
+    Attributes:
+        source: number of its source. record: as of `Task`.
+        moment: where the source's moments are chosen.
+    """
 
     source: int
     scene: str
     record: RecordRef | None = None
+    moment: Moment | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +54,8 @@ class Entry:
         for place in self.situations:
             for seed in seeds:
                 one = self.specs[place.source].model_copy(update={"seed": seed})
+                if place.moment:
+                    one = moments.at(one, place.moment)
                 yield Task(
                     run_id=tasks_module.run_id_of(one, place.scene),
                     spec=one,
@@ -56,8 +65,16 @@ class Entry:
                 )
 
 
-def entries_of(loaded: Loaded, cache: Path) -> list[Entry]:
+def _none(_: Spec) -> Sequence[Moment]:
+    return ()
+
+
+def entries_of(
+    loaded: Loaded, cache: Path, look: Callable[[Spec], Sequence[Moment]] = _none
+) -> list[Entry]:
     """All rows: methods with their own budgets first, then with others; planner by planner.
+
+    ``look`` finds the moments of a spec whose source is `FromMoments`.
 
     Raises SpecError for settings that an adversary or a planner refuses, with file and line, and
     for a method that is not installed, with how to install it.
@@ -68,9 +85,9 @@ def entries_of(loaded: Loaded, cache: Path) -> list[Entry]:
         for method in plan.methods
         for planner in plan.planners
     }
-    situations = _situations(plan, next(iter(specs.values())), cache)
     for method in plan.methods:
         _check_installed(method, specs[method, next(iter(plan.planners))][0])
+    situations = _situations(next(iter(specs.values())), cache, look)
     main = [
         Entry(
             label=Label(
@@ -147,16 +164,25 @@ def _name(method: str, planner: str) -> str:
     return f"{method} on {planner}"
 
 
-def _situations(plan: Plan, specs: Sequence[Spec], cache: Path) -> tuple[Situation, ...]:
+def _situations(
+    specs: Sequence[Spec], cache: Path, look: Callable[[Spec], Sequence[Moment]]
+) -> tuple[Situation, ...]:
     """All scenes of all sources; networks of one name are told apart by time and AV."""
-    stems = Counter(one.network.stem for one in plan.source if isinstance(one, FromNetwork))
-    found = []
+    stems = Counter(one.source.network.stem for one in specs if isinstance(one.source, FromNetwork))
+    found: list[Situation] = []
     for number, one in enumerate(specs):
         source = one.source
+        if isinstance(source, FromMoments):
+            found += [
+                Situation(
+                    source=number, scene=_scene(source.at(each.start_s, each.av)), moment=each
+                )
+                for each in look(one)
+            ]
+            continue
         for scene, record in tasks_module.scenes(one, cache):
-            name = scene
-            if isinstance(source, FromNetwork) and stems[scene] > 1:
-                name = f"{scene} {source.start_s:g} s {source.av.vehicle}"
+            alike = isinstance(source, FromNetwork) and stems[scene] > 1
+            name = _scene(source) if alike and isinstance(source, FromNetwork) else scene
             found.append(Situation(source=number, scene=name, record=record))
     names = Counter(place.scene for place in found)
     twice = [name for name, number in names.items() if number > 1]
@@ -164,7 +190,13 @@ def _situations(plan: Plan, specs: Sequence[Spec], cache: Path) -> tuple[Situati
         raise SpecError(
             f"key 'source': the scene '{twice[0]}' stands twice; leave one of them out."
         )
+    if not found:
+        raise SpecError("key 'source': no moment of the networks can be attacked.")
     return tuple(found)
+
+
+def _scene(source: FromNetwork) -> str:
+    return f"{source.network.stem} {source.start_s:g} s {source.av.vehicle}"
 
 
 def _specs(loaded: Loaded, method: str, planner: str) -> tuple[Spec, ...]:

@@ -1,9 +1,9 @@
-"""``benchmark PLAN``: methods, planners, scenes, seeds and budgets, in strict YAML."""
+"""``run PLAN``: methods, planners, scenes, seeds and budgets, in strict YAML."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -15,8 +15,9 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from deepmf_sumo.errors import SpecError, nearest
-from deepmf_sumo.spec import SearchBudget
+import deepmf_sumo
+from deepmf_sumo.errors import SpecError, UsageError, nearest
+from deepmf_sumo.spec import FromMoments, SearchBudget
 from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import First, Source, Strict
@@ -24,7 +25,7 @@ from deepmf_sumo.tasks import slug
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What stands twice would be counted twice."""
+    """A value that is given twice would be counted twice."""
     for value in values:
         if values.count(value) > 1:
             rule = f"'{value}' stands twice; leave one of them out"
@@ -132,6 +133,12 @@ class Plan(Strict):
     curves: Curves | None = None
 
     @model_validator(mode="after")
+    def _moments_have_one_seed(self) -> Self:
+        if len(self.seeds) > 1 and any(isinstance(one, FromMoments) for one in self.source):
+            raise _wrong("seeds", "moments are those of one traffic: give one seed with 'moments'")
+        return self
+
+    @model_validator(mode="after")
     def _labels_differ(self) -> Self:
         for key, labels in (("methods", self.methods), ("planners", self.planners)):
             if not labels:
@@ -192,13 +199,45 @@ class Loaded:
     document: Document
 
 
+PAPER: Final = Path("paper")
+"""The plan of the paper's tables, which comes with the package: it is named like this."""
+
+
+def is_plan(file: Path) -> bool:
+    """Whether a file holds a plan, by its keys, or is the name of a plan of the package.
+
+    Raises SpecError for a file that cannot be read.
+    """
+    if _is_packaged(file):
+        return True
+    keys = read(file).values.keys()
+    return "methods" in keys or ("planners" in keys and "variants" not in keys)
+
+
+def _is_packaged(file: Path) -> bool:
+    return file == PAPER and not file.exists()
+
+
+def packaged() -> Path:
+    """The file of the paper's plan: package data, or that of a checkout.
+
+    Raises UsageError if the installation has neither.
+    """
+    package = Path(deepmf_sumo.__file__).resolve().parent
+    for place in (package / "starter" / "paper.yaml", package.parent / "studies" / "paper.yaml"):
+        if place.is_file():
+            return place
+    raise UsageError(f"The installation in {package} lacks paper.yaml: install it again.")
+
+
 def load(file: Path, sets: Sequence[str] = (), without: Sequence[str] = ()) -> Loaded:
     """The plan in a file, with ``key=value`` assignments over it, and without some methods.
 
     Raises SpecError for anything wrong, with file, line and key. Adversaries and planners are
     checked by `entries.entries_of`.
     """
-    document = read(file)
+    document = read(packaged() if _is_packaged(file) else file)
+    document.file = file  # paths in a plan of the package are relative to the working folder
     for assignment in sets:
         document.assign(assignment)
     _leave_out(document, without)

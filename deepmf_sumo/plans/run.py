@@ -1,46 +1,121 @@
-"""A plan -> a result folder with the tables of its methods."""
+"""Specs -> a result folder; a plan -> one with the tables of its methods."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
+from deepmf_sumo import files, moments, tasks
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.files import cache_folder
+from deepmf_sumo.moments import Found, Moment, Request
 from deepmf_sumo.plans import entries, layout, tables
 from deepmf_sumo.plans.entries import Entry
 from deepmf_sumo.plans.layout import Layout
 from deepmf_sumo.plans.plan import Loaded
+from deepmf_sumo.results import folder, stored
 from deepmf_sumo.results.folder import opened
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.spec import FromMoments, Spec
 from deepmf_sumo.sweep import batch, shards
 from deepmf_sumo.sweep.batch import Progress
 from deepmf_sumo.sweep.inputs import fingerprinted
 from deepmf_sumo.sweep.shards import Shard, note
 from deepmf_sumo.tasks import Part, Task
 
+Report = Callable[[Progress], None]
+Announce = Callable[[Request, Found], None]
+"""Is told which moments of a network were found."""
+
+
+def run_specs(
+    specs: Sequence[Spec],
+    options: batch.Options,
+    report: Report = lambda _: None,
+    announce: Announce = lambda *_: None,
+    *,
+    by_option: bool = False,
+) -> list[Result]:
+    """Run specs and write the result folder; results in the order of the runs.
+
+    Of specs with ``source.moments`` the moments are chosen first, and moments.csv says which.
+
+    Args:
+        specs: any.
+        options: of the runs.
+        report: is told of each run that has ended.
+        announce: is told which moments were found.
+        by_option: messages name the options of ``attack``, see `Wish`.
+
+    Raises SpecError, UsageError, SimulationError or OutputError before anything is attacked.
+    """
+    wanted = {
+        index: moments.request(one, by_option=by_option)
+        for index, one in enumerate(specs)
+        if isinstance(one.source, FromMoments)
+    }
+    if wanted:
+        folder.check(options.out, resume=options.resume, overwrite=options.overwrite)
+    chosen: dict[int, list[Task]] = {}
+    found: dict[str, Moment] = {}
+    for index, request in wanted.items():
+        moments_of = _found(request, options, announce)
+        chosen[index] = moments.tasks(request.spec, moments_of)
+        found |= zip((task.run_id for task in chosen[index]), moments_of, strict=True)
+    planned = tasks.plan(specs, cache_folder(), options.name_filter, chosen)
+    if wanted:
+        report = _noting([(one.run_id, found.get(one.run_id)) for one in planned], options, report)
+    return batch.run_tasks(planned, options, report)
+
+
+def _found(request: Request, options: batch.Options, announce: Announce) -> Sequence[Moment]:
+    found = moments.find(request.scouting, request.wish, options.timeout_s)
+    announce(request, found)
+    return found.moments
+
+
+def _noting(
+    chosen: Iterable[tuple[str, Moment | None]], options: batch.Options, report: Report
+) -> Report:
+    """The report, which also writes moments.csv as soon as the folder is there, and empty."""
+    table = moments.table((run_id, one) for run_id, one in chosen if one)
+
+    def tell(progress: Progress) -> None:
+        if progress.last is None:
+            files.write(options.out / stored.MOMENTS, table)
+        report(progress)
+
+    return tell
+
 
 def run(
     loaded: Loaded,
     options: batch.Options,
-    report: Callable[[Progress], None] = lambda _: None,
-    shard: Shard | None = None,
+    report: Report = lambda _: None,
+    announce: Announce = lambda *_: None,
 ) -> list[Result]:
-    """Run the plan, or a shard of it, and write runs.csv and the tables.
+    """Run a plan, or a shard of it, and write runs.csv and the tables.
 
     Runs begin scene by scene, so that an unfinished benchmark shows all methods; tables are in the
     plan's order. An interrupt leaves the finished runs and their tables behind and is passed on.
 
-    Raises SpecError, UsageError or OutputError before anything runs.
+    Raises SpecError, UsageError, SimulationError or OutputError before anything runs.
     """
-    plan = loaded.plan
-    rows = entries.entries_of(loaded, cache_folder())
+    plan, shard = loaded.plan, options.shard
+
+    def look(spec: Spec) -> Sequence[Moment]:
+        return _found(moments.request(spec), options, announce)
+
+    rows = entries.entries_of(loaded, cache_folder(), look)
     planned, read = fingerprinted(entries.tasks_of(rows, plan.seeds))
     outlined = layout.layout_of(plan, rows, planned)
     if options.resume and (options.out / layout.FILE).is_file():
         layout.read_layout(options.out)  # refuses what another version made
     chosen = shard.choose(planned) if shard else planned
+    places = {place.scene: place.moment for entry in rows for place in entry.situations}
+    if any(places.values()):
+        report = _noting([(one.run_id, places[one.scene]) for one in planned], options, report)
     with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
         changed = batch.begin(store, chosen, options, read)
         note(options.out, None)
@@ -88,7 +163,7 @@ def merge(
 ) -> tuple[list[Result], list[str]]:
     """Copy the runs of all shards into ``out``; returns their results and the ids of missing runs.
 
-    Runs that are not there yet are no rows: `benchmark --resume` in ``out`` makes them. Raises
+    Runs that are not there yet have no row: `run --resume` in ``out`` does them. Raises
     UsageError for folders of other plans or versions, or that hold a run twice, and OutputError.
     """
     plan = _common(folders)
@@ -97,6 +172,8 @@ def merge(
     with shards.joining(out, folders, plan.runs, found, overwrite=overwrite) as store:
         results = shards.copied(store, folders, plan.runs, found)
         plan.write(out)
+        if (folders[0] / stored.MOMENTS).is_file():  # those of all shards
+            files.write(out / stored.MOMENTS, (folders[0] / stored.MOMENTS).read_bytes())
         store.finish(
             results,
             junit_too=any((folder / "junit.xml").is_file() for folder in folders),
@@ -110,13 +187,13 @@ def _common(folders: Sequence[Path]) -> Layout:
     """The plan of all shards. Raises UsageError where they differ."""
     first = layout.read_layout(folders[0])
     plan = _placeless(first)
-    for folder in folders[1:]:
-        other = _placeless(layout.read_layout(folder))
+    for each in folders[1:]:
+        other = _placeless(layout.read_layout(each))
         if other != plan:
             names = (field.name for field in fields(Layout))
             key = next(name for name in names if getattr(plan, name) != getattr(other, name))
             raise UsageError(
-                f"{folder} is of another plan than {folders[0]} (they differ in '{key}'); "
+                f"{each} is of another plan than {folders[0]} (they differ in '{key}'); "
                 "merge shards of one plan, run on one set of scenes."
             )
     return first

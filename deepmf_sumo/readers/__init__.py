@@ -88,7 +88,7 @@ def scene(path: Path, scene_id: str, cache: Path | None = None) -> Scene:
             if ref.name == scene_id:
                 return read(ref)
     raise ReaderError(
-        f"{path} has no scene '{scene_id}'; `deepmf-sumo scenes {path}` lists those it has."
+        f"{path} has no scene '{scene_id}'; `deepmf-sumo data list {path}` lists those it has."
     )
 
 

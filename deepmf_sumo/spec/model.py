@@ -27,8 +27,9 @@ def unknown_key(key: str, model: type[BaseModel]) -> str:
     return f"unknown key.{nearest(key, model.model_fields)} Known: {known}"
 
 
-def _wrong(rule: str) -> PydanticCustomError:
-    return PydanticCustomError("rule", "{rule}", {"rule": rule})
+def _wrong(rule: str, key: str = "") -> PydanticCustomError:
+    """``key`` is of the model's own, where not the whole value breaks the rule."""
+    return PydanticCustomError("rule", "{rule}", {"rule": rule, "key": key})
 
 
 class Strict(BaseModel):
@@ -78,6 +79,13 @@ def placed(folder: Path, name: str) -> Path:
 ExistingPath = Annotated[Path, BeforeValidator(_existing), WithJsonSchema({"type": "string"})]
 
 
+def _anywhere(value: Any, info: ValidationInfo) -> Path:
+    """An absolute path, as `_existing`; what opens it says where it does not exist."""
+    if not isinstance(value, str):
+        raise _wrong("must be a path in text")
+    return placed(Path((info.context or {}).get("folder", ".")), value)
+
+
 class Av(Strict):
     """The automated vehicle: an id in SUMO's demand."""
 
@@ -93,6 +101,64 @@ class FromNetwork(Strict):
     sumo_options: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         default=(), description="beside the .sumocfg, as on SUMO's command line"
     )
+
+
+class Moments(Strict):
+    """Which vehicles of a network are attacked when; what is not given is chosen.
+
+    ``of`` is a result folder of an attack, or its moments.csv: the same vehicles at the same times.
+    """
+
+    count: int | None = Field(
+        default=None, ge=1, le=100_000, description="attacks; 10 by default, or one for each time"
+    )
+    prefer: Literal["spread", "encounters"] = "spread"
+    av: str | None = Field(default=None, min_length=1, description="only this vehicle")
+    av_type: str | None = Field(default=None, min_length=1, description="only this type")
+    at_s: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(strict=False)] = Field(
+        default=(), description="only at these times of the simulation"
+    )
+    until_s: float | None = Field(default=None, ge=0, description="look for moments up to then")
+    of: Annotated[Path, BeforeValidator(_anywhere), WithJsonSchema({"type": "string"})] | None = (
+        None
+    )
+
+    @model_validator(mode="after")
+    def _of_says_all(self) -> "Moments":
+        for key in ("count", "av", "av_type", "at_s"):
+            if self.of is not None and getattr(self, key):
+                raise _wrong(f"'{key}' cannot be given with 'of'; leave one of them out", key)
+        if self.of is not None and self.prefer != "spread":
+            raise _wrong("'prefer' cannot be given with 'of'; leave one of them out", "prefer")
+        return self
+
+
+class FromMoments(FromNetwork):
+    """A SUMO configuration of which vehicles and moments to attack are chosen.
+
+    Its runs have a `FromNetwork` each; ``start_s`` and ``av`` are no keys of it.
+    """
+
+    start_s: float = Field(default=0.0, exclude=True)
+    av: Av = Field(default=Av(vehicle="chosen"), exclude=True)
+    moments: Moments
+
+    @model_validator(mode="before")
+    @classmethod
+    def _chosen(cls, values: Any) -> Any:
+        for key in ("av", "start_s") if isinstance(values, dict) else ():
+            if key in values:
+                raise _wrong(f"'{key}' does not go with 'moments'; leave one of them out", key)
+        return values
+
+    def at(self, start_s: float, vehicle: str) -> FromNetwork:
+        """The source of one run."""
+        return FromNetwork.model_construct(
+            network=self.network,
+            start_s=start_s,
+            av=Av(vehicle=vehicle),
+            sumo_options=self.sumo_options,
+        )
 
 
 class First(Strict):
@@ -124,14 +190,19 @@ class FromRecording(Strict):
 
 def _source_kind(value: Any) -> str | None:
     """The union's tag. In brackets: pydantic puts tags between keys when it says where."""
+    if isinstance(value, FromMoments):
+        return "(moments)"
     if isinstance(value, FromNetwork | FromRecording):
         return "(network)" if isinstance(value, FromNetwork) else "(recording)"
-    known = (name for name in ("network", "recording") if isinstance(value, dict) and name in value)
+    kinds = ("moments", "network", "recording")
+    known = (name for name in kinds if isinstance(value, dict) and name in value)
     return next((f"({name})" for name in known), None)
 
 
 Source = Annotated[
-    Annotated[FromNetwork, Tag("(network)")] | Annotated[FromRecording, Tag("(recording)")],
+    Annotated[FromNetwork, Tag("(network)")]
+    | Annotated[FromMoments, Tag("(moments)")]
+    | Annotated[FromRecording, Tag("(recording)")],
     Discriminator(
         _source_kind,
         custom_error_type="rule",

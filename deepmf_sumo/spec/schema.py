@@ -24,6 +24,8 @@ def schema() -> dict[str, Any]:
     document["properties"]["traffic"]["default"] = "log for recordings, sumo for networks"
     definitions = document["$defs"]
     del definitions["Plugin"]
+    for chosen in ("start_s", "av"):
+        del definitions["FromMoments"]["properties"][chosen]
     planner = _choices("planners", "planner", definitions)
     adversary = _choices("adversaries", "adversary", definitions)
     versions = {"enum": list(VERSIONS)}

@@ -153,7 +153,7 @@ def test_names_in_the_demand_are_known_without_a_simulation(tiny):
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_numbers_are_finite(tiny, tmp_path, capsys, option, value):
     assert attack(tiny, tmp_path / "out", option, value) == 2
-    assert f"'{option}': {value} is no finite number." in capsys.readouterr().err
+    assert f"'{option}': {value} is not a finite number." in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

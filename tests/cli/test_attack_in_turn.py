@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.moments.search import base_spec
+from deepmf_sumo.moments import documents, spec_of
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,8 @@ from deepmf_sumo.moments.search import base_spec
     ],
 )
 def test_long_attacks_are_in_turn_unless_something_else_is_asked_for(tiny, keys, sets, expected):
-    assert base_spec(tiny / "tiny.sumocfg", keys, sets, ()).opponents == expected
+    [document] = documents([tiny / "tiny.sumocfg"], keys, sets)
+    assert spec_of(document).opponents == expected
 
 
 def test_turns_have_a_table(tiny, tmp_path):

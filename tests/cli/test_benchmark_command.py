@@ -3,7 +3,8 @@
 import pytest
 from click.testing import CliRunner
 
-from deepmf_sumo.cli import benchmark, merge, reproduce
+from deepmf_sumo.cli import merge
+from deepmf_sumo.cli._old_names import COMMANDS
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.sweep import workers
 
@@ -18,7 +19,9 @@ def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
     plan = tiny_plan.write(tiny)
     for number in (1, 2):
         out = tmp_path / str(number)
-        done = call(benchmark.command, plan, "--out", out, "--shard", f"{number}/2", "--no-figures")
+        done = call(
+            COMMANDS["benchmark"], plan, "--out", out, "--shard", f"{number}/2", "--no-figures"
+        )
         assert done.exit_code == 0, done.output
         assert "4 runs: 4 ok" in done.output
     out = tmp_path / "all"
@@ -40,15 +43,15 @@ def test_wrong_calls_run_nothing(tiny, tmp_path, monkeypatch):
     out = tmp_path / "out"
     for wrong in (["--shard", "9/2"], ["--without", "nobody"], ["--set", "methods={}"]):
         with pytest.raises(UsageError):
-            call(benchmark.command, plan, "--out", out, *wrong)
+            call(COMMANDS["benchmark"], plan, "--out", out, *wrong)
     with pytest.raises(UsageError, match="this shard of them is empty"):
-        call(benchmark.command, plan, "--out", out, "--shard", "9/9")
+        call(COMMANDS["benchmark"], plan, "--out", out, "--shard", "9/9")
     with pytest.raises(SpecError, match="holds no recorded scene"):
-        call(reproduce.command, tmp_path, "--out", out)
+        call(COMMANDS["reproduce"], tmp_path, "--out", out)
     assert not out.exists()
 
 
 def test_help_names_what_a_user_needs():
-    shown = call(benchmark.command, "--help").output
+    shown = call(COMMANDS["benchmark"], "--help").output
     for option in ("--resume", "--shard", "--max-minutes", "--timeout", "--memory", "--without"):
         assert option in shown

@@ -1,3 +1,4 @@
+import re
 import signal
 import subprocess
 import sys
@@ -7,7 +8,7 @@ from pathlib import Path
 import click
 import pytest
 
-from deepmf_sumo.cli import main
+from deepmf_sumo.cli import data, main
 from deepmf_sumo.errors import ReaderError, SpecError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,9 +23,70 @@ def test_help_lists_the_files_of_the_folder():
     done = run("--help")
     assert done.returncode == 0
     files = {path.stem for path in (ROOT / "deepmf_sumo" / "cli").glob("[!_]*.py")}
-    assert "  -" not in done.stdout.partition("Commands:")[2]
-    for name in files - {"main"}:
-        assert f"  {name.replace('_', '-')} " in done.stdout
+    listed = done.stdout.partition("Commands:")[2]
+    assert "  -" not in listed
+    assert [line.split()[0] for line in listed.strip().splitlines()] == sorted(
+        files - {"main", "ablate"}
+    )
+
+
+def test_help_fits_a_terminal_of_80_columns(capsys):
+    """Each command is one line that is not cut off, a sentence that begins with a verb."""
+    context = click.Context(main.commands)
+    for arguments, group in (([], main.commands), (["data"], data.command)):
+        assert main._run([*arguments, "--help"]) == 0
+        shown = capsys.readouterr().out
+        assert max(map(len, shown.splitlines())) <= 80
+        for name in group.list_commands(context):
+            command = group.get_command(context, name)
+            assert command.hidden or f"  {name} " in shown
+            assert command.hidden or f" {command.short_help}\n" in shown
+            assert command.short_help.endswith(".")
+
+
+def test_every_option_is_explained_by_a_sentence():
+    context = click.Context(main.commands)
+    commands = [
+        main.commands.get_command(context, name) for name in main.commands.list_commands(context)
+    ]
+    for command in [*commands, *data.command.commands.values()]:
+        for option in (one for one in command.params if isinstance(one, click.Option)):
+            told = f"{command.name} {option.opts[0]}: {option.help}"
+            assert option.help, told
+            assert option.help[0].isupper(), told
+            assert re.search(r"[.\]]$", option.help), told
+
+
+@pytest.mark.parametrize("old", main.OLD_NAMES)
+def test_old_names_work_and_say_the_new_one(capsys, old):
+    assert main._run([old, "--help"]) == 0
+    shown = capsys.readouterr()
+    [line] = shown.err.splitlines()
+    assert line.startswith(f"deepmf-sumo: `{old}` is now `deepmf-sumo {main.OLD_NAMES[old]}`")
+    assert f"Usage: deepmf-sumo {old} " in shown.out
+    main._run(["--help"])
+    assert f"  {old} " not in capsys.readouterr().out
+
+
+def test_a_mistyped_command_gets_a_suggestion(capsys):
+    assert main._run(["atack", "my.sumocfg"]) == 2
+    assert "No such command 'atack'. Did you mean 'attack'?" in capsys.readouterr().err
+    assert main._run(["data", "lst"]) == 2
+    assert "Did you mean 'list'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--debug", "x"], ["x", "--debug"], ["x", "y", "--debug"]])
+def test_debug_may_be_anywhere(monkeypatch, capsys, arguments):
+    @click.command()
+    @click.argument("rest", nargs=-1)
+    def command(rest):
+        raise ReaderError(f"broken {rest}")
+
+    monkeypatch.setattr(main.Commands, "get_command", lambda *_: command)
+    assert main._run(arguments) == 3
+    shown = capsys.readouterr().err
+    assert "Traceback" in shown
+    assert "--debug" not in shown.splitlines()[-1]
 
 
 def test_every_command_explains_itself():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.cli import main, record
+from deepmf_sumo.cli import data, main
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network import generated
 from deepmf_sumo.readers import npz
@@ -24,7 +24,7 @@ def contents(folder):
 
 
 def test_kinds_are_those_of_the_generator():
-    assert record.KINDS == generated.KINDS
+    assert data.KINDS == generated.KINDS
 
 
 def test_the_same_files_whatever_the_jobs_and_a_cut_off_command_goes_on(tmp_path, capsys):

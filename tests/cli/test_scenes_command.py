@@ -4,9 +4,10 @@ import json
 
 import pytest
 from click.testing import CliRunner
-from deepmf_sumo.cli.scenes import COLUMNS, command
 
+from deepmf_sumo.cli.data import list_scenes as command
 from deepmf_sumo.errors import ReaderError, UsageError
+from deepmf_sumo.report.scene_table import COLUMNS
 
 from tests.support.recordings_by_hand import gpudrive, scenario, shard
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from deepmf_sumo.cli import _starter as starter
+from deepmf_sumo.cli import init as starter
 from deepmf_sumo.errors import OutputError, UsageError
 
 
@@ -77,14 +77,3 @@ def test_an_installation_without_starter_files_says_so(tmp_path, monkeypatch):
     for folder in starter.FOLDERS:
         (module.parent / "starter" / folder).mkdir(parents=True)
     assert starter.starter_home() == Path(module.parent / "starter").resolve()
-
-
-def test_the_papers_plan_is_found_in_a_checkout_and_in_a_package(tmp_path, monkeypatch):
-    assert starter.paper_plan().name == "paper.yaml"
-    module = tmp_path / "deepmf_sumo" / "__init__.py"
-    (module.parent / "starter").mkdir(parents=True)
-    monkeypatch.setattr(starter.deepmf_sumo, "__file__", str(module))
-    with pytest.raises(UsageError, match=r"lacks paper\.yaml"):
-        starter.paper_plan()
-    (module.parent / "starter" / "paper.yaml").write_text("")
-    assert starter.paper_plan() == module.parent / "starter" / "paper.yaml"

@@ -160,9 +160,14 @@ def test_moments_of_a_table_are_each_taken_once(tmp_path):
             search.read(table)
 
 
+def spec_of(keys, sets=()):
+    [document] = search.documents([SUMO_CONFIG], keys, sets)
+    return search.spec_of(document)
+
+
 def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path):
     """Else one of them would be lost without a word."""
-    spec = search.base_spec(SUMO_CONFIG, {"seed": 3}, (), ())
+    spec = spec_of({"seed": 3})
     moments = [
         Moment(
             av=av, av_type="t", start_s=10.0, edge="in", following="", turn="along",
@@ -170,7 +175,7 @@ def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path)
         )
         for av in ("car.1", "Car_1", "car 1", "bus")
     ]  # fmt: skip
-    tasks = search._tasks(spec, moments)
+    tasks = search.tasks(spec, moments)
     assert len({task.run_id for task in tasks}) == 4
     assert [task.spec.source.av.vehicle for task in tasks] == [one.av for one in moments]
     assert tasks[3].run_id == "four-way--bus-10s--3"
@@ -180,7 +185,7 @@ def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path)
 def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_second):
     """Who meets nobody has its opponent chosen as by default."""
     sets = ["adversary.version=S2", f"adversary.opponent={asked}", "adversary.lawful=true"]
-    spec = search.base_spec(SUMO_CONFIG, {}, sets, ())
+    spec = spec_of({}, sets)
     moments = [
         Moment(
             av="a", av_type="t", start_s=start_s, edge="in", following="", turn="along",
@@ -188,8 +193,8 @@ def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_se
         )
         for start_s, meets in ((10.0, "b"), (30.0, None))
     ]  # fmt: skip
-    settings = [task.spec.adversary.settings for task in search._tasks(spec, moments)]
+    settings = [task.spec.adversary.settings for task in search.tasks(spec, moments)]
     assert [one.get("opponent") for one in settings] == [of_first, of_second]
     assert all(one["lawful"] for one in settings)
-    long = search.base_spec(SUMO_CONFIG, {"duration_s": 30.0}, sets[1:2], ())
+    long = spec_of({"duration_s": 30.0}, sets[1:2])
     assert long.opponents == "one", "who is named, or met, takes no turns"

@@ -3,9 +3,9 @@ from dataclasses import dataclass, replace
 
 import pytest
 from click.testing import CliRunner
-from deepmf_sumo.cli.convert import command
 
 from deepmf_sumo import readers
+from deepmf_sumo.cli.data import convert as command
 from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import ConversionError, OutputError
 from deepmf_sumo.network.batch import convert_all

@@ -9,6 +9,7 @@ import deepmf_sumo
 from deepmf_sumo import plans
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.plans import entries
+from deepmf_sumo.plans import plan as plan_module
 from deepmf_sumo.plans.layout import layout_of
 from deepmf_sumo.plans.run import _scene_by_scene
 
@@ -196,6 +197,17 @@ def test_bad_shards(text):
         plans.Shard.parse(text)
 
 
+def test_the_papers_plan_is_found_in_a_checkout_and_in_a_package(tmp_path, monkeypatch):
+    assert plan_module.packaged().name == "paper.yaml"
+    module = tmp_path / "deepmf_sumo" / "__init__.py"
+    (module.parent / "starter").mkdir(parents=True)
+    monkeypatch.setattr(plan_module.deepmf_sumo, "__file__", str(module))
+    with pytest.raises(UsageError, match=r"lacks paper\.yaml"):
+        plan_module.packaged()
+    (module.parent / "starter" / "paper.yaml").write_text("")
+    assert plan_module.packaged() == module.parent / "starter" / "paper.yaml"
+
+
 def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
     from deepmf_sumo.cli._starter import paper_plan
 
@@ -208,7 +220,8 @@ def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
     ]
     monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
     assert batch_tasks.readers is readers
-    loaded = plans.load(paper_plan(), [f'source.recording="{tmp_path}"'])
+    assert plans.is_plan(Path("paper"))
+    loaded = plans.load(Path("paper"), [f'source.recording="{tmp_path}"'])
     rows, planned = rows_of(loaded, tmp_path)
     layout = layout_of(loaded.plan, rows, planned)
     assert layout.baseline == "DeepMF-S1"

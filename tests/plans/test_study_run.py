@@ -78,7 +78,7 @@ def test_shards_merge_to_the_whole(whole, tmp_path):
     file, folder = whole
     for number in (1, 2):
         part = plans.Shard(number=number, of=2)
-        assert len(plans.run(plans.load(file), options(tmp_path / str(number)), shard=part)) == 4
+        assert len(plans.run(plans.load(file), options(tmp_path / str(number), shard=part))) == 4
     results, missing = plans.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
     assert (len(results), missing) == (8, [])
     assert compare.differences(folder, tmp_path / "all") == []
@@ -101,7 +101,7 @@ def test_shards_merge_wherever_their_plans_lay(whole, tmp_path):
         shutil.copy(one, moved)
     for number, plan in enumerate((file, moved / file.name), start=1):
         part = plans.Shard(number=number, of=2)
-        plans.run(plans.load(plan), options(tmp_path / str(number)), shard=part)
+        plans.run(plans.load(plan), options(tmp_path / str(number), shard=part))
     results, missing = plans.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
     assert (len(results), missing) == (8, [])
 

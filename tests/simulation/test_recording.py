@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import sumo
 from click.testing import CliRunner
-from deepmf_sumo.cli.record import command
 
+from deepmf_sumo.cli.data import record as command
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.readers import npz
 from deepmf_sumo.recording.record import Recording, record

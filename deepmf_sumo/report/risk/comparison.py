@@ -25,7 +25,7 @@ def write(out: Path, compared: Compared, names: tuple[str, str]) -> None:
         others = {path.name for path in out.iterdir() if not path.name.startswith(".")} - _MADE
         if others:
             raise OutputError(f"{out} holds '{min(others)}'; choose an empty folder for --out.")
-        files.write(out / DIFFERENCES, tables.to_csv(_difference_rows(compared)))
+        files.write(out / DIFFERENCES, tables.to_csv(difference_rows(compared)))
         files.write(out / ORIGINS, tables.to_csv(_origin_rows(compared)))
         files.write(out / TEXT, markdown(compared, names))
 
@@ -111,7 +111,8 @@ def _shift(found: Matched) -> str:
     return f"{mean:+.3f} ({low:+.3f} to {high:+.3f})"
 
 
-def _difference_rows(compared: Compared) -> list[dict[str, Any]]:
+def difference_rows(compared: Compared) -> list[dict[str, Any]]:
+    """The table of differences, as numbers by column."""
     return [
         {
             "quantity": one.quantity,

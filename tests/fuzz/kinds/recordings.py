@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deepmf_sumo import plugins, readers
-from deepmf_sumo.cli import main, scenes  # noqa: F401 - loaded once, not in each process
+from deepmf_sumo.cli import data, main  # noqa: F401 - loaded once, not in each process
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.readers import _tfrecord, npz, womd
 from deepmf_sumo.readers.protos import scenario_pb2 as pb

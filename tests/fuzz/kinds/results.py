@@ -10,7 +10,7 @@ import subprocess
 from pathlib import Path
 
 from deepmf_sumo import spec
-from deepmf_sumo.cli import check, compare, merge, report, risk, table  # noqa: F401 - loaded once
+from deepmf_sumo.cli import check, compare, merge, report, risk, show  # noqa: F401 - loaded once
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.folder import Store

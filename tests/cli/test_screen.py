@@ -1,0 +1,56 @@
+"""What commands print: progress, and results for other programs."""
+
+import io
+import json
+
+from rich.console import Console
+
+from deepmf_sumo.cli import _screen as screen
+from deepmf_sumo.sweep.batch import Progress
+
+RUN = {"run_id": "one--tiny--0", "status": "ok", "outcome": "none"}
+
+
+def reported(monkeypatch, *, terminal):
+    text = io.StringIO()
+    console = Console(file=text, force_terminal=terminal, width=120, highlight=False)
+    monkeypatch.setattr(screen, "Console", lambda **_: console)
+    with screen.progress() as report:
+        report(Progress(done=1, of=3, kept=1))
+        report(Progress(done=2, of=3, kept=1, last=RUN))
+        report(Progress(done=3, of=3, kept=1, last=RUN))
+    return text.getvalue()
+
+
+def test_progress_in_a_log_is_a_line_for_each_run(monkeypatch):
+    lines = reported(monkeypatch, terminal=False).splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("2 of 3 runs (1 kept from before), ")
+    assert lines[0].endswith("s left; last: one--tiny--0, none")
+    assert lines[1] == "3 of 3 runs (1 kept from before); last: one--tiny--0, none"
+
+
+def test_progress_on_a_terminal_is_a_bar(monkeypatch):
+    shown = reported(monkeypatch, terminal=True)
+    assert "runs (1 kept from before)" in shown
+    assert "3/3" in shown
+    assert "\u2501" in shown
+
+
+ROWS = [{"name": "a", "value": 0.123456789, "why": None}, {"name": "=c", "value": 2, "why": "|"}]
+
+
+def test_rows_are_tables(capsys):
+    screen.emit("csv", ROWS)
+    assert capsys.readouterr().out.splitlines() == ["name,value,why", "a,0.123457,", "'=c,2,|"]
+    screen.emit("md", ROWS)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["| name | value | why |", "| --- | --- | --- |"]
+    assert lines[2:] == ["| a | 0.123457 |  |", "| '=c | 2 | / |"]
+
+
+def test_rows_are_json(capsys):
+    screen.emit("json", ROWS)
+    assert json.loads(capsys.readouterr().out) == ROWS
+    screen.emit("json", [])
+    assert capsys.readouterr().out == "[]\n"

@@ -1,0 +1,25 @@
+"""The plans in studies/ are plans."""
+
+from pathlib import Path
+
+import pytest
+
+from deepmf_sumo import plans, readers
+from deepmf_sumo.plans import entries
+
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
+PLANS = [path for path in sorted(STUDIES.glob("*.yaml")) if plans.is_plan(path)]
+
+
+@pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
+def test_each_method_goes_with_each_planner(path, monkeypatch, tmp_path):
+    found = [readers.RecordRef(file=tmp_path, name="a", record=0)]
+    monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
+    loaded = plans.load(path, [f'source.recording="{tmp_path}"', "weights=open"])
+    rows = entries.entries_of(loaded, tmp_path)
+    assert {row.label.planner for row in rows} == set(loaded.plan.planners)
+    assert {row.label.base for row in rows} == set(loaded.plan.methods)
+
+
+def test_the_studies_of_attacks_are_there():
+    assert {"attacks", "attack_settings", "no_attack", "paper"} <= {path.stem for path in PLANS}
