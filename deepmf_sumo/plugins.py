@@ -55,14 +55,14 @@ def load(kind: Kind, name: str) -> Any:
     """
     if ":" in name:
         return _load_class(kind, name)
-    if name not in names(kind):
+    for point in _entry_points(kind):
+        if point.name == name:
+            return point.load()
+    if name not in _own(kind):
         known = names(kind)
         raise PluginError(
             f"No plug-in '{name}' in {kind}.{nearest(name, known)} Known: {', '.join(known)}."
         )
-    for point in _entry_points(kind):
-        if point.name == name:
-            return point.load()
     if kind == "metrics":
         return importlib.import_module("deepmf_sumo.metrics").own()[name]
     return importlib.import_module(f"deepmf_sumo.{kind}.{name}")
