@@ -1,4 +1,4 @@
-"""Every error that a user can meet, and all exit codes of the command line.
+"""All errors that users can meet, and all exit codes of the command line.
 
 ::
 
@@ -8,12 +8,12 @@
     |   +-- PluginError         2   unknown plug-in, or settings that it refuses
     |   +-- WeightsError        2   weights missing, corrupt, or of another shape
     |   +-- OutputError         2   the output folder cannot be written
-    +-- RunError                3   one run failed; the others go on
+    +-- RunError                3   one run failed; the others continue
         +-- ReaderError         3   a recorded file or record that cannot be used
         +-- ConversionError     3   a scene whose network cannot be built
         +-- SimulationError     3   SUMO refused, or the AV never appeared
-        +-- PlannerError        3   the planner under test raised, was late, or answered nonsense
-        +-- RunTimeoutError          3
+        +-- PlannerError        3   the planner under test raised, was late, or gave a wrong answer
+        +-- RunTimeoutError     3
 
 A message is one sentence that names the file, the field and the value, and says what to do.
 """
@@ -56,11 +56,11 @@ class SpecError(UsageError):
 
 
 class PluginError(UsageError):
-    """No plug-in of that name, or settings that it refuses."""
+    """There is no plug-in of that name, or it refuses its settings."""
 
 
 class WeightsError(UsageError):
-    """A weights folder is missing, corrupt, or holds tensors of another shape."""
+    """A weights folder is missing, corrupt, or has tensors of another shape."""
 
 
 class OutputError(UsageError):
@@ -68,7 +68,7 @@ class OutputError(UsageError):
 
 
 class RunError(DeepmfError):
-    """One run failed; the rest of the batch goes on."""
+    """One run failed; the other runs of the batch continue."""
 
 
 class ReaderError(RunError):
@@ -84,7 +84,7 @@ class SimulationError(RunError):
 
 
 class PlannerError(RunError):
-    """The planner under test raised, ended, was late, or answered what cannot be driven."""
+    """The planner under test raised, ended, was late, or gave a command that cannot be driven."""
 
     def __str__(self) -> str:
         return f"planner_error: {super().__str__()}"
@@ -95,7 +95,7 @@ class RunTimeoutError(RunError):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """``" Did you mean 'X'?"`` for the known name that is most like ``name``, or an empty text."""
+    """``" Did you mean 'X'?"`` for the known name most similar to ``name``, or an empty text."""
     found = difflib.get_close_matches(name, list(known), n=1)
     return f" Did you mean '{found[0]}'?" if found else ""
 

@@ -1,9 +1,9 @@
-"""Plug-ins: a file in the folder of its kind, or a class of an installed package.
+"""Plug-ins: a module in the folder of its kind, or a class of an installed package.
 
-A plug-in module exposes ``Settings`` (a `plugins.Settings` subclass) and ``build(settings, ...)``.
-The folder's listing is the registry; a metric is a function in a module of its folder, see
-`deepmf_sumo.metrics`. Other packages join through the entry point group ``deepmf_sumo.<kind>``, or
-by ``my_package.my_module:MyClass``.
+A plug-in module has ``Settings`` (a `plugins.Settings` subclass) and ``build(settings, ...)``. The
+folder's listing is the registry. A metric is a function in a module of its folder, and an exporter
+is a module without settings; see `deepmf_sumo.metrics` and `deepmf_sumo.exporters`. Other packages
+join through the entry point group ``deepmf_sumo.<kind>``, or by ``my_package.my_module:MyClass``.
 """
 
 import functools
@@ -31,7 +31,7 @@ def names(kind: Kind) -> list[str]:
 
 
 def own(kind: Kind, name: str) -> bool:
-    """Whether a plug-in is a part of this package."""
+    """Whether a plug-in belongs to this package."""
     return name in _own(kind) and all(point.name != name for point in _entry_points(kind))
 
 
@@ -51,18 +51,18 @@ def _own(kind: Kind) -> tuple[str, ...]:
 def load(kind: Kind, name: str) -> Any:
     """The plug-in of a name: a module, a `metrics.Metric`, or for ``package.module:Class`` a class.
 
-    Raises PluginError, with the nearest name, where there is none.
+    Raises PluginError with the nearest name if there is none.
     """
     if ":" in name:
         return _load_class(kind, name)
-    if name not in names(kind):
+    for point in _entry_points(kind):
+        if point.name == name:
+            return point.load()
+    if name not in _own(kind):
         known = names(kind)
         raise PluginError(
             f"No plug-in '{name}' in {kind}.{nearest(name, known)} Known: {', '.join(known)}."
         )
-    for point in _entry_points(kind):
-        if point.name == name:
-            return point.load()
     if kind == "metrics":
         return importlib.import_module("deepmf_sumo.metrics").own()[name]
     return importlib.import_module(f"deepmf_sumo.{kind}.{name}")
@@ -93,7 +93,7 @@ def explain(error: ValidationError, schema: type[BaseModel], *, tagged: bool = F
 
 @functools.cache
 def _entry_points(kind: Kind) -> tuple[importlib.metadata.EntryPoint, ...]:
-    """Read once: every installed package is asked, and plug-ins are loaded for every episode."""
+    """Entry points of a kind, cached: reading them visits every installed package."""
     return tuple(importlib.metadata.entry_points(group=f"deepmf_sumo.{kind}"))
 
 
@@ -103,6 +103,9 @@ def _load_class(kind: Kind, name: str) -> Any:
         return getattr(importlib.import_module(module_name), class_name)
     except (ImportError, AttributeError) as error:
         raise PluginError(f"{kind} '{name}' cannot be imported: {error}.") from None
-    except (Exception, SystemExit) as error:  # whatever the user's code does as it is loaded
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # whatever the user's code raises
         what = f"{type(error).__name__}: {error}"
         raise PluginError(f"{kind} '{name}' cannot be imported: {what}.") from error

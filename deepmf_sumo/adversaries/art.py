@@ -42,7 +42,7 @@ from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.predictors.base import MOST_MODES
 
 if TYPE_CHECKING:
-    from deepmf_sumo.adversaries._art_gradients import Bounds, Descent
+    from deepmf_sumo.adversaries._art_descent import Bounds, Descent
 
 FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent, where it begins"
 
@@ -87,9 +87,10 @@ class ART:
         """The attack; trials are the rounds."""
         chosen = self._settings
         # Torch and the networks are loaded here, before the time counts.
-        from deepmf_sumo.adversaries import _art_gradients as art_gradients  # noqa: F401
+        from deepmf_sumo.adversaries import _art_descent  # noqa: F401
 
         if chosen.form == "history":
+            from deepmf_sumo.adversaries import _art_history  # noqa: F401
             from deepmf_sumo.predictors.weights import cached_predictors
 
             cached_predictors(self._weights)
@@ -107,13 +108,13 @@ class ART:
         self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
     ) -> tuple[Floats, "Descent"]:
         """(R, K, 2) the opponent's reference, made drivable and bent into the AV's path."""
-        from deepmf_sumo.adversaries import _art_gradients as art_gradients
+        from deepmf_sumo.adversaries import _art_descent
 
         view, chosen = scouted.view, self._settings
         start = Start.of(view, scouted.opponent_id)
         reference = open_loop.continued(scouted.reference, start)
         calm = track(reference[None], start, chosen.limits.rows(1)).position_m[0]
-        target = art_gradients.Target(
+        target = _art_descent.Target(
             position_m=open_loop.continued(av, Start.of(view, view.av_id)),
             heading_rad=av.heading_rad,
             there=av.valid,
@@ -121,7 +122,7 @@ class ART:
             own_size_m=footprint(view, scouted.opponent_id),
         )
         bounds = self._bounds(chosen.reach_m)
-        found = art_gradients.bend(
+        found = _art_descent.bend(
             calm, start, target, bounds, chosen.restarts, chosen.iterations, deadline, rng
         )
         return calm + found.offset_m, found
@@ -130,12 +131,12 @@ class ART:
         self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
     ) -> tuple[Floats, "Descent"]:
         """(R, 80, 2) the likeliest futures of the opponent under perturbed histories."""
-        from deepmf_sumo.adversaries import _art_gradients as art_gradients
+        from deepmf_sumo.adversaries import _art_history
         from deepmf_sumo.predictors.weights import cached_predictors
 
         view, chosen, agent_id = scouted.view, self._settings, scouted.opponent_id
         marginal = cached_predictors(self._weights).marginal
-        found = art_gradients.perturb(
+        found = _art_history.perturb(
             view,
             agent_id,
             marginal.net,
@@ -147,7 +148,7 @@ class ART:
             deadline,
             rng,
         )
-        past = art_gradients.Past(view, agent_id, marginal.net)
+        past = _art_history.Past(view, agent_id, marginal.net)
         forecasts = [
             marginal.predict(past.view(offset), agent_id).modes(chosen.modes)
             for offset in found.offset_m
@@ -155,7 +156,7 @@ class ART:
         return np.stack([forecast.futures.position_m[0] for forecast in forecasts]), found
 
     def _bounds(self, reach_m: float) -> "Bounds":
-        from deepmf_sumo.adversaries._art_gradients import Bounds
+        from deepmf_sumo.adversaries._art_descent import Bounds
 
         chosen = self._settings
         return Bounds(

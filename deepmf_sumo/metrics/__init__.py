@@ -33,7 +33,7 @@ class NotMeasurable(Exception):  # noqa: N818 - a result, not an error
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Episode:
-    """A rollout and its case; what several metrics need is computed once, see `once`."""
+    """A rollout and its case, with the intermediate results of `once`."""
 
     rollout: Rollout
     case: Case
@@ -51,7 +51,7 @@ class Metric:
     compute: Callable[[Episode], float]
 
     def of(self, episode: Episode) -> MetricValue:
-        """The value, or the reason why there is none."""
+        """The value, or the reason for its absence."""
         value, reason = None, ""
         try:
             value = float(self.compute(episode))
@@ -62,12 +62,12 @@ class Metric:
         )
 
     def measure(self, rollout: Rollout, case: Case) -> MetricValue:
-        """`of` a rollout, without anything computed for other metrics."""
+        """`of` a rollout, without intermediate results of other metrics."""
         return self.of(Episode(rollout, case))
 
 
 def metric(unit: str, *, better: Better) -> Callable[[Callable[[Episode], float]], Metric]:
-    """Make a function the metric of its name; its docstring's first paragraph is the definition."""
+    """Turn a function into a metric; the first paragraph of its docstring is the definition."""
 
     def of(compute: Callable[[Episode], float]) -> Metric:
         sentence = " ".join((compute.__doc__ or "").strip().split("\n\n")[0].split())
@@ -78,7 +78,7 @@ def metric(unit: str, *, better: Better) -> Callable[[Callable[[Episode], float]
 
 
 def once(compute: Callable[[Episode], Computed]) -> Callable[[Episode], Computed]:
-    """Compute something that several metrics need once per episode."""
+    """Cache an intermediate result of several metrics in the episode."""
 
     @functools.wraps(compute)
     def known(episode: Episode) -> Computed:
@@ -100,7 +100,7 @@ def own() -> dict[str, Metric]:
 
 
 def measure(rollout: Rollout, case: Case) -> list[MetricValue]:
-    """All metrics, also those of other packages, in the order of their names."""
+    """All metrics, including those of other packages, in the order of their names."""
     episode = Episode(rollout, case)
     every = [plugins.load("metrics", name) for name in plugins.names("metrics")]
     return [

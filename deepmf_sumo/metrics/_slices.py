@@ -1,6 +1,6 @@
-"""Slices of a rollout that metrics read, and the motion in them.
+"""Slices of a rollout for metrics, and the motion in them.
 
-Accelerations and steering are differences over 0.2 s, so that noise of a centimetre stays below
+Accelerations and steering are differences over 0.2 s, which keeps noise of a centimetre below
 1 m/s2.
 """
 
@@ -32,14 +32,14 @@ SPAN = 2
 
 
 def opponent_row(rollout: Rollout) -> int:
-    """Row of the opponent in the tracks. Raises NotMeasurable where no vehicle was attacked."""
+    """Row of the opponent in the tracks. Raises NotMeasurable if there was no attack."""
     if rollout.opponent_id is None or rollout.opponent_id not in rollout.tracks.ids:
         raise NotMeasurable(NO_OPPONENT)
     return rollout.tracks.row(rollout.opponent_id)
 
 
 def collision(rollout: Rollout) -> Contact:
-    """The first contact of AV and opponent. Raises NotMeasurable where there is none."""
+    """The first contact of AV and opponent. Raises NotMeasurable if there is none."""
     contact = rollout.first("av_opponent")
     if contact is None:
         raise NotMeasurable(NO_COLLISION)
@@ -60,7 +60,7 @@ class Driving(NamedTuple):
 
 
 def driving(rollout: Rollout) -> Driving:
-    """Where the policy drove the opponent. Raises NotMeasurable where it never did."""
+    """The steps in which the policy drove the opponent. Raises NotMeasurable if there are none."""
     row = opponent_row(rollout)
     steps = driven(rollout, row)
     if not steps.any():
@@ -82,18 +82,18 @@ def together(rollout: Rollout, row: int) -> tuple[int, Bools]:
 
 
 class Stretch(NamedTuple):
-    """Positions (K, 2) of the opponent at K steps in a row: of the attack and of its recording."""
+    """Positions (K, 2) of the opponent at K successive steps: of the attack, of its recording."""
 
     attack_m: Floats
     recorded_m: Floats
 
 
 def compared_stretches(rollout: Rollout, case: Case, *, beyond: bool) -> list[Stretch]:
-    """The opponent beside its recording, over the steps that both have: most logs end early.
+    """The opponent and its recording, over the steps that both have: most logs end early.
 
-    The attack is what the policy drove; ``beyond`` the end of the episode, which is the contact, it
-    goes on as its last plan says, up to the case's duration. Raises NotMeasurable without an
-    opponent or its recording, or where the policy never drove.
+    The attack is what the policy drove; ``beyond`` the end of the episode, which is the contact,
+    its last plan continues, up to the case's duration. Raises NotMeasurable without an opponent or
+    its recording, or if the policy never drove.
     """
     row = opponent_row(rollout)
     if not is_recorded(case, rollout.tracks.ids[row]):
@@ -104,7 +104,7 @@ def compared_stretches(rollout: Rollout, case: Case, *, beyond: bool) -> list[St
     attack = planned_poses(rollout, row, last if beyond else rollout.tracks.steps - 1)
     recorded = case.scene.tracks
     mine = recorded.row(rollout.tracks.ids[row])
-    # a rollout starts at the recording's first step, so that steps are the same in both
+    # a rollout starts at the recording's first step: steps are the same in both
     shared = np.zeros(recorded.steps, bool)
     shared[[step for step in attack if step < recorded.steps]] = True
     return [

@@ -1,4 +1,4 @@
-"""Whether the contact of AV and opponent could have been avoided, and whose fault it was.
+"""Avoidability of the contact of AV and opponent, and fault.
 
 See `deepmf_sumo.avoidability` for the reference drivers and the manoeuvres.
 """
@@ -9,7 +9,7 @@ from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 
 @once
 def judgement(episode: Episode) -> grading.Judgement:
-    """Which drivers would have avoided the contact. Raises NotMeasurable without a contact."""
+    """The drivers that would have avoided the contact. Raises NotMeasurable without a contact."""
     _slices.opponent_row(episode.rollout)
     found = grading.judge(episode.rollout, episode.case)
     if found is None:

@@ -1,7 +1,7 @@
-"""Collisions: whether, when, how fast, of which kind, and whether the attack is worth something.
+"""Collisions: time, speed, kind, and whether the attack is a valid one.
 
-An impact is one of ends where, a step before the contact, the boxes are farther apart along the AV
-than across it; else one of sides.
+An impact is one of ends if, a step before the contact, the boxes are farther apart along the AV
+than across it; otherwise it is one of sides.
 """
 
 from typing import Final, Literal, get_args
@@ -132,13 +132,13 @@ def valid_collision(episode: Episode) -> float:
         return 0.0
     try:
         possible = bool(feasible.compute(episode))
-    except NotMeasurable:  # the policy never drove the opponent: there is nothing to check
+    except NotMeasurable:  # the policy never drove the opponent: nothing to check
         possible = True
     return judgement(episode).avoidable and possible and not _leaves_road(episode)
 
 
 def _leaves_road(episode: Episode) -> bool:
-    """Whether the opponent is off the road after it has been on it, while the policy drives it."""
+    """Whether the opponent leaves the road while the policy drives it."""
     rollout, row = episode.rollout, _slices.opponent_row(episode.rollout)
     places = _slices.places(rollout, (row, _slices.driven(rollout, row)))
     inside = road.on_road(episode.case.road, *places)
@@ -161,8 +161,8 @@ def accident_type_of(rollout: Rollout) -> AccidentType:
     """Name of the collision of AV and opponent. Raises NotMeasurable if there was none.
 
     Headings at the contact are parallel within 45 degrees for an impact of ends, and within 30 for
-    one of sides; else it is a T-bone. In the same direction an impact of ends is a cut-in, if the
-    one in front was wholly beside the other's path within the 3 s before, else a rear-end
+    one of sides; otherwise it is a T-bone. In the same direction an impact of ends is a cut-in if
+    the vehicle in front was entirely beside the other's path within the 3 s before, else a rear-end
     collision; in opposite directions it is head-on. Impacts of sides are sideswipes.
     """
     contact = _slices.collision(rollout)
@@ -180,7 +180,7 @@ def accident_type_of(rollout: Rollout) -> AccidentType:
 
 
 def _last_offset(rollout: Rollout, contact: Contact) -> tuple[float, bool]:
-    """How far the second agent was ahead of the first a step before; whether ends meet."""
+    """Longitudinal offset of the second agent to the first a step before; whether ends meet."""
     tracks, step = rollout.tracks, contact.step - 1
     first, second = tracks.row(contact.first_id), tracks.row(contact.second_id)
     heading = float(tracks.heading_rad[first, step])
@@ -196,7 +196,7 @@ def _last_offset(rollout: Rollout, contact: Contact) -> tuple[float, bool]:
 def _came_from_beside(
     rollout: Rollout, contact: Contact, follower: AgentId, leader: AgentId
 ) -> bool:
-    """Whether the leader was wholly beside the follower's path in the last seconds."""
+    """Whether the leader was entirely beside the follower's path in the last seconds."""
     tracks = rollout.tracks
     behind, front = tracks.row(follower), tracks.row(leader)
     first = max(0, contact.step - round(_CUT_IN_S / rollout.dt_s))
@@ -208,7 +208,7 @@ def _came_from_beside(
 
 
 def _path(rollout: Rollout, row: int, step: int) -> Floats:
-    """(P, 2) the path that an agent drove up to a step, straight on before and behind it."""
+    """(P, 2) the path that an agent drove up to a step, extended straight at both ends."""
     tracks = rollout.tracks
     steps = np.flatnonzero(tracks.valid[row, :step])
     driven, heading = tracks.position_m[row, steps], tracks.heading_rad[row, steps]

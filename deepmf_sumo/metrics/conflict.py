@@ -1,7 +1,7 @@
-"""Conflicts of AV and opponent: how near, how soon, how hard to avoid.
+"""Conflicts of AV and opponent: distance, time to collision, braking that avoids the contact.
 
-`Moving` and the functions on it say what two boxes do to each other if they go on as they move now.
-`over_time` applies them to every step of a rollout.
+`Moving` and its functions extrapolate the motion of two boxes. `over_time` applies them to every
+step of a rollout.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 
 NEVER_TOGETHER = "AV and opponent were never present at the same time"
 REACTION_S = 1.0
-"""What a driver has to do counts up to this time before a contact: then it is too late anyway."""
+"""Required reactions count up to this time before a contact; later ones would come too late."""
 TOO_SOON = f"AV and opponent collided within {REACTION_S:g} s"
 _TIMES_S = np.concatenate([np.arange(0.1, 8.0, 0.1), np.geomspace(8.0, 120.0, 50)])
-"""At which braking is tested: gentle braking brings two cars together after a long time."""
+"""Times at which braking is tested: with gentle braking two cars meet after a long time."""
 _SPAN = 2  # steps over which an acceleration is taken
 _CLIMB_STEPS = 10  # heights change slowly, and recorded ones are noisy
 _LEVEL: Final = np.zeros(())
@@ -28,7 +28,7 @@ _LEVEL: Final = np.zeros(())
 class Moving(NamedTuple):
     """One agent at K steps: centre (K, 2), heading (K), velocity (K, 2); its size (2).
 
-    ``z_m``, ``climb_mps``: (K), or () for all, its height and how fast that grows.
+    ``z_m``, ``climb_mps``: (K), or () for all, its height and rate of climb.
     """
 
     position_m: Floats
@@ -58,7 +58,7 @@ class Moving(NamedTuple):
 
 
 def time_to_collision(a: Moving, b: Moving) -> Floats:
-    """(K) seconds until two boxes overlap at constant velocity; inf where they never do, 0 if now.
+    """(K) seconds until two boxes overlap at constant velocity; inf if they never do, 0 if now.
 
     On each of the four box axes the projections overlap during one interval of time, and so do the
     heights; the boxes overlap while all five do.
@@ -73,7 +73,7 @@ def time_to_collision(a: Moving, b: Moving) -> Floats:
 
 
 def slowing(tracks: Tracks, row: int, dt_s: float) -> Floats:
-    """(T) how hard an agent brakes, from its speeds 0.2 s apart; 0 where it does not, or is new."""
+    """(T) deceleration of an agent from speeds 0.2 s apart; 0 if it does not brake, or is new."""
     speed, valid = tracks.speed_mps[row], tracks.valid[row]
     lost = (speed[:-_SPAN] - speed[_SPAN:]) / (_SPAN * dt_s)
     known = valid[:-_SPAN] & valid[_SPAN:]
@@ -83,12 +83,12 @@ def slowing(tracks: Tracks, row: int, dt_s: float) -> Floats:
 
 
 def braking_to_stay_behind(a: Moving, b: Moving, slowing_mps2: Floats, ttc_s: Floats) -> Floats:
-    """(K) least constant braking of ``a`` that keeps it behind ``b``, which goes on as it moves.
+    """(K) least constant braking of ``a`` that keeps it behind ``b``.
 
-    ``a`` keeps its heading and brakes at once; ``b`` keeps its heading and brakes on (K) until it
-    stands. 0 off a collision course (K: time to collision inf), inf where no braking is enough.
-    At each time to come the boxes overlap for one interval of distances driven by ``a``, which has
-    to stop short of it, either still braking or standing.
+    ``a`` keeps its heading and brakes at once; ``b`` keeps its heading and its braking (K) until it
+    stands. 0 off a collision course (time to collision inf), inf if no braking is enough. At each
+    future time the boxes overlap for one interval of distances driven by ``a``, which has to stay
+    short of it, either braking or standing.
     """
     needed = np.zeros(len(ttc_s))
     some = np.isfinite(ttc_s)
@@ -112,7 +112,7 @@ def braking_to_stay_behind(a: Moving, b: Moving, slowing_mps2: Floats, ttc_s: Fl
 
 
 def _braked_distance(velocity: Floats, braking: Floats, time: Floats) -> Floats:
-    """(K, F, 2) how far vehicles that brake (K) from velocities (K, 2) come by times (F)."""
+    """(K, F, 2) displacements at times (F) of vehicles that brake (K) from velocities (K, 2)."""
     speed = np.hypot(*velocity.T)[:, None]
     limit = np.divide(
         speed, braking[:, None], out=np.full_like(speed, np.inf), where=braking[:, None] > 0
@@ -146,7 +146,7 @@ def _overlapping(a: Moving, b: Moving, offset: Floats, rate: Floats) -> tuple[Fl
 
 
 def _within(distance: Floats, speed: Floats, reach: Floats) -> tuple[Floats, Floats]:
-    """Interval of x in which ``distance + x * speed`` is less than ``reach``, either way."""
+    """Interval of x in which the absolute value of ``distance + x * speed`` is below ``reach``."""
     still = np.abs(speed) < 1e-9
     divisor = np.where(still, 1.0, speed)
     ends = (-reach - distance) / divisor, (reach - distance) / divisor
@@ -158,7 +158,7 @@ def _within(distance: Floats, speed: Floats, reach: Floats) -> tuple[Floats, Flo
 
 
 def _climb(tracks: Tracks, row: int, steps: Ints) -> Floats:
-    """(K) how fast an agent climbed in the last second, as far as it was there."""
+    """(K) mean rate of climb in the last second, or since the agent appeared."""
     before = np.maximum(steps - _CLIMB_STEPS, 0)
     there = np.flatnonzero(tracks.valid[row])
     before = there[np.searchsorted(there, before)] if len(there) else before
@@ -168,7 +168,7 @@ def _climb(tracks: Tracks, row: int, steps: Ints) -> Floats:
 
 
 def _spread(values: Floats, axes: int) -> Floats:
-    """(K, n) values with axes of length one between, as many as ``axes`` in all."""
+    """(K, n) values with ``axes`` axes: those in between have length one."""
     return values.reshape(len(values), *(1,) * (axes - 1), values.shape[1])
 
 
@@ -182,18 +182,18 @@ def _half(axis: Floats, heading: Floats, size: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conflict:
-    """AV and opponent at the K simulated steps at which both are there.
+    """AV and opponent at the K simulated steps at which both are present.
 
     Attributes:
         step: (K) of the rollout. time_s: (K) since the current step.
         gap_m: (K) between the boxes; a difference in height counts beyond 2.5 m.
-        ttc_s: (K) until the boxes touch if both keep velocity and heading; inf where they do not,
+        ttc_s: (K) until the boxes touch if both keep velocity and heading; inf if they never do,
             or one passes over the other.
         drac_mps2: (K) relative speed over twice the time to collision; 0 off a collision course,
-            inf in contact. Of a follower and its leader this is (speed difference)^2 / (2 gap).
+            inf in contact. For a follower and its leader: (speed difference)^2 / (2 gap).
         braking_mps2: (K) least constant braking, along the AV's heading and at once, that keeps the
-            AV behind an opponent which keeps its heading and its speed, or its braking; 0 off a
-            collision course, inf where no braking is enough.
+            AV behind an opponent with constant heading and speed, or braking; 0 off a collision
+            course, inf if no braking is enough.
     """
 
     step: Ints
@@ -205,7 +205,7 @@ class Conflict:
 
 
 def over_time(rollout: Rollout) -> Conflict:
-    """The series of one rollout. Raises NotMeasurable where the two are never there together."""
+    """The series of one rollout. Raises NotMeasurable if the two are never present together."""
     row = _slices.opponent_row(rollout)
     av, together = _slices.together(rollout, row)
     step = np.flatnonzero(together)
@@ -243,7 +243,7 @@ def series(episode: Episode) -> Conflict:
 
 
 def _early(episode: Episode) -> Bools:
-    """(K) steps of the series up to 1 s before the contact; all where there is none."""
+    """(K) steps of the series up to 1 s before the contact; all without a contact."""
     found, hit = series(episode), episode.rollout.first("av_opponent")
     if hit is None:
         return np.ones(len(found.step), bool)
@@ -298,7 +298,7 @@ def required_deceleration(episode: Episode) -> float:
 
 
 def encroachment_s(rollout: Rollout) -> float:
-    """Least time between AV and opponent being at one place. Raises NotMeasurable without one.
+    """Least time between AV and opponent at a common place. Raises NotMeasurable without one.
 
     Over all pairs of steps at which the AV's box at one and the opponent's box at the other
     overlap: 0 in contact.

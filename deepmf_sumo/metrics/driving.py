@@ -1,4 +1,4 @@
-"""How the opponent drives while the policy drives it: as a car, on the road, by the lights."""
+"""The opponent's driving under the policy: limits of a car, the road, traffic lights."""
 
 from typing import NamedTuple
 
@@ -11,8 +11,8 @@ from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 
 _ALONG_MPS2, _ACROSS_MPS2 = 8.0, 5.0
 _CURVATURE, _TURN_NOISE_RAD = 0.3, 0.1  # turning circles are at least 3.3 m in radius
-_SIDEWAYS, _SLIDING_MPS = 0.5, 2.0  # sine of 30 degrees; slower motion has no sure direction
-_NOISE_M = 0.1  # error of a state: most of all of the measured one before the first driven pose
+_SIDEWAYS, _SLIDING_MPS = 0.5, 2.0  # sine of 30 degrees; slow motion has no exact direction
+_NOISE_M = 0.1  # error of a state, mainly of the measured one before the first driven pose
 _MOVING_MPS = 1.0
 _RED = {SignalState.STOP, SignalState.ARROW_STOP}
 _SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
@@ -49,7 +49,7 @@ def feasible(episode: Episode) -> float:
 def _follows(rollout: Rollout, row: int, steps: Bools) -> Bools:
     """(K) whether the poses of some steps (T) follow from the states one step before them.
 
-    Differences over 0.2 s see neither a run of fewer than five poses nor a jump to and fro.
+    Differences over 0.2 s miss runs of fewer than five poses, and jumps back and forth.
     """
     tracks, at = rollout.tracks, np.flatnonzero(steps)
     before = np.maximum(at - 1, 0)
@@ -116,7 +116,7 @@ def red_light(episode: Episode) -> float:
 
 
 class StopLine(NamedTuple):
-    """Where a lane's traffic stops: (2) point on the lane, its direction, half the lane's width."""
+    """The stop line of a lane: (2) point on the lane, its direction, half the lane's width."""
 
     lane_id: str
     point_m: Floats
@@ -125,7 +125,7 @@ class StopLine(NamedTuple):
 
 
 def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
-    """Of all lanes with lights: as recorded, or in a SUMO network where the lanes start."""
+    """Stop lines of all lanes with lights: as recorded, or at the lane starts of a SUMO network."""
     if isinstance(case, RecordedCase):
         signals = case.scene.signals
         points = dict(zip(signals.lane_ids, signals.stop_m, strict=True))
@@ -143,7 +143,7 @@ def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
 def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:
     """Whether an agent's front crosses stop lines in one of the steps (T), all of them red.
 
-    Lanes that start side by side are crossed together: one that is not red counts as its own.
+    Lanes that start side by side are crossed together: a green one counts as the agent's lane.
     """
     crossed: dict[int, list[str]] = {}
     for line in stop_lines(rollout, case):
@@ -163,7 +163,7 @@ def _stop_line(case: Case, lane_id: str, point: Floats) -> StopLine:
 
 
 def _crossing(rollout: Rollout, row: int, line: StopLine) -> Bools:
-    """(T) steps at whose end the middle of the front bumper is beyond the line, and was not."""
+    """(T) steps in which the middle of the front bumper crosses the line."""
     tracks = rollout.tracks
     heading = tracks.heading_rad[row]
     front = tracks.position_m[row] + frames.unit(heading) * tracks.size_m[row, 0] / 2

@@ -1,6 +1,6 @@
-"""Encounters of the AV with vehicles whose path crosses or joins its own, and the time they leave.
+"""Encounters of the AV with vehicles whose path crosses or joins its own, and the time to spare.
 
-A vehicle that follows the AV in its lane, or leads it, is no encounter: that happens everywhere.
+A vehicle that only follows or leads the AV in its lane is not an encounter: that is common.
 """
 
 from typing import Final, NamedTuple
@@ -16,7 +16,7 @@ _PATH_STEPS: Final = 2
 _STANDING_M = 0.05
 _SLOWEST_MPS = 1e-3
 _ACROSS_RAD = np.pi / 6
-_BESIDE_M = 2.0  # a vehicle whose centre was farther off the AV's path came from elsewhere
+_BESIDE_M = 2.0  # a vehicle with its centre farther off the AV's path was not on it
 _LOOK_BACK_STEPS = 40
 _COURSE_STEPS = 10
 _MOVED_M = 2.0
@@ -41,7 +41,7 @@ class Trip(NamedTuple):
 
 
 def _trip(rollout: Rollout, row: int) -> Trip:
-    """A vehicle from the current step on."""
+    """The path of a vehicle from the current step on."""
     tracks = rollout.tracks
     step = np.flatnonzero(tracks.valid[row])
     step = step[step >= rollout.now]
@@ -85,12 +85,11 @@ def time_to_spare(episode: Episode) -> float:
 
 
 def encounter_s(av: Trip, other: Trip, dt_s: float) -> float:
-    """Least time that kept an encounter from being a contact, in seconds; inf without encounter.
+    """Least time between an encounter and a contact, in seconds; inf without an encounter.
 
-    Paths that pass over each other do not meet. Where paths cross (by more than 30 degrees): the
-    time between one leaving a common place and the other coming onto it. Where they join (at most
-    30 degrees, and one came from beside the other's lane in the last 4 s): the time to collision
-    along the lane.
+    Paths on different levels do not meet. For paths that cross (by more than 30 degrees): the
+    post-encroachment time. For paths that join (at most 30 degrees, and one vehicle came from
+    beside the other's lane in the last 4 s): the time to collision along the lane.
     """
     if not _near(av, other):
         return float("inf")
@@ -115,7 +114,7 @@ def _crossing_s(av: Trip, other: Trip, came: tuple[Bools, Bools], dt_s: float) -
     course, course_other = _course_rad(av), _course_rad(other)
     rows = np.flatnonzero(came[1])
     least = np.inf
-    # minutes of both at once would not fit into memory
+    # in blocks: minutes of both would not fit into memory
     for first in range(0, len(rows), _BLOCK_STEPS):
         some = rows[first : first + _BLOCK_STEPS]
         near = np.flatnonzero(came[0] & _around(av.position_m[some], other.position_m, reach_m))
@@ -138,7 +137,7 @@ def _crossing_s(av: Trip, other: Trip, came: tuple[Bools, Bools], dt_s: float) -
 
 
 def _course_rad(trip: Trip) -> Floats:
-    """(K) direction from 1 s before to 1 s after: a change of lanes turns a box more."""
+    """(K) direction from 1 s before to 1 s after: during a lane change, a box turns more."""
     rows = np.arange(len(trip.step))
     before = trip.position_m[np.maximum(rows - _COURSE_STEPS, 0)]
     after = trip.position_m[np.minimum(rows + _COURSE_STEPS, len(rows) - 1)]
@@ -153,7 +152,7 @@ def _joining_s(av: Trip, other: Trip, came: tuple[Bools, Bools]) -> float:
     if not len(mine):
         return float("inf")
     reach_m = (av.size_m[1] + other.size_m[1]) / 2
-    # one of them may have changed lanes just now: the path of either may be that of both
+    # one of them may have just changed lanes: either path may be the common one
     ahead_m, off_m = _from(av, mine, other.position_m[theirs])
     behind_m, beside_m = _from(other, theirs, av.position_m[mine])
     on_level = np.where(
@@ -173,7 +172,7 @@ def _joining_s(av: Trip, other: Trip, came: tuple[Bools, Bools]) -> float:
 
 
 def _from(trip: Trip, rows: Ints, position_m: Floats) -> tuple[Floats, Floats]:
-    """(K) how far positions (K, 2) are ahead of a vehicle on its path then, and how far off it."""
+    """(K) distances of positions (K, 2) ahead of a vehicle along its path, and off the path."""
     path = _path(trip)
     along_m, off_m = _feet(path, position_m)
     own_m, _ = _feet(path, trip.position_m[rows])
@@ -186,9 +185,9 @@ def _heights(trip: Trip) -> Floats:
 
 
 def _passes(trip: Trip, position_m: Floats, z_m: Floats) -> Bools:
-    """(K) whether positions (K, 2) in heights (K) are above or below where a vehicle drove.
+    """(K) whether positions (K, 2) at heights (K) are above or below a vehicle's path.
 
-    Beyond the ends of its path its height is unknown.
+    False beyond the ends of the path, where its height is unknown.
     """
     length = polylines.arc_lengths(trip.position_m)
     if length[-1] < _STANDING_M or np.ptp(np.append(_heights(trip), z_m)) < CLEARANCE_M:
@@ -201,7 +200,7 @@ def _passes(trip: Trip, position_m: Floats, z_m: Floats) -> Bools:
 
 
 def _feet(path: Floats, position_m: Floats) -> tuple[Floats, Floats]:
-    """(K) where on a path (P, 2) positions (K, 2) are, and how far off it, a block at a time."""
+    """(K) arc lengths of positions (K, 2) on a path (P, 2), and distances from it, in blocks."""
     blocks = range(0, len(position_m), _BLOCK_STEPS)
     feet = [polylines.project(path, position_m[row : row + _BLOCK_STEPS]) for row in blocks]
     return (
@@ -212,7 +211,7 @@ def _feet(path: Floats, position_m: Floats) -> tuple[Floats, Floats]:
 
 def _came(first: Trip, second: Trip) -> Bools:
     """(K) whether the second was off the first's path in the 4 s before, at each of its steps."""
-    # a vehicle far before or behind the path did not come from beside it
+    # a vehicle far beyond the ends of the path did not come from beside it
     apart = np.ptp(np.concatenate([first.position_m, second.position_m]), axis=0)
     path = _path(first, _BEYOND_M + float(np.hypot(*apart)))
     off = _feet(path, second.position_m)[1] > _BESIDE_M
@@ -223,7 +222,7 @@ def _came(first: Trip, second: Trip) -> Bools:
 
 
 def _path(trip: Trip, beyond_m: float = _BEYOND_M) -> Floats:
-    """(P, 2) where a vehicle drove, and straight on at both ends."""
+    """(P, 2) the path of a vehicle, extended straight at both ends."""
     path = trip.position_m[::_PATH_STEPS]
     start, end = (frames.unit(trip.heading_rad[row]) for row in (0, -1))
     path = np.concatenate([path[:1] - beyond_m * start, path, path[-1:] + beyond_m * end])

@@ -1,13 +1,13 @@
-"""How natural the motion is: against the recording of the same vehicle, and by itself.
+"""Naturalness of the motion: compared with the recording of the same vehicle, and by itself.
 
-Accelerations are signed changes of speed. Raw ones are 10 Hz differences, as the paper's figures
-ask for: noise of a centimetre makes 1 m/s2 and more of them, and the noise of recordings alone
-gives a KL divergence of about 1. Compare adversaries, not absolute values. Smooth ones have the
-same filter on both sides (Savitzky, Golay: Analytical Chemistry 36, 1964). Distances of paths are
-without regard to time (SSPD: Besse et al., T-ITS 17, 2016).
+Accelerations are signed changes of speed. Raw ones are 10 Hz differences, as for the paper's
+figures: noise of a centimetre adds 1 m/s2 or more, and the noise of recordings alone gives a KL
+divergence of about 1. Compare adversaries, not absolute values. Smooth ones use the same filter on
+both sides (Savitzky, Golay: Analytical Chemistry 36, 1964). Distances of paths ignore time (SSPD:
+Besse et al., T-ITS 17, 2016).
 
-numpy, not scipy, computes the few formulas here: loading ``scipy.stats`` and ``scipy.signal`` takes
-longer than an episode. The tests compare them with scipy.
+The formulas use numpy instead of scipy: importing ``scipy.stats`` and ``scipy.signal`` takes longer
+than an episode. The tests compare them with scipy.
 """
 
 import functools
@@ -22,10 +22,10 @@ from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
 WINDOW = 11
 _ORDER = 2
 LIMIT_MPS2 = 10.0
-"""Centres of the end bins, which also count what lies outside."""
+"""Centres of the end bins, which include all values outside."""
 BINS = 21
-"""Of one run's histograms: 1 m/s2 wide, from -10.5 to 10.5. An odd number has a bin around 0: most
-samples of slow cars lie there, and an edge at 0 would count them by the sign of their noise."""
+"""Bins of one run's histograms, 1 m/s2 wide, from -10.5 to 10.5. An odd number puts a bin around 0:
+most samples of slow cars lie there, and an edge at 0 would sort them by the sign of their noise."""
 _PSEUDO_COUNT = 1e-10
 TOO_SHORT_TO_SMOOTH = f"fewer than {WINDOW + 1} steps in a row, both recorded and planned"
 
@@ -40,7 +40,7 @@ class Samples(NamedTuple):
 def samples(rollout: Rollout, case: Case, *, smooth: bool) -> Samples:
     """The opponent's changes of speed over the planned 8 s, and its recording's.
 
-    Over the steps that the recording has, too. Raises NotMeasurable where there are none.
+    Only at steps that the recording has. Raises NotMeasurable if there are none.
     """
     stretches = _slices.compared_stretches(rollout, case, beyond=True)
     change = smooth_changes if smooth else speed_changes
@@ -63,7 +63,7 @@ def speed_changes(path_m: Floats, dt_s: float) -> Floats:
 
 
 def smooth_changes(path_m: Floats, dt_s: float) -> Floats:
-    """(K - 1) filtered changes of speed along a path (K, 2); empty where it is too short."""
+    """(K - 1) filtered changes of speed along a path (K, 2); empty if it is too short."""
     speed = _speed(path_m, dt_s)
     return derivative(speed, dt_s) if len(speed) >= WINDOW else np.empty(0)
 
@@ -137,8 +137,8 @@ class Paths(NamedTuple):
 def paths(rollout: Rollout, case: Case, *, until_contact: bool) -> Paths:
     """The two paths over the steps that attack and recording both have.
 
-    The attack is what the policy drove and, unless ``until_contact``, what its last plan says of
-    the time after the end. Raises NotMeasurable where there are fewer than three steps.
+    The attack is what the policy drove and, unless ``until_contact``, its last plan after the end.
+    Raises NotMeasurable if there are fewer than three steps.
     """
     stretches = _slices.compared_stretches(rollout, case, beyond=not until_contact)
     if sum(len(one.attack_m) for one in stretches) < 3:

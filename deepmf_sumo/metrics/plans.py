@@ -1,4 +1,4 @@
-"""The attack's plans, what was asked of them, and what the AV's planner followed meanwhile."""
+"""The attack's plans, their constraints, and the vehicle that the AV's planner followed."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ _SPAN = 2  # steps over which braking is taken
 
 
 def _reasons(rollout: Rollout) -> list[PlanReason]:
-    """Of the plans whose policy gives them."""
+    """Reasons of the plans that have one."""
     return [plan.reason for plan in rollout.plans if plan.reason is not None]
 
 
 def _some_reasons(rollout: Rollout) -> list[PlanReason]:
-    """At least one, or NotMeasurable."""
+    """At least one reason. Raises NotMeasurable."""
     found = _reasons(rollout)
     if not found:
         raise NotMeasurable(_NO_REASONS)
@@ -78,8 +78,8 @@ def wanted_sector_hit(episode: Episode) -> float:
 def _steps_with_opponent(rollout: Rollout) -> Ints:
     """Steps, before a contact, at which the AV's planner followed the opponent.
 
-    What it followed is what it, or SUMO's model for it, chose the next step by. Raises
-    NotMeasurable where the planner never says what it follows.
+    It followed the vehicle by which it, or SUMO's model for it, chose the next step. Raises
+    NotMeasurable if the planner never reports one.
     """
     if all(one is None for one in rollout.leaders):
         raise NotMeasurable(_BLIND)

@@ -1,4 +1,4 @@
-"""Figures over many runs: confidence intervals of rates, pooled naturalness, diversity."""
+"""Statistics of many runs: confidence intervals of rates, pooled naturalness, diversity."""
 
 import math
 from collections import Counter
@@ -13,7 +13,7 @@ from deepmf_sumo.metrics import naturalness
 from deepmf_sumo.metrics.naturalness import Samples
 
 BINS = 201
-"""Of 0.1 m/s2 on [-10.05, 10.05], values outside in the end bins, 1e-10 added to each count."""
+"""Bins of 0.1 m/s2 on [-10.05, 10.05], values outside in the end bins, 1e-10 added per count."""
 
 
 class Interval(NamedTuple):
@@ -42,7 +42,7 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> Interval:
 
 
 class Pooled(NamedTuple):
-    """Divergences in nats and distance in m/s2 of pooled samples, and how many there were.
+    """Divergences in nats and distance in m/s2 of pooled samples, and their numbers.
 
     ``kl`` is KL(attacks || recordings), ``kl_reverse`` the other direction; ``jsd`` the
     Jensen-Shannon divergence, 0 to log 2.
@@ -61,8 +61,8 @@ def pooled(runs: Iterable[Samples], bins: int = BINS) -> Pooled | None:
     """Compare the accelerations of all runs, of `naturalness.samples`; None without any.
 
     The histograms of one run have 80 samples, so that their divergence is mostly noise; pooled over
-    runs they have enough for fine bins. The bounded divergence and the distance of filtered
-    accelerations are the ones to compare by.
+    runs there are enough for fine bins. Compare by the bounded divergence and the distance of
+    filtered accelerations.
     """
     given = list(runs)
     if not given:
@@ -83,8 +83,8 @@ def diversity_m(paths_m: Sequence[Floats]) -> float | None:
     """Mean distance of the opponents' trajectories, over all pairs; None for fewer than two.
 
     Trajectories (K, 2), K >= 1, start at the same time and are in one frame: those of attacks on
-    one scene, or each in the frame of its AV's first pose. The distance of two is the mean at equal
-    times, as long as both last.
+    one scene, or each in the frame of its AV's first pose. The distance of two is the mean over the
+    times that both have.
     """
     if len(paths_m) < 2:
         return None
@@ -108,7 +108,7 @@ def distinct(values: Iterable[Hashable | None]) -> int:
 
 
 def effectively_distinct(values: Iterable[Hashable | None]) -> float:
-    """Exponential of the entropy of sectors or types: how many are about equally frequent."""
+    """Exponential of the entropy of sectors or types: the effective number of them."""
     counts = np.array(list(Counter(one for one in values if one is not None).values()), float)
     if not len(counts):
         return 0.0

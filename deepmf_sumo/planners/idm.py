@@ -8,6 +8,7 @@ there ``lane`` means ``corridor``.
 or off the lanes) that reaches into the corridor that it is going to sweep.
 """
 
+from dataclasses import fields, replace
 from typing import Literal
 
 import numpy as np
@@ -97,20 +98,7 @@ def build(settings: Settings) -> IdmPlanner:
 
 def _model(settings: Settings) -> VehicleModel:
     base = METADRIVE if settings.parameters == "metadrive" else TREIBER
-
-    def pick(given: float | None, default: float) -> float:
-        return default if given is None else given
-
-    return VehicleModel(
-        accel_mps2=pick(settings.accel_mps2, base.accel_mps2),
-        decel_mps2=pick(settings.decel_mps2, base.decel_mps2),
-        # SUMO refuses an emergency deceleration below the comfortable one
-        emergency_mps2=max(
-            pick(settings.emergency_mps2, base.emergency_mps2),
-            pick(settings.decel_mps2, base.decel_mps2),
-        ),
-        headway_s=pick(settings.headway_s, base.headway_s),
-        gap_m=pick(settings.gap_m, base.gap_m),
-        exponent=pick(settings.exponent, base.exponent),
-        desired_mps=base.desired_mps if settings.desired_mps is None else settings.desired_mps,
-    )
+    names = {field.name for field in fields(VehicleModel)}
+    model = replace(base, **settings.model_dump(include=names, exclude_none=True))
+    # SUMO refuses an emergency deceleration below the comfortable one
+    return replace(model, emergency_mps2=max(model.emergency_mps2, model.decel_mps2))

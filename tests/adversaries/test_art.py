@@ -12,9 +12,10 @@ import pytest
 import torch
 
 from deepmf_sumo import plugins
-from deepmf_sumo.adversaries import _art_gradients as art_gradients
+from deepmf_sumo.adversaries import _art_descent as art_descent
+from deepmf_sumo.adversaries import _art_history as art_history
 from deepmf_sumo.adversaries import _episodes as episodes
-from deepmf_sumo.adversaries._art_gradients import Bounds
+from deepmf_sumo.adversaries._art_descent import Bounds
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.predictors import anchors, weights
@@ -79,7 +80,7 @@ def test_without_a_limit_in_seconds_the_clock_ends_nothing(monkeypatch):
     """However slow the machine: a day between two looks at the clock."""
     clock = itertools.count(0.0, 86400.0)
     slow = SimpleNamespace(perf_counter=lambda: next(clock))
-    for module in (art_gradients, episodes):
+    for module in (art_descent, episodes):
         monkeypatch.setattr(module, "time", slow)
     calm = attack(World())
     assert not calm.out_of_time
@@ -94,11 +95,11 @@ def test_without_a_limit_in_seconds_the_clock_ends_nothing(monkeypatch):
 class TestDescent:
     time = np.arange(60) * 0.1
     base = np.stack([5000.0 + 10.0 * time, -3000.0 + 0.0 * time], -1)
-    basis = np.concatenate([np.zeros((10, 10)), art_gradients._integrals(50, 10)])
+    basis = np.concatenate([np.zeros((10, 10)), art_descent._integrals(50, 10)])
 
     def descend(self, loss, bounds, **more):
         given = {"iterations": 100, "deadline": FOREVER, "begin": np.zeros((2, 10, 2)), **more}
-        return art_gradients.descend(
+        return art_descent.descend(
             loss, self.base, self.basis, given["begin"], bounds,
             given["iterations"], given["deadline"],
         )  # fmt: skip
@@ -167,7 +168,7 @@ class TestDescent:
 class TestHistory:
     def test_the_spline_goes_through_its_points_and_ends_smoothly(self):
         knots = np.array([0.4, -0.7])
-        move = art_gradients._spline() @ knots
+        move = art_history._spline() @ knots
         np.testing.assert_allclose(move[[0, 5, 10]], [-0.7, 0.4, 0.0], atol=1e-12)
         assert abs(move[9]) < 0.06  # slope 0 now
         assert np.abs(np.diff(move, n=3)).max() < 0.1
@@ -178,7 +179,7 @@ class TestHistory:
         valid = view.history.valid.copy()
         valid[1, :missing] = False
         view = replace(view, history=replace(view.history, valid=valid))
-        past = art_gradients.Past(view, "b", predictors.marginal.net)
+        past = art_history.Past(view, "b", predictors.marginal.net)
         offset = past.basis @ np.array([[0.3, -0.2], [0.6, 0.5]])
         batch = past.batch(torch.from_numpy(offset.astype(np.float32))[None])
         expected = as_batch(features(past.view(offset), "b", SMALL)[0])
@@ -190,7 +191,7 @@ class TestHistory:
 
     def test_the_present_stays(self, predictors):
         view = turning_view()
-        past = art_gradients.Past(view, "b", predictors.marginal.net)
+        past = art_history.Past(view, "b", predictors.marginal.net)
         moved = past.view(past.basis @ np.array([[0.3, -0.2], [0.6, 0.5]])).history
         for name in ("position_m", "velocity_mps", "heading_rad"):
             before, after = getattr(view.history, name), getattr(moved, name)
@@ -202,16 +203,16 @@ class TestHistory:
     def test_the_gradient_is_that_of_finite_differences(self, predictors, monkeypatch):
         doubled = as_batch
         monkeypatch.setattr(
-            art_gradients, "as_batch",
+            art_history, "as_batch",
             lambda arrays: {name: each.double() for name, each in doubled(arrays).items()},
         )  # fmt: skip
         matrix = anchors.knot_matrix().double()
         monkeypatch.setattr(anchors, "knot_matrix", lambda: matrix)
         view = turning_view()
         net = distinct(weights.random(SMALL, seed=3)).marginal.net.double()
-        past = art_gradients.Past(view, "b", net)
+        past = art_history.Past(view, "b", net)
         av = np.stack([0.9 * np.arange(1, 81), np.zeros(80)], -1)
-        meeting = art_gradients.Meeting(view, "b", av, np.ones(80, dtype=bool))
+        meeting = art_history.Meeting(view, "b", av, np.ones(80, dtype=bool))
         basis = torch.from_numpy(past.basis)
 
         def loss(points):
@@ -233,11 +234,11 @@ class TestHistory:
         view, net = turning_view(), predictors.marginal.net
         av = np.stack([0.9 * np.arange(1, 81), np.zeros(80)], -1)
         there = np.ones(80, dtype=bool)
-        found = art_gradients.perturb(
+        found = art_history.perturb(
             view, "b", net, av, there, BOUNDS, 2, 8, FOREVER, np.random.default_rng(0)
         )
-        meeting = art_gradients.Meeting(view, "b", av, there)
-        past = art_gradients.Past(view, "b", net)
+        meeting = art_history.Meeting(view, "b", av, there)
+        past = art_history.Past(view, "b", net)
         offsets = np.concatenate([np.zeros((1, 11, 2)), found.offset_m])
         with torch.no_grad():
             loss = meeting.loss(net(past.batch(torch.from_numpy(offsets.astype(np.float32)))))
@@ -250,7 +251,7 @@ class TestHistory:
         valid = view.history.valid.copy()
         valid[1, :-1] = False
         view = replace(view, history=replace(view.history, valid=valid))
-        found = art_gradients.perturb(
+        found = art_history.perturb(
             view, "b", predictors.marginal.net, np.zeros((80, 2)), np.ones(80, dtype=bool),
             BOUNDS, 2, 5, FOREVER, np.random.default_rng(0),
         )  # fmt: skip
@@ -314,14 +315,14 @@ class TestFuture:
 
     def test_gradients_of_standing_boxes_are_finite(self):
         position = np.zeros((80, 2))
-        target = art_gradients.Target(
+        target = art_descent.Target(
             position_m=position, heading_rad=np.zeros(80), there=np.arange(80) < 0,
             av_size_m=np.array([4.8, 2.0]), own_size_m=np.array([4.8, 2.0]),
         )  # fmt: skip
         start = Start(
             position_m=np.zeros(2), heading_rad=0.0, course_rad=0.0, speed_mps=0.0, length_m=4.8
         )
-        found = art_gradients.bend(
+        found = art_descent.bend(
             position, start, target, BOUNDS, 2, 5, FOREVER, np.random.default_rng(0)
         )
         assert np.isfinite(found.offset_m).all()
