@@ -145,7 +145,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
 
     Attributes:
         view: what a planner sees now. case: what is simulated.
-        attack: the last finished episode, including who drove the AV at each step.
+        attack: the last finished episode, including what drove the AV at each step.
 
     Raises SpecError for an invalid spec, UsageError for one whose adversary simulates an attack
     several times, or if a second environment of the process starts an episode.
