@@ -1,4 +1,4 @@
-"""A Gymnasium environment: whoever steps it drives the AV, and is attacked as a spec says.
+"""A Gymnasium environment: its actions drive the AV, which is attacked as a spec defines.
 
 ::
 
@@ -6,8 +6,8 @@
     observation, info = env.reset(seed=1)
     observation, reward, terminated, truncated, info = env.step(action)
 
-Needs the extra `gym`. SUMO is one simulation a process: for several environments at once take
-``gymnasium.vector.AsyncVectorEnv``, which has a process each.
+Needs the extra `gym`. SUMO runs one simulation per process: for several environments at once use
+``gymnasium.vector.AsyncVectorEnv``, which starts a process for each.
 """
 
 import importlib
@@ -32,18 +32,28 @@ from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.sweep import episode
 
+try:
+    _gymnasium: Any = importlib.import_module("gymnasium")
+except ImportError:
+    raise PluginError(
+        "The environment needs Gymnasium, which is not installed; install deepmf-sumo[gym]."
+    ) from None
+_Env: Any = _gymnasium.Env
+
 Array = NDArray[np.float32]
 
 PATH_POINTS: Final = 20
 PATH_SPACING_M: Final = 5.0
+BRAKE_MPS2: Final = -8.0
+ACCEL_MPS2: Final = 4.0
 
 
 class Observer:
     """Arrays of a view.
 
     ``av``: (3) speed, length, width. ``agents``: (N, 8) the nearest first: 1, x, y, heading, vx,
-    vy, length, width; rows of zeros where there are fewer. ``path``: (20, 3) every 5 m ahead along
-    the AV's way: 1, x, y; rows of zeros beyond its end. Metres, m/s, radians; x ahead, y left.
+    vy, length, width; the rest are rows of zeros. ``path``: (20, 3) every 5 m ahead along the AV's
+    route: 1, x, y; rows of zeros beyond its end. Metres, m/s, radians; x ahead, y left.
 
     Args:
         agents: N.
@@ -68,7 +78,7 @@ class Observer:
         }
 
     def last_view(self, rollout: Rollout, case: Case) -> View:
-        """The AV's last step, which no planner is asked about: without a path."""
+        """The view at the AV's last step, without a path: no planner gets this view."""
         tracks = rollout.tracks
         step = int(np.flatnonzero(tracks.valid[tracks.row(rollout.av_id)])[-1])
         shown = tracks.window(max(0, step + 1 - HISTORY_STEPS), step + 1)
@@ -97,7 +107,7 @@ class Observer:
 
 
 def _path(view: View, origin: Floats, heading: float) -> Floats:
-    """(K, 3) points along the AV's way; none where it is on no lane."""
+    """(K, 3) points along the AV's route; none if it is not on a lane."""
     if view.av_path_m is None or polylines.arc_lengths(view.av_path_m)[-1] < PATH_SPACING_M:
         return np.zeros((0, 3))
     length = polylines.arc_lengths(view.av_path_m)[-1]
@@ -108,7 +118,7 @@ def _path(view: View, origin: Floats, heading: float) -> Floats:
 
 
 def _filled(table: Floats, shape: tuple[int, ...]) -> Array:
-    """float32 of the shape: cut, or with zeros after it."""
+    """The table as float32 of a shape, cut or filled with zeros."""
     array = np.zeros(shape, np.float32)
     kept = table[: shape[0]]
     array[: len(kept)] = kept
@@ -197,44 +207,32 @@ class SteppedEpisode:
             self._views.put(ended)
 
 
-try:
-    _gymnasium: Any = importlib.import_module("gymnasium")
-except ImportError:
-    raise PluginError(
-        "The environment needs Gymnasium, which is not installed; install deepmf-sumo[gym]."
-    ) from None
-_Env: Any = _gymnasium.Env
-
-BRAKE_MPS2: Final = -8.0
-ACCEL_MPS2: Final = 4.0
-
 _one_simulation = Lock()
 
 
 class AttackEnv(_Env):  # type: ignore[misc]
     """Episodes of a spec, one after another over its scenes.
 
-    The action is an acceleration along the route, (1) in m/s2 within [-8, 4], or a
-    `datatypes.Command`: any that a planner may give. The spec's planner does not drive; its
-    parameters are those of SUMO's model where a command leaves the AV to it.
+    The action is an acceleration along the route, (1) in m/s2 within [-8, 4], or any
+    `datatypes.Command` of a planner. The spec's planner does not drive; SUMO's model has its
+    parameters when a command leaves the AV to SUMO.
 
-    The observation is in the AV's frame, see `gym.Observer`. ``info`` holds ``run_id`` and
-    ``step``, at the end also ``outcome`` and ``ended`` as in ``result.json``.
+    The observation is in the AV's frame, see `gym.Observer`. ``info`` has ``run_id`` and ``step``,
+    at the end also ``outcome`` and ``ended`` as in ``result.json``.
 
-    The reward is 0, and -1 at the end of an episode in which the AV touched anybody: wrap the
-    environment for another. Terminated: contact, or the AV arrived; truncated: the time is over.
+    The reward is 0, and -1 at the end of an episode with a contact of the AV: wrap the environment
+    for another one. Terminated: contact, or the AV arrived; truncated: the time limit was reached.
 
     Args:
         spec: a spec, or its file.
-        agents: so many of the nearest are observed.
+        agents: number of the nearest agents that are observed.
 
     Attributes:
-        view: all that a planner sees now. case: what is simulated.
-        attack: what happened in the last episode that ended, who drove the AV at each step
-            included.
+        view: what a planner sees now. case: what is simulated.
+        attack: the last finished episode, including what drove the AV at each step.
 
-    Raises SpecError for a spec that is wrong, UsageError for one whose adversary simulates an
-    attack several times, or when a second environment of the process begins an episode.
+    Raises SpecError for an invalid spec, UsageError for one whose adversary simulates an attack
+    several times, or if a second environment of the process starts an episode.
     """
 
     metadata: Final[dict[str, Any]] = {"render_modes": []}
@@ -262,9 +260,9 @@ class AttackEnv(_Env):  # type: ignore[misc]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Begin the next scene, or ``options={"scene": id}``.
+        """Start the next scene, or ``options={"scene": id}``.
 
-        ``seed`` is the run's; without one the spec's at first, then one drawn after another.
+        ``seed`` is that of the run; by default the spec's for the first episode, then random ones.
         """
         self.close()
         if seed is None and not self._seeded:
@@ -284,11 +282,11 @@ class AttackEnv(_Env):  # type: ignore[misc]
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Drive the AV for 0.1 s."""
         if self._stepped is None or self.view is None or self.case is None:
-            raise UsageError("The episode has ended, or none has begun: call reset first.")
+            raise UsageError("No episode is running: call reset first.")
         command = action if isinstance(action, Command) else _accelerated(self.view, action)
         try:
             came = self._stepped.next(command)
-        except BaseException:  # of the simulation, or an interrupt while it goes on
+        except BaseException:  # an error of the simulation, or an interrupt
             self.close()
             raise
         if isinstance(came, View):
@@ -299,7 +297,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         return self._last_step(came.result.rollout, self.case)
 
     def close(self) -> None:
-        """End the episode, if one goes on, and SUMO with it."""
+        """End the episode and SUMO, if one is running."""
         if self._stepped is not None:
             self._stepped.leave()
             self._release()
@@ -308,8 +306,8 @@ class AttackEnv(_Env):  # type: ignore[misc]
         model = episode.planner_of(task).model
         if not _one_simulation.acquire(blocking=False):
             raise UsageError(
-                "SUMO is one simulation a process, and another environment is in an episode; close"
-                " that, or use gymnasium.vector.AsyncVectorEnv."
+                "SUMO runs one simulation per process, and another environment is in an episode;"
+                " close that, or use gymnasium.vector.AsyncVectorEnv."
             )
         self._stepped = SteppedEpisode(
             lambda me: episode.attack_case(task, case, planner=me), model
@@ -354,7 +352,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
 
 
 def _accelerated(view: View, action: Floats) -> Command:
-    """The speed after a step at an acceleration."""
+    """The command for the speed after a step at an acceleration."""
     row = view.history.row(view.av_id)
     speed = float(view.history.speed_mps[row, -1])
     accel = float(np.clip(np.asarray(action, float).reshape(1)[0], BRAKE_MPS2, ACCEL_MPS2))

@@ -48,6 +48,8 @@ _CERTAINTY: Final = {
     "negative_log_likelihood": "negative log likelihood, nats",
 }
 
+_LIKELIEST: Final = "  most probable mode"
+
 Line = tuple[str, str, str, str]
 """Label, quantity, condition and group: a row for each number of modes."""
 
@@ -114,7 +116,7 @@ def _marginal(found: Evaluation) -> Iterator[Table | str]:
     yield _table(found, "marginal", "Marginal: least final error, m", [
         ("network", "min_fde", "network", "all"),
         ("  modes chosen for each time", "min_fde_of_horizon", "network", "all"),
-        ("  most probable mode", "most_probable_fde", "network", "all"),
+        (_LIKELIEST, "most_probable_fde", "network", "all"),
         *((f"  {title}", "min_fde", name, "all") for name, title in _BASELINES.items()),
     ])  # fmt: skip
     yield f"{found.of('marginal', 'targets').value} objects. Map-blind clusters: {found.clusters}."
@@ -128,40 +130,38 @@ def _conditional(found: Evaluation) -> Iterator[Table | str]:
     if not found.of("conditional", "targets").value:
         yield "Conditional: no two vehicles come near each other in these recordings."
         return
-    both = (("min_fde", ""), ("most_probable_fde", "  most probable mode"))
-    yield _table(found, "conditional", "Conditional: least final error, m", [
-        (label or title, quantity, condition, "all")
-        for condition, title in _CONDITIONS.items()
-        for quantity, label in both
-    ])  # fmt: skip
-    title = "Conditional, given the true future: whole path and certainty"
+    title = "least final error, m"
+    yield _table(found, "conditional", f"Conditional: {title}", _errors("all"))
     shapes = _shapes("given_true", {"recorded": "recorded"})
-    yield _table(found, "conditional", title, shapes)
+    yield _table(
+        found, "conditional", "Conditional, given the true future: whole path and certainty", shapes
+    )
     yield _table(found, "conditional", "Conditional: gain in log likelihood, nats", [
-        (f"{title}: given {given} - {against}", quantity, f"given_{given}", group)
-        for group, title in _GROUPS.items()
+        (f"{name}: given {given} - {against}", quantity, f"given_{given}", group)
+        for group, name in _GROUPS.items()
         for given in ("true", "shuffled")
         for quantity, against in _GAINS.items()
     ])  # fmt: skip
-    attacked = [
-        *(
-            (label or title, quantity, condition, "attacked")
-            for condition, title in _CONDITIONS.items()
-            for quantity, label in both
-        ),
-        *(
-            (
-                label or "gain over given nothing",
-                f"{name}_gain_over_nothing",
-                "given_true",
-                "attacked",
-            )
-            for name, label in both
-        ),
+    if found.pivot("conditional", "min_fde", "given_true", "attacked"):
+        gains = [
+            ("gain over given nothing", "min_fde_gain_over_nothing", "given_true", "attacked"),
+            (_LIKELIEST, "most_probable_fde_gain_over_nothing", "given_true", "attacked"),
+        ]
+        lines = _errors("attacked") + gains
+        title = f"Conditional: AVs attacked in simulation, {title}"
+        yield _table(found, "conditional", title, lines, _SECONDS[:3])
+
+
+def _errors(group: str) -> list[Line]:
+    """Lines of the errors of a group under all conditions."""
+    return [
+        line
+        for condition, title in _CONDITIONS.items()
+        for line in (
+            (title, "min_fde", condition, group),
+            (_LIKELIEST, "most_probable_fde", condition, group),
+        )
     ]
-    if found.pivot("conditional", *attacked[0][1:]):
-        title = "Conditional: AVs attacked in simulation, least final error, m"
-        yield _table(found, "conditional", title, attacked, _SECONDS[:3])
 
 
 def _shapes(condition: str, others: dict[str, str]) -> list[Line]:

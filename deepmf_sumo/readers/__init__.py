@@ -1,8 +1,8 @@
 """Recorded file -> Scene: one module per format; `base.Reader` is the contract.
 
-A file's format is found by its content: every plug-in of the folder is asked. Each file is read in
-a process of its own (`_bounded`), so that no file can end a sweep or a listing. `records` lists
-where the scenes are, and can keep that in a cache folder; `read` reads one of them.
+A file's format is recognised by its content: every plug-in of the folder is tried. Each file is
+read in a separate process (`_bounded`), so that no file can end a sweep or a listing. `records`
+lists the locations of scenes, and can keep them in a cache folder; `read` reads one scene.
 """
 
 import hashlib
@@ -29,10 +29,10 @@ __all__ = ["RecordRef", "Refusal", "find", "ids", "read", "records", "scene", "s
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
-    """The given files, and those in the given folders (at any depth, sorted, hidden ones not).
+    """The given files, and those in the given folders (at any depth, sorted, without hidden ones).
 
-    A file that several links lead to is given once. A folder of results
-    (`deepmf-sumo run --scenes`) gives the scenes of its runs.
+    A file with several links is given once. A folder of results (`deepmf-sumo run --scenes`) gives
+    the scenes of its runs.
 
     Raises UsageError if a path does not exist, ReaderError if a folder cannot be read.
     """
@@ -44,7 +44,7 @@ def find(paths: Sequence[Path]) -> list[Path]:
 
 
 def scenes(paths: Sequence[Path]) -> Iterator[Scene | Refusal]:
-    """All scenes of the files and folders, one at a time; what cannot be used as a Refusal.
+    """All scenes of the files and folders, one at a time; unusable records as a Refusal.
 
     A file of an unknown format is a Refusal too, but an error (ReaderError) if it is the only one.
     Raises UsageError at once if a path does not exist.
@@ -56,10 +56,10 @@ def scenes(paths: Sequence[Path]) -> Iterator[Scene | Refusal]:
 
 
 def records(path: Path, cache: Path | None = None) -> Iterator[RecordRef]:
-    """The locations of the scenes in a file or folder, in order; refused ones too if they have one.
+    """The locations of the scenes in a file or folder, in order, with those of refused records.
 
     Args:
-        path: a recorded file, or a folder of such.
+        path: a recorded file, or a folder of such files.
         cache: folder that keeps the locations of a file's scenes until the file changes.
 
     Raises ReaderError if the file is not a recording; in a folder such files are left out.
@@ -88,7 +88,7 @@ def scene(path: Path, scene_id: str, cache: Path | None = None) -> Scene:
             if ref.name == scene_id:
                 return read(ref)
     raise ReaderError(
-        f"{path} has no scene '{scene_id}'; `deepmf-sumo data list {path}` lists those it has."
+        f"{path} has no scene '{scene_id}'; `deepmf-sumo data list {path}` lists its scenes."
     )
 
 
@@ -103,7 +103,8 @@ def read(ref: RecordRef) -> Scene:
         if found.name == ref.name:
             return found
     raise ReaderError(
-        f"{ref.file} no longer has the scene '{ref.name}' as record {ref.record}; was it changed?"
+        f"{ref.file} no longer has the scene '{ref.name}' as record {ref.record}; the file has"
+        " changed, so list it again."
     )
 
 
@@ -111,7 +112,7 @@ def read(ref: RecordRef) -> Scene:
 
 
 def _files(path: Path) -> list[Path]:
-    """The path itself, or what is in the folder."""
+    """The path itself, or the files in the folder."""
     if path.is_dir():
         try:
             return list(files.inside(path, _scenes_of_results))
@@ -119,23 +120,23 @@ def _files(path: Path) -> list[Path]:
             raise ReaderError(f"{error.filename} cannot be read: {files.reason(error)}.") from None
     if path.exists():
         return [path]
-    raise UsageError(f"{path} does not exist; give a recorded file or a folder of such.")
+    raise UsageError(f"{path} does not exist; give a recorded file or a folder of such files.")
 
 
 def _scenes_of_results(folder: Path) -> list[Path] | None:
-    """Of a folder of results, the scenes that its runs wrote; None of any other folder."""
+    """The scenes that the runs of a result folder wrote; None for any other folder."""
     if (folder / "runs.csv").is_file() and (folder / "runs").is_dir():
         return list(folder.glob("runs/*/scene.npz"))
     return None
 
 
 def _guarded(path: Path, work: Callable[[], Iterator[T]]) -> Iterator[T]:
-    """What the work on a file gives. Raises ReaderError; `_bounded.EndedError` is one of them."""
+    """The items of some work on a file. Raises ReaderError, e.g. `_bounded.EndedError`."""
     if not is_plain(str(path)):
         raise _bounded.EndedError(
-            f"{shown(str(path))} has a name with characters that cannot be shown; rename it."
+            f"{shown(str(path))} has a name with unprintable characters; rename it."
         )
-    for name in plugins.names("readers"):  # once here, not in each process that reads
+    for name in plugins.names("readers"):  # once here, not in each reading process
         plugins.load("readers", name)
     try:
         yield from _bounded.each(work)
@@ -193,7 +194,7 @@ def _read(reader: Reader, path: Path) -> Iterator[Scene | Refusal]:
 
 
 def _printable(found: Scene | Refusal) -> Scene | Refusal:
-    """A refusal quotes what was not accepted: that can contain anything."""
+    """A refusal quotes parts of the file, which can contain any characters."""
     if isinstance(found, Scene):
         return found
     return replace(found, name=shown(found.name[:LONGEST_ID]), reason=shown(found.reason))
@@ -228,7 +229,7 @@ def _records(path: Path, cache: Path | None) -> list[RecordRef]:
             with suppress(OSError):  # on a read-only or full disk, files are listed every time
                 _write_index(entry, found)
     except _bounded.EndedError:
-        # Named, so that it has a row in a sweep, which gives the reason.
+        # It has a name, so that it gets a row with the reason in a sweep.
         count = len(found)
         return [
             *found,
@@ -251,14 +252,14 @@ def _listed(path: Path) -> Iterator[RecordRef]:
 
 
 def _key(path: Path) -> str:
-    """An index belongs to the file's path, size and time of change."""
+    """Key of an index: digest of the file's path, size and time of change."""
     state = path.stat()
     text = f"{INDEX_VERSION}|{path.resolve()}|{state.st_size}|{state.st_mtime_ns}"
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _indexed(entry: Path, path: Path) -> list[RecordRef] | None:
-    """The index of a file; None if it is missing, damaged, or of a plug-in that is not there."""
+    """The index of a file; None if it is missing, damaged, or of a plug-in that is missing."""
     try:
         content = json.loads(entry.read_text(encoding="utf-8"))
         reader = str(content["reader"])
@@ -279,7 +280,7 @@ def _indexed(entry: Path, path: Path) -> list[RecordRef] | None:
 
 
 def _write_index(entry: Path, refs: Sequence[RecordRef]) -> None:
-    """Write an index; the file appears whole or not at all. Raises OSError."""
+    """Write an index that appears complete or not at all. Raises OSError."""
     entry.parent.mkdir(parents=True, exist_ok=True)
     content = {
         "format_version": INDEX_VERSION,

@@ -1,4 +1,4 @@
-"""Reading in a separate process with limits: a file can end that process and no other.
+"""Reading in a separate process with limits: a bad file can only end that process.
 
 The process is a copy of this one (`os.fork`), so it starts in milliseconds. It returns one item at
 a time. On systems other than Linux the file is read in this process, without limits.
@@ -37,8 +37,8 @@ class EndedError(ReaderError):
 def each(work: Callable[[], Iterator[T]]) -> Iterator[T]:
     """The items of ``work``, which is called in the other process; they must be picklable.
 
-    Closing the iterator ends the process. Raises EndedError if the process exceeds the limits, and
-    every DeepmfError that it raises; both after the items that came before.
+    Closing the iterator ends the process. After the items before them it raises every DeepmfError
+    of the process, and EndedError if the process exceeds the limits.
     """
     if sys.platform != "linux":
         yield from work()
@@ -76,11 +76,11 @@ def _reason(code: int) -> str:
     if code == -signal.SIGPROF:
         return _TOO_SLOW
     name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-    return f"reading it ended the process that did so ({name})"
+    return f"reading it ended the process ({name})"
 
 
 def _work(work: Callable[[], Iterator[T]], pipe: int, parent: int) -> NoReturn:
-    """What the other process does."""
+    """Main function of the other process."""
     code = 1
     try:
         _limit(parent)
@@ -99,8 +99,8 @@ def _limit(parent: int) -> None:
         os._exit(1)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # a crash can print; the reason names it
-    gc.freeze()  # else the first collection touches, and so copies, all objects
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # hides the output of a crash, which is reported
+    gc.freeze()  # otherwise the first collection touches, and so copies, all objects
     pages = int(Path("/proc/self/statm").read_text("ascii").split()[5])
     most = pages * os.sysconf("SC_PAGE_SIZE") + MEMORY_MB * 2**20
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
@@ -128,7 +128,7 @@ def _hand_over(work: Callable[[], Iterator[T]], pipe: int) -> None:
 
 
 def _say(pipe: int, kind: int, value: object) -> None:
-    # Pickled whole before it is written: half an item must not be followed by an error.
+    # Pickled completely before it is written: an error must not follow half an item.
     said = memoryview(pickle.dumps((kind, value), protocol=5))
     with contextlib.suppress(BrokenPipeError):
         while said:

@@ -1,4 +1,4 @@
-"""Checks of recorded scenes, and the few repairs of them. Every repair leaves a sentence."""
+"""Checks and repairs of recorded scenes. Every repair is reported in a sentence."""
 
 import itertools
 from collections import Counter
@@ -37,13 +37,13 @@ MOST_FEATURES: Final = 50_000
 MOST_POINTS: Final = 2_000_000
 """The largest maps of scenes have 2 000 features with 100 000 points in all."""
 LONGEST_REPAIR: Final = 2000
-"""Letters of the sentence about one repair; it can name many ids."""
+"""Characters of the sentence about one repair, which can name many ids."""
 FASTEST_MPS: Final = 80.0
 """Faster motion between two steps is a jump of the tracker."""
 JUMP_M: Final = 3.0
-"""So is motion that is this much farther than the recorded speeds explain."""
+"""So is motion that exceeds the distance explained by the recorded speeds by this much."""
 FARTHEST_M: Final = 1e6
-"""Recordings have their origin nearer than this."""
+"""Recordings have their origin closer than this."""
 TYPICAL_SIZE_M: Final[dict[AgentKind, tuple[float, float, float]]] = {
     "vehicle": (4.7, 2.0, 1.7),
     "pedestrian": (0.9, 0.9, 1.75),
@@ -62,7 +62,7 @@ def checked(recording: Recording) -> Scene:
     Raises ReaderError with file, record and reason if the scene cannot be used.
     """
     try:
-        with np.errstate(all="ignore"):  # damaged numbers are looked for, not computed with
+        with np.errstate(all="ignore"):  # the checks find damaged numbers
             return _checked(recording)
     except ReaderError as error:
         source = recording.source
@@ -122,7 +122,7 @@ def _readable(repair: str) -> str:
 
 
 def _refuse_ids(name: str, agents: Iterable[str], signals: Iterable[str], road: RoadMap) -> None:
-    """Raises ReaderError for the first id that is not short, printable text, and says which."""
+    """Raises ReaderError, with its place, for the first id that is not short, printable text."""
     named: dict[str, Iterable[str]] = {
         "name of the scene": [name],
         "id of an agent": agents,

@@ -3,11 +3,10 @@
 A pickle is a program: it can call everything that it names. This reader allows the functions with
 which numpy rebuilds arrays and scalars, plain containers, and the one dict subclass of old
 ScenarioNet files; all other names are refused before they are looked up. An allowed function is
-replaced where the original could reserve any amount of memory, or trusts the pickle's claims.
+replaced if the original could reserve any amount of memory, or trusts the pickle's claims.
 
-A small pickle can also unfold: a list that contains one list twice, which contains another twice,
-and so on, takes some bytes, and gigabytes once it becomes text or an array. `check_extent` refuses
-those.
+A small pickle can also expand: a list that contains one list twice, which contains another twice,
+and so on, has a few bytes, but becomes gigabytes of text or arrays. `check_extent` refuses it.
 """
 
 import collections
@@ -22,7 +21,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 MOST_OPERATIONS: Final = 2_000_000
-"""Of one pickle; the largest scene seen has 100 000. Each needs up to some hundred bytes."""
+"""Of one pickle; the largest known scene has 100 000. Each needs up to a few hundred bytes."""
 LARGEST_NUMBER: Final = 8
 """Bytes of a whole number. Longer ones can be chosen so that a dict of them takes hours to fill."""
 
@@ -82,7 +81,7 @@ def load_plain(content: bytes) -> Any:
 
     Raises:
         ForbiddenClassError: it names a class or function that is not allowed.
-        pickle.UnpicklingError: it is damaged or makes no sense.
+        pickle.UnpicklingError: it is damaged or invalid.
     """
     try:
         _check_operations(content)
@@ -96,7 +95,7 @@ def load_plain(content: bytes) -> Any:
 
 
 def _check_operations(content: bytes) -> None:
-    """Refuse operations that only an attack on memory or time contains."""
+    """Refuse operations that only occur in attacks on memory or time."""
     for count, (opcode, argument, _) in enumerate(pickletools.genops(content)):
         if count >= MOST_OPERATIONS:
             raise pickle.UnpicklingError(f"it has more than {MOST_OPERATIONS} operations")

@@ -1,4 +1,4 @@
-"""What a format's reader builds from a file: a `Recording`, which `_checks` makes a Scene."""
+"""What a format's reader builds from a file: a `Recording`, which `_checks` turns into a Scene."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -50,11 +50,11 @@ class Recording:
     """A scene as its file states it, before the checks.
 
     Attributes:
-        now: the current step that the scene will have.
+        now: the scene's current step.
         timestamps_s: (T), or empty if the file has none: then 0, 0.1, 0.2, ...
         signals: over T steps, or over 0 if the file has none.
         av_id: None if the file does not name the AV.
-        repairs: what the reader itself repaired or inferred, a sentence each.
+        repairs: one sentence for each repair or inference of the reader.
     """
 
     name: str
@@ -134,7 +134,7 @@ class SignalsBuilder:
 
 
 Get = Callable[[str], Any]
-"""Gives the value of a field that WOMD and ScenarioNet call alike."""
+"""Gives the value of a field that has the same name in WOMD and ScenarioNet."""
 
 
 def neighbour(get: Get) -> Neighbour:
@@ -149,7 +149,7 @@ def neighbour(get: Get) -> Neighbour:
 
 
 def boundary(get: Get, kind: int) -> Boundary:
-    """A lane's boundary from the fields of WOMD's BoundarySegment, but its kind."""
+    """A lane's boundary from the fields of WOMD's BoundarySegment, except its kind."""
     return Boundary(
         start=int(get("lane_start_index")),
         end=int(get("lane_end_index")),

@@ -15,9 +15,9 @@ from deepmf_sumo.readers._recording import Recording
 from deepmf_sumo.readers.base import Refusal
 
 Parse = Callable[[bytes], Any]
-"""Content -> what it describes. Raises ReaderError with the end of a sentence about the file."""
+"""Content -> its description. Raises ReaderError with the end of a sentence about the file."""
 Describe = Callable[[Any, Source], Recording]
-"""Raises KeyError for a missing key; other errors of malformed values are caught, too."""
+"""Raises KeyError for a missing key; other errors of malformed values are also caught."""
 
 _MALFORMED = (TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
 
@@ -54,7 +54,7 @@ def scene(path: Path, dataset: str, largest: int, parse: Parse, describe: Descri
     digest = hashlib.sha256(content).hexdigest()
     source = Source(dataset=dataset, file=str(path), record=0, sha256=digest)
     try:
-        with np.errstate(all="ignore"):  # the checks find what is not a number
+        with np.errstate(all="ignore"):  # the checks find numbers that are not finite
             recording = describe(described, source)
     except KeyError as error:
         raise ReaderError(f"{path} is incomplete: it lacks the key {error}.") from None

@@ -23,7 +23,7 @@ from deepmf_sumo.errors import ReaderError
 HEADER: Final = 12
 FOOTER: Final = 4
 LARGEST_RECORD: Final = 32 * 2**20
-"""Bytes. The largest scene seen has 4 MB; a larger length is damage, not data."""
+"""Bytes. The largest known scene has 4 MB; a larger length is damage, not data."""
 LARGEST_FILE: Final = 2**40
 """Bytes, unpacked. A file is never in memory as a whole; this only sets an end."""
 

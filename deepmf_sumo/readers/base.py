@@ -21,13 +21,13 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordRef:
-    """Where a scene is recorded; with it `readers.read` finds the scene without a search.
+    """The location of a recorded scene, which `readers.read` reads without a search.
 
     Attributes:
-        name: the scene's id; of a record without one the file's name and the record's number.
+        name: the scene's id, else the file's name and the record's number.
         record: index of the record in the file.
         reader: the plug-in that reads the file; empty if the file could not be listed to its end.
-        offset: where the record starts, if the reader is an `IndexedReader`.
+        offset: position of the record in the file, if the reader is an `IndexedReader`.
     """
 
     file: Path
@@ -45,13 +45,13 @@ class Reader(Protocol):
         ...
 
     def scenes(self, path: Path) -> Iterator[Scene | Refusal]:
-        """The file's scenes in order; what cannot be used comes as a Refusal."""
+        """The file's scenes in order; unusable records as a Refusal."""
         ...
 
 
 @runtime_checkable
 class IndexedReader(Protocol):
-    """What a reader of files with many scenes offers besides: one scene without the others."""
+    """A reader of files with many scenes that can read one of them without the others."""
 
     def records(self, path: Path) -> Iterator[RecordRef]:
         """The locations of the file's scenes in order, whether or not they can be used."""

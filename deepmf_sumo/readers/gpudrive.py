@@ -38,7 +38,7 @@ from deepmf_sumo.readers._recording import (
 from deepmf_sumo.readers.base import Refusal
 
 LARGEST_FILE: Final = 2**26
-"""Bytes. The largest scene seen has 10 MB."""
+"""Bytes. The largest known scene has 10 MB."""
 HEAD: Final = 2**16
 """Bytes at the start of a file that must contain one of its keys."""
 KINDS: Final[dict[str, AgentKind]] = {
@@ -55,8 +55,8 @@ MISSING: Final = -10000.0
 MOVING_MPS: Final = 1.0
 """The motion of slower objects does not show their heading."""
 SURE: Final = 0.01
-"""Least difference of the mean cosines that tells the unit: in a scene that heads east as a whole
-both are alike."""
+"""Least difference of the mean cosines that decides the unit: if all vehicles head east, both are
+about equal."""
 FIRST_LINE: Final = 5
 """``map_element_id`` of road line type 0; up to 13."""
 FIRST_EDGE: Final = 14

@@ -43,7 +43,7 @@ from deepmf_sumo.readers.base import Refusal
 
 FORMAT_VERSION: Final = 1
 LARGEST_FILE: Final = 2**27
-"""Bytes that a file may unpack to. The largest scene seen has 8 MB."""
+"""Unpacked size of a file, bytes. The largest known scene has 8 MB."""
 
 Arrays = dict[str, np.ndarray]
 
@@ -52,11 +52,11 @@ _DAMAGES: Final = (
     *(OSError, EOFError, ValueError, KeyError, RuntimeError, struct.error),
     *(zlib.error, zipfile.BadZipFile),
 )
-"""What damaged archives and arrays raise; NotImplementedError is a RuntimeError."""
+"""Exceptions of damaged archives and arrays; NotImplementedError is a RuntimeError."""
 
 
 def write(scene: Scene, path: Path) -> None:
-    """Write a scene; the file appears whole or not at all. Raises OSError."""
+    """Write a scene to a file that appears complete or not at all. Raises OSError."""
     arrays = _to_arrays(scene)
     with tempfile.NamedTemporaryFile(
         dir=path.parent, prefix=f".{path.name}", suffix=".part", delete=False
@@ -171,7 +171,7 @@ def _described_fields(kind: type) -> dict[str, Any]:
 
 _PARTS: Final = {"tracks", "road", "signals"}
 _OPTIONAL: Final[dict[str, Any]] = {"gives_way_to": ()}
-"""Fields that are written only if they have a value: recordings do not know them."""
+"""Fields that are written only if they have a value, since recordings do not have them."""
 _FEATURES: Final[dict[str, type]] = {
     "lanes": Lane,
     "lines": Polyline,

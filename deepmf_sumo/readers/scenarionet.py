@@ -75,7 +75,7 @@ POLYGON_KINDS: Final[dict[str, PolygonKind]] = {
 STATES: Final = {f"LANE_STATE_{state.name}": state.value for state in SignalState}
 """Signal states in files of all versions but the earliest, which have numbers."""
 LARGEST_FILE: Final = 2**25
-"""Bytes. The largest scene seen has 2 MB."""
+"""Bytes. The largest known scene has 2 MB."""
 
 Described = Mapping[str, Any]
 

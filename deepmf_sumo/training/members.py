@@ -16,7 +16,7 @@ from deepmf_sumo.predictors import decoding, marginal, weights
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.training import cards, run
-from deepmf_sumo.training.fit.loop import tensors
+from deepmf_sumo.training.fit.loop import in_batches
 from deepmf_sumo.training.networks import trajectory
 from deepmf_sumo.training.run import Training
 from deepmf_sumo.training.samples.dataset import Dataset, Progress
@@ -28,7 +28,6 @@ _OF_EACH: Final = (
 _OF_ALL: Final = ("members", "mixture", "results")
 """Keys of the first member's card that describe all members."""
 _MODES: Final = (6, 16, 32)
-_SAMPLES: Final = 600
 _BATCH: Final = 32
 
 
@@ -93,14 +92,11 @@ def mixture_errors(nets: Sequence[DenseTNT], dataset: Dataset) -> dict[str, Any]
     Of the mixture, and of the first network alone, on the same up to 600 held-out samples that are
     known for 8 s. Empty if there are none.
     """
-    rows = dataset.rows(held_out=True)
-    rows = rows[np.asarray(dataset.arrays["future_valid"][rows, -1]) > 0]
-    rows = np.sort(np.random.default_rng(0).permutation(rows)[:_SAMPLES])
+    rows = np.sort(trajectory.known_held_out(dataset))
     if len(rows) == 0:
         return {}
     sums: dict[str, float] = {}
-    for begin in range(0, len(rows), _BATCH):
-        batch = tensors(dataset.batch(rows[begin : begin + _BATCH]))
+    for batch in in_batches(dataset, rows, _BATCH):
         members = [net(batch) for net in nets]
         for name, chosen in (("", len(nets)), ("first_", 1)):
             for key, value in _figures(nets[:chosen], members[:chosen], batch).items():

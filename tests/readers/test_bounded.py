@@ -51,7 +51,7 @@ def refuse():
     ("work", "reason"),
     [
         (large, "more than 384 MB"),
-        (crash, "ended the process that did so .SIG"),
+        (crash, "ended the process .SIG"),
         (mistake, "unexpected TypeError: x"),
         (refuse, "no lanes"),
     ],

@@ -333,7 +333,7 @@ def test_broken_records_are_counted_and_named(predictors, given):
     found = evaluate()
     assert (found.scenes, found.refused) == (1, 2)
     assert found.refusals[0] == "a.tfrecord, record 7: the checksum is wrong"
-    assert "AV is not there" in found.refusals[1]
+    assert "the AV is missing" in found.refusals[1]
 
 
 def test_no_usable_scene_is_an_error(predictors, given):

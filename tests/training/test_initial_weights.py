@@ -104,7 +104,7 @@ def test_what_an_older_set_was_not_told_adds_nothing_at_first(folder, tmp_path):
 
 
 def test_a_set_cannot_begin_from_itself(folder):
-    with pytest.raises(WeightsError, match="is the set that is to be trained"):
+    with pytest.raises(WeightsError, match="is the set to be trained"):
         begin("marginal", folder, str(folder))
 
 

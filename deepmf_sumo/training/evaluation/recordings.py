@@ -10,11 +10,10 @@ from typing import Any, Final
 import torch
 
 from deepmf_sumo import readers
-from deepmf_sumo.datatypes import ROLLOUT, Scene, View
+from deepmf_sumo.datatypes import ROLLOUT, Scene
 from deepmf_sumo.errors import OutputError, ReaderError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.marginal import Marginal
-from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.predictors.weights import Network, Predictors
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import cards
 from deepmf_sumo.training.evaluation.conditional import (
@@ -38,9 +37,11 @@ from deepmf_sumo.training.evaluation.table import (
     OF_MODES,
     Evaluation,
     Figure,
+    Figures,
 )
 from deepmf_sumo.training.fit import checkpoints
 from deepmf_sumo.training.networks import clusters
+from deepmf_sumo.training.networks.clusters import Clusters
 from deepmf_sumo.training.samples import windows
 
 MODES: Final = (6, 16, 32)
@@ -56,10 +57,10 @@ class Refused:
     reasons: list[str] = field(default_factory=list)
 
     def add(self, file: str, record: int, reason: str) -> None:
-        """One more; the first twenty are named."""
+        """Count a record; the first twenty reasons are kept."""
         self.count += 1
         if len(self.reasons) < _NAMED:
-            known = file in reason  # readers mostly name the place themselves
+            known = file in reason  # most reasons of readers name the file
             self.reasons.append(reason if known else f"{file}, record {record}: {reason}")
 
 
@@ -79,54 +80,67 @@ def evaluate(
     predictors = weights.load(name)
     modes = tuple(sorted({*MODES, candidates}))
     fitted = clusters.read(predictors.folder) if predictors.folder else None
-    opponent = OpponentFigures()
-    marginal = MarginalFigures(modes, fitted)
-    conditional = ConditionalFigures(modes)
-    refused, scenes, labelled, attacked = Refused(), 0, 0, 0
+    measured = _Measured(predictors, modes, fitted)
+    refused = Refused()
     for scene in _usable(data, refused):
-        view = windows.view_at(scene, scene.now)
-        if scene.source.dataset == ROLLOUT:
-            attacked += 1
-        else:
-            opponent.add(predictors.opponent, scene, view)
-        conditional.add(predictors.conditional, _pairs(scene, view, predictors.marginal, marginal))
-        scenes, labelled = scenes + 1, labelled + len(scene.interest)
-        if scenes % 20 == 0:
-            report(f"{scenes} scenes")
-    if not scenes:
+        measured.add(scene)
+        if measured.scenes % 20 == 0:
+            report(f"{measured.scenes} scenes")
+    if not measured.scenes:
         raise ReaderError(_nothing(data, refused))
-    conditional.finish(predictors.conditional)
     return Evaluation(
         data=[path.name for path in data],
         weights=str(name),
-        scenes=scenes,
-        attacked_scenes=attacked,
+        scenes=measured.scenes,
+        attacked_scenes=measured.attacked,
         refused=refused.count,
         refusals=refused.reasons,
-        labelled_objects=labelled,
+        labelled_objects=measured.labelled,
         modes=modes,
         clusters=f"fitted on {fitted.samples} trajectories"
         if fitted
         else "not fitted: there is no file beside the weights",
-        figures=opponent.figures() | marginal.figures() | conditional.figures(),
+        figures=measured.figures(),
     )
 
 
-def _pairs(scene: Scene, view: View, network: Marginal, figures: MarginalFigures) -> list[Pair]:
-    """Measure the marginal network on a scene; returns the targets that have a partner."""
-    pairs = []
-    for target in targets(scene, view):
-        found = figures.add(network, target)
-        if target.partner is not None:
-            pairs.append(Pair(target=target, partner=target.partner, marginals=found))
-    return pairs
+class _Measured:
+    """The three networks on the scenes added so far."""
+
+    def __init__(
+        self, predictors: Predictors, modes: Sequence[int], fitted: Clusters | None
+    ) -> None:
+        self.predictors = predictors
+        self.opponent = OpponentFigures()
+        self.marginal = MarginalFigures(modes, fitted)
+        self.conditional = ConditionalFigures(modes)
+        self.scenes = self.attacked = self.labelled = 0
+
+    def add(self, scene: Scene) -> None:
+        view = windows.view_at(scene, scene.now)
+        attacked = scene.source.dataset == ROLLOUT
+        if not attacked:
+            self.opponent.add(self.predictors.opponent, scene, view)
+        pairs = []
+        for target in targets(scene, view):
+            found = self.marginal.add(self.predictors.marginal, target)
+            if target.partner is not None:
+                pairs.append(Pair(target=target, partner=target.partner, marginals=found))
+        self.conditional.add(self.predictors.conditional, pairs)
+        self.scenes += 1
+        self.attacked += attacked
+        self.labelled += len(scene.interest)
+
+    def figures(self) -> Figures:
+        self.conditional.finish(self.predictors.conditional)
+        return self.opponent.figures() | self.marginal.figures() | self.conditional.figures()
 
 
 def _nothing(data: Sequence[Path], refused: Refused) -> str:
     places, why = ", ".join(map(str, data)), ""
     if refused.count:
         why = f" (the first of {refused.count} refused: {refused.reasons[0]})"
-    return f"There is no usable scene in {places}{why}; give recorded files or folders of such."
+    return f"There is no usable scene in {places}{why}; give recorded files, or folders of them."
 
 
 def run(
@@ -167,7 +181,7 @@ def _usable(data: Sequence[Path], refused: Refused) -> Iterator[Scene]:
         if isinstance(each, Refusal):
             refused.add(each.file, each.record, each.reason)
         elif not each.tracks.valid[each.tracks.row(each.av_id), each.now]:
-            reason = f"the AV is not there at the current step {each.now}"
+            reason = f"the AV is missing at the current step {each.now}"
             refused.add(each.source.file, each.source.record, reason)
         else:
             yield each

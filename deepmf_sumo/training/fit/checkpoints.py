@@ -46,8 +46,8 @@ class Checkpoints:
         """The checkpoint before the last one."""
         return self.file.with_name(f"{self.file.name}.previous")
 
-    def save(self, state: dict[str, Any], report: Progress) -> bool:
-        """Write a checkpoint; returns whether it was written. If not, the last two stay."""
+    def save(self, state: dict[str, Any], report: Progress) -> None:
+        """Write a checkpoint. If that fails, it is reported, and the last two checkpoints stay."""
         memory = io.BytesIO()
         torch.save(state, memory)
         content = memory.getvalue()
@@ -63,8 +63,6 @@ class Checkpoints:
                 f"warning: the checkpoint {self.file} cannot be written ({error.strerror});"
                 " training continues, and the previous checkpoint stays"
             )
-            return False
-        return True
 
     def load(self, device: str, report: Progress) -> dict[str, Any] | None:
         """The last complete checkpoint; None if there is none."""

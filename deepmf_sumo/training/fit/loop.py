@@ -76,6 +76,14 @@ def tensors(arrays: Arrays, device: str = "cpu") -> dict[str, Tensor]:
     return {name: torch.from_numpy(values).to(device) for name, values in arrays.items()}
 
 
+def in_batches(
+    dataset: Dataset, rows: NDArray[np.int64], size: int, device: str = "cpu"
+) -> Iterator[dict[str, Tensor]]:
+    """The given samples as tensors, in their order."""
+    for begin in range(0, len(rows), size):
+        yield tensors(dataset.batch(rows[begin : begin + size]), device)
+
+
 Weights = dict[str, Tensor]
 
 
@@ -322,10 +330,9 @@ def validation_losses(
         if len(rows) > most:
             rows = np.sort(np.random.default_rng(0).choice(rows, most, replace=False))
         total = 0.0
-        for turn, start in enumerate(range(0, len(rows), schedule.batch)):
-            part = rows[start : start + schedule.batch]
-            batch = tensors(dataset.batch(part), schedule.device)
-            total += float(loss(batch, torch.Generator().manual_seed(turn))) * len(part)
+        for turn, batch in enumerate(in_batches(dataset, rows, schedule.batch, schedule.device)):
+            size = len(next(iter(batch.values())))
+            total += float(loss(batch, torch.Generator().manual_seed(turn))) * size
         if not np.isfinite(total):
             raise RunError(
                 f"The loss on the held-out scenes of {dataset.sources[number].name} is {total}; the"

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepmf_sumo.predictors.opponent import OpponentNet
-from deepmf_sumo.training.fit.loop import Loss, tensors
+from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.samples.dataset import Dataset
 
 _ALPHA: Final = 0.75
@@ -102,8 +102,7 @@ def _partners(net: OpponentNet, dataset: Dataset) -> tuple[Tensor, Tensor]:
     net.eval().cpu()
     rows = dataset.rows(held_out=True)
     logits, labels = [torch.zeros(0)], [torch.zeros(0)]
-    for begin in range(0, len(rows), 64):
-        batch = tensors(dataset.batch(rows[begin : begin + 64]))
+    for batch in in_batches(dataset, rows, 64):
         there = (batch["vehicle"] > 0) & (batch["partner_known"].unsqueeze(1) > 0)
         logits.append(net(batch).mean(0)[..., 1][there])
         labels.append(batch["partner"][there])

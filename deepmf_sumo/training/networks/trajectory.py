@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from deepmf_sumo.predictors import anchors, conditioning, decoding, marginal, raster
@@ -17,7 +18,7 @@ from deepmf_sumo.predictors.anchors import KNOT_STEPS
 from deepmf_sumo.predictors.conditioning import Condition
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
-from deepmf_sumo.training.fit.loop import Loss, tensors
+from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.samples.dataset import Dataset
 
@@ -29,6 +30,7 @@ predict without a condition."""
 CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met", "goal_follow")
 """Layers with random initial weights if the conditional network starts from the marginal one."""
 _TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
+_SAMPLES: Final = 600
 MIRRORED: Final = 0.3
 AGENT_DROPPED: Final = 0.1
 LANE_DROPPED: Final = 0.05
@@ -96,24 +98,26 @@ def _given(net: DenseTNT, batch: dict[str, Tensor]) -> Condition | None:
     return partner_condition(batch, net.preset, None) if net.conditional else None
 
 
+def known_held_out(dataset: Dataset) -> NDArray[np.int64]:
+    """Up to 600 held-out samples that are known for 8 s, in random but fixed order."""
+    rows = dataset.rows(held_out=True)
+    rows = rows[np.asarray(dataset.arrays["future_valid"][rows, -1]) > 0]
+    return np.random.default_rng(0).permutation(rows)[:_SAMPLES]
+
+
 @torch.inference_mode()
-def fit_temperature(
-    nets: Sequence[DenseTNT], dataset: Dataset, modes: int, samples: int = 600
-) -> float:
+def fit_temperature(nets: Sequence[DenseTNT], dataset: Dataset, modes: int) -> float:
     """The temperature at which the modes nearest to true endpoints have the highest likelihood.
 
     On held-out scenes, for one network or the mixture of several.
     """
     for net in nets:
         net.eval().cpu()
-    rows = dataset.rows(held_out=True)
-    rows = rows[np.asarray(dataset.arrays["future_valid"][rows, -1]) > 0]
-    rows = rows[np.random.default_rng(0).permutation(len(rows))[:samples]]
+    rows = known_held_out(dataset)
     if len(rows) == 0:
         return 1.0
     nll = np.zeros(len(_TEMPERATURES))
-    for begin in range(0, len(rows), 64):
-        batch = tensors(dataset.batch(rows[begin : begin + 64]))
+    for batch in in_batches(dataset, rows, 64):
         goals = marginal.pooled([net(batch, _given(net, batch)) for net in nets])
         logits = goals.logits[:, 0].flatten(1)
         ends = goals.ends()[:, 0]

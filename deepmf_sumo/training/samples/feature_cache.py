@@ -115,6 +115,11 @@ def open_or_build(
     _report_refused(data.path, contents, report)
     if not contents.count:
         raise ReaderError(_nothing(data.path, files, contents))
+    return _source(folder, contents, data, digest)
+
+
+def _source(folder: Path, contents: Contents, data: Data, digest: str) -> Source:
+    """The arrays of a folder, memory-mapped."""
     arrays: Arrays = {
         name: np.memmap(
             folder / f"{name}.bin", dtype=dtype, mode="r", shape=(contents.count, *shape)
