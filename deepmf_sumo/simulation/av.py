@@ -203,8 +203,7 @@ class ShownMotion:
         if lane not in self._shapes:
             self._shapes[lane] = np.array(self._api.lane.getShape(lane), float)[:, :2]
         line = self._shapes[lane]
-        point: Floats = polylines.points_at(line, polylines.project(line, at_m).along_m)[0]
-        return point
+        return polylines.points_at(line, polylines.project(line, at_m).along_m)[0]
 
 
 def _jumped(moved_m: Floats, across_m: Floats) -> bool:

@@ -109,8 +109,7 @@ class Recorder:
 
     def sizes_m(self, ids: list[AgentId]) -> Floats:
         """(N, 2) length and width of agents."""
-        size: Floats = self._size_m[[self._row[agent] for agent in ids], :2]
-        return size
+        return self._size_m[[self._row[agent] for agent in ids], :2]
 
     def _tracks(self, rows: Ints, a: int, b: int) -> Tracks:
         state = self._state[rows, a:b]
