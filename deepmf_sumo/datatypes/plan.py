@@ -112,8 +112,7 @@ class PlanReason:
     def collision_mass(self) -> Floats:
         """(N1) probability that the AV's reaction to each candidate collides with it."""
         chance = np.stack([reaction.probability for reaction in self.reactions])
-        mass: Floats = (chance * self.collides).sum(axis=1)
-        return mass
+        return (chance * self.collides).sum(axis=1)
 
     @property
     def wished_mass(self) -> Floats:

@@ -215,8 +215,7 @@ class Tracks(Frozen):
     @property
     def speed_mps(self) -> Floats:
         """(A, T) length of the velocity."""
-        speed: Floats = np.hypot(self.velocity_mps[..., 0], self.velocity_mps[..., 1])
-        return speed
+        return np.hypot(self.velocity_mps[..., 0], self.velocity_mps[..., 1])
 
     def row(self, agent_id: AgentId) -> int:
         """Row of an agent. Raises KeyError for an unknown id."""

@@ -215,7 +215,7 @@ class Session:
             return
         self._next_s = self.time_s + _AGAIN_S
         if len(latest.vehicles) < 2:
-            self.nobody = "nobody is near the AV"
+            self.nobody = "no vehicle is near the AV"
             return
         try:
             attack = Engagement(
@@ -225,7 +225,7 @@ class Session:
             self.nobody = str(error)
             return
         if attack.opponent_id is None:
-            self.nobody = "nobody around the AV can attack"
+            self.nobody = "no vehicle around the AV can attack"
             return
         fired.used()
         self._attack, self._begin_s = attack, self.time_s

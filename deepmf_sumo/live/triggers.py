@@ -108,24 +108,18 @@ def _parsed(text: str) -> Trigger:
 
 def least_ttc_s(frame: Frame, size_m: Floats, av_id: AgentId) -> float:
     """Least time until the AV touches another agent at constant velocity; inf if it never does."""
-    me = frame.ids.index(av_id)
-    others = np.arange(len(frame.ids)) != me
-    count = int(others.sum())
-    if count == 0:
+    me = [frame.ids.index(av_id)]
+    others = np.delete(np.arange(len(frame.ids)), me)
+    if not len(others):
         return float("inf")
-    av = Moving(
-        frame.position_m[[me]].repeat(count, 0),
-        frame.heading_rad[[me]].repeat(count),
-        frame.velocity_mps[[me]].repeat(count, 0),
-        size_m[me],
-        frame.z_m[[me]].repeat(count),
-    )
-    # one size each: length and width are read as rows
-    rest = Moving(
-        frame.position_m[others],
-        frame.heading_rad[others],
-        frame.velocity_mps[others],
-        size_m[others].T,
-        frame.z_m[others],
+    av, rest = (
+        Moving(
+            frame.position_m[rows],
+            frame.heading_rad[rows],
+            frame.velocity_mps[rows],
+            size_m[rows].T,  # a size each: length and width are rows
+            frame.z_m[rows],
+        )
+        for rows in (me, others)
     )
     return float(time_to_collision(av, rest).min())

@@ -1,7 +1,7 @@
 """Which vehicle attacks when: one opponent, or several in turn until the time is over."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -20,17 +20,25 @@ _MOVED_M = 0.05
 
 
 class Opponent:
-    """The vehicle that a policy has chosen, and the plans for it.
+    """The vehicle that a policy has chosen, the plans for it, and how its attack goes.
 
-    ``id`` is None if there is no policy, or the policy found no opponent.
+    Attributes:
+        id: None if there is no policy, or the policy found no opponent.
+        first_step: at which it was chosen.
+        follows: whether the last plan has a pose for the last step.
+        harmless: step since which no plan collides with a predicted future of the AV; None if the
+            last plan does.
+        gap_m: least distance from the AV so far.
 
     Raises SimulationError for a choice that is not among the agents of the view.
     """
 
     def __init__(self, policy: Policy | None, view: View, rng: np.random.Generator) -> None:
         self._policy = policy
-        self._start = view.step
-        self._follows = False
+        self.first_step = view.step
+        self.follows = False
+        self.harmless: int | None = view.step
+        self.gap_m = np.inf
         self.plans: list[Plan] = []
         self.events: list[Event] = []
         self.id: AgentId | None = policy.reset(view, rng) if policy else None
@@ -45,7 +53,7 @@ class Opponent:
         if self._policy is None or self.id is None:
             return False
         period = self._policy.period_steps
-        elapsed = step - self._start
+        elapsed = step - self.first_step
         return elapsed == 0 or (period is not None and elapsed % period == 0)
 
     def replan(self, view: View) -> None:
@@ -60,15 +68,19 @@ class Opponent:
                 f"The policy planned for '{plan.agent_id}', but its opponent is '{self.id}'."
             )
         self.plans.append(plan)
+        if plan.reason is None or plan.reason.collides.any():
+            self.harmless = None
+        elif self.harmless is None:
+            self.harmless = view.step
 
     def advance(self, step: int) -> Pose | None:
         """Go on to ``step``: the pose that the plan has for it, or None and an event at its end."""
         plan = self.plans[-1] if self.plans else None
         follows = plan is not None and plan.covers(step)
-        if self.id is not None and self._follows and not follows:
+        if self.id is not None and self.follows and not follows:
             detail = "the opponent goes on without a plan"
             self.events.append(Event(step=step, agent_id=self.id, kind="plan_ended", detail=detail))
-        self._follows = follows
+        self.follows = follows
         if plan is None or not follows:
             return None
         at = step - plan.first_step
@@ -95,21 +107,6 @@ _SHORTEST_STEPS = 30
 """An attack that began later before the end would be judged as one that failed."""
 
 
-@dataclass(slots=True, kw_only=True)
-class _Ongoing:
-    """The current attack.
-
-    ``harmless``: step since which no plan collides with a predicted future of the AV; None if the
-    last plan does. ``driven``: whether the plan has a pose for the last step.
-    """
-
-    opponent: Opponent
-    first_step: int
-    harmless: int | None
-    gap_m: float = np.inf
-    driven: bool = True
-
-
 class AttackSchedule:
     """The opponents of an episode, each chosen by the policy as if the episode began there.
 
@@ -132,7 +129,7 @@ class AttackSchedule:
         self._av = view.av_id
         self._opponents: list[Opponent] = []
         self.closed: tuple[Turn, ...] = ()
-        self._ongoing: _Ongoing | None = None
+        self._ongoing: Opponent | None = None
         self._released: AgentId | None = None
         self._clear = True
         self._next = self._latest = view.step
@@ -146,7 +143,7 @@ class AttackSchedule:
     @property
     def attacker(self) -> AgentId | None:
         """The vehicle whose contact with the AV counts as a hit."""
-        return self._ongoing.opponent.id if self._ongoing else None
+        return self._ongoing.id if self._ongoing else None
 
     @property
     def opponent_id(self) -> AgentId | None:
@@ -169,33 +166,19 @@ class AttackSchedule:
     def due(self, step: int) -> bool:
         """Whether an opponent is to be chosen, or the policy has to plan."""
         if self._ongoing is not None:
-            return self._ongoing.opponent.due(step)
+            return self._ongoing.due(step)
         return step >= self._next and (self._clear or step >= self._latest)
 
     def replan(self, view: View) -> None:
         """Choose an opponent if there is none, and plan."""
         if self._ongoing is None:
             self._begin(view)
-        attack = self._ongoing
-        if attack is None:
-            return
-        opponent = attack.opponent
-        count = len(opponent.plans)
-        opponent.replan(self._within_turn(view, attack.first_step))
-        if len(opponent.plans) > count:
-            reason = opponent.plans[-1].reason
-            if reason is None or reason.collides.any():
-                attack.harmless = None
-            elif attack.harmless is None:
-                attack.harmless = view.step
+        if self._ongoing is not None:
+            self._ongoing.replan(self._within_turn(view, self._ongoing.first_step))
 
     def advance(self, step: int) -> Pose | None:
         """Go on to ``step``: the opponent's pose there; None if no plan has one."""
-        if self._ongoing is None:
-            return None
-        pose = self._ongoing.opponent.advance(step)
-        self._ongoing.driven = pose is not None
-        return pose
+        return self._ongoing.advance(step) if self._ongoing is not None else None
 
     def after_step(self, step: int, frame: Frame, size_m: Floats, *, hit: bool) -> bool:
         """Close the attack if it is over; returns whether the episode is.
@@ -231,7 +214,7 @@ class AttackSchedule:
     def _begin(self, view: View) -> None:
         """Choose an opponent, unless the end is near or no vehicle can attack."""
         if self._rules is None:
-            self._start(Opponent(self._policy, view, self._rng), view.step)
+            self._start(Opponent(self._policy, view, self._rng))
             return
         self._next = view.step + _RETRY_STEPS
         if self._policy is None or view.steps_left < _SHORTEST_STEPS:
@@ -239,12 +222,12 @@ class AttackSchedule:
         for shown in self._choices(self._within_turn(view, view.step), self._rules):
             opponent = Opponent(self._policy, shown, self._rng)
             if opponent.id is not None:
-                self._start(opponent, view.step)
+                self._start(opponent)
                 return
 
-    def _start(self, opponent: Opponent, step: int) -> None:
+    def _start(self, opponent: Opponent) -> None:
         self._opponents.append(opponent)
-        self._ongoing = _Ongoing(opponent=opponent, first_step=step, harmless=step)
+        self._ongoing = opponent
 
     def _choices(self, view: View, rules: TurnRules) -> Iterator[View]:
         """The view without vehicles that attacked lately, then with them.
@@ -275,7 +258,7 @@ class AttackSchedule:
 
     def _ending(
         self,
-        attack: _Ongoing,
+        opponent: Opponent,
         rules: TurnRules,
         step: int,
         frame: Frame,
@@ -284,36 +267,36 @@ class AttackSchedule:
         hit: bool,
     ) -> TurnEnd | None:
         """Why the attack is over; None while it goes on."""
-        if attack.opponent.id not in frame.ids:
+        if opponent.id not in frame.ids:
             return "gone"
-        pair = [frame.ids.index(self._av), frame.ids.index(attack.opponent.id)]
+        pair = [frame.ids.index(self._av), frame.ids.index(opponent.id)]
         mine, theirs = frame.position_m[pair]
         heading, size = frame.heading_rad[pair], size_m[pair]
         gap_m = float(boxes.gap(mine, heading[0], size[0], theirs, heading[1], size[1]))
         gap_m = float(distance_m(np.array(gap_m), *frame.z_m[pair]))
-        attack.gap_m = 0.0 if hit else min(attack.gap_m, gap_m)
+        opponent.gap_m = 0.0 if hit else min(opponent.gap_m, gap_m)
         plans_once = self._policy is not None and self._policy.period_steps is None
         reasons: dict[TurnEnd, bool] = {
             "contact": hit,
             "out_of_reach": bool(np.hypot(*(mine - theirs)) > rules.reach_m),
-            "too_long": step - attack.first_step >= _steps(rules.longest_s),
-            "plan_ended": plans_once and not attack.driven,
-            "harmless": attack.harmless is not None
-            and step - attack.harmless >= _steps(rules.harmless_s),
+            "too_long": step - opponent.first_step >= _steps(rules.longest_s),
+            "plan_ended": plans_once and not opponent.follows,
+            "harmless": opponent.harmless is not None
+            and step - opponent.harmless >= _steps(rules.harmless_s),
         }
         return next((reason for reason, holds in reasons.items() if holds), None)
 
     def _close(self, step: int, ended: TurnEnd) -> None:
-        attack, rules = self._ongoing, self._rules
-        assert attack is not None
-        assert attack.opponent.id is not None
+        opponent, rules = self._ongoing, self._rules
+        assert opponent is not None
+        assert opponent.id is not None
         assert rules is not None
         turn = Turn(
-            opponent_id=attack.opponent.id,
-            first_step=attack.first_step,
+            opponent_id=opponent.id,
+            first_step=opponent.first_step,
             last_step=step,
             ended=ended,
-            gap_m=attack.gap_m,
+            gap_m=opponent.gap_m,
         )
         self.closed = (*self.closed, turn)
         self._ongoing = None

@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
-from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
@@ -210,8 +209,7 @@ class ShownMotion:
 
     def _foot(self, lane: str, at_m: Floats) -> Floats:
         line = self._line(lane)
-        point: Floats = polylines.points_at(line, polylines.project(line, at_m).along_m)[0]
-        return point
+        return polylines.points_at(line, polylines.project(line, at_m).along_m)[0]
 
     def _line(self, lane: str) -> Floats:
         if lane not in self._shapes:
@@ -254,6 +252,7 @@ class Av:
         placed: the pose it was put at in the last step; None if SUMO drove it.
         leaders: the vehicles that the planner named or SUMO's model followed in the last step;
             None if neither applies.
+        pose: the shown pose: where the AV was placed, or as SUMO drives it (`ShownMotion`).
         lost: it does not count as present any more, although SUMO may still simulate it.
     """
 
@@ -265,7 +264,7 @@ class Av:
         self.placed: Pose | None = None
         self.leaders: tuple[AgentId, ...] | None = None
         self.lost = False
-        self._pose = start
+        self.pose = start
         self._motion = ShownMotion(api, av_id, length_m)
         self._hand_over = HandOver(api)
         self._previous_mps: float | None = None
@@ -320,11 +319,9 @@ class Av:
             vehicle.setSpeedMode(self.id, _COMMANDED)
             commanded = self._behind_leader(command, speed)
             vehicle.setSpeed(self.id, commanded)
-        elif command.kind == "speed":
+        else:  # speed
             vehicle.setSpeedMode(self.id, _NO_CHECKS)
             vehicle.setSpeed(self.id, max(0.0, command.speed_mps))
-        else:
-            raise SimulationError(f"The planner gave a command of unknown kind '{command.kind}'.")
         self._previous_mps, self._commanded_mps = speed, commanded
 
     def place(self, pose: Pose, leader_id: AgentId | None = None) -> None:
@@ -344,14 +341,9 @@ class Av:
         if self.placed is not None:
             self._api.vehicle.setPreviousSpeed(self.id, max(0.0, self.placed.speed_mps))
             self._motion.restart()
-            self._pose = self.placed
+            self.pose = self.placed
         else:
-            self._pose = self._motion.advance(self.sumo_pose())
-
-    @property
-    def pose(self) -> Pose:
-        """The shown pose of the AV: where it was placed, or as SUMO drives it (`ShownMotion`)."""
-        return self._pose
+            self.pose = self._motion.advance(self.sumo_pose())
 
     def sumo_pose(self) -> Pose:
         """Where SUMO has the AV."""

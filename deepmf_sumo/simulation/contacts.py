@@ -28,8 +28,7 @@ def overlapping(
     hit = boxes.overlap(centre_m[row], heading_rad[row], size_m[row], centre_m, heading_rad, size_m)
     hit &= ~clear(z_m[row], z_m)
     hit[row] = False
-    rows: list[int] = np.flatnonzero(hit).tolist()
-    return rows
+    return np.flatnonzero(hit).tolist()
 
 
 class Judge:
@@ -140,5 +139,4 @@ def _nearest_point(of: Floats, centre: Floats, heading: float, size: Floats) -> 
 
 def _direction(start: Floats, end: Floats) -> Floats:
     offset = np.asarray(end) - start
-    direction: Floats = offset / max(float(np.hypot(*offset)), 1e-9)
-    return direction
+    return offset / max(float(np.hypot(*offset)), 1e-9)

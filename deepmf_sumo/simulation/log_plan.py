@@ -114,8 +114,7 @@ def _stands(tracks: Tracks) -> Bools:
     first = tracks.valid.argmax(axis=1)
     origin = tracks.position_m[np.arange(tracks.agents), first]
     away = np.hypot(*np.moveaxis(tracks.position_m - origin[:, None], -1, 0))
-    stands: Bools = np.where(tracks.valid, away, 0.0).max(axis=1) < _STANDS_M
-    return stands
+    return np.where(tracks.valid, away, 0.0).max(axis=1) < _STANDS_M
 
 
 def _blocking(case: RecordedCase, tracks: Tracks, stands: Bools, match_m: Floats) -> Bools:

@@ -45,99 +45,111 @@ _EXACT = 2  # keepRoute: exactly there, on or off the lanes
 _ON_ROUTE = 1  # keepRoute: the nearest point of its route
 
 
-class PlacedVehicles:
-    """Agents of a recording in SUMO, by row. An agent that is not put in a step is removed."""
+class RecordedVehicles:
+    """Agents of a recording as vehicles of SUMO, by row."""
 
     def __init__(self, api: SumoApi, log: Log, tracks: Tracks) -> None:
-        self._api = api
-        self._log = log
-        self._tracks = tracks
+        self.api, self.log, self.tracks = api, log, tracks
         # plain numbers: these are read for each vehicle at each step
         self._x = log.front_m[..., 0].tolist()
         self._y = log.front_m[..., 1].tolist()
         self._angle = log.angle_deg.tolist()
-        self._speed = tracks.speed_mps.tolist()
         self._match = log.match_m.tolist()
+        self.speed_mps = tracks.speed_mps.tolist()
+
+    def add(self, row: int, type_id: str) -> None:
+        """Add an agent with its size and route; a move says where it is inserted."""
+        name, api = self.tracks.ids[row], self.api
+        route = ANY_ROUTE
+        if row in self.log.routes:
+            route = f"route_{name}"
+            if route not in api.route.getIDList():
+                api.route.add(route, list(self.log.routes[row]))
+        api.vehicle.add(name, route, typeID=type_id, departSpeed="0")
+        length, width, height = recorded_body(self.tracks, row).size_m
+        api.vehicle.setLength(name, length)
+        api.vehicle.setWidth(name, width)
+        api.vehicle.setHeight(name, max(height, 0.1))
+
+    def insert(
+        self,
+        row: int,
+        step: int,
+        type_id: str,
+        desired_mps: float | None = None,
+        *,
+        on_route: bool = False,
+    ) -> None:
+        """Add an agent where the log has it at a step, for SUMO to drive.
+
+        ``desired_mps``: its own; None: the fastest recorded. ``on_route``: see `move`.
+        """
+        self.add(row, type_id)
+        if desired_mps is None:
+            desired_mps = float(self.tracks.speed_mps[row][self.tracks.valid[row]].max())
+        limit = max(float(self.api.lane.getMaxSpeed(f"{edge}_0")) for edge in self.log.routes[row])
+        factor = max(1.0, desired_mps / max(limit, 1.0))
+        self.api.vehicle.setSpeedFactor(self.tracks.ids[row], factor)
+        self.move(row, step, on_route=on_route)
+
+    def move(self, row: int, step: int, *, on_route: bool = False) -> None:
+        """Put an agent where the log has it at a step; ``on_route``: onto its route's lane there.
+
+        Otherwise SUMO takes it as a vehicle of the nearest lane, whichever that is.
+        """
+        x, y, angle = self._x[row][step], self._y[row][step], self._angle[row][step]
+        keep = _ON_ROUTE if on_route else _EXACT
+        name = self.tracks.ids[row]
+        self.api.vehicle.moveToXY(name, "", -1, x, y, angle, keep, self._match[row])
+
+    def place(self, row: int, pose: Pose) -> None:
+        """Put an agent at a pose."""
+        length_m = float(self.tracks.size_m[row, 0])
+        move(self.api, self.tracks.ids[row], pose, length_m, self._match[row])
+
+    def pose(self, row: int, step: int) -> Pose:
+        """Pose of an agent in the log."""
+        x, y = self.tracks.position_m[row, step]
+        return Pose(
+            x_m=float(x),
+            y_m=float(y),
+            heading_rad=float(self.tracks.heading_rad[row, step]),
+            speed_mps=self.speed_mps[row][step],
+        )
+
+
+class PlacedVehicles:
+    """The agents that are put somewhere at each step. One that is not put is removed."""
+
+    def __init__(self, recorded: RecordedVehicles) -> None:
+        self._recorded = recorded
         self._inside: set[int] = set()
         self._put: dict[int, float] = {}
 
-    def put_logged(self, row: int, step: int) -> None:
-        """Put an agent where the log has it at a step, at the end of SUMO's coming step."""
-        name = self._enter(row)
-        x, y, angle = self._x[row][step], self._y[row][step], self._angle[row][step]
-        self._api.vehicle.moveToXY(name, "", -1, x, y, angle, _EXACT, self._match[row])
-        self._put[row] = self._speed[row][step]
-
-    def put(self, row: int, pose: Pose) -> None:
-        """Put an agent at a pose."""
-        name = self._enter(row)
-        move(self._api, name, pose, float(self._tracks.size_m[row, 0]), self._match[row])
-        self._put[row] = pose.speed_mps
+    def put(self, row: int, at: int | Pose) -> None:
+        """Put an agent at a pose, or where the log has it at a step."""
+        if row not in self._inside:
+            self._recorded.add(row, PLACED_TYPE)
+            self._inside.add(row)
+        if isinstance(at, Pose):
+            self._recorded.place(row, at)
+            self._put[row] = at.speed_mps
+        else:
+            self._recorded.move(row, at)
+            self._put[row] = self._recorded.speed_mps[row][at]
 
     def before_step(self) -> None:
         """Remove the agents that were not put."""
         for row in sorted(self._inside - self._put.keys()):
-            self._api.vehicle.remove(self._tracks.ids[row])
+            self._recorded.api.vehicle.remove(self._recorded.tracks.ids[row])
         self._inside = set(self._put)
 
     def after_step(self) -> None:
         """Tell SUMO the speeds that followers react to: else they would be those of the jumps."""
-        ids, tell = self._tracks.ids, self._api.vehicle.setPreviousSpeed
+        ids, tell = self._recorded.tracks.ids, self._recorded.api.vehicle.setPreviousSpeed
         for row, speed in self._put.items():
             tell(ids[row], speed)
         self._put.clear()
-
-    def _enter(self, row: int) -> str:
-        name = self._tracks.ids[row]
-        if row not in self._inside:
-            add_vehicle(self._api, self._log, self._tracks, row, PLACED_TYPE)
-            self._inside.add(row)
-        return name
-
-
-def add_vehicle(api: SumoApi, log: Log, tracks: Tracks, row: int, type_id: str) -> None:
-    """Add an agent to SUMO with its size and route; a move says where it is inserted."""
-    name, vehicle = tracks.ids[row], api.vehicle
-    route = ANY_ROUTE
-    if row in log.routes:
-        route = f"route_{name}"
-        if route not in api.route.getIDList():
-            api.route.add(route, list(log.routes[row]))
-    vehicle.add(name, route, typeID=type_id, departSpeed="0")
-    length, width, height = (float(value) for value in tracks.size_m[row])
-    vehicle.setLength(name, length)
-    vehicle.setWidth(name, width)
-    vehicle.setHeight(name, max(height, 0.1))
-
-
-def move_logged(
-    api: SumoApi, log: Log, name: AgentId, row: int, step: int, *, on_route: bool = False
-) -> None:
-    """Put a vehicle where the log has it at a step; ``on_route``: onto the lane of its route there.
-
-    Otherwise SUMO takes it as a vehicle of the nearest lane, whichever that is.
-    """
-    x, y = log.front_m[row, step]
-    angle, match = float(log.angle_deg[row, step]), float(log.match_m[row])
-    keep = _ON_ROUTE if on_route else _EXACT
-    api.vehicle.moveToXY(name, "", -1, float(x), float(y), angle, keep, match)
-
-
-def speed_factor(api: SumoApi, route: tuple[str, ...], fastest_mps: float) -> float:
-    """Speed factor with which a vehicle can be as fast as recorded, if that is above the limits."""
-    limit = max(float(api.lane.getMaxSpeed(f"{edge}_0")) for edge in route)
-    return max(1.0, fastest_mps / max(limit, 1.0))
-
-
-def logged_pose(tracks: Tracks, row: int, step: int) -> Pose:
-    """Pose of an agent in the log."""
-    x, y = tracks.position_m[row, step]
-    return Pose(
-        x_m=float(x),
-        y_m=float(y),
-        heading_rad=float(tracks.heading_rad[row, step]),
-        speed_mps=float(tracks.speed_mps[row, step]),
-    )
 
 
 class FreeTraffic:
@@ -146,14 +158,14 @@ class FreeTraffic:
     ``entered``: SUMO has driven them; ``lost``: the log has to drive them.
     """
 
-    def __init__(self, api: SumoApi, log: Log, tracks: Tracks, events: list[Event]) -> None:
-        self._api = api
-        self._log = log
-        self._tracks = tracks
+    def __init__(self, recorded: RecordedVehicles, events: list[Event]) -> None:
+        self._recorded = recorded
+        self._api, self._tracks = recorded.api, recorded.tracks
         self._events = events
         self._inside: set[int] = set()
         self._motions: dict[int, ShownMotion] = {}
         self._fresh: list[tuple[int, int]] = []
+        log = recorded.log
         self.lost: set[int] = {row for row in log.rows if row not in log.routes}
         self.entered: set[int] = set()
 
@@ -167,18 +179,15 @@ class FreeTraffic:
 
     def enter(self, row: int, step: int) -> None:
         """Insert the agent with its recorded state at a step."""
-        name, vehicle = self._tracks.ids[row], self._api.vehicle
         try:
-            add_vehicle(self._api, self._log, self._tracks, row, TRAFFIC_TYPE)
+            self._recorded.insert(row, step, TRAFFIC_TYPE)
         except self._api.TraCIException as error:
             self._lose(row, step, f"{str(error).strip()} Replayed from the log.")
             return
-        fastest = float(self._tracks.speed_mps[row][self._tracks.valid[row]].max())
-        vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], fastest))
-        move_logged(self._api, self._log, name, row, step)
         self._inside.add(row)
         self.entered.add(row)
-        self._motions[row] = ShownMotion(self._api, name, float(self._tracks.size_m[row, 0]))
+        name, length_m = self._tracks.ids[row], float(self._tracks.size_m[row, 0])
+        self._motions[row] = ShownMotion(self._api, name, length_m)
         self._fresh.append((row, step))
 
     def after_step(self, step: int) -> None:
@@ -258,11 +267,12 @@ class LogWorld:
         self._now = self._step = case.scene.now
         self._row = {agent: row for row, agent in enumerate(self._tracks.ids)}
         self._av_row = self._row[case.av_id]
-        self._placed = PlacedVehicles(api, self._log, self._tracks)
-        self._free = FreeTraffic(api, self._log, self._tracks, self.events)
+        self._recorded = RecordedVehicles(api, self._log, self._tracks)
+        self._placed = PlacedVehicles(self._recorded)
+        self._free = FreeTraffic(self._recorded, self.events)
         self._takeover = Takeover(api, self.events)
         self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals, self._log.passed)
-        start = logged_pose(self._tracks, self._av_row, self._now)
+        start = self._recorded.pose(self._av_row, self._now)
         length = float(self._tracks.size_m[self._av_row, 0])
         self.av = Av(api, case.av_id, length, start)
         width = float(self._tracks.size_m[self._av_row, 1])
@@ -366,13 +376,9 @@ class LogWorld:
     def _insert_av(self, model: VehicleModel | None, *, on_route: bool) -> None:
         tracks, row, name = self._tracks, self._av_row, self._case.av_id
         vehicle = self._api.vehicle
-        add_vehicle(self._api, self._log, tracks, row, AV_TYPE if model else TRAFFIC_TYPE)
-        desired = float(tracks.speed_mps[row][tracks.valid[row]].max())
-        if model is not None and model.desired_mps is not None:
-            desired = model.desired_mps
-        vehicle.setSpeedFactor(name, speed_factor(self._api, self._log.routes[row], desired))
+        kind, desired = (AV_TYPE, model.desired_mps) if model else (TRAFFIC_TYPE, None)
+        self._recorded.insert(row, self._now, kind, desired, on_route=on_route)
         vehicle.setLaneChangeMode(name, _FOLLOW_ROUTE)
-        move_logged(self._api, self._log, name, row, self._now, on_route=on_route)
         self._settle()
         vehicle.setPreviousSpeed(name, float(tracks.speed_mps[row, self._now]))
 
@@ -387,7 +393,7 @@ class LogWorld:
 
     def _note_alignment(self) -> None:
         """Note how far SUMO, which drives along lanes, has moved or turned the AV for its start."""
-        start, pose = logged_pose(self._tracks, self._av_row, self._now), self.av.pose
+        start, pose = self._recorded.pose(self._av_row, self._now), self.av.pose
         ahead_m = (start.speed_mps + pose.speed_mps) / 2 * DT_S
         expected = np.array([start.x_m, start.y_m])
         expected = expected + ahead_m * frames.unit(np.array(start.heading_rad))
@@ -414,7 +420,7 @@ class LogWorld:
             self._note("lane_lost", "the log drives the AV until it reaches a lane")
         tracks, row = self._tracks, self._av_row
         there = tracks.valid[row, : self._step + 1]
-        pose = logged_pose(tracks, row, int(np.flatnonzero(there)[-1]))
+        pose = self._recorded.pose(row, int(np.flatnonzero(there)[-1]))
         moves = self._step < tracks.steps and bool(tracks.valid[row, self._step])
         self.av.place(pose if moves else replace(pose, speed_mps=0.0))
         return Driver.LOG
@@ -445,7 +451,7 @@ class LogWorld:
             if free and self._free.may_enter(row):
                 self._free.enter(row, step)
             elif not free or row in self._free.lost:
-                self._placed.put_logged(row, step)
+                self._placed.put(row, step)
 
     def _logged(self, step: int, wanted: Bools) -> Frame:
         """The wanted agents that the log has at a step."""

@@ -52,15 +52,10 @@ class Recorder:
 
     def add(self, frame: Frame) -> None:
         """Append one step."""
-        self.step += 1
-        rows = np.array([self._row_of(agent) for agent in frame.ids], int)
-        now = self._state[:, self.step]
-        now[rows, :2] = frame.position_m
-        now[rows, 2] = frame.z_m
-        now[rows, 3] = frame.heading_rad
-        now[rows, 4:] = frame.velocity_mps
-        self._driver[rows, self.step] = frame.driver
-        self._valid[rows, self.step] = True
+        state = np.column_stack(
+            [frame.position_m, frame.z_m, frame.heading_rad, frame.velocity_mps]
+        )
+        self.extend(frame.ids, state[:, None], frame.driver[:, None])
 
     def extend(self, ids: list[AgentId], state: Floats, driver: Bytes) -> None:
         """Append K steps of N agents, which are in the order of their appearance.
@@ -114,8 +109,7 @@ class Recorder:
 
     def sizes_m(self, ids: list[AgentId]) -> Floats:
         """(N, 2) length and width of agents."""
-        size: Floats = self._size_m[[self._row[agent] for agent in ids], :2]
-        return size
+        return self._size_m[[self._row[agent] for agent in ids], :2]
 
     def _tracks(self, rows: Ints, a: int, b: int) -> Tracks:
         state = self._state[rows, a:b]
