@@ -138,31 +138,26 @@ class Store:
         return self.out / "runs"
 
     def earlier(self, task: Task) -> Result | None:
-        """The result of a run of this name that is already there, if it went through.
+        """The result of a successful run of this name that is already there.
 
-        It is an equal run's where its ``key`` is the task's.
+        It belongs to an equal run where its ``key`` is the task's.
         """
         try:
-            found = self.read(task)
-        except UsageError:  # none, or damaged: it is done anew
+            found = self.read_run(task.run_id)
+        except UsageError:  # none, or damaged: the run is repeated
             return None
         return found if found["status"] == "ok" else None
-
-    def read(self, task: Task) -> Result:
-        """The result that a worker has written."""
-        return self.read_run(task.run_id)
 
     def read_run(self, run_id: str) -> Result:
         """The result of a run that is there. Raises UsageError where it cannot be read."""
         file = stored.run_folder(self.out, run_id, stored.RUNS) / "result.json"
         return stored.result_of(file, whole=True)
 
-    def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
-        """Write the manifest of a batch; ``machine`` is what may differ between equal ones."""
-        self.manifest({task.run_id: task.key for task in tasks}, machine)
-
     def manifest(self, keys: dict[str, str], machine: dict[str, Any]) -> None:
-        """Write the manifest of runs, given by id and `Task.key`."""
+        """Write the manifest of runs, given by id and `Task.key`.
+
+        ``machine`` is what may differ between equal batches.
+        """
         manifest = {
             "format_version": stored.FORMAT_VERSION,
             "tool": "deepmf-sumo",

@@ -9,7 +9,7 @@
     results.runs[0].rollout.tracks
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -25,7 +25,7 @@ from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import artifacts, stored, tracks
-from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.result import ContactValues, MetricValues, Result
 from deepmf_sumo.spec import document
 
 HIT: Final = "av_opponent"
@@ -146,10 +146,20 @@ class Run:
         asked = self.result["settings"]["adversary"].get("sector")
         return SECTORS.index(asked) if isinstance(asked, str) else asked
 
+    @cached_property
+    def metrics(self) -> Mapping[str, MetricValues]:
+        """The metrics by name; none where the run has no result."""
+        return self.result["metrics"] if self.status == "ok" and self.has_result else {}
+
     def metric(self, name: str) -> float | None:
         """Value of a metric; None where it is not defined, or not known to that version."""
-        found = self.result["metrics"].get(name)
+        found = self.metrics.get(name)
         return None if found is None else found["value"]
+
+    @property
+    def contacts(self) -> Sequence[ContactValues]:
+        """All contacts as in ``result.json``; none where the run has no result."""
+        return self.result["contacts"] if self.status == "ok" and self.has_result else ()
 
     @cached_property
     def rollout(self) -> Rollout:
@@ -289,7 +299,12 @@ class Results:
         A missing value is None or NaN. Raises UsageError where a ``result.json`` is damaged.
         """
         rows = [
-            {"folder": str(run.folder.parents[1]), **run.row, **_metrics(run)} for run in self.runs
+            {
+                "folder": str(run.folder.parents[1]),
+                **run.row,
+                **{name: one["value"] for name, one in run.metrics.items()},
+            }
+            for run in self.runs
         ]
         table = pd.DataFrame(rows).replace("", None)
         for name in NUMBERS:
@@ -317,12 +332,6 @@ def planned(out: Path) -> dict[str, Result | None]:
 
 def _text(file: Path) -> str:
     return file.read_text("utf-8", errors="replace") if file.is_file() else ""
-
-
-def _metrics(run: Run) -> dict[str, float | None]:
-    if run.status != "ok" or not run.has_result:
-        return {}
-    return {name: one["value"] for name, one in run.result["metrics"].items()}
 
 
 @lru_cache(maxsize=16)

@@ -115,7 +115,7 @@ class ContactValues(TypedDict, total=False):
     pose_second: list[float]
 
 
-class MetricValues(TypedDict, total=False):
+class MetricValues(TypedDict):
     """A metric, see `datatypes.MetricValue`; ``value`` is None where it is not defined."""
 
     value: float | None
