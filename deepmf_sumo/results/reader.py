@@ -39,7 +39,7 @@ NUMBERS: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run of a result folder. What it wrote is read when it is asked for.
+    """A run of a result folder. Its files are read on demand.
 
     Attributes:
         folder: of the run, in ``runs`` of the result folder.
@@ -70,7 +70,7 @@ class Run:
         if not (seed.isascii() and seed.isdecimal() and len(seed) < 20):
             raise UsageError(
                 f"{out / stored.RUNS} is damaged: the seed of {row['run_id']} is {seed!r:.80};"
-                " write it anew with --resume."
+                " write it again with --resume."
             )
         return cls(
             folder=stored.run_folder(out, row["run_id"], stored.RUNS),
@@ -127,7 +127,7 @@ class Run:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing speaks against the hit: limits, road, third parties, avoidability."""
+        """Whether the hit is valid: limits, road, third parties, avoidability."""
         valid = self.metric("valid_collision")
         if valid is not None:
             return valid >= 1.0
@@ -142,7 +142,7 @@ class Run:
 
     @property
     def asked_sector(self) -> int | None:
-        """The impact sector that the attack was asked for."""
+        """The impact sector that the attack aimed at."""
         asked = self.result["settings"]["adversary"].get("sector")
         return SECTORS.index(asked) if isinstance(asked, str) else asked
 
@@ -214,7 +214,7 @@ class Run:
     def road(self) -> tuple[RoadMap, str]:
         """The recording's map, or the network's; and why it is not the one that was attacked on.
 
-        Where the recording is not there any more, it is the network in the run's folder.
+        Where the recording is gone, it is the network in the run's folder.
         """
         source = self.source
         lost = ""
@@ -263,12 +263,12 @@ class Results:
 
     @property
     def done(self) -> tuple[Run, ...]:
-        """The runs that succeeded, without those that a plan has for other budgets or figures."""
+        """The successful runs, without those that a plan has for other budgets or figures."""
         return tuple(run for run in self.runs if run.part == "main" and run.status == "ok")
 
     @property
     def steered(self) -> tuple[Run, ...]:
-        """The successful runs that a plan has for figures: they asked for an impact sector."""
+        """The successful runs that a plan has for figures: they aimed at an impact sector."""
         return tuple(run for run in self.runs if run.part == "figures" and run.status == "ok")
 
     @property
@@ -336,7 +336,7 @@ def _text(file: Path) -> str:
 
 @lru_cache(maxsize=16)
 def _recorded_road(recording: Path, scene: str) -> RoadMap:
-    """Kept, for several figures show the same scene."""
+    """Kept, since several figures show the same scene."""
     return readers.scene(recording, scene, cache_folder()).road
 
 

@@ -87,7 +87,7 @@ def test_a_run_that_is_half_written_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"run0/result\.json is damaged .* --resume"):
         groups([made])
     file.write_text("null")
-    with pytest.raises(UsageError, match="it holds no names and values"):
+    with pytest.raises(UsageError, match="it is not a mapping"):
         groups([made])
     (made / "runs.csv").write_text("")
     with pytest.raises(UsageError, match=r"runs\.csv is cut short; .* --resume"):
