@@ -201,7 +201,7 @@ def test_a_baseline_that_is_renewed_is_not_compared_with(tmp_path, out):
         gate.check(out, limits)
     verdict = gate.check(out, limits, renewed=tmp_path / "b.json")
     assert verdict.comparisons is None
-    assert "written anew" in verdict.notes[0]
+    assert "written again" in verdict.notes[0]
     assert gate.check(out, limits).comparisons is not None
 
 
