@@ -141,8 +141,10 @@ def _attack(result: Result) -> dict[str, Any]:
 
 
 def _of_file(file: Path) -> Results:
-    values = _json(file, f"{file}: no such file or folder; write it with --write-baseline.")
-    if not isinstance(values, dict) or values.get("kind") != _KIND:
+    if not file.exists():
+        raise UsageError(f"{file}: no such file or folder; write it with --write-baseline.")
+    values = stored.mapping(file, again="write it with --write-baseline")
+    if values.get("kind") != _KIND:
         raise UsageError(f"{file} is not a results file; write it with --write-baseline.")
     if values.get("format_version") != FORMAT_VERSION:
         raise UsageError(
@@ -165,14 +167,3 @@ def _kept(values: dict[str, Any]) -> Row:
     if not all(isinstance(number, int | float) for number in dict(numbers).values()):
         raise TypeError("a value is not a number")
     return Row(**{**values, "broken": tuple(values["broken"])})
-
-
-def _json(file: Path, missing: str) -> Any:
-    try:
-        return json.loads(file.read_text("utf-8"))
-    except FileNotFoundError:
-        raise UsageError(missing) from None
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
-    except ValueError as error:
-        raise UsageError(f"{file} is damaged ({error}).") from None

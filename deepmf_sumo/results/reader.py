@@ -338,6 +338,3 @@ def _text(file: Path) -> str:
 def _recorded_road(recording: Path, scene: str) -> RoadMap:
     """Kept, since several figures show the same scene."""
     return readers.scene(recording, scene, cache_folder()).road
-
-
-__all__ = ["Results", "Run", "planned"]

@@ -379,10 +379,3 @@ def first_wrong(error: ValidationError) -> str:
 
 def _damaged(file: Path, why: str, again: str) -> UsageError:
     return UsageError(f"{file} is damaged ({why}); {again}.")
-
-
-__all__ = [
-    "DAMAGE", "MANIFEST", "MOMENTS", "MOST_STEPS", "NEEDED", "RUNS", "arrays", "first_wrong",
-    "inputs_of", "keys_of", "mapping", "moments_of", "net_file", "result_folders", "result_of",
-    "rows_of", "run_folder", "tracks",
-]  # fmt: skip

@@ -236,18 +236,3 @@ def _row(group: Sequence[Attacked], **named: Any) -> Row:
 
 def _least(values: Iterable[float | None]) -> float | None:
     return min((value for value in values if value is not None), default=None)
-
-
-__all__ = [
-    "CONFLICT_S",
-    "COUNTED",
-    "DEFINITIONS",
-    "EVENTS",
-    "SEVERE_MPS",
-    "Counted",
-    "Event",
-    "Row",
-    "columns",
-    "rows",
-    "worst",
-]

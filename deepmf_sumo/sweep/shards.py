@@ -193,6 +193,3 @@ def _read(shard: Path) -> list[tuple[str, str]]:
     for run_id, _ in runs:
         stored.run_folder(shard, run_id, FILE)
     return runs
-
-
-__all__ = ["Shard", "copied", "found_in", "joining", "merge", "note", "of_benchmark"]

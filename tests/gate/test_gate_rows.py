@@ -98,7 +98,7 @@ EMPTY = {
     [
         (None, "no such file or folder"),
         ("{", "is damaged"),
-        ("[]", "is not a results file"),
+        ("[]", "is damaged"),
         ('{"kind": "deepmf-sumo results", "format_version": 9}', "has format 9"),
         ('{"kind": "deepmf-sumo results", "format_version": 2}', "is damaged"),
         (json.dumps(EMPTY | {"runs": [{}]}), "is damaged"),
