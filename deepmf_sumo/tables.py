@@ -15,7 +15,7 @@ _LARGEST: Final = 2**28
 
 
 def cell(value: Any) -> str:
-    """A value in a CSV table: None is empty, numbers have six digits, text is no formula."""
+    """A value in a CSV table: None is empty, numbers have six digits, text is never a formula."""
     return f"{value:.6g}" if isinstance(value, float) else exact(value)
 
 
@@ -45,7 +45,7 @@ def to_csv(
     return text.getvalue()
 
 
-def read_csv(file: Path, again: str = "write it anew with --resume") -> list[dict[str, str]]:
+def read_csv(file: Path, again: str = "write it again with --resume") -> list[dict[str, str]]:
     """Rows of a CSV table, as text.
 
     Raises UsageError where the table is damaged or cut short: part of the rows must not pass for

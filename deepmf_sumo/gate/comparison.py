@@ -29,7 +29,7 @@ class Comparison:
         found: the difference, new minus old, and what it is of.
         tolerance: by how much it may be worse, however sure that is.
         rule_out: a worsening of this size must be ruled out for a pass.
-        needed: about how many units would tell, where these cannot.
+        needed: about how many units would decide, where these do not.
     """
 
     group: str
@@ -50,7 +50,7 @@ def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
     if new.version != old.version:
         raise UsageError(
             f"{old.source} was made by version {old.version} of deepmf-sumo and {new.source} by"
-            f" {new.version}: attacks of two versions differ; make the baseline anew with"
+            f" {new.version}: attacks of two versions differ; write the baseline again with"
             " --write-baseline."
         )
     groups = _groups(wanted.by, new.rows.values())
@@ -67,7 +67,7 @@ def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
 
 
 def _groups(by: str, rows: Iterable[Row]) -> dict[str, str]:
-    """Name of each group, and what its rows have in common; a baseline's own are left out."""
+    """Name of each group, and what its rows share; groups of the baseline alone are left out."""
     if by == "all":
         return {ALL: ""}
     names = {getattr(row, by) for row in rows if row.judged}
@@ -79,7 +79,7 @@ def _of(results: Results, by: str, member: str) -> list[Row]:
 
 
 def attack_changed(new: Results, old: Results) -> tuple[int, list[str]]:
-    """In how many pairs the attack was set up differently, and the settings that differ."""
+    """In how many pairs the attack has another setup, and the settings that differ."""
     common = new.rows.keys() & old.rows.keys()
     pairs = [(new.rows[run_id], old.rows[run_id]) for run_id in sorted(common)]
     changed = [(a, b) for a, b in pairs if a.attack and b.attack and a.attack != b.attack]
@@ -92,7 +92,7 @@ def attack_changed(new: Results, old: Results) -> tuple[int, list[str]]:
 
 
 def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> set[str]:
-    """Names of the settings that have other values; of two adversaries their names say enough."""
+    """Names of the settings that differ; of two different adversaries only ``adversary``."""
     if a.get("adversary") != b.get("adversary"):
         return {"adversary"}
     return {name for name in a.keys() | b.keys() if a.get(name) != b.get(name)}

@@ -1,6 +1,6 @@
-"""Result folder -> what a gate has to know of each run; and the small file that keeps it.
+"""Result folder -> what a gate needs of each run; and the small file that stores it.
 
-The file (`results.json`) is what a later job compares with: a result folder is too large to keep.
+A later job compares with that file (`results.json`): a result folder is too large to keep.
 """
 
 import hashlib
@@ -105,11 +105,11 @@ def _of_folder(out: Path) -> Results:
 
 
 def _missing(run_id: str) -> Row:
-    """The row of a run that has no result, or one of an earlier batch."""
+    """The row of a run without a result of this batch."""
     spec, scene, seed = run_id.rsplit("--", 2)
     return Row(
         run_id=run_id, spec=spec, network=scene, scene=scene, seed=int(seed), status="missing",
-        reason="the run has no result: it was not begun, or interrupted",
+        reason="the run has no result: it was not started, or interrupted",
     )  # fmt: skip
 
 
@@ -128,7 +128,7 @@ def _row(result: Result) -> Row:
         attack=hashlib.sha256(attack).hexdigest()[:16],
         status=result["status"],
         judged=judged(result),
-        reason=result["error"] if not went or judged(result) else "nobody to attack",
+        reason=result["error"] if not went or judged(result) else "no vehicle to attack",
         broken=tuple(result["expectations_broken"]),
         wall_s=float(result["timings"]["wall_s"]),
         values={name: round(value, _DIGITS) for name, value in found.items() if value is not None},
@@ -141,13 +141,15 @@ def _attack(result: Result) -> dict[str, Any]:
 
 
 def _of_file(file: Path) -> Results:
-    values = _json(file, f"{file}: no such file or folder; write it with --write-baseline.")
-    if not isinstance(values, dict) or values.get("kind") != _KIND:
-        raise UsageError(f"{file} is no results file; write it with --write-baseline.")
+    if not file.exists():
+        raise UsageError(f"{file}: no such file or folder; write it with --write-baseline.")
+    values = stored.mapping(file, again="write it with --write-baseline")
+    if values.get("kind") != _KIND:
+        raise UsageError(f"{file} is not a results file; write it with --write-baseline.")
     if values.get("format_version") != FORMAT_VERSION:
         raise UsageError(
             f"{file} has format {values.get('format_version')}, this version of deepmf-sumo reads"
-            f" format {FORMAT_VERSION}; write it anew with --write-baseline."
+            f" format {FORMAT_VERSION}; write it again with --write-baseline."
         )
     try:
         rows = [_kept(row) for row in values["runs"]]
@@ -163,16 +165,5 @@ def _kept(values: dict[str, Any]) -> Row:
     """A row of a results file. Raises KeyError or TypeError for what is none."""
     numbers = values["values"]
     if not all(isinstance(number, int | float) for number in dict(numbers).values()):
-        raise TypeError("a value is no number")
+        raise TypeError("a value is not a number")
     return Row(**{**values, "broken": tuple(values["broken"])})
-
-
-def _json(file: Path, missing: str) -> Any:
-    try:
-        return json.loads(file.read_text("utf-8"))
-    except FileNotFoundError:
-        raise UsageError(missing) from None
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror}.") from None
-    except ValueError as error:
-        raise UsageError(f"{file} is damaged ({error}).") from None

@@ -24,14 +24,14 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class Limits(Strict):
-    """Bounds over a group of runs; None is no bound.
+    """Bounds over a group of runs; None: not bounded.
 
     Attributes:
         max_av_collision_rate: see `quantities.COMPARABLE` for this and the other rates.
         min_ttc_p05: seconds; the least time to collision that 95 % of the attacked runs keep.
         max_delta_v_mps, max_collision_speed_mps: of the worst hit.
         max_failed_runs: failed, timed out or missing ones.
-        min_judged_runs: fewer of them are no basis for a judgement.
+        min_judged_runs: fewer of them are not enough for a judgement.
     """
 
     max_av_collision_rate: Share | None = None
@@ -50,16 +50,16 @@ class Limits(Strict):
 
 def _known(name: str) -> str:
     if name not in COMPARABLE:
-        rule = f"'{name}' is no quantity. Known: {', '.join(COMPARABLE)}"
+        rule = f"'{name}' is not a quantity. Known: {', '.join(COMPARABLE)}"
         raise PydanticCustomError("rule", "{rule}", {"rule": rule})
     return name
 
 
 QuantityName = Annotated[str, AfterValidator(_known)]
 COMPARED: Final = ("impact_mps",)
-"""One quantity, so that few specs suffice: every contact of the AV, and how hard it is."""
+"""One quantity, so that few specs suffice: every contact of the AV, by its relative speed."""
 SHOWN: Final = ("impact_mps", "av_collision_rate", "valid_collision_rate", "ttc_s", "min_gap_m")
-"""For the reader, judged or not."""
+"""Shown to the reader, judged or not."""
 
 
 class Baseline(Strict):
@@ -138,8 +138,8 @@ class Judgement:
         value: None where no run has one.
         interval: 95 % of a rate, for the reader; the value itself is judged.
         runs: with a value.
-        state: ``unfit`` where the runs are no basis for a judgement; ``no value`` where there was
-            nothing to measure, e.g. no hit whose speed could be too high.
+        state: ``unfit`` where the runs are not enough for a judgement; ``no value`` where there
+            was nothing to measure, e.g. no hit whose speed could be too high.
         blamed: ids of the runs that a broken bound is due to.
     """
 
@@ -176,7 +176,7 @@ def _groups(thresholds: Thresholds, rows: Sequence[Row]) -> Iterator[tuple[str, 
                 known = list(dict.fromkeys(getattr(row, kind) for row in rows))
                 hint = nearest(pattern, known) or f" There are {known[:5]}."
                 raise UsageError(
-                    f"thresholds of the {kind} '{pattern}': no run of the results is of it.{hint}"
+                    f"thresholds of the {kind} '{pattern}': no run belongs to it.{hint}"
                 )
             yield f"{kind} {pattern}", limits, members
 

@@ -1,10 +1,10 @@
 """Results, thresholds and baseline -> what a continuous-integration job says.
 
-A verdict as JUnit XML: a test case a run (scene and seed), and one a threshold and comparison.
+A verdict as JUnit XML: one test case per run (scene and seed), threshold and comparison.
 
 ``failure``: a broken expectation, threshold or comparison; ``error``: a run that failed or is
-missing, too few runs, or a comparison that cannot tell; ``skipped``: nobody to attack, or nothing
-to judge by.
+missing, too few runs, or a comparison that cannot tell; ``skipped``: no vehicle to
+attack, or nothing to judge by.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -77,7 +77,7 @@ class Verdict:
         blamed = (
             one for one in self.judgements if row.run_id in one.blamed and one.state == "broken"
         )
-        return [*row.broken, *(f"has part in {one.limit} of {one.group}" for one in blamed)]
+        return [*row.broken, *(f"contributes to {one.limit} of {one.group}" for one in blamed)]
 
 
 def check(
@@ -88,9 +88,9 @@ def check(
     Args:
         out: the result folder.
         thresholds: what is allowed.
-        baseline: goes before the one that the thresholds name.
-        renewed: written from these results, whatever they are worth; a baseline that is renewed is
-            not compared with.
+        baseline: used instead of the one that the thresholds name.
+        renewed: a baseline to write from these results, whatever the verdict; it is not compared
+            with.
 
     Raises UsageError for a folder, a baseline or a group of thresholds that cannot be used, and
     OutputError.
@@ -103,7 +103,7 @@ def check(
     if renewed:
         rows.write(renewed, found)
         if place and place.resolve() == renewed.resolve():
-            place, notes = None, [f"{renewed} is written anew, so nothing is compared with it"]
+            place, notes = None, [f"{renewed} is written again, so nothing is compared with it"]
     if place:
         old = rows.read(place)
         comparisons = comparison.compare(thresholds.baseline, found, old)
@@ -134,12 +134,12 @@ def sentence(one: Judgement) -> str:
 
 def regression(one: Comparison) -> str:
     """``all runs: av_collision_rate was 0.1 and is 0.4: +0.3 (+0.1 to +0.5; 40 pairs)``."""
-    told = f"was {_mean(one.found.old, one.unit)} and is {_mean(one.found.new, one.unit)}"
-    return f"{one.group}: {one.quantity} {told}: {difference(one.found)}"
+    change = f"was {_mean(one.found.old, one.unit)} and is {_mean(one.found.new, one.unit)}"
+    return f"{one.group}: {one.quantity} {change}: {difference(one.found)}"
 
 
 def undecided_sentence(one: Comparison) -> str:
-    """What the runs leave open, and how many would tell."""
+    """What the runs leave open, and how many would decide."""
     found = one.found
     if found.difference is None:
         why = "no run of both sides has a value"
@@ -200,7 +200,7 @@ def _notes(wanted: Baseline, new: Results, old: Results, compared: int) -> Itera
         )
     alone = len(new.rows.keys() - old.rows.keys()), len(old.rows.keys() - new.rows.keys())
     if any(alone):
-        yield f"{alone[0]} runs are new, {alone[1]} of the baseline are not there any more"
+        yield f"{alone[0]} runs are new, {alone[1]} of the baseline are gone"
     yield (
         f"judged: {', '.join(wanted.quantities)}; the judged intervals ({compared}) hold together"
         f" with {100 * wanted.confidence:g} % at each end"
@@ -220,7 +220,7 @@ def write_summary(path: Path, verdict: Verdict) -> None:
 
 
 def text(verdict: Verdict) -> str:
-    """Title, tables, and the runs to look at; long lists are cut, and the cut is said."""
+    """Title, tables, and the runs to look at; long lists are cut, which the text says."""
     rows = list(verdict.results.rows.values())
     lines = [f"## deepmf-sumo: {_TITLES[verdict.exit_code]}", "", counts(rows), ""]
     lines += to_markdown(
@@ -235,7 +235,7 @@ def text(verdict: Verdict) -> str:
     undecided = [one for one in verdict.comparisons or () if one.state == "cannot tell"]
     lines += [f"\n{undecided_sentence(one)}." for one in undecided[:LONGEST_LIST]]
     for title, found in (
-        ("Runs with part in it", _blamed(verdict)),
+        ("Runs that contribute to it", _blamed(verdict)),
         ("Runs without result", _unfinished(rows)),
     ):
         if found:
@@ -246,16 +246,16 @@ def text(verdict: Verdict) -> str:
 
 
 def counts(rows: Sequence[Row]) -> str:
-    """``40 runs: 36 judged, 3 with nobody to attack, 1 without result``."""
+    """``40 runs: 36 judged, 3 with no vehicle to attack, 1 failed or missing``."""
     unfinished = sum(row.status in UNFINISHED for row in rows)
     skipped = sum(row.status == "skipped" for row in rows)
     judged = sum(row.judged for row in rows)
-    nobody = len(rows) - unfinished - skipped - judged
-    told = [f"{judged} judged"]
-    told += [f"{nobody} with nobody to attack"] if nobody else []
-    told += [f"{skipped} skipped"] if skipped else []
-    told += [f"{unfinished} failed or missing"] if unfinished else []
-    return f"{len(rows)} runs: {', '.join(told)}"
+    unattacked = len(rows) - unfinished - skipped - judged
+    parts = [f"{judged} judged"]
+    parts += [f"{unattacked} with no vehicle to attack"] if unattacked else []
+    parts += [f"{skipped} skipped"] if skipped else []
+    parts += [f"{unfinished} failed or missing"] if unfinished else []
+    return f"{len(rows)} runs: {', '.join(parts)}"
 
 
 def thresholds(verdict: Verdict) -> Iterator[tuple[str, ...]]:
@@ -326,7 +326,7 @@ def _comparison(one: Comparison) -> TestCase:
 
 def _run(row: Row, verdict: Verdict, *, tolerated: bool) -> TestCase:
     failures = verdict.failures(row)
-    # in one element: most servers show the first alone
+    # in one element: most servers show only the first
     marks = [Mark("failure", "; ".join(failures))] if failures else []
     if row.status in UNFINISHED and not tolerated:
         marks.append(Mark("error", f"{row.status}: {row.reason}"))
@@ -353,5 +353,5 @@ def _tolerated(verdict: Verdict) -> bool:
 
 
 def _classname(row: Row) -> str:
-    """What tells equal scenes and seeds apart: spec, method and planner, each named once."""
+    """Spec, method and planner, each named once: they differ for equal scenes and seeds."""
     return " / ".join(dict.fromkeys(part for part in (row.spec, row.method, row.planner) if part))

@@ -8,7 +8,7 @@ from deepmf_sumo.report import tables
 def finish(out: Path, *, figures: bool = True) -> list[Path]:
     """Write tables and figures from the runs in the folder; returns their files.
 
-    Raises UsageError where it is no benchmark's folder.
+    Raises UsageError where it is not a benchmark's folder.
     """
     made = tables.write(out)
     if figures:

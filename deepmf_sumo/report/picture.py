@@ -1,4 +1,4 @@
-"""One picture a run: the map, who drove where, whom the attack chose, and why."""
+"""One picture per run: the map, the paths driven, the chosen opponent, and the scores."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +23,7 @@ AXES_IN: Final = 7.4
 MARGIN_M: Final = 18.0
 SMALLEST_M: Final = 60.0
 LARGEST_M: Final = 160.0
-"""Side of the picture of a contact; without one there is no one place to look at."""
+"""Side of the picture of a contact; without a contact there is no such detail."""
 WIDEST_M: Final = 260.0
 EVERY_STEPS: Final = 10
 """Boxes along a driven path: one a second."""

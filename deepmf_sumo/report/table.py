@@ -1,9 +1,10 @@
 """Results -> rows of the table that a terminal shows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 from deepmf_sumo.geometry import impact
+from deepmf_sumo.results.result import Result, first_contact
 
 HEADINGS: Final = ("run", "outcome", "contact", "speed", "opponent", "AV hit at", "generated in")
 
@@ -18,17 +19,17 @@ OUTCOMES: Final = {
 }
 
 
-def rows(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """A row a run, in the order of `HEADINGS`; the content of ``result.json`` goes in."""
+def rows(results: Sequence[Result]) -> list[tuple[str, ...]]:
+    """One row per run, in the order of `HEADINGS`."""
     return [_row(result) for result in results]
 
 
-def _row(result: Mapping[str, Any]) -> tuple[str, ...]:
+def _row(result: Result) -> tuple[str, ...]:
     run_id = result["run_id"]
     if result["status"] != "ok":
         return (run_id, f"{result['status']}: {result['error']}", "", "", "", "", "")
     outcome = result["outcome"]
-    contact = next((one for one in result["contacts"] if one["kind"] == outcome), None)
+    contact = first_contact(result)
     opponent = result["opponent"] or "-"
     score = result["opponent_score"]
     broken = "".join(f"; EXPECTATION BROKEN: {one}" for one in result["expectations_broken"])
@@ -44,12 +45,12 @@ def _row(result: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def counted(number: int, one: str, many: str = "") -> str:
-    """``1 run``, ``2 runs``; ``many`` where an s does not do."""
+    """``1 run``, ``2 runs``; ``many`` is another plural."""
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def totals(summary: dict[str, Any]) -> str:
-    """One line under the table; the content of ``summary.json`` goes in."""
+    """The line under the table, from the content of ``summary.json``."""
     statuses = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     parts = [f"{counted(summary['runs'], 'run')}: {statuses or 'none'}"]
     rate = summary["collision_rate"]

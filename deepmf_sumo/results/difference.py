@@ -10,7 +10,7 @@ values is the newer one: swapping them in any subset of the pairs was as likely.
 is refused where the observed mean is among the most extreme of all swaps of ``difference - delta``.
 Solved for delta, every swap gives the mean difference over the pairs that it swaps, and the
 interval is a range of quantiles of these "typical values" (Hartigan, JASA 64, 1969). Nothing is
-assumed of the distribution, and rates are no special case. Without pairs, the test draws anew which
+assumed of the distribution, and rates need no special case. Without pairs, the test redraws which
 values belong to which side (Fisher, 1935).
 """
 
@@ -30,7 +30,7 @@ from deepmf_sumo.datatypes import Floats
 DRAWS: Final = 9_999
 _BATCH: Final = 1_111
 _EXHAUSTIVE: Final = 13
-"""Up to so many pairs all subsets are taken: 8,192."""
+"""Up to this number of pairs all 8,192 subsets are taken."""
 _SEED: Final = 20241217
 
 
@@ -57,7 +57,7 @@ def fewest_unpaired(confidence: float) -> int:
 
 
 def paired(units: Sequence[Sequence[float]], confidence: float) -> Difference:
-    """Of the differences within pairs; those of one unit depend on each other and swap together."""
+    """The difference within pairs; those of one unit depend on each other and swap together."""
     sums = np.array([sum(unit) for unit in units])
     counts = np.array([len(unit) for unit in units])
     swaps = _swaps(len(units))
@@ -75,7 +75,7 @@ def _swaps(units: int) -> Floats:
 
 
 def unpaired(new: Sequence[float], old: Sequence[float], confidence: float) -> Difference:
-    """Of the means of two sets of values."""
+    """The difference of the means of two sets of values."""
     values = np.array([*new, *old])
     mine = np.arange(len(values)) < len(new)
     observed = values[mine].mean() - values[~mine].mean()
@@ -99,14 +99,14 @@ def _interval(mean: float, typical: Floats, confidence: float, as_observed: int 
     """
     order = np.sort(np.round(typical, 9))  # so that sums in another order do not break ties
     rare = int((1 - confidence) / 2 * (len(order) + as_observed) + 1e-9)
-    if rare < as_observed:  # not even the most extreme arrangement is rare enough
+    if rare < as_observed:  # even the most extreme arrangement is too frequent
         return Difference(mean, None, None)
     beyond = rare - as_observed
     return Difference(mean, float(order[beyond]), float(order[-1 - beyond]))
 
 
 _MOST_ALONE: Final = 0.5
-"""Share of the smaller side; with more that the other side does not have, pairs are no use."""
+"""Share of the smaller side; with more values that the other side lacks, pairs say too little."""
 
 Scene = tuple[str, str]
 
@@ -140,8 +140,8 @@ class Matched:
     Attributes:
         by: pairs of runs, means of scenes that both sides have, or nothing in common.
         count: pairs, scenes, or runs of both sides.
-        units: of them that are independent. fewest: units without which there is no interval.
-        specs: whether each unit is a spec of its own; else units are scenes.
+        units: independent ones among them. fewest: units that an interval needs.
+        specs: whether each unit is a separate spec; else units are scenes.
         old, new: means; None, like the difference, where there is nothing to compare.
     """
 
@@ -185,7 +185,7 @@ def _means(name: str, samples: Iterable[Sample], key: Callable[[Sample], Hashabl
 def _paired(
     ours: Means, theirs: Means, confidence: float, by: Literal["pairs", "scenes"]
 ) -> Matched | None:
-    """None where too many of both sides are alone."""
+    """None where too many values of both sides have no partner."""
     both = [key for key in ours if key in theirs]
     if len(both) < _MOST_ALONE * min(len(ours), len(theirs)):
         return None
@@ -237,9 +237,9 @@ def _scene(sample: Sample) -> Scene:
 
 
 def units_needed(found: Matched, reach: float, distance: float) -> int | None:
-    """About how many units would tell, if the mean stays: intervals shrink with their root.
+    """About how many units would decide, if the mean stays: intervals shrink with their root.
 
-    None where not even many would, because the mean lies at the bound.
+    None where no number would, because the mean lies at the bound.
 
     Args:
         found: what these units say.
@@ -254,7 +254,7 @@ def units_needed(found: Matched, reach: float, distance: float) -> int | None:
 def two_sided(
     found: Matched, negligible: float
 ) -> tuple[Literal["more", "less", "same", "cannot tell"], int | None]:
-    """What a difference of two sides is that are equals, and how many units would tell.
+    """What a difference of two equal sides says, and how many units would decide.
 
     ``same`` is an interval that lies within ``negligible`` on both sides of zero.
     """

@@ -1,8 +1,7 @@
-"""A result folder.
+"""A result folder that is written: its lock, its manifest, its tables.
 
-One sweep a folder: an operating system's lock, which dies with its process.
-
-So a ``kill -9`` leaves no folder locked, and a second sweep into the same folder is refused.
+One sweep writes into a folder at a time. The lock is the operating system's and ends with its
+process: a ``kill -9`` leaves no folder locked, and a second sweep is refused.
 """
 
 import os
@@ -30,7 +29,7 @@ from deepmf_sumo.tasks import Task
 
 try:
     import fcntl
-except ImportError:  # Windows has other ones
+except ImportError:  # Windows has other locks
     fcntl = None  # type: ignore[assignment]
 
 FILE: Final = ".lock"
@@ -38,9 +37,9 @@ FILE: Final = ".lock"
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """The folder, which exists, is this process's alone; not twice at a time.
+    """Lock a folder, which exists, for this process.
 
-    Where the file system has no locks it is nobody's, see `known`.
+    Where the file system has no locks, nothing is locked, see `known`.
 
     Raises OutputError where another process has it, or the file cannot be written.
     """
@@ -48,7 +47,7 @@ def held(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        # removed while it is held: who has opened it meanwhile sees that it is not there any more
+        # removed while it is held: a process that has opened it meanwhile sees that it is gone
         (folder / FILE).unlink(missing_ok=True)
         os.close(number)
 
@@ -79,7 +78,7 @@ def _locked(file: Path) -> int:
                 f"{file.parent} is being written by {holder}: wait until that has ended, or choose"
                 " another folder for --out."
             ) from None
-        os.close(number)  # the one before removed it between our opening and locking it
+        os.close(number)  # the previous holder removed it between our opening and locking it
     os.ftruncate(number, 0)
     os.write(number, f"process {os.getpid()} of {socket.gethostname()}\n".encode())
     return number
@@ -99,7 +98,7 @@ def _lock(number: int) -> bool:
 
 
 def _is(file: Path, number: int) -> bool:
-    """Whether an open file is still the one of its name."""
+    """Whether an open file is still the file of that name."""
     try:
         return os.path.samestat(file.stat(), os.fstat(number))
     except FileNotFoundError:
@@ -112,17 +111,17 @@ MADE: Final = (
     "figures", "moments.csv", "shard.json", "turns.csv", "risk",
     "attacks.jsonl", "session.json",
 )  # fmt: skip
-"""What an earlier batch, benchmark or live session leaves in its folder, the manifest apart."""
+"""What an earlier batch, benchmark or live session leaves in its folder beside the manifest."""
 WAYS: Final = (
     "--resume goes on with them, --overwrite deletes them, another folder for --out keeps them"
 )
-"""What to do about earlier results, for commands that have these options."""
+"""What the user can do about earlier results, for commands with these options."""
 VIEWS: Final = ("risk", "report.html")
-"""What is made of all runs, only where it is asked for."""
+"""Files made of all runs, only on demand."""
 _NUMBERED: Final = {"accident_type", "avoidance_grade"}
-"""Metrics that number names: they are counted, for a mean of them says nothing."""
+"""Metrics whose values are numbers of names: counted, since their mean says nothing."""
 _DIRECTIONS: Final = {"pdof"}
-"""A mean of directions on both sides of the seam is none of theirs."""
+"""Directions: a mean across the jump from -pi to pi is not a direction between them."""
 _PACKAGES: Final = ("libsumo", "eclipse-sumo", "torch", "numpy", "pydantic", "shapely")
 
 
@@ -138,31 +137,26 @@ class Store:
         return self.out / "runs"
 
     def earlier(self, task: Task) -> Result | None:
-        """The result of a run of this name that is already there, if it went through.
+        """The result of a successful run of this name that is already there.
 
-        It is an equal run's where its ``key`` is the task's.
+        It belongs to an equal run where its ``key`` is the task's.
         """
         try:
-            found = self.read(task)
-        except UsageError:  # none, or damaged: it is done anew
+            found = self.read_run(task.run_id)
+        except UsageError:  # none, or damaged: the run is repeated
             return None
         return found if found["status"] == "ok" else None
-
-    def read(self, task: Task) -> Result:
-        """The result that a worker has written."""
-        return self.read_run(task.run_id)
 
     def read_run(self, run_id: str) -> Result:
         """The result of a run that is there. Raises UsageError where it cannot be read."""
         file = stored.run_folder(self.out, run_id, stored.RUNS) / "result.json"
         return stored.result_of(file, whole=True)
 
-    def begin(self, tasks: Sequence[Task], machine: dict[str, Any]) -> None:
-        """Write the manifest of a batch; ``machine`` is what may differ between equal ones."""
-        self.manifest({task.run_id: task.key for task in tasks}, machine)
-
     def manifest(self, keys: dict[str, str], machine: dict[str, Any]) -> None:
-        """Write the manifest of runs, given by id and `Task.key`."""
+        """Write the manifest of runs, given by id and `Task.key`.
+
+        ``machine`` is what may differ between equal batches.
+        """
         manifest = {
             "format_version": stored.FORMAT_VERSION,
             "tool": "deepmf-sumo",
@@ -181,7 +175,7 @@ class Store:
         files.write_json(self.out / stored.MANIFEST, manifest)
 
     def forget_views(self) -> None:
-        """Take away the map and the page of earlier runs: they would stand beside other ones."""
+        """Remove the map and the page of earlier runs: they would not show the new ones."""
         for name in VIEWS:
             remove(self.out / name)
 
@@ -201,13 +195,13 @@ class Store:
 def opened(
     out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS
 ) -> Iterator[Store]:
-    """A result folder that no other process fills meanwhile.
+    """A result folder that no other process fills at the same time.
 
     It is empty. With ``resume`` earlier results stay; with ``overwrite`` they are deleted. ``ways``
-    says in the message what the user can do about earlier results.
+    is the part of the message that says what the user can do about earlier results.
 
     Raises OutputError where the folder cannot be written, holds something else, is being filled by
-    another process, or holds results that neither option speaks of; then nothing in it is changed.
+    another process, or holds results and neither option is given; then nothing in it is changed.
     """
     with ExitStack() as until_done:
         with files.writing(out):
@@ -217,7 +211,7 @@ def opened(
 
 
 def check(out: Path, *, resume: bool, overwrite: bool = False, ways: str = WAYS) -> None:
-    """Raise what `opened` would raise, before any work is done; the folder is left as it is."""
+    """Raise what `opened` would raise, before any work is done; the folder stays as it is."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         with files.writing(out), _claimed(out, keep=resume or overwrite, ways=ways):
@@ -253,7 +247,7 @@ def holds_results(out: Path) -> bool:
 
 
 def _emptied(out: Path, *, resume: bool) -> None:
-    """Take earlier results away unless ``resume``, and see whether the folder can be written."""
+    """Remove earlier results unless ``resume``, and check that the folder can be written."""
     if not resume:
         for name in MADE:
             remove(out / name)
@@ -263,9 +257,9 @@ def _emptied(out: Path, *, resume: bool) -> None:
 
 
 def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:
-    """Counts, the rate of hits with its 95 % interval, and metrics over all that went through.
+    """Counts, the rate of hits with its 95 % interval, and metrics over all successful runs.
 
-    The rate is of the attacked runs: with nobody to attack nothing was tried.
+    The rate is of the attacked runs: without an opponent there is no attempt.
     """
     done = [one for one in results if one["status"] == "ok"]
     attacked = sum(map(result.attacked, done))
@@ -320,7 +314,7 @@ def _timings(done: Sequence[Result], name: str) -> list[float]:
 
 
 def _is_empty(out: Path) -> bool:
-    """Whether a folder holds nothing, or only what a batch killed in its first moment leaves."""
+    """Whether a folder is empty, apart from what a batch leaves that is killed at its start."""
     left = {".manifest.json.part", "runs", ".writable", FILE}
     return all(path.name in left for path in out.rglob("*"))
 
@@ -333,7 +327,7 @@ def _is_ours(manifest: Path) -> bool:
 
 
 def remove(path: Path) -> None:
-    """Take a file or a folder away, if it is there."""
+    """Remove a file or a folder, if it is there."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:

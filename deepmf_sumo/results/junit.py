@@ -99,6 +99,3 @@ def _counts(name: str, cases: Sequence[TestCase]) -> dict[str, str]:
 def _clean(text: str) -> str:
     """Without the characters that XML forbids."""
     return _FORBIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
-
-
-__all__ = ["Mark", "TestCase", "write", "write_suites"]

@@ -9,7 +9,7 @@
     results.runs[0].rollout.tracks
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -25,7 +25,7 @@ from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import artifacts, stored, tracks
-from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.result import ContactValues, MetricValues, Result
 from deepmf_sumo.spec import document
 
 HIT: Final = "av_opponent"
@@ -39,7 +39,7 @@ NUMBERS: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run of a result folder. What it wrote is read when it is asked for.
+    """A run of a result folder. Its files are read on demand.
 
     Attributes:
         folder: of the run, in ``runs`` of the result folder.
@@ -70,7 +70,7 @@ class Run:
         if not (seed.isascii() and seed.isdecimal() and len(seed) < 20):
             raise UsageError(
                 f"{out / stored.RUNS} is damaged: the seed of {row['run_id']} is {seed!r:.80};"
-                " write it anew with --resume."
+                " write it again with --resume."
             )
         return cls(
             folder=stored.run_folder(out, row["run_id"], stored.RUNS),
@@ -127,7 +127,7 @@ class Run:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing speaks against the hit: limits, road, third parties, avoidability."""
+        """Whether the hit is valid: limits, road, third parties, avoidability."""
         valid = self.metric("valid_collision")
         if valid is not None:
             return valid >= 1.0
@@ -142,14 +142,24 @@ class Run:
 
     @property
     def asked_sector(self) -> int | None:
-        """The impact sector that the attack was asked for."""
+        """The impact sector that the attack aimed at."""
         asked = self.result["settings"]["adversary"].get("sector")
         return SECTORS.index(asked) if isinstance(asked, str) else asked
 
+    @cached_property
+    def metrics(self) -> Mapping[str, MetricValues]:
+        """The metrics by name; none where the run has no result."""
+        return self.result["metrics"] if self.status == "ok" and self.has_result else {}
+
     def metric(self, name: str) -> float | None:
         """Value of a metric; None where it is not defined, or not known to that version."""
-        found = self.result["metrics"].get(name)
+        found = self.metrics.get(name)
         return None if found is None else found["value"]
+
+    @property
+    def contacts(self) -> Sequence[ContactValues]:
+        """All contacts as in ``result.json``; none where the run has no result."""
+        return self.result["contacts"] if self.status == "ok" and self.has_result else ()
 
     @cached_property
     def rollout(self) -> Rollout:
@@ -204,7 +214,7 @@ class Run:
     def road(self) -> tuple[RoadMap, str]:
         """The recording's map, or the network's; and why it is not the one that was attacked on.
 
-        Where the recording is not there any more, it is the network in the run's folder.
+        Where the recording is gone, it is the network in the run's folder.
         """
         source = self.source
         lost = ""
@@ -253,12 +263,12 @@ class Results:
 
     @property
     def done(self) -> tuple[Run, ...]:
-        """The runs that succeeded, without those that a plan has for other budgets or figures."""
+        """The successful runs, without those that a plan has for other budgets or figures."""
         return tuple(run for run in self.runs if run.part == "main" and run.status == "ok")
 
     @property
     def steered(self) -> tuple[Run, ...]:
-        """The successful runs that a plan has for figures: they asked for an impact sector."""
+        """The successful runs that a plan has for figures: they aimed at an impact sector."""
         return tuple(run for run in self.runs if run.part == "figures" and run.status == "ok")
 
     @property
@@ -289,7 +299,12 @@ class Results:
         A missing value is None or NaN. Raises UsageError where a ``result.json`` is damaged.
         """
         rows = [
-            {"folder": str(run.folder.parents[1]), **run.row, **_metrics(run)} for run in self.runs
+            {
+                "folder": str(run.folder.parents[1]),
+                **run.row,
+                **{name: one["value"] for name, one in run.metrics.items()},
+            }
+            for run in self.runs
         ]
         table = pd.DataFrame(rows).replace("", None)
         for name in NUMBERS:
@@ -319,16 +334,7 @@ def _text(file: Path) -> str:
     return file.read_text("utf-8", errors="replace") if file.is_file() else ""
 
 
-def _metrics(run: Run) -> dict[str, float | None]:
-    if run.status != "ok" or not run.has_result:
-        return {}
-    return {name: one["value"] for name, one in run.result["metrics"].items()}
-
-
 @lru_cache(maxsize=16)
 def _recorded_road(recording: Path, scene: str) -> RoadMap:
-    """Kept, for several figures show the same scene."""
+    """Kept, since several figures show the same scene."""
     return readers.scene(recording, scene, cache_folder()).road
-
-
-__all__ = ["Results", "Run", "planned"]

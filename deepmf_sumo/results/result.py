@@ -1,6 +1,6 @@
 """What is known of one run: the content of ``result.json``, and its row in ``runs.csv``.
 
-All that differs between two equal runs stands under ``timings``.
+All values that differ between two equal runs are under ``timings``.
 """
 
 import math
@@ -35,13 +35,13 @@ Measure = Callable[[Rollout, Case], list[MetricValue]]
 
 
 def decisive_part(rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
-    """What a run's numbers are taken from: the decisive turn; the episode where there is none."""
+    """The part that a run's numbers come from: the decisive turn, or the episode without turns."""
     chosen = decisive(rollout.turns)
     return (rollout, case) if chosen is None else _part(chosen, rollout, case)
 
 
 def judged(rollout: Rollout, case: Case, measure: Measure) -> list[dict[str, Any]] | None:
-    """All turns, each measured as the attack of its own that it is, as in ``result.json``.
+    """All turns, each measured as a separate attack, as in ``result.json``.
 
     None where one opponent attacks.
     """
@@ -56,7 +56,7 @@ def hits(by_turn: Sequence[dict[str, Any]]) -> int:
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str | None:
-    """A row a turn of all runs, or None where no run had opponents in turn."""
+    """One row per turn of all runs, or None where no run had opponents in turn."""
     runs = [one for one in results if one.get("turns") is not None]
     if not runs:
         return None
@@ -74,7 +74,7 @@ def table(results: Sequence[Mapping[str, Any]]) -> str | None:
 
 
 def _part(turn: Turn, rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
-    """The turn, and the case with what it could have lasted: to the episode's end at most."""
+    """The turn, and the case with its longest duration: at most to the episode's end."""
     assert case.turns is not None
     left = rollout.now + case.duration_steps - turn.first_step
     longest = round(case.turns.longest_s / rollout.dt_s)
@@ -115,7 +115,7 @@ class ContactValues(TypedDict, total=False):
     pose_second: list[float]
 
 
-class MetricValues(TypedDict, total=False):
+class MetricValues(TypedDict):
     """A metric, see `datatypes.MetricValue`; ``value`` is None where it is not defined."""
 
     value: float | None
@@ -210,7 +210,7 @@ TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
 
 
 def unfinished(task: Task, status: Status, error: str, wall_s: float = 0.0) -> Result:
-    """The result of a run that has none, and why."""
+    """The result of a run without one, and the reason."""
     return {
         **_identity(task, status, " ".join(error.split())),
         "timings": {"wall_s": wall_s},
@@ -225,7 +225,7 @@ def finished(
     wall_s: float,
     by_turn: list[dict[str, Any]] | None = None,
 ) -> Result:
-    """The result of a run that went through.
+    """The result of a successful run.
 
     ``metrics`` are of the decisive turn where opponents attack in turn, ``by_turn`` all turns.
     """
@@ -260,7 +260,7 @@ def finished(
 
 
 def row(result: Result) -> dict[str, str]:
-    """The run's row in ``runs.csv``; what is not known is empty."""
+    """The run's row in ``runs.csv``; unknown values are empty."""
     contact = first_contact(result) or {}
     metrics, timings = result.get("metrics", {}), result["timings"]
     by_turn = result.get("turns")
@@ -280,7 +280,7 @@ def row(result: Result) -> dict[str, str]:
 
 
 def attacked(result: Result) -> bool:
-    """Whether the run went through and there was somebody to attack with."""
+    """Whether the run succeeded and there was a vehicle to attack with."""
     return bool(result["status"] == "ok" and result["opponent"] is not None)
 
 
@@ -302,7 +302,7 @@ def not_finite(values: Any, name: str = "") -> str | None:
 
 
 def _identity(task: Task, status: Status, error: str = "") -> Result:
-    """What is known of a run whatever became of it; its timings are to be added."""
+    """What is known of a run however it ended; the caller adds its timings."""
     spec = task.spec
     planner = plugins.settings("planners", spec.planner.name, spec.planner.settings)
     adversary = plugins.settings("adversaries", spec.adversary.name, spec.adversary.settings)
@@ -366,7 +366,7 @@ def _contact(contact: Contact, rollout: Rollout) -> Any:
 
 
 def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
-    """What figures over many runs are made of; None if nobody was driven.
+    """What figures over many runs are made of; None if no vehicle was driven.
 
     ``opponent_m``: the opponent twice a second, in the frame of the AV's first pose.
     ``attack_mps2``, ``recorded_mps2``: see `metrics.naturalness.samples`, smooth; empty

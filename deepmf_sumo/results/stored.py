@@ -1,6 +1,6 @@
-"""What is read of a result folder: bounded, and of the shape that its readers rely on.
+"""The files of a result folder, read with a size limit and checked for the shape that readers use.
 
-A folder may come from elsewhere, or be damaged. What is wrong is one sentence that names the file.
+A folder may come from elsewhere, or be damaged. An error is one sentence that names the file.
 """
 
 import io
@@ -36,7 +36,7 @@ DAMAGE: Final = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError,
     EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, UsageError,
 )  # fmt: skip
-"""What files raise that were cut off, or hold something else."""
+"""What files raise that are cut short, or contain something else."""
 
 FORMAT_VERSION: Final = 1
 RUNS: Final = "runs.csv"
@@ -122,7 +122,7 @@ class _Timings(_Part):
 
 
 class _Result(_Part):
-    """``result.json``; what has a default is not in those of all versions."""
+    """``result.json``; keys with a default are not in those of all versions."""
 
     run_id: str
     key: str
@@ -184,7 +184,7 @@ class _WholeTimings(_Timings):
 
 
 class _Whole(_Finished):
-    """As this version writes it: what the tables of a batch are made of."""
+    """As this version writes it: the source of a batch's tables."""
 
     budget: _Budget
     opponent_score: float | None
@@ -206,7 +206,8 @@ def result_of(file: Path, *, whole: bool = False) -> Result:
         _complete(shape.model_validate(found), found)
     except ValidationError as error:
         raise UsageError(
-            f"{file} is no result of this version of deepmf-sumo ({first_wrong(error)}); {_AGAIN}."
+            f"{file} is not a result of this version of deepmf-sumo ({first_wrong(error)});"
+            f" {_AGAIN}."
         ) from None
     if not is_run_id(found["run_id"]):
         raise _damaged(file, f"run_id: {found['run_id'][:80]!r} is not the id of a run", _AGAIN)
@@ -289,7 +290,7 @@ def rows_of(out: Path) -> list[dict[str, str]]:
     if not file.is_file():
         begun = (out / MANIFEST).is_file()
         rest = "finish it with --resume" if begun else "give the --out of an earlier command"
-        raise UsageError(f"{out} is no complete result folder: it has no runs.csv; {rest}.")
+        raise UsageError(f"{out} is not a complete result folder: it has no runs.csv; {rest}.")
     rows = read_csv(file)
     lost = [name for name in NEEDED if rows and name not in rows[0]]
     if lost:
@@ -307,7 +308,7 @@ def moments_of(out: Path) -> dict[str, dict[str, str]]:
         return {}
     rows = read_csv(file, _WITHOUT)
     if rows and "run_id" not in rows[0]:
-        raise UsageError(f"{file} is no table of moments (column run_id); {_WITHOUT}.")
+        raise UsageError(f"{file} is not a table of moments (column run_id); {_WITHOUT}.")
     return {row["run_id"]: row for row in rows}
 
 
@@ -321,8 +322,8 @@ def result_folders(folder: Path) -> list[Path]:
     inside = sorted(file.parent for file in folder.glob(f"*/{MANIFEST}"))
     if not inside:
         raise UsageError(
-            f"{folder} is not a result folder, and holds none: there is no manifest.json; give the"
-            " --out of run, attack or benchmark."
+            f"{folder} is not a result folder, and contains none: there is no manifest.json; give"
+            " the --out of run, attack or benchmark."
         )
     return inside
 
@@ -343,7 +344,7 @@ def mapping(file: Path, *, again: str = "run it again") -> dict[str, Any]:
     except RecursionError:
         raise _damaged(file, "nested too deeply", again) from None
     if not isinstance(found, dict):
-        raise _damaged(file, "it holds no names and values", again)
+        raise _damaged(file, "it is not a mapping of names to values", again)
     return found
 
 
@@ -378,10 +379,3 @@ def first_wrong(error: ValidationError) -> str:
 
 def _damaged(file: Path, why: str, again: str) -> UsageError:
     return UsageError(f"{file} is damaged ({why}); {again}.")
-
-
-__all__ = [
-    "DAMAGE", "MANIFEST", "MOMENTS", "MOST_STEPS", "NEEDED", "RUNS", "arrays", "first_wrong",
-    "inputs_of", "keys_of", "mapping", "moments_of", "net_file", "result_folders", "result_of",
-    "rows_of", "run_folder", "tracks",
-]  # fmt: skip

@@ -2,7 +2,7 @@
 
 ::
 
-    OUT/runs --attacks--> attacks, each with its place --table--> a row a place, the worst first
+    OUT/runs --attacks--> attacks, each with its place --table--> one row per place, the worst first
                             places: lanes, edges, junctions, movements     shrinkage: thin data
 """
 

@@ -2,10 +2,10 @@
 
 A run -> the attacks in it: where each was decided and began, and how it went.
 
-An attack was *decided* where the AV's centre was when it touched the opponent (else anybody else),
-or, without a contact, when the gap to the opponent was least. It *began* where the AV was when the
-attack took over; the movement that it began before is the next one on the AV's way. Where opponents
-attack in turn, each turn is an attack.
+An attack was *decided* where the AV's centre was when it touched the opponent (or else another
+vehicle), or, without a contact, when the gap to the opponent was least. It *began* where the AV was
+when the attack took over; the movement that it began before is the next one on the AV's path. Where
+opponents attack in turn, each turn is an attack.
 """
 
 import hashlib
@@ -35,12 +35,12 @@ class Attacked:
     """One attack.
 
     Attributes:
-        folder: result folder that it stands in, as given.
+        folder: its result folder, as given.
         turn: number of the turn in its run; None where one opponent attacked all the time.
         decided, began: where; an empty spot where the AV was on no lane and in no junction.
         place_m: (2,) of the AV's centre when it was decided.
         against: where the opponent was then.
-        hit: the opponent touched the AV. other: the AV touched somebody else.
+        hit: the opponent touched the AV. other: the AV touched another vehicle.
         avoidable: whether a reference driver would have avoided the hit; None without one.
         ttc_s: least; None off a collision course. gap_m: least. delta_v_mps: of the hit.
         criticality: see there; None in results of versions that did not measure it.
@@ -65,7 +65,7 @@ class Attacked:
 
 
 class _Part(NamedTuple):
-    """An attack of a run: by whom, from which step to which after the start, and its metrics."""
+    """An attack of a run: opponent, first and last step after the start, metrics, turn."""
 
     opponent: str
     first: int
@@ -77,11 +77,11 @@ class _Part(NamedTuple):
 def of_run(
     out: Path, result: Result, moment: Mapping[str, str], every: Places, road: RoadMap
 ) -> list[Attacked]:
-    """The attacks of a run: one, or one a turn where opponents attacked in turn.
+    """The attacks of a run: one, or one per turn where opponents attacked in turn.
 
     Args:
         out: the result folder.
-        result: of a run in which somebody was attacked.
+        result: of a run in which a vehicle was attacked.
         moment: the run's row of ``moments.csv``, or empty.
         every: places of its network.
         road: map of its network.
@@ -154,17 +154,17 @@ def _attacked(
     )
 
 
-def _contacts(result: Result, kind: str, first: int, last: int, who: str = "") -> list[int]:
-    """Steps of the AV's contacts of a kind within an attack, with anybody or with one.
+def _contacts(result: Result, kind: str, first: int, last: int, opponent: str = "") -> list[int]:
+    """Steps of the AV's contacts of a kind within an attack, with any vehicle or with one.
 
-    What happened at its first step belongs to the turn that ended there.
+    A contact at its first step belongs to the turn that ended there.
     """
     return [
         int(one["step"])
         for one in result["contacts"]
         if one["kind"] == kind
         and first < one["step"] <= last
-        and who in {"", one["first_id"], one["second_id"]}
+        and opponent in {"", one["first_id"], one["second_id"]}
     ]
 
 
@@ -199,9 +199,9 @@ class _Filling:
 def read(folders: Sequence[Path]) -> list[Network]:
     """The networks of result folders, each with its attacks; by name, then by content.
 
-    A folder may hold result folders instead, e.g. one a seed; one that is named twice counts once.
-    Runs that went wrong or attacked nobody are counted under ``left_out``, those on recorded scenes
-    or on networks without any attack that can be read with the first network.
+    A folder may contain result folders instead, e.g. one per seed; one named twice counts once.
+    Failed runs and those without an opponent are counted under ``left_out``, those on recorded
+    scenes or on networks without any readable attack with the first network.
 
     Raises UsageError where there is no result folder, or no attack on a SUMO network in them.
     """
@@ -255,7 +255,7 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
 
 
 def of_runs(folders: Sequence[Path]) -> dict[str, Result]:
-    """The results of runs that went through, by ``OUT/runs/RUN``."""
+    """The results of successful runs, by ``OUT/runs/RUN``."""
     return {
         f"{out}/runs/{run_id}": result
         for out in folders
@@ -265,7 +265,7 @@ def of_runs(folders: Sequence[Path]) -> dict[str, Result]:
 
 
 def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling]) -> _Filling:
-    """The network of a run, told from others by its content."""
+    """The network of a run, identified by its content."""
     key = name, net_digest(folder)
     if key not in networks:
         file = _net_file(folder)
@@ -281,7 +281,7 @@ def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling])
 
 
 def net_digest(folder: Path) -> str:
-    """Of the network in a run's folder. Raises UsageError where there is none."""
+    """Digest of the network in a run's folder. Raises UsageError where there is none."""
     return hashlib.sha256(_net_file(folder).read_bytes()).hexdigest()
 
 

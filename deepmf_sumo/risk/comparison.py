@@ -25,7 +25,7 @@ from deepmf_sumo.risk.attacks import net_digest
 from deepmf_sumo.risk.origins import Origin, Tagged, origins, tags
 
 Sides = tuple[Mapping[str, Result], Mapping[str, Result]]
-"""Results of A and of B that went through, by ``OUT/runs/RUN``."""
+"""Successful results of A and of B, by ``OUT/runs/RUN``."""
 
 
 def check(sides: Sides, names: Sequence[Path]) -> None:
@@ -38,7 +38,7 @@ def check(sides: Sides, names: Sequence[Path]) -> None:
         old, new = (" and ".join(f"{one:g}" for one in sorted(side)) for side in lasting)
         raise UsageError(
             f"The attacks of {names[0]} may last {old} s and those of {names[1]} {new} s, so their"
-            " hits cannot be compared; attack one of them anew with the other's --duration."
+            " hits cannot be compared; attack one of them again with the other's --duration."
         )
 
 
@@ -54,7 +54,7 @@ def notes(sides: Sides, *, planners_differ: bool, networks_differ: bool) -> Iter
     changed = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
     for name in changed:
         yield (
-            f"the network {name} is not the same in A and B, though it has one name: a difference"
+            f"the network {name} is not the same in A and B in spite of one name: a difference"
             " may be the network's"
         )
     if planners_differ and (networks_differ or changed):
@@ -70,13 +70,13 @@ def traffic_notes(a: Sequence[Path], b: Sequence[Path]) -> Iterator[str]:
     changed = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
     if changed:
         yield (
-            f"{', '.join(changed)}: not the same in A and B, though of one name: a difference may"
-            " be the traffic's"
+            f"{', '.join(changed)}: not the same in A and B in spite of one name: a difference"
+            " may be the traffic's"
         )
 
 
 def _traffic(folders: Iterable[Path]) -> dict[str, set[str]]:
-    """Digests of files of routes and the like, by name; of live sessions none are known."""
+    """Digests of route and other traffic files, by name; none for live sessions."""
     found: dict[str, set[str]] = {}
     for folder in folders:
         for path, digest in inputs_of(folder).items():
@@ -87,13 +87,13 @@ def _traffic(folders: Iterable[Path]) -> dict[str, set[str]]:
 
 
 def _durations_s(side: Iterable[Result]) -> set[float]:
-    """How long attacks could last."""
+    """The longest durations of the attacks."""
     steps = {one["duration_steps"] for one in side if one["opponent"]}
     return {round(one * DT_S, 1) for one in steps}
 
 
 def _networks(side: Mapping[str, Result]) -> dict[str, set[str]]:
-    """Digests of the networks by name; one run of each folder speaks for the others in it."""
+    """Digests of the networks by name; one run of each folder represents the others in it."""
     first: dict[tuple[Path, str], Path] = {}
     for key, result in side.items():
         if result["network"]:
@@ -110,7 +110,7 @@ COMPARED: Final = (
 )  # fmt: skip
 CONFIDENCE: Final = 0.95
 _IDENTITY: Final = ("spec", "network", "method", "planner")
-"""What runs of the two sides may differ in on purpose."""
+"""What may differ on purpose between the runs of the two sides."""
 _WHOM: Final = "adversary.opponent"
 Differs = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
 """Name of what is not the same on both sides -> values of A, values of B."""
@@ -123,7 +123,7 @@ class Change:
     Attributes:
         found: the difference, B minus A, and what it is of.
         state: ``same`` only where the whole interval lies within ``same_within`` of zero.
-        needed: about how many scenes would tell, where these cannot.
+        needed: about how many scenes would decide, where these do not.
     """
 
     quantity: str
@@ -141,9 +141,9 @@ class Compared:
     Attributes:
         runs: of A and of B. pairs: moments and seeds that both have.
         differs: e.g. ``planner``, ``network``, ``planner.headway_s``.
-        differences: B (new) against A (old), a row a quantity; all intervals hold together.
+        differences: B (new) against A (old), one row per quantity; all intervals hold together.
         origins: shares of runs that end in a hit of each kind and at each place.
-        notes: sentences on what a reader should know before trusting it.
+        notes: what a reader should know before trusting it, as sentences.
     """
 
     runs: tuple[int, int]
@@ -171,12 +171,12 @@ def compare(
     unknown = [name for name in quantities if name not in COMPARABLE]
     if unknown:
         known = ", ".join(COMPARABLE)
-        raise UsageError(f"'{unknown[0]}' is no quantity to compare; there are: {known}.")
+        raise UsageError(f"'{unknown[0]}' is not a quantity to compare; there are: {known}.")
     old, new = _side(a), _side(b)
     if old.version != new.version:
         raise UsageError(
             f"{a} was made by version {old.version} of deepmf-sumo and {b} by {new.version}: their"
-            " attacks differ; make both anew with one version."
+            " attacks differ; repeat both with one version."
         )
     folders = [result_folders(side.source) for side in (old, new)]
     of_a, of_b = map(attacks.of_runs, folders)
@@ -226,16 +226,16 @@ def _change(quantity: Quantity, name: str, found: Matched, *, share: bool = Fals
     within = 0.0 if share else quantity.negligible
     state, needed = two_sided(found, within)
     worse = "more" if share or quantity.worse == "higher" else "less"
-    told: Literal["worse", "better", "same", "cannot tell"]
+    judged: Literal["worse", "better", "same", "cannot tell"]
     if state in {"same", "cannot tell"}:
-        told = "same" if state == "same" else "cannot tell"
+        judged = "same" if state == "same" else "cannot tell"
     else:
-        told = "worse" if state == worse else "better"
+        judged = "worse" if state == worse else "better"
     return Change(
         quantity=name,
         unit="1" if share else quantity.unit,
         found=found,
-        state=told,
+        state=judged,
         same_within=within,
         needed=needed,
     )
@@ -308,7 +308,7 @@ def _alike(side: Results, differs: set[str]) -> Results:
 
 
 def _moments(side: Results) -> set[str]:
-    """Moments and seeds with somebody attacked, each once; rows as of `_alike`."""
+    """Moments and seeds with an attacked vehicle, each once; rows as of `_alike`."""
     return {row.run_id for row in side.rows.values() if row.judged}
 
 
@@ -326,7 +326,7 @@ def _settings(old: Mapping[str, Result], new: Mapping[str, Result]) -> Differs:
     names = sorted(known[0] & known[1])
     found = {
         f"planner.{name}": tuple(
-            tuple(sorted({_told(settings[name]) for settings in side if name in settings}))
+            tuple(sorted({_text(settings[name]) for settings in side if name in settings}))
             for side in values
         )
         for name in names
@@ -334,8 +334,8 @@ def _settings(old: Mapping[str, Result], new: Mapping[str, Result]) -> Differs:
     return {name: (was, now) for name, (was, now) in found.items() if was != now}
 
 
-def _told(value: Any) -> str:
-    """A setting's value for people."""
+def _text(value: Any) -> str:
+    """A setting's value as text."""
     return "not set" if value is None else str(value)
 
 
@@ -370,20 +370,20 @@ def _notes(old: Results, new: Results, pairs: int) -> Iterable[str]:
 def _attacks_differ(old: Results, new: Results) -> str:
     """The settings of the attack that are not the same on both sides, with their values.
 
-    Whom an attack is told to hit is a matter of the moment where it changes from run to run, as
+    Which vehicle an attack aims at belongs to the moment where it changes from run to run, as
     with ``adversary.opponent=met``, and not of the setup.
     """
     setups = [_setups(side) for side in (old, new)]
     if not all(setups):
         return ""
     names = set().union(*(differing(a, b) for a in setups[0] for b in setups[1]))
-    told = []
+    sentences = []
     for name in sorted(names):
-        values = [sorted({_told(one.get(name)) for one in side}) for side in setups]
+        values = [sorted({_text(one.get(name)) for one in side}) for side in setups]
         if values[0] == values[1] or (name == _WHOM and max(map(len, values)) > 1):
             continue
-        told.append(f"{name}: {', '.join(values[0])} in A, {', '.join(values[1])} in B")
-    return "; ".join(told)
+        sentences.append(f"{name}: {', '.join(values[0])} in A, {', '.join(values[1])} in B")
+    return "; ".join(sentences)
 
 
 def _setups(side: Results) -> list[Mapping[str, Any]]:

@@ -1,18 +1,18 @@
-"""How near attacks brought the AV to a contact, and places compared by the mean of that.
+"""How close attacks brought the AV to a contact: the criticality of places, and rates of places.
 
-A rate of hits needs many attacks: most say nothing. What time each left says something of all.
-Means of few attacks are drawn to the typical place, as rates are in `shrinkage`: what attacks at a
-place vary around its mean, and what places vary around the typical one, are taken as normal, and
-estimated from all places together (Efron and Morris, J. Am. Stat. Assoc. 70, 1975; for the
+A rate of hits needs many attacks, since most are not hits; the time to spare says something about
+each. Means of few attacks are shrunk towards the typical place: the variation of attacks around
+their place, and of places around the typical one, is taken as normal and estimated from all places
+together (Efron and Morris, J. Am. Stat. Assoc. 70, 1975; for the
 screening of roads: Highway Safety Manual, AASHTO 2010, chapter 4).
 
-Rates of many places, each drawn towards the network's rate as far as its data are thin.
+Rates of few attacks are shrunk towards the network's rate.
 
-One contact of one attack is a rate of 100 %, and says next to nothing. As in the screening of road
+One hit in one attack is a rate of 100 %, and says very little. As in the screening of road
 networks for accidents (Hauer, "Observational Before-After Studies in Road Safety", 1997), the rates
 of all places are taken as drawn from one Beta distribution. Its mean is the network's rate. Its
-strength, how many attacks it is worth, is not known: each of `STRENGTHS` counts as much as the
-counts of all places are likely under it. Given its own counts, too, a place's rate is Beta
+strength, as a number of attacks, is not known: each of `STRENGTHS` is weighted by how likely the
+counts of all places are under it. Given its own counts, too, a place's rate is Beta
 distributed for each strength.
 """
 
@@ -26,16 +26,16 @@ from scipy.optimize import brentq
 from scipy.special import betainc, betaln, softmax
 
 SPARE_S: Final = 5.0
-"""Post-encroachment times above are no conflicts (Gettman et al., FHWA-HRT-08-051, 2008)."""
+"""Longer post-encroachment times are not conflicts (Gettman et al., FHWA-HRT-08-051, 2008)."""
 _BOUND: Final = 1.645
 """Of a 90 % interval, in standard deviations."""
 _BORROWED: Final = 4
 _UNKNOWN: Final = 0.25**2
-"""One more attack with such a variance is counted: few equal ones do not make a place sure."""
+"""Variance of one more attack that is added: a few equal attacks do not make a place certain."""
 
 
 class Drawn(NamedTuple):
-    """A place's mean: of its attacks, and drawn to the ``typical`` place, with a 90 % interval."""
+    """A place's mean: of its attacks, and shrunk towards ``typical``, with a 90 % interval."""
 
     attacks: int
     mean: float
@@ -51,7 +51,7 @@ class Drawn(NamedTuple):
 
     @property
     def surely(self) -> float:
-        """By how much it is worse at least: of the interval's lower end, 0 if it may be typical."""
+        """By how much it is worse at least: the interval's lower end, 0 if it may be typical."""
         return max(0.0, round(self.low - self.typical, 9))
 
     @property
@@ -61,7 +61,7 @@ class Drawn(NamedTuple):
 
 
 def criticality(spare_s: float | None) -> float:
-    """1 in contact, 0 where the AV's encounters left 5 s or more, or nobody's way met its own."""
+    """1 in contact, 0 where the AV's encounters left 5 s or more, or no path crossed its own."""
     return 0.0 if spare_s is None else max(0.0, 1.0 - spare_s / SPARE_S)
 
 

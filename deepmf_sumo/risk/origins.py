@@ -1,4 +1,4 @@
-"""Where a difference of hits comes from: which places and which kinds have more or fewer of them.
+"""Where a difference of hits comes from: which places and kinds have more or fewer of them.
 
 The share of all attacked runs that end in a hit at a place, or of a kind: over all places, or all
 kinds, the shares add up to the rate of hits, and their differences to its difference.
@@ -55,13 +55,13 @@ def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str,
 
     Args:
         results: of `attacks.of_runs`.
-        folders: where they stand.
+        folders: their result folders.
     """
     hits = {key: one for key, one in results.items() if attacked(one) and quantities.hit(one)}
     found = {key: _kinds(one) for key, one in hits.items()}
     try:
         networks = attacks.read(folders)
-    except UsageError:  # recorded scenes: there is no network to name places on
+    except UsageError:  # recorded scenes have no network to name places on
         networks = []
     for network in networks:
         for one in network.attacks:
@@ -130,6 +130,6 @@ def _shift(origin: Origin) -> float:
 
 
 def _state(found: Matched) -> Literal["more", "fewer", "same", "cannot tell"]:
-    """``same`` is no difference at all: of a share none is negligible."""
+    """``same`` is a difference of 0: no difference of a share is negligible."""
     state, _ = two_sided(found, 0.0)
     return "fewer" if state == "less" else state

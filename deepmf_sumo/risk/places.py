@@ -1,7 +1,8 @@
-"""The places of a SUMO network, in a traffic engineer's words: lanes, edges, junctions, movements.
+"""The places of a SUMO network in the terms of traffic engineers.
 
-A movement is a way over a junction, from one edge to another; SUMO's lanes inside the junction
-belong to it. Edges and movements together cover the network, each spot once.
+Places are lanes, edges, junctions and movements. A movement is a path over a junction,
+from one edge to another; SUMO's lanes inside the junction belong to it. Edges and movements
+together cover the network, each spot once.
 """
 
 from collections import defaultdict
@@ -39,19 +40,19 @@ _WINDS: Final = (
     "east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east",
 )  # fmt: skip
 _MOST_STREETS: Final = 3
-"""A junction is named after at most so many of the streets that meet there."""
+"""A junction is named after at most this number of the streets that meet there."""
 _WAY_M: Final = 30.0
-"""So much of an edge before and behind a junction says from and to where it leads."""
+"""Length of an edge at a junction that its compass direction is taken from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Movement:
-    """A way over a junction.
+    """A path over a junction.
 
     Attributes:
         origin, target: edges.
         turn: straight, left, right, turnaround; empty where SUMO names none.
-        rule: who has right of way, or what the light shows: ``permissive`` is a green that has to
+        rule: of right of way, or what the light shows: ``permissive`` is a green that has to
             give way. Several where its lanes differ.
         lanes: inside the junction, in driving order for each lane of the origin.
     """
@@ -125,22 +126,22 @@ class Places:
         return Spot(lane=lane_id, edge=edge)
 
     def within(self, place_m: Floats) -> str:
-        """The junction whose outline holds a place (2,); empty where there is none."""
+        """The junction whose outline contains a position (2,); empty where there is none."""
         point = shapely.Point(place_m)
         return next((name for name, outline in self._outlines if outline.covers(point)), "")
 
     def in_junction(self, junction: str, movement: Movement | None) -> Spot:
-        """Within a junction's outline, on no lane; the movement counts if it leads over it."""
+        """Within a junction's outline, on no lane; with the movement, if it is of there."""
         over = movement is not None and movement.junction == junction
         return Spot(junction=junction, movement=movement.id if movement and over else "")
 
     def movement(self, origin: str, target: str) -> Movement | None:
-        """The way from an edge to another."""
+        """The path from an edge to another."""
         edge = self.net.edges.get(origin)
         return self.movements.get(_name(edge.end, origin, target)) if edge else None
 
     def title(self, kind: Kind, place: str) -> str:
-        """A place as people call it; its id is always in it, so no two places share a title.
+        """A readable name of a place, with its id, so that no two places share a title.
 
         E.g. ``centre: from north to east (left, permissive)``, ``main_3 (centre to bridge)``; where
         streets have names ``Mill Lane / High Street (j7): from Mill Lane (north) to High Street
@@ -226,7 +227,7 @@ class Places:
 
 
 def read(net_file: Path) -> Places:
-    """The places of a .net.xml. Raises SimulationError where it is none."""
+    """The places of a .net.xml. Raises SimulationError where it is not one."""
     net = read_once(net_file)
     inner = {link.origin: link for link in net.links if link.origin.startswith(":")}
     greens = _greens(net_file)
@@ -262,7 +263,7 @@ def _name(junction: str, origin: str, target: str) -> str:
 
 
 def _chain(link: NetLink, inner: dict[str, NetLink]) -> list[str]:
-    """Lanes inside the junction that a connection leads over."""
+    """Lanes of a connection inside the junction."""
     lanes: list[str] = []
     via = link.via
     while via and via not in lanes:

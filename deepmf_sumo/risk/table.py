@@ -1,4 +1,4 @@
-"""Attacks on a network -> a row a place: how often, how bad, how surely."""
+"""Attacks on a network -> one row per place: how often, how severe, how certain."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,15 +42,16 @@ class Row:
 
     Attributes:
         place: its id.
-        title: the place as people call it.
+        title: a readable name of the place.
         events: how many of the attacks were such an event.
-        judged: hits whose avoidability is known. others: attacks in which the AV touched somebody
-            else.
+        judged: hits whose avoidability is known. others: attacks in which the AV touched
+            another vehicle.
         ttc_s, gap_m: least of all attacks. delta_v_mps, delta_v_most_mps: mean and most of hits.
         risk: chance of such an event in an attack here, see `shrinkage`.
         rank: among the places of its kind, by the lower end of the risk; 1 is the worst.
         criticality: mean of the attacks here, see `criticality`; None where it was not measured.
-        rank_criticality: among the places of its kind, by what it surely is above the typical one.
+        rank_criticality: among the places of its kind, by how far its interval is above the
+            typical place.
     """
 
     kind: Kind
@@ -214,7 +215,7 @@ def _ranks(risks: Mapping[str, Shrunk]) -> dict[str, int]:
 
 
 def _order(risk: Shrunk, place: str) -> tuple[float, float, str]:
-    """The surely dangerous come first; of equals those with the higher rate, then by name."""
+    """By the lower end of the risk, then by the rate, then by name."""
     return -round(risk.low, 9), -round(risk.rate, 9), place
 
 
@@ -235,18 +236,3 @@ def _row(group: Sequence[Attacked], **named: Any) -> Row:
 
 def _least(values: Iterable[float | None]) -> float | None:
     return min((value for value in values if value is not None), default=None)
-
-
-__all__ = [
-    "CONFLICT_S",
-    "COUNTED",
-    "DEFINITIONS",
-    "EVENTS",
-    "SEVERE_MPS",
-    "Counted",
-    "Event",
-    "Row",
-    "columns",
-    "rows",
-    "worst",
-]

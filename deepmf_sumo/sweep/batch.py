@@ -60,11 +60,11 @@ class Options:
         timeout_s: for one run; None is no limit.
         draw: makes the pictures, by name importable in a worker; None makes none.
         scenes: also write each rollout as a recording.
-        sumo: write a folder a run that sumo-gui opens.
+        sumo: write one folder per run that sumo-gui opens.
         resume: keep the runs that an earlier, equal batch finished.
         overwrite: delete earlier results in ``out``; with neither they are refused.
         memory_mb: for one worker; None is no limit.
-        minutes: no run is begun after so many; None is no limit.
+        minutes: after that no run starts; None is no limit.
         shard: only this part of the runs.
     """
 
@@ -90,9 +90,11 @@ class Progress:
     """A run has ended (``last``), or none has yet.
 
     Attributes:
-        kept: of those done, from before. lost: that are done again, their machine was lost.
-        again: that went through before, but differ in spec or version, or read files that have
-            changed. changed: files that an earlier batch read with other content.
+        done: runs that have a result. kept: those of them from an earlier batch.
+        lost: runs that are repeated, since their machine was lost.
+        again: successful runs of an earlier batch that are repeated, since their spec or version
+            differs, or files that they read have changed.
+        changed: files that an earlier batch read with other content.
     """
 
     done: int
@@ -124,7 +126,7 @@ def run_tasks(
     report: Callable[[Progress], None] = lambda _: None,
 ) -> list[Result]:
     """As `run`, of tasks; tables are in their order."""
-    executor_named(options.executor, options.jobs)  # what is wrong shows before anything is done
+    executor_named(options.executor, options.jobs)  # errors show before anything is done
     every, read = fingerprinted(planned)
     mine = options.shard.choose(every) if options.shard else every
     with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
@@ -136,7 +138,7 @@ def run_tasks(
 def begin(
     store: Store, planned: Sequence[Task], options: Options, read: Sequence[Input]
 ) -> tuple[str, ...]:
-    """Write the manifest; what may differ between equal batches is apart in it.
+    """Write the manifest, with what may differ between equal batches in a part of its own.
 
     ``read`` is what the runs read. Returns the files that an earlier batch of the folder read with
     other content.
@@ -149,7 +151,7 @@ def begin(
         "timeout_s": options.timeout_s,
         "inputs": now,
     }
-    store.begin(planned, machine)
+    store.manifest({task.run_id: task.key for task in planned}, machine)
     return tuple(path for path, got in before.items() if now.get(path, got) != got)
 
 
@@ -162,9 +164,9 @@ def fill(
     queue: Callable[[Task], Any] | None = None,
     changed: tuple[str, ...] = (),
 ) -> list[Result]:
-    """Do the tasks that are not done, and write the tables, into a folder that has begun.
+    """Do the tasks that have no result yet, and write the tables, in a folder with a manifest.
 
-    Runs begin in the order of the key ``queue``; ``changed`` is that of `begin`.
+    Runs start in the order of the key ``queue``; ``changed`` is that of `begin`.
     """
     before = {task.run_id: result for task in planned if (result := store.earlier(task))}
     found = {
@@ -177,7 +179,7 @@ def fill(
         store.forget_views()
     if queue:
         left.sort(key=queue)
-    elif options.minutes is None:  # else those that are done shall be spread over all moments
+    elif options.minutes is None:  # with a limit, the runs done must be spread over all moments
         left = fork.in_order(left)
     now = Progress(
         done=len(found),
@@ -205,16 +207,20 @@ def fill(
 
 
 def _unheard(store: Store, tasks: Sequence[Task]) -> dict[str, Result]:
-    """Runs that went through as an interrupt came: their worker's word was not waited for."""
+    """Runs that succeeded while an interrupt came: nothing was heard of them."""
     written = ((task, store.earlier(task)) for task in tasks)
-    return {task.run_id: one for task, one in written if one and one.get("key") == task.key}
+    return {task.run_id: one for task, one in written if one and one["key"] == task.key}
 
 
 def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Progress:
-    """A task has ended, or is to be done again."""
+    """A task has ended, or will be repeated; its result is what the worker wrote, or the reason."""
     if ending.status == "lost":
         return replace(before, lost=before.lost + 1, last=None)
-    return replace(before, done=before.done + 1, last=_result(store, task, ending))
+    if ending.status != "done":
+        status: result_module.Status = "timeout" if ending.status == "timeout" else "failed"
+        reason = result_module.unfinished(task, status, ending.reason, ending.seconds)
+        episode.finish(store.runs, task, reason)
+    return replace(before, done=before.done + 1, last=store.read_run(task.run_id))
 
 
 def _endings(
@@ -232,15 +238,6 @@ def _endings(
         timeout_s=options.timeout_s, memory_mb=options.memory_mb, minutes=options.minutes
     )
     return executor_named(options.executor, options.jobs).run(work, left, limits)
-
-
-def _result(store: Store, task: Task, ending: Finished) -> Result:
-    """What the worker wrote, or why it could not."""
-    if ending.status != "done":
-        status: result_module.Status = "timeout" if ending.status == "timeout" else "failed"
-        lost = result_module.unfinished(task, status, ending.reason, ending.seconds)
-        episode.finish(store.runs, task, lost)
-    return store.read(task)
 
 
 def exit_code(results: Sequence[Result]) -> int:

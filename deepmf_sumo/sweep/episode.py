@@ -59,10 +59,10 @@ def _broken(expect: Expect, result: Result) -> Iterator[str]:
     if fastest is not None and contact and contact["relative_mps"] > fastest:
         yield f"contact speed is {contact['relative_mps']:.2f} m/s, expected at most {fastest:g}"
     for name, bound in expect.metrics.items():
-        found = result["metrics"].get(name, {"reason": "no such metric"})
-        value = found.get("value")
+        found = result["metrics"].get(name)
+        value = found["value"] if found else None
         if value is None:
-            yield f"{name} has no value ({found['reason']})"
+            yield f"{name} has no value ({found['reason'] if found else 'no such metric'})"
         elif bound.min is not None and value < bound.min:
             yield f"{name} is {value:.4g}, expected at least {bound.min:g}"
         elif bound.max is not None and value > bound.max:

@@ -1,11 +1,11 @@
 """A run as a copy of a worker.
 
-A worker that does the runs of one network in the order of their moments need not let SUMO begin
-anew for each: `simulation.hold` brings it there, and a copy of the process does the run. Runs with
-a planner or an adversary that is not of this package are done in copies, too: what they change in
-their process does not reach the next run. However the copy ends, the worker passes it on: what it
-raised is raised again, and as it died, so the worker dies, unless a planner is to blame. All
-processes that a copy leaves behind are ended.
+A worker that does the runs of one network in the order of their moments need not restart SUMO for
+each: `simulation.hold` advances SUMO to the moment, and a copy of the process does the run. Runs
+with a planner or an adversary from outside this package are done in copies, too: their changes to
+the process do not reach the next run. The worker repeats how the copy ended: it raises what the
+copy raised, and dies as the copy died, unless a planner caused it. All processes that a copy leaves
+behind are ended.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ from deepmf_sumo.tasks import Task
 
 @contextlib.contextmanager
 def logged(path: Path) -> Iterator[None]:
-    """Let standard output and error end in a file, SUMO's own included."""
+    """Redirect standard output and error to a file, those of SUMO included."""
     with path.open("wb") as log:
         kept = [os.dup(number) for number in (1, 2)]
         _flush()
@@ -66,7 +66,7 @@ def passage(task: Task) -> tuple[Any, ...] | None:
 
 
 def in_order(tasks: Sequence[Task]) -> list[Task]:
-    """The runs of a passage in the order of their moments, at the place of its first."""
+    """The runs of a passage in the order of their moments, at the position of its first."""
     first: dict[Any, int] = {}
     keys = []
     for number, task in enumerate(tasks):
@@ -78,10 +78,10 @@ def in_order(tasks: Sequence[Task]) -> list[Task]:
 
 
 def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) -> bool:
-    """Do a task's work in a copy of this process, if SUMO can be brought to its moment before.
+    """Do a task's work in a copy of this process, if SUMO can be held at its moment.
 
     False: nothing was done, and the work is to be done here. So is that of the first run of a
-    passage, for all that it loads the others have, too.
+    passage: the later copies share what it loads.
     """
     global _before  # noqa: PLW0603
     what, source, before = passage(task), task.spec.source, _before
@@ -91,25 +91,25 @@ def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) 
         if _held(make_case, _models[what]):
             _copied(work)
             return True
-        _unfit.add(what)  # it is not tried again: SUMO would come to each moment twice
+        _unfit.add(what)  # not tried again: SUMO would simulate up to each moment twice
     simulation.release()
     return False
 
 
 def note_model(task: Task, model: VehicleModel | None) -> None:
-    """Remember what the planner of a task asked SUMO for: so do those of its passage."""
+    """Remember the vehicle model of a task's planner: it is the same in its passage."""
     what = passage(task)
     if what is not None:
         _models[what] = model
 
 
 def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
-    """Do a task's work in a copy of this process; ``load`` is what all copies shall have.
+    """Do a task's work in a copy of this process; ``load`` loads what all copies share.
 
-    False: nothing was done, for the process has threads, which copies lack.
+    False: nothing was done, since the process has threads, which copies lack.
     """
     simulation.release()
-    with contextlib.suppress(Exception), logged(Path(os.devnull)):  # the run itself will say it
+    with contextlib.suppress(Exception), logged(Path(os.devnull)):  # the run itself reports it
         load()
     if not _alone():
         return False
@@ -118,8 +118,8 @@ def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
 
 
 def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:
-    """Whether SUMO has come to the moment, and can be copied: it may have threads of its own."""
-    with contextlib.suppress(DeepmfError), logged(Path(os.devnull)):  # the run itself will say it
+    """Whether SUMO is at the moment and can be copied: it may have threads."""
+    with contextlib.suppress(DeepmfError), logged(Path(os.devnull)):  # the run itself reports it
         case = make_case()
         if isinstance(case, TrafficCase):
             simulation.hold(case, model)
@@ -128,7 +128,7 @@ def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:
 
 
 def _alone() -> bool:
-    """Whether a copy of this process would lack nothing: threads are not copied."""
+    """Whether a copy of this process is complete: threads are not copied."""
     if sys.platform != "linux":
         return False
     threads = threading.enumerate()
@@ -140,7 +140,7 @@ def _copied(work: Callable[[], None]) -> None:
     """Do the work in a copy; returns when it is done, raises what it raised, dies as it died."""
     ours, theirs = os.pipe()
     here = os.getpid()
-    gc.freeze()  # else the copy's first collection touches, and so copies, all that there is
+    gc.freeze()  # else the copy's first collection touches, and so copies, all memory
     with _leaving_none():
         pid = os.fork()
         if pid == 0:
@@ -150,7 +150,7 @@ def _copied(work: Callable[[], None]) -> None:
         reaper.end_all(pid)
     gc.unfreeze()
     os.close(theirs)
-    os.set_blocking(ours, False)  # whatever it started may have the pipe open still
+    os.set_blocking(ours, False)  # its descendants may still have the pipe open
     try:
         said = os.read(ours, 1 << 16)
     except BlockingIOError:
@@ -167,7 +167,7 @@ def _copied(work: Callable[[], None]) -> None:
 
 @contextlib.contextmanager
 def _leaving_none() -> Iterator[None]:
-    """While a copy works: whoever ends this process ends the copy, and all that it has begun."""
+    """While a copy works: a signal that ends this process ends the copy and its descendants."""
     reaper.adopt()
     before = signal.signal(signal.SIGTERM, _leave)
     workers.end_with_parent(signal.SIGTERM)
@@ -190,8 +190,8 @@ def _ending(status: int) -> str:
 
 
 def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
-    """The copy's life."""
-    os.setpgid(0, 0)  # of its own, so that all of it can be ended at once
+    """What the copy does; it ends the process."""
+    os.setpgid(0, 0)  # its own group, so that all of it can be ended at once
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     workers.end_with_parent()
     if os.getppid() != parent:
@@ -202,7 +202,7 @@ def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
         code, said = 0, _DONE
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 1
-    except Exception as error:  # noqa: BLE001 - raised again by who waits
+    except Exception as error:  # noqa: BLE001 - raised again in the waiting worker
         said = pickle.dumps(error)
     finally:
         with contextlib.suppress(OSError):  # a hostile planner may have closed it

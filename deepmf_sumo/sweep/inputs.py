@@ -199,6 +199,3 @@ def _origin(module: str) -> Path | None:
     except (ImportError, ValueError):
         return None
     return Path(found.origin).absolute() if found and found.origin else None
-
-
-__all__ = ["Input", "digest", "fingerprinted", "inputs_of", "lacking"]

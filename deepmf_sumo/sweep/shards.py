@@ -1,4 +1,4 @@
-"""A batch in parts, each in a folder of its own; and the parts joined, as if run in one piece.
+"""A batch in parts, each in a separate folder; and the parts joined, as if run in one piece.
 
 Benchmarks have more to join than runs (`plans.run`); they share `Shard`.
 """
@@ -23,7 +23,7 @@ from deepmf_sumo.tasks import Task
 FILE: Final = "shard.json"
 _WAYS: Final = "--overwrite deletes them, another folder for OUT keeps them"
 _WHOLE: Final = (stored.MOMENTS,)
-"""Tables that every part has whole."""
+"""Tables that are complete in every part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,7 @@ class Shard:
 
 
 def note(out: Path, every: Sequence[Task] | None) -> None:
-    """Say in a part's folder what all the runs are, in their order; None: it is no part."""
+    """Write into a part's folder the list of all runs, in order; None: it is not a part."""
     if every is None:
         (out / FILE).unlink(missing_ok=True)
         return
@@ -85,7 +85,7 @@ def merge(
 
 
 def of_benchmark(shard: Path) -> bool:
-    """Whether a folder is to be joined by `plans.run`."""
+    """Whether `plans.run` joins a folder."""
     return (shard / "study.json").is_file()
 
 
@@ -117,8 +117,8 @@ def joining(
 ) -> Iterator[Store]:
     """A new result folder for what the shards hold.
 
-    Raises UsageError where that would cost runs, even with ``overwrite``: where OUT is forgotten,
-    the first shard stands in its place. Raises OutputError as `opened`.
+    Raises UsageError where that would lose runs, even with ``overwrite``: a user who forgets OUT
+    gives the first shard in its position. Raises OutputError as `opened`.
     """
     if out.resolve() in {shard.resolve() for shard in shards}:
         raise UsageError(f"{out} is one of the shards; choose another folder for OUT.")
@@ -151,16 +151,16 @@ def copied(
 
 
 def _check_plain(folder: Path) -> None:
-    """Raise UsageError where a folder is or holds anything but files and folders.
+    """Raise UsageError where a folder is or contains anything but files and folders.
 
-    A link would bring in what lies elsewhere, and a device or pipe never ends.
+    A link would copy files from elsewhere, and reading a device or pipe never ends.
     """
     for path in (folder, *folder.rglob("*")):
         mode = path.lstat().st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise UsageError(
-                f"{path} is a link, a device or a pipe; a run has files and folders alone: take it"
-                " away, or run that shard again."
+                f"{path} is a link, a device or a pipe; a run has files and folders alone: remove"
+                " it, or run that shard again."
             )
 
 
@@ -170,8 +170,8 @@ def _common(shards: Sequence[Path]) -> dict[str, str]:
     for shard in shards[1:]:
         if _read(shard) != first:
             raise UsageError(
-                f"{shard} is a part of other runs than {shards[0]}; merge what the same command"
-                " made, with --shard alone changed."
+                f"{shard} belongs to other runs than {shards[0]}; merge shards of the same"
+                " command, with only --shard changed."
             )
     return dict(first)
 
@@ -179,7 +179,7 @@ def _common(shards: Sequence[Path]) -> dict[str, str]:
 def _read(shard: Path) -> list[tuple[str, str]]:
     file = shard / FILE
     if not file.exists():
-        raise UsageError(f"{shard} is no part of anything: it has no {FILE}, which --shard writes.")
+        raise UsageError(f"{shard} is not a shard: it has no {FILE}, which --shard writes.")
     try:
         values = stored.mapping(file, again="run that shard again")
         version, runs = values["version"], [(str(run), str(key)) for run, key in values["runs"]]
@@ -193,6 +193,3 @@ def _read(shard: Path) -> list[tuple[str, str]]:
     for run_id, _ in runs:
         stored.run_folder(shard, run_id, FILE)
     return runs
-
-
-__all__ = ["Shard", "copied", "found_in", "joining", "merge", "note", "of_benchmark"]

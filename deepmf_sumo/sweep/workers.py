@@ -1,11 +1,10 @@
-"""Tasks in worker processes that may crash or hang without harm to the others.
+"""Tasks in worker processes, which may crash or hang without harm to other tasks.
 
-Each worker does one task at a time (libsumo is one simulation a process), in its own process group,
-so that killing it takes its children along and Ctrl-C reaches the parent alone.
+Each worker does one task at a time (libsumo is one simulation per process), in its own process
+group, so that killing it kills its children, too, and Ctrl-C reaches the parent alone.
 
-Memory of a process, read from outside: what it asked for says nothing, what it holds does.
-
-A limit on address space (RLIMIT_AS) is of no use: torch reserves gigabytes that it never touches.
+The parent reads how much memory each worker holds. A limit on address space (RLIMIT_AS) would not
+do: torch reserves gigabytes that it never touches.
 """
 
 import contextlib
@@ -37,9 +36,9 @@ def watched() -> bool:
 
 
 def more_than(limit_mb: float, pid: int) -> bool:
-    """Whether a process and all that it started hold more; what they share counts once.
+    """Whether a process and its descendants hold more; shared memory counts once.
 
-    That takes milliseconds to find out, so it is asked only where counting it twice is too much.
+    That takes milliseconds, so it is measured only where counting shared memory twice is too much.
     """
     family = list(_family(pid))
     return sum(map(_resident_mb, family)) > limit_mb and sum(map(_own_mb, family)) > limit_mb
@@ -52,7 +51,7 @@ def _family(pid: int) -> Iterator[int]:
 
 
 def _resident_mb(pid: int) -> float:
-    """Of one process; 0 if it is gone."""
+    """Memory of one process; 0 if it is gone."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1]) * _PAGE_MB
     except (OSError, IndexError):
@@ -60,7 +59,7 @@ def _resident_mb(pid: int) -> float:
 
 
 def _own_mb(pid: int) -> float:
-    """Of one process, each page divided among those that hold it."""
+    """Memory of one process, each page divided among the processes that hold it."""
     try:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text("ascii").splitlines()
     except OSError:
@@ -87,17 +86,17 @@ SINGLE_THREAD: Final = dict.fromkeys(
 """Sums are the same to the last bit only for the same number of threads; workers are parallel."""
 
 _RENEW_AFTER: Final = 50
-"""Tasks after which a worker that holds half of its limit is replaced: what many tasks have left
-behind must not be held against the next one."""
+"""Tasks after which a worker that holds half of its limit is replaced: memory that earlier tasks
+left must not count against the next one."""
 
 _LOOK_S: Final = 0.2
 """Between two looks at the memory of the workers."""
 
 _LAST_WORDS_S: Final = 5.0
-"""A worker that cannot be heard any more may take to end by itself, which its exit code tells."""
+"""Time for a worker whose connection is closed to end by itself, so that it has an exit code."""
 
 _LEAVE_S: Final = 2.0
-"""For a worker to end by itself, before it is ended."""
+"""Time for a worker to end by itself, before it is killed."""
 
 WATCHER: Final = "watches the parent"
 """A thread of every worker, which sleeps and holds no lock."""
@@ -112,7 +111,7 @@ T = TypeVar("T")
 class Finished:
     """How a task ended; all but ``done`` with a reason.
 
-    ``lost`` is no end: the machine that did it is gone, and another will do it (`executors`).
+    ``lost`` is not an end: its machine is gone, and another one repeats the task.
     """
 
     index: int
@@ -138,9 +137,9 @@ def run(
         jobs: workers.
         timeout_s: for one task, without the start of its worker.
         memory_mb: of a worker and its children; above it the task is ended.
-        minutes: no task is begun after so many.
+        minutes: after that no task starts.
 
-    Raises RunError where a worker does not even start.
+    Raises RunError where a worker does not start.
     """
     pending = deque(enumerate(tasks))
     stop = time.monotonic() + 60.0 * minutes if minutes else float("inf")
@@ -168,7 +167,7 @@ def run(
 
 
 def _wait(workers: Sequence["Worker"], stop: float) -> None:
-    """Sleep until a worker says something, one is out of time, or its memory is to be looked at."""
+    """Sleep until a worker sends something, one is out of time, or its memory is due for a look."""
     due = min(stop, *(worker.deadline for worker in workers))
     most = _LOOK_S if any(worker.memory_mb for worker in workers) else 60.0
     connections = [worker.connection for worker in workers]
@@ -177,15 +176,15 @@ def _wait(workers: Sequence["Worker"], stop: float) -> None:
 
 @dataclass
 class Worker:
-    """The parent's side of a worker process; raises RunError where that does not even start.
+    """The parent's side of a worker process; raises RunError where that does not start.
 
     Attributes:
         work: importable by name in a new process.
         timeout_s: for one task. memory_mb: of the process and its children.
         ready: it has loaded its libraries.
         alive: it has not been ended, nor found dead.
-        index: of its task, None without one. given: tasks so far.
-        began, deadline: of what it does, on the monotonic clock.
+        index: of its task, None without one. given: number of tasks so far.
+        began, deadline: of its task, on the monotonic clock.
     """
 
     work: Callable[[Any], None]
@@ -220,15 +219,15 @@ class Worker:
         return self.given >= _RENEW_AFTER and self._holds_more_than(0.5)
 
     def give(self, index: int, task: object) -> None:
-        """Let it do a task; only while it is `free`."""
+        """Give it a task; only while it is `free`."""
         self.given += 1
         self.index, self.began = index, time.monotonic()
         self.deadline = self.began + self.timeout_s if self.timeout_s else float("inf")
-        with contextlib.suppress(BrokenPipeError):  # it died while idle: `look` finds out
+        with contextlib.suppress(BrokenPipeError):  # it died while idle: `look` notices
             self.connection.send((task,))
 
     def look(self) -> Finished | None:
-        """What became of its task, if anything."""
+        """How its task ended; None while it runs."""
         try:
             if self.connection.poll():
                 return self._hear(*self.connection.recv())
@@ -252,11 +251,11 @@ class Worker:
         return more_than(share * self.memory_mb, self.process.pid)
 
     def kill(self) -> None:
-        """End the process and its children, which outlive one that died by itself."""
+        """End the process and its children, which outlive a worker that died by itself."""
         if not self.alive:
             return
         self.alive = False
-        self.process.terminate()  # while a copy of it does a run, it ends all that this has begun
+        self.process.terminate()  # while a copy of it does a run, it ends what the copy has started
         self.process.join(_LEAVE_S)
         if self.process.pid:
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -292,7 +291,9 @@ class Worker:
 def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> None:
     """A worker's life. ``work`` has been imported by now, and its libraries with it."""
     os.setpgid(0, 0)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # forgets what came before the group was its own
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # discards signals from before it had its own group
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     end_with_parent()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -314,16 +315,16 @@ def _done(work: Callable[[Any], None], task: object) -> tuple[Status, str]:
 
 
 def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
-    """Let the system send this process a signal when its parent ends.
+    """Let the system send this process a signal as soon as its parent ends.
 
-    At once, so that no folder has two writers after a resume; on Linux alone.
+    So no folder has two writers after a resume. On Linux alone.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def _end_with(parent: int) -> None:
-    """A killed parent cannot end its workers: they notice by themselves."""
+    """End this process when the parent is gone: a killed parent cannot do so."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
@@ -331,7 +332,7 @@ def _end_with(parent: int) -> None:
 
 @contextlib.contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """A process started meanwhile hears no Ctrl-C while it loads; this one hears it afterwards."""
+    """A process started in the block gets no Ctrl-C while it loads; this one gets it afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -354,7 +355,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 
 class Work(Protocol):
-    """Does a task, and leaves its folder in ``runs``: a dataclass, importable on every machine."""
+    """Does a task and leaves its folder in ``runs``: a dataclass, importable on every machine."""
 
     @property
     def runs(self) -> Path:
@@ -366,12 +367,12 @@ class Work(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Of a batch.
+    """Limits of a batch.
 
     Attributes:
         timeout_s: for one task; None is no limit.
         memory_mb: of a worker and its children; None is no limit.
-        minutes: no task is begun after so many; None is no limit.
+        minutes: after that no task starts; None is no limit.
     """
 
     timeout_s: float | None = None
@@ -403,7 +404,7 @@ class Local:
     jobs: int = 1
 
     def check(self) -> None:
-        """Nothing can be wrong."""
+        """Always usable."""
 
     def run(
         self, work: Work, tasks: Sequence[Task], limits: Limits

@@ -47,7 +47,7 @@ def test_what_is_no_result_folder_is_refused_in_one_line(arguments, tmp_path, ca
 
 def test_an_unknown_quantity_is_refused(out, capsys):
     assert main._run(["compare", str(out), str(out), "--quantity", "speed"]) == 2
-    assert "'speed' is no quantity" in capsys.readouterr().err
+    assert "'speed' is not a quantity" in capsys.readouterr().err
 
 
 def test_what_differs_on_purpose_is_one_line_for_all_names_of_it(tmp_path, capsys):

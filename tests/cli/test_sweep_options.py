@@ -141,7 +141,7 @@ def test_wrong_parts_are_not_merged(folders, tmp_path, capsys):
     other = Path(shutil.copytree(folders / "2", tmp_path / "other")) / shards.FILE
     noted = json.loads(other.read_text())
     for text, told in {
-        json.dumps({**noted, "runs": noted["runs"][1:]}): "is a part of other runs than",
+        json.dumps({**noted, "runs": noted["runs"][1:]}): "belongs to other runs than",
         "{": "shard.json is damaged",
         '{"version": "0.0.1", "runs": []}': "was made by version 0.0.1 of deepmf-sumo",
     }.items():

@@ -103,8 +103,8 @@ def test_a_group_without_runs_is_refused(tmp_path):
         ("max_failed_runs: -1", r"yaml:2: key 'max_failed_runs'"),
         ("min_ttc_p05: 10.0", r"yaml:2: key 'min_ttc_p05'"),
         ("planners: {idm: {baseline: x}}", r"yaml:2: key 'planners.idm.baseline': unknown key"),
-        ("baseline: {quantities: [speed]}", r"'speed' is no quantity"),
-        ("baseline: {tolerance: {speed: 1}}", r"'speed' is no quantity"),
+        ("baseline: {quantities: [speed]}", r"'speed' is not a quantity"),
+        ("baseline: {tolerance: {speed: 1}}", r"'speed' is not a quantity"),
         ("baseline: {quantities: []}", r"key 'baseline.quantities'"),
     ],
 )

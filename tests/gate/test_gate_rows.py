@@ -49,7 +49,7 @@ def test_who_is_judged(tmp_path):
     found = {row.scene: row for row in rows.read(out).rows.values()}
     assert [name for name, row in found.items() if row.judged] == ["no-attack"]
     assert found["no-attack"].values == {"impact_mps": 3, "av_collision_rate": 1}
-    assert found["nobody-there"].reason == "nobody to attack"
+    assert found["nobody-there"].reason == "no vehicle to attack"
     assert (found["broken"].status, found["broken"].reason) == ("failed", "SUMO refused")
     assert found["broken"].network == "crossing"
     assert (found["later"].status, found["later"].seed) == ("missing", 7)
@@ -98,7 +98,7 @@ EMPTY = {
     [
         (None, "no such file or folder"),
         ("{", "is damaged"),
-        ("[]", "is no results file"),
+        ("[]", "is damaged"),
         ('{"kind": "deepmf-sumo results", "format_version": 9}', "has format 9"),
         ('{"kind": "deepmf-sumo results", "format_version": 2}', "is damaged"),
         (json.dumps(EMPTY | {"runs": [{}]}), "is damaged"),
@@ -152,7 +152,7 @@ def test_results_that_are_damaged_or_strange(tmp_path):
     with pytest.raises(UsageError, match=r"result\.json is damaged"):
         rows.read(out)
     file.write_text('{"key": "key of a 0"}')
-    with pytest.raises(UsageError, match=r"result\.json is no result of this version"):
+    with pytest.raises(UsageError, match=r"result\.json is not a result of this version"):
         rows.read(out)
 
 

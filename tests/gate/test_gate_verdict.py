@@ -62,10 +62,12 @@ def test_junit_of_a_broken_threshold(tmp_path, out):
     write_junit(tmp_path / "junit.xml", verdict)
     found, counts = cases(tmp_path / "junit.xml")
     run = "made up / idm lane: "
-    assert found[f"{run}a seed 0"] == {"failure": "has part in max_av_collision_rate of all runs"}
+    assert found[f"{run}a seed 0"] == {
+        "failure": "contributes to max_av_collision_rate of all runs"
+    }
     assert found[f"{run}a seed 2"] == {}
     assert found[f"{run}a seed 4"] == {"failure": "min_gap is 2, expected at least 3"}
-    assert found[f"{run}empty seed 0"] == {"skipped": "nobody to attack"}
+    assert found[f"{run}empty seed 0"] == {"skipped": "no vehicle to attack"}
     assert "0.4" in found["all runs: max_av_collision_rate"]["failure"]
     assert found["all runs: max_failed_runs"] == {}
     assert counts == [9, 4, 0, 1]
@@ -199,7 +201,7 @@ def test_a_baseline_that_is_renewed_is_not_compared_with(tmp_path, out):
         gate.check(out, limits)
     verdict = gate.check(out, limits, renewed=tmp_path / "b.json")
     assert verdict.comparisons is None
-    assert "written anew" in verdict.notes[0]
+    assert "written again" in verdict.notes[0]
     assert gate.check(out, limits).comparisons is not None
 
 
@@ -209,17 +211,19 @@ def test_another_attack_is_told(tmp_path, out):
     new = gate_doubles.write_folder(tmp_path / "new", runs)
     verdict = gate.check(new, thresholds(tmp_path, "baseline: b.json"))
     assert "set up differently in 3 pairs (weights): differences may be" in verdict.notes[0]
-    assert "0 runs are new, 3 of the baseline are not there" in verdict.notes[1]
+    assert "0 runs are new, 3 of the baseline are gone" in verdict.notes[1]
 
 
 def test_summary(tmp_path, out):
     gate.check(out, thresholds(tmp_path), renewed=tmp_path / "b.json")
     limits = thresholds(tmp_path, "max_av_collision_rate: 0.2\nbaseline: b.json")
     text = verdict_module.text(gate.check(out, limits))
-    assert text.startswith("## deepmf-sumo: failed\n\n6 runs: 5 judged, 1 with nobody to attack\n")
+    assert text.startswith(
+        "## deepmf-sumo: failed\n\n6 runs: 5 judged, 1 with no vehicle to attack\n"
+    )
     line = "| all runs | max_av_collision_rate | 0.2 | 0.4 (0.12 to 0.77) | 5 | **broken** |"
     assert line in text
-    assert "- `made-up--a--0`: has part in max_av_collision_rate of all runs" in text
+    assert "- `made-up--a--0`: contributes to max_av_collision_rate of all runs" in text
     assert "| all runs | min_gap_m | 1.2 m | 1.2 m | +0 (5 pairs of 1 spec) | not judged |" in text
 
 

@@ -42,7 +42,7 @@ def folder(tmp_path, outcomes, *, opponents=True, planners=("idm",), reason="nev
     return tmp_path
 
 
-def test_rates_count_only_runs_that_went_through(tmp_path):
+def test_rates_count_only_successful_runs(tmp_path):
     outcomes = [
         ("ok", "av_opponent", 1.0),
         ("ok", "av_opponent", 0.5),
@@ -60,7 +60,7 @@ def test_rates_count_only_runs_that_went_through(tmp_path):
     assert row["on_road"] == pytest.approx(0.875)
 
 
-def test_runs_with_nobody_to_attack_are_no_misses(tmp_path):
+def test_runs_without_an_opponent_are_not_misses(tmp_path):
     found = compare(
         groups(
             [
@@ -87,7 +87,7 @@ def test_a_run_that_is_half_written_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"run0/result\.json is damaged .* --resume"):
         groups([made])
     file.write_text("null")
-    with pytest.raises(UsageError, match="it holds no names and values"):
+    with pytest.raises(UsageError, match="it is not a mapping"):
         groups([made])
     (made / "runs.csv").write_text("")
     with pytest.raises(UsageError, match=r"runs\.csv is cut short; .* --resume"):
@@ -103,7 +103,7 @@ def cells(found, number=0):
 
 def test_quantities_have_units_few_digits_and_their_number_of_runs(tmp_path):
     found = cells(side_by_side(groups([folder(tmp_path, HIT_AND_MISS)])))
-    assert found["runs that went through"] == "2 of 3, 1 failed"
+    assert found["runs that succeeded"] == "2 of 3, 1 failed"
     assert found["AV hit by the opponent, runs"] == "1"
     assert found["rate (95 % interval)"] == "50 % (9 to 91)"
     assert found["of these avoidable"] == "1 of 1"

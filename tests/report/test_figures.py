@@ -267,7 +267,7 @@ def test_the_road_of_a_lost_recording_is_that_of_the_network(folder, tmp_path):
 
 
 def test_no_result_folder(tmp_path):
-    with pytest.raises(UsageError, match=r"is no complete result folder: it has no runs\.csv"):
+    with pytest.raises(UsageError, match=r"is not a complete result folder: it has no runs\.csv"):
         draw_all(tmp_path)
 
 

@@ -41,7 +41,7 @@ def test_a_table_that_is_cut_anywhere_is_refused(tmp_path, length, read):
 
 
 def test_so_it_is_by_table_too(tmp_path):
-    with pytest.raises(UsageError, match="is cut short; write it anew with --resume"):
+    with pytest.raises(UsageError, match="is cut short; write it again with --resume"):
         comparison.groups([written(tmp_path, WHOLE[:30])])
 
 

@@ -80,7 +80,7 @@ def test_a_folder_of_folders_is_all_of_them(folder, tmp_path):
     assert len(all_of_them.runs) == 5
     assert all_of_them.missing == ("09-lost",)
     assert len(Results.open(folder.out, str(folder.out)).runs) == 10
-    with pytest.raises(UsageError, match="is not a result folder, and holds none"):
+    with pytest.raises(UsageError, match="is not a result folder, and contains none"):
         Results.open(tmp_path / "out" / "runs")
 
 

@@ -14,7 +14,7 @@ import sys, time
 from pathlib import Path
 from deepmf_sumo.results.folder import opened
 with opened(Path(sys.argv[1]), resume=False) as folder:
-    folder.begin([], {})
+    folder.manifest({}, {})
     print("held", flush=True)
     time.sleep(60)
 """

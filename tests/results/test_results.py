@@ -237,7 +237,7 @@ def test_summary(found, task):
 def test_results_of_an_earlier_batch_are_deleted_only_where_that_is_asked_for(tmp_path):
     out = tmp_path / "deep" / "out"
     with folder_module.opened(out, resume=False) as folder:
-        folder.begin([], {})
+        folder.manifest({}, {})
         (out / "runs" / "old").mkdir()
     with folder_module.opened(out, resume=True):
         assert (out / "runs" / "old").is_dir()

@@ -103,7 +103,7 @@ def test_ids_of_our_own_runs_are_ids():
 )
 def test_a_result_of_another_shape_is_named_with_its_key(tmp_path, key, value):
     out = gate_doubles.write_folder(tmp_path / "out", [gate_doubles.result() | {key: value}])
-    with pytest.raises(UsageError, match=rf"result\.json is no result of .* \({key}"):
+    with pytest.raises(UsageError, match=rf"result\.json is not a result of .* \({key}"):
         rows.read(out)
 
 
@@ -121,7 +121,7 @@ def test_a_result_that_says_it_is_of_another_folder(tmp_path):
         (b'{"status": "ok", "value": NaN', "damaged"),
         (b"[" * 100_000, "nested too deeply"),
         (b"\xff\xfe", "damaged"),
-        (b"[]", "no names and values"),
+        (b"[]", "not a mapping"),
         (b"1" * 10_000, "damaged"),
     ],
 )
@@ -157,5 +157,5 @@ def test_what_merge_puts_into_tables_must_be_whole(tmp_path, key):
         del found[key]
     file.write_text(json.dumps(found))
     stored.result_of(file)
-    with pytest.raises(UsageError, match=rf"no result of this version.* \({key}.*required"):
+    with pytest.raises(UsageError, match=rf"not a result of this version.* \({key}.*required"):
         stored.result_of(file, whole=True)

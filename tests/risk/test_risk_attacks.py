@@ -169,7 +169,7 @@ def test_what_cannot_be_mapped_is_refused(tmp_path):
         risk.read([tmp_path / "out"])
     broken = Attacks(tmp_path / "broken")
     broken.add("a", av=eastward(), opponent=eastward(), contacts=None)
-    with pytest.raises(UsageError, match="is no result of this version"):
+    with pytest.raises(UsageError, match="is not a result of this version"):
         risk.read([tmp_path / "broken"])
     (tmp_path / "out" / "manifest.json").write_text(json.dumps({"runs": 3}))
     with pytest.raises(UsageError, match="names no runs"):
@@ -210,9 +210,9 @@ def test_damaged_tables_are_refused(tmp_path):
     out = Attacks(tmp_path / "out")
     out.add("a", av=eastward(), opponent=eastward(x=-160), hit=90)
     (tmp_path / "out" / "moments.csv").write_text("av,start_s\ncar,3.0\n")
-    with pytest.raises(UsageError, match=r"moments\.csv is no table of moments"):
+    with pytest.raises(UsageError, match=r"moments\.csv is not a table of moments"):
         risk.read([tmp_path / "out"])
     (tmp_path / "out" / "moments.csv").unlink()
     (tmp_path / "out" / "manifest.json").write_text("[]")
-    with pytest.raises(UsageError, match="it holds no names and values"):
+    with pytest.raises(UsageError, match="it is not a mapping"):
         risk.read([tmp_path / "out"])

@@ -177,7 +177,7 @@ def test_what_cannot_be_compared_is_refused(tmp_path):
     b = folder(tmp_path / "b", {0}, version="0.2.0")
     with pytest.raises(UsageError, match=r"made by version 0\.1\.0"):
         comparison.compare(a, b)
-    with pytest.raises(UsageError, match="'speed' is no quantity"):
+    with pytest.raises(UsageError, match="'speed' is not a quantity"):
         comparison.compare(a, a, ("speed",))
     with pytest.raises(UsageError, match="is not a result folder"):
         comparison.compare(a, tmp_path / "a" / "runs")

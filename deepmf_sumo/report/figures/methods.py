@@ -87,7 +87,7 @@ def _variety(runs: list[Run]) -> float:
     """How far apart the opponents' paths lie: mean over all pairs, in metres.
 
     Of two paths it is the mean distance of the points of one to the nearest point of the other, of
-    the one for which it is less: a path that goes on farther on the same way is no other path.
+    the one for which it is less: a longer piece of the same path is not another path.
     """
     paths = [
         driven(run.rollout, run.rollout.opponent_id)[0]
@@ -126,7 +126,7 @@ class Point(NamedTuple):
 
 
 def draw_tradeoff(results: Results) -> Sheet | Skipped:
-    """A column a planner, a row a measure of naturalness, a mark a method."""
+    """One column per planner, one row per measure of naturalness, one marker per method."""
     points = {
         (name, planner): _points(results, planner, name)
         for name in NATURALNESS
@@ -216,7 +216,7 @@ class BudgetPoint(NamedTuple):
 
 
 def draw_budget(results: Results) -> Sheet | Skipped:
-    """A column a planner, a row a kind of budget, a line a method."""
+    """One column per planner, one row per kind of budget, one line per method."""
     file = results.folders[0] / CURVES
     if not file.is_file():
         return Skipped(f"there is no {CURVES}: the plan has no `curves`")

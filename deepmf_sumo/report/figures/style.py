@@ -103,7 +103,7 @@ def charts(rows: int, columns: int, methods: int) -> tuple[Figure, Any]:
 
 
 def legend_columns(columns: int) -> int:
-    """Of a legend below so many columns of charts."""
+    """Of a legend below this number of columns of charts."""
     return 3 if columns == 1 else 6
 
 
@@ -161,7 +161,7 @@ LINE_IN: Final = 0.135
 
 
 def shape(count: int) -> tuple[int, int]:
-    """Rows and columns for so many panels: at most four in a row, rows of about equal length."""
+    """Rows and columns for a number of panels: at most four in a row, rows of similar length."""
     rows = -(-count // MOST_COLUMNS)
     return rows, -(-count // rows)
 

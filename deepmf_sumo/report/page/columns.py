@@ -133,7 +133,7 @@ def speed_class(speed_mps: float | None) -> str | None:
 
 
 def short(value: Any) -> Any:
-    """A number as it stands in a page: more digits are never shown."""
+    """A number as it is stored in a page: more digits are never shown."""
     return round(value, 4) if isinstance(value, float) else value
 
 

@@ -1,8 +1,7 @@
-"""What the page needs to replay a run: who was where, what was planned, how near it came.
+"""What the page needs to replay a run: poses, plans, gaps and times to collision.
 
-Numbers as small text: whole units, differences of differences, deflated, in base 64.
-
-The page restores them with ``unpacked`` and ``restored`` of ``assets/packing.js``.
+Numbers become short text: whole units, differences of differences, deflated, in base 64. The page
+restores them with ``unpacked`` and ``restored`` of ``assets/packing.js``.
 """
 
 import base64
@@ -44,7 +43,7 @@ def stepwise(values: Floats | Ints, unit: float) -> list[int]:
 
 
 REACH_M: Final = 100.0
-"""Others that never come so near to the AV or the opponent are left out, and counted."""
+"""Others that never come this close to the AV or the opponent are left out, and counted."""
 LONGEST_TTC_S: Final = 10.0
 FINE_M, COARSE_M = 0.02, 0.05
 """Units of positions: of AV and opponent, and of the others."""
@@ -127,7 +126,7 @@ def _agent(rollout: Rollout, row: int, role: str, origin: Floats) -> dict[str, A
 
 
 def _drivers(rollout: Rollout, row: int, steps: Ints) -> list[list[Any]]:
-    """Step and name of each change of who drives an agent, the first one among them."""
+    """Step and name of each driver of an agent, from its first step on."""
     driver = rollout.driver[row, steps].astype(int)
     changes = np.flatnonzero(np.diff(driver, prepend=-1))
     return [[int(steps[at]), Driver(driver[at]).name.lower()] for at in changes]

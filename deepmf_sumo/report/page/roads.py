@@ -22,7 +22,7 @@ AROUND_M: Final = 60.0
 """How much of the road is kept around what AV and opponent drove."""
 UNIT_M: Final = 0.1
 _TOLERANCE_M: Final = 0.12
-"""Lines may be so far off where points are left out."""
+"""Lines may deviate by this where points are left out."""
 _UNKNOWN_WIDTH_M: Final = 3.5
 _KEPT: Final = 8
 """Road maps in memory: runs of one scene come one after the other, or a sweep has few scenes."""
@@ -42,7 +42,7 @@ class Roads:
 
         Returns:
             Its number, the map, and why it is not the one that was attacked on; None, None and the
-            reason where there is no road to be had.
+            reason where the road cannot be read.
         """
         key = _key(run)
         try:
@@ -125,22 +125,22 @@ ELEMENTS: Final = (
     "off the lanes",
 )
 _OFF_M: Final = 4.0
-"""Farther than this from all lanes' centre lines is beside them."""
+"""Farther than this from all centre lines is off the lanes."""
 _NEAR_M: Final = 20.0
-"""A junction or a merge so far ahead, and a merge so far behind, belongs to the place."""
+"""A junction or a merge up to this far ahead, or a merge up to this far behind, counts."""
 _IN_M: Final = 10.0
-"""So near to the point where another lane crosses is within the junction."""
+"""Within this distance of a crossing lane is inside the junction."""
 _STOREY_M: Final = 3.0
-"""Lanes so far above each other do not meet."""
+"""Lanes with this vertical distance do not meet."""
 _TURNED_RAD: Final = np.pi / 3
-"""Lanes that lead elsewhere are not the vehicle's, unless there is no other."""
+"""Lanes in other directions are not the vehicle's, unless there is no other."""
 
 
 def element(road: RoadMap, place_m: Floats, heading_rad: float) -> str:
     """One of `ELEMENTS` for a place (2,) and the heading of the vehicle that is there.
 
-    The vehicle's lane is the nearest one that leads its way within 60 degrees, else the nearest.
-    A junction is where the lane was made up to join two others (SUMO's internal lanes), or within
+    The vehicle's lane is the nearest one within 60 degrees of its heading, else the nearest.
+    A junction is where the lane was generated to join two others (SUMO's internal lanes), or within
     10 m of another lane that crosses it: recordings mark no junctions.
     """
     lane, along_m = _lane_at(road, place_m, heading_rad)

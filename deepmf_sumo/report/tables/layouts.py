@@ -1,4 +1,4 @@
-"""Which rows and columns stand in which table: the paper's three, then what it does not measure.
+"""Rows and columns of each table: the paper's three, then what it does not measure.
 
 Which methods know what DeepMF has to predict, so that readers of a table compare like with like.
 
@@ -49,9 +49,9 @@ def _rows(file: Path, *, needed: bool = True) -> list[Row]:
 
 _MEANT: Final = (
     "What a method looks up it learns from simulations of the same scene before its attack: under"
-    " a replayed AV that is the AV's future itself. The others see the past alone. Who begins at"
-    " the opponent's un-attacked motion is near the recording, with which naturalness compares, by"
-    " construction."
+    " a replayed AV that is the AV's future itself. The others see only the past. Naturalness is"
+    " measured against the recording: a method that starts from the opponent's motion without an"
+    " attack is close to it by construction."
 )
 
 
@@ -135,7 +135,7 @@ class Table:
     """A table in blocks, one a planner.
 
     Attributes:
-        blocks: planner, and its rows: method, hits of attacked, and a cell a head.
+        blocks: planner, and its rows: method, hits of attacked, and one cell per column.
     """
 
     title: str

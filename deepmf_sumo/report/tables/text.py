@@ -1,4 +1,4 @@
-"""What stands below the tables: definitions, units, bins and denominators."""
+"""The notes below the tables: definitions, units, bins and denominators."""
 
 import inspect
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ _RATES: Final = (
 )
 
 _FEW_SCENES: Final = 10
-"""Fewer scenes than that say too little of others to be drawn from."""
+"""With fewer scenes, intervals say little about other scenes."""
 
 _POOLED: Final = (
     "pooled_kl, pooled_jsd [nat], pooled_wasserstein [m/s2]: smoothed accelerations of all runs at"
@@ -79,11 +79,11 @@ def _runs(rows: Sequence[Row]) -> list[str]:
     lines = []
     for row in rows:
         parts = {name: int(row[name]) for name in (*STATUSES[1:], "nobody_to_attack", "unfinished")}
-        told = ", ".join(f"{count} {name}" for name, count in parts.items() if count)
-        if told:
+        counts = ", ".join(f"{count} {name}" for name, count in parts.items() if count)
+        if counts:
             name = f"{row['method']} on {row['planner']}"
-            told = told.replace("nobody_to_attack", "with nobody to attack")
-            lines.append(f"{name}: of {row['runs']} runs {told}.")
+            counts = counts.replace("nobody_to_attack", "with no vehicle to attack")
+            lines.append(f"{name}: of {row['runs']} runs {counts}.")
     return lines
 
 

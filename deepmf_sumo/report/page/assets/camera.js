@@ -19,7 +19,7 @@ class Camera {
     this.followPointer();
   }
 
-  /** Show [left, bottom, right, top] in metres, with no more than so many pixels per metre. */
+  /** Show [left, bottom, right, top] in metres, with at most `most` pixels per metre. */
   fit([left, bottom, right, top], most = this.most) {
     const { width, height } = this.element.getBoundingClientRect();
     this.x = (left + right) / 2;

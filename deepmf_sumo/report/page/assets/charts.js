@@ -120,7 +120,7 @@ function axes(scene, end, most, x, y) {
         {
           x: x(scene.now + time / scene.dt),
           y: height - bottom + 15,
-          // what stands at the right end must not be cut
+          // the label at the right end must not be cut
           "text-anchor": x(scene.now + time / scene.dt) > width - 20 ? "end" : "middle",
         },
         `${time} s`,

@@ -21,7 +21,7 @@ async function copied(text, button) {
   try {
     await navigator.clipboard.writeText(text);
   } catch {
-    // pages from a file may have no clipboard: the older way needs a selection
+    // pages from a file may have no clipboard: the older command needs a selection
     const area = make("textarea", { readonly: true });
     area.value = text;
     document.body.append(area);
@@ -40,7 +40,7 @@ function quoted(text) {
   return /^[\w./:=@+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
-/** How to run it again, and how to see it in SUMO, from within the result folder. */
+/** The commands that repeat the run and show it in SUMO, from within the result folder. */
 function commandsOf(row, details) {
   const folder = `runs/${row.run}`;
   const elements = [
@@ -111,7 +111,7 @@ function metricsOf(details) {
     make(
       "div",
       { class: "wide" },
-      make("table", {}, ...tableOf(["metric", "value", "unit", "why none"], rows, [1])),
+      make("table", {}, ...tableOf(["metric", "value", "unit", "why not measured"], rows, [1])),
     ),
   );
 }
@@ -128,7 +128,7 @@ function eventsOf(details) {
   return rows.length
     ? folded(
         `Events (${rows.length})`,
-        make("table", {}, ...tableOf(["at", "who", "what", "detail"], rows)),
+        make("table", {}, ...tableOf(["at", "agent", "event", "detail"], rows)),
       )
     : null;
 }

@@ -39,8 +39,8 @@ function layers(scene, draw) {
     key("av", `AV (${scene.av.id})`),
     scene.opponent ? key("opponent", `opponent (${attackersOf(scene)}), with a star`) : null,
     key("opponent", "its plan", "stroke dashed"),
-    key("candidate", "candidates, the stronger the better", "stroke"),
-    key("reaction", "reactions; full: this one collides", "stroke"),
+    key("candidate", "candidates; stronger colour: higher value", "stroke"),
+    key("reaction", "reactions; solid line: collides", "stroke"),
     make(
       "p",
       {},

@@ -3,7 +3,7 @@
 /** Least sizes on the screen, in pixels: places of a town are smaller than a pixel. */
 const LEAST = { road: 1, place: 4, nothing: 1.5, dot: 6, ring: 3 };
 const DOT_BELOW = 14;
-/** A place that is picked fills this part of the map; a view shows at least so many metres. */
+/** A place that is picked fills this part of the map; a view shows at least these metres. */
 const PICKED_SHARE = 0.4,
   PICKED_M = 80,
   LEAST_M = 300;
@@ -22,7 +22,7 @@ function cornersOf(lines) {
   return lines.flatMap(([, points]) => points);
 }
 
-/** Show these bounds in a share of the map, and at least so many metres. */
+/** Show these bounds in a share of the map, and at least `least` metres. */
 function fitMap(bounds, share = 0.92, least = LEAST_M) {
   if (!bounds) return;
   const [left, bottom, right, top] = bounds;

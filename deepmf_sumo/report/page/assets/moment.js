@@ -1,4 +1,4 @@
-// What is said of a moment and of its plan.
+// The text about a moment and its plan.
 
 function momentText(scene, step) {
   const driven = (agent, name) =>
@@ -39,7 +39,7 @@ function planElements(scene, plan, pick) {
   );
   const facts = {
     rule: plan.rule,
-    candidates: `${plan.candidates.length} of ${plan.of} kept here`,
+    candidates: `${plan.candidates.length} of ${plan.of} on this page`,
     "P(candidate)": digits(chosen.p),
     value: digits(chosen.value),
     ...(chosen.hit === undefined ? {} : { "P(AV's reaction collides)": chosen.hit.toFixed(3) }),
@@ -59,6 +59,6 @@ function planElements(scene, plan, pick) {
         label,
       ),
     ),
-    make("p", { class: "hint" }, "All modes to the chosen one, the likeliest to each other."),
+    make("p", { class: "hint" }, "All modes for the chosen candidate; the likeliest one for the others."),
   ];
 }

@@ -1,4 +1,4 @@
-// A run's packed replay -> who is where at any time.
+// A run's packed replay -> the poses of all agents at any time.
 
 /** The agents with a pose at each kept step, the plans with their paths, the road's shapes. */
 function sceneOf(details, road) {
@@ -83,7 +83,7 @@ function speedAt(agent, step) {
   return agent?.speed?.values[place] ?? null;
 }
 
-/** Who drives the AV or the opponent at a step. */
+/** The driver of the AV or the opponent at a step. */
 function driverAt(agent, step) {
   let name = "";
   for (const [first, driver] of agent.drivers) if (first <= Math.round(step)) name = driver;

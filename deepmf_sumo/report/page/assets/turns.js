@@ -1,6 +1,6 @@
-// Opponents that took turns: who attacked when, and how it went.
+// Opponents that took turns: when each attacked, and how that ended.
 
-/** A table with a row a turn; its number is a button that shows the turn's beginning. */
+/** A table with one row per turn; its number is a button that shows the turn's beginning. */
 function turnsOf(details, player) {
   const { turns } = details;
   if (!turns?.length) return null;
@@ -42,7 +42,7 @@ function turnsOf(details, player) {
   );
 }
 
-/** Who attacks at a step: of several in turn the one whose turn it is, or nobody. */
+/** The attacker at a step; of opponents in turn the one whose turn it is, undefined between. */
 function attackerAt(scene, step) {
   if (!scene.turns?.length) return scene.opponent;
   const seconds = (step - scene.now) * scene.dt;
