@@ -32,9 +32,10 @@ from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.predictors import anchors
-from deepmf_sumo.predictors.decoding import as_batch, pose_of
+from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.kinematics import pose_of
 
 KNOT_STEPS = 5
 """Steps between the points of a perturbation: 2 Hz."""

@@ -1,9 +1,7 @@
-"""Lane routes of two vehicles, and how they relate: crossing, merging, following.
+"""Coarse routes of many vehicles along the lane graph, and their relations: crossing, following.
 
-Where many vehicles can drive along the lane graph: coarse routes of all of them at once.
-
-`paths` prepares one vehicle's paths finely enough to drive on. Relations of a vehicle to everybody
-around it need many vehicles' routes in a few milliseconds, and care for metres only.
+`paths` prepares one vehicle's paths finely enough to drive on. Features of a vehicle's relations to
+all others need the routes of many vehicles in a few milliseconds, to the metre.
 """
 
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, SignalState, Vie
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import clear, on_nearest_level
 from deepmf_sumo.geometry.lane_map import per_road
-from deepmf_sumo.predictors.kinematics import Motion
+from deepmf_sumo.predictors.kinematics import Motion, pose_of
 from deepmf_sumo.predictors.lanes import RoadIndex, first_signal, lane_sequences, road_index
 from deepmf_sumo.predictors.paths import signal_colour
 
@@ -106,7 +104,7 @@ def lane_routes(
 ) -> Routes:
     """Routes of V vehicles: positions (V, 2), headings (V), speeds (V). Off the lanes: none.
 
-    Where roads cross they begin on the level nearest to the vehicles' heights (V), if given.
+    Where roads cross they start on the level nearest to the vehicles' heights (V), if given.
     """
     index, grid = road_index(road), _grid(road)
     feet = _feet(index, grid, position_m, heading_rad, z_m)
@@ -163,7 +161,7 @@ def on_lanes(
     turn_rad: float,
     z_m: Floats | None = None,
 ) -> Bools:
-    """(V) who is within reach (at most 8 m) and angle of any drivable lane; z as `lane_routes`."""
+    """(V) within reach (at most 8 m) and angle of any drivable lane; z as in `lane_routes`."""
     pairs = _pairs(road_index(road), _grid(road), position_m, heading_rad, z_m)
     near = (pairs.apart_m < reach_m) & (np.abs(pairs.turn_rad) < turn_rad)
     found = np.zeros(len(position_m), bool)
@@ -174,7 +172,7 @@ def on_lanes(
 def passes_over(
     road: RoadMap, position_m: Floats, heading_rad: Floats, speed_mps: Floats, z_m: Floats
 ) -> Bools:
-    """(V - 1) whose routes come onto the first vehicle's seen from above, but on another level."""
+    """(V - 1) vehicles whose routes cross those of the first vehicle only on another level."""
     others = len(position_m) - 1
     over, level = np.zeros((2, others), bool)
     if not road_index(road).has_levels:
@@ -250,7 +248,10 @@ def _feet(
 
 
 def _near(grid: _Grid, position_m: Floats) -> tuple[Ints, Ints]:
-    """Pairs of vehicle and segment in its own cell or one of the eight around it."""
+    """Pairs of a vehicle and a segment that starts in its cell or one of the eight around it.
+
+    Not by `LaneMap.feet`: features depend on which segments choose the level, and on their order.
+    """
     cell = np.floor((position_m - grid.low_m) / _CELL_M).astype(np.int64)
     inside = (cell[:, 1] >= 1) & (cell[:, 1] < grid.rows - 1)
     vehicle = np.repeat(np.flatnonzero(inside), 3)
@@ -315,27 +316,27 @@ LANES: Final = 50
 PLACE: Final = 20
 """Column of the offset from the AV's nearest route."""
 MEETING: Final = slice(32, 43)
-"""Columns of the soonest meeting of two routes: least distance; way to it of the vehicle and of the
-AV; their times, and the difference; angle (cos, sin); met; whether each gets there in 8 s."""
+"""Columns of the soonest meeting of two routes: least distance; distances of the vehicle and of the
+AV to it; their times, and the difference; angle (cos, sin); met; whether each arrives in 8 s."""
 
 _FAR = 4.0
 _MEET_M = 2.5
 """Routes whose centre lines come nearer than this meet."""
 _NODES_OWN = 36
-"""Nodes of other vehicles' routes that are looked at: 140 m."""
+"""Nodes of other vehicles' routes that are compared: 140 m."""
 _ELSEWHERE_M = 400.0
-"""Distance of nodes of which one passes over the other: beyond all that a feature tells apart."""
+"""Distance of nodes of which one passes over the other: above the cap of all features."""
 _TIME_CAP_S = 16.0
 _LEAST_MPS = 4.0
-"""Who stands may drive off: times of arrival at this speed at least."""
+"""Times of arrival are at this speed at least: a vehicle that stands may drive off."""
 
 
 def lane_columns(view: View, rows: Ints, motion: Motion) -> Floats:
-    """(V - 1, 50) of everybody but the AV, which is the first of the rows.
+    """(V - 1, 50) of all but the AV, which is the first of the rows.
 
-    Own lane (11), the AV's lane (9), place on the AV's routes (7), the AV's place on the own ones
-    (5), soonest meeting of two routes (11), of the first routes (1), shares that meet (3), order on
-    the lanes (3).
+    Own lane (11), the AV's lane (9), position on the AV's routes (7), the AV's position on the own
+    routes (5), soonest meeting of two routes (11), of the first routes (1), shares that meet (3),
+    order on the lanes (3).
     """
     tracks = view.history
     routes = lane_routes(
@@ -348,9 +349,8 @@ def lane_columns(view: View, rows: Ints, motion: Motion) -> Floats:
     )
     levels = road_index(view.road).has_levels
     height = routes.node_z_m if levels else np.zeros(routes.node_z_m.shape)
-    origin, heading = tracks.position_m[rows[0], -1], float(tracks.heading_rad[rows[0], -1])
-    node = frames.to_local(routes.node_m, origin, heading)
-    direction = frames.rotate(routes.direction, -heading)
+    pose = pose_of(view, tracks.ids[rows[0]])
+    node, direction = pose.to_local(routes.node_m), pose.vectors(routes.direction)
     count = len(rows) - 1
     place = _place_on_ego(routes, node, direction, motion)
     own_place = _ego_on_own(routes, node, direction, count)
@@ -368,7 +368,7 @@ def lane_columns(view: View, rows: Ints, motion: Motion) -> Floats:
 
 
 def _own_lane_of(routes: Routes, owner: int) -> Floats:
-    """(11) of the first route: offset, turn, length, limit, stop, signal; number; there."""
+    """(11) of the first route: offset, turn, length, limit, stop; number; there; signal (4)."""
     out = np.zeros(11)
     mine = np.flatnonzero(routes.owner == owner)
     if len(mine) == 0:
@@ -412,7 +412,7 @@ def _place_on_ego(routes: Routes, node: Floats, direction: Floats, motion: Motio
 
 
 def _ego_on_own(routes: Routes, node: Floats, direction: Floats, count: int) -> Floats:
-    """(V - 1, 5) the AV on each one's nearest own route: offset, along, alignment, first; there."""
+    """(V - 1, 5) the AV on the nearest own route: offset, along, alignment, first; there."""
     out = np.zeros((count, 5))
     out[:, 0] = _FAR
     others = np.flatnonzero(routes.owner > 0)
@@ -451,10 +451,10 @@ def _feet_on_routes(
 
 
 class _Met(NamedTuple):
-    """Where route pairs first meet: columns (R, E, 11) of `MEETING`, met, and seconds until then.
+    """First meetings of pairs of routes: columns (R, E, 11) of `MEETING`, met, seconds until then.
 
-    For pairs that do not meet it is where they are nearest, and their distance in metres, counted
-    as seconds, comes after all that meet.
+    Of pairs that do not meet it is the point of least distance; their ``late`` is 40 and this
+    distance, later than all that meet.
     """
 
     columns: Floats
@@ -498,7 +498,7 @@ def _first_meetings(
     own_mps: Floats,
     ego_mps: float,
 ) -> _Met:
-    """Of routes (R, N, 2) with the AV's (E, N, 2); speeds (R, 1) and the AV's."""
+    """First meetings of routes (R, N, 2) and the AV's (E, N, 2); speeds (R, 1) and the AV's."""
     apart = _apart(own[:, :_NODES_OWN], ego)  # (R, 36, E, 46)
     if passing_over is not None:
         apart[passing_over] = _ELSEWHERE_M**2
@@ -546,7 +546,7 @@ def _apart(own: Floats, ego: Floats) -> NDArray[np.float32]:
 
 
 def _order(place: Floats, own_place: Floats) -> Floats:
-    """(V - 1, 3) on the AV's route ahead: how many are before it; behind: the same; follower."""
+    """(V - 1, 3) 1 / rank ahead on the AV's route; the same behind the AV; is behind."""
     on_route = (place[:, 0] < 0.4) & (place[:, 2] > 0.5)
     ahead = on_route & (place[:, 1] > 0)
     behind = (own_place[:, 0] < 0.4) & (own_place[:, 2] > 0.5) & (own_place[:, 1] > 0)
