@@ -15,7 +15,8 @@ from deepmf_sumo.predictors.features import Features, agent_arrays, lane_arrays
 from deepmf_sumo.predictors.kinematics import CONSTANT, MOTION, Motion, rank
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.raster import unpack
-from deepmf_sumo.predictors.routes import LANES, MEETING, PLACE, lane_columns, on_lanes
+from deepmf_sumo.predictors.route_relations import LANES, MEETING, PLACE, lane_columns
+from deepmf_sumo.predictors.routes import on_lanes
 from deepmf_sumo.predictors.vectornet import VectorNet
 from deepmf_sumo.predictors.vgg import VGG16
 
