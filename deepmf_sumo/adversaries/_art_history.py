@@ -18,9 +18,10 @@ from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, HISTORY_STEPS, AgentId, Bo
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.predictors import anchors
-from deepmf_sumo.predictors.decoding import as_batch, pose_of
+from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.kinematics import pose_of
 
 _NEAR_M = 3.0  # a goal that comes closer to the AV by this counts e times as much
 _EVERY = 4  # goals are compared with the AV every 0.4 s

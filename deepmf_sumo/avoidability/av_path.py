@@ -1,4 +1,4 @@
-"""The AV's path: what it drove, where it was going, and the road beside it."""
+"""The AV's path: as driven, its route ahead, and the road beside it."""
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
@@ -22,9 +22,9 @@ from deepmf_sumo.geometry.lane_map import MARGIN_M
 
 BEHIND_M: Final = 100.0
 AHEAD_M: Final = 400.0
-"""A path is straight for these lengths behind its first and beyond its last point."""
+"""A path is extended straight by these lengths behind its first and past its last point."""
 BORDER_M: Final = 0.2
-"""A car that is at most this far over its lane's border keeps to the lane."""
+"""A car that crosses its lane's border by at most this distance keeps its lane."""
 _STEP_M = 1e-3
 _FIRST_M = 3.0
 _TURN_RAD = 0.1  # 6 cm of sagitta on a curve of 50 m
@@ -49,7 +49,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AvPath:
-    """P poses by arc length, which is 0 at the first pose given and grows.
+    """P poses by arc length, which is 0 at the first given pose.
 
     Attributes:
         along_m: (P). position_m: (P, 2). heading_rad: (P) of the box, without jumps of 2 pi.
@@ -61,7 +61,7 @@ class AvPath:
 
     @classmethod
     def through(cls, position_m: Floats, heading_rad: Floats, ahead_m: Floats) -> Self:
-        """Path through poses (K, 2), (K), K >= 1, then the points (Q, 2), then straight on."""
+        """A path through poses (K, 2), (K), K >= 1, then points (Q, 2), then straight on."""
         position = np.asarray(position_m, float)
         keep = np.concatenate([[0], 1 + _moving(position)])
         position, heading = position[keep], np.asarray(heading_rad, float)[keep]
@@ -96,7 +96,7 @@ class AvPath:
 
 
 def _in_front(points_m: Floats, origin_m: Floats, heading_rad: float) -> Floats:
-    """Points from the first that a car at the origin can head for without turning on the spot."""
+    """Points from the first one that a car at the origin can reach without turning on the spot."""
     if len(points_m) == 0:
         return points_m
     ahead = frames.to_local(points_m, origin_m, heading_rad)[:, 0] >= _FIRST_M
@@ -104,16 +104,16 @@ def _in_front(points_m: Floats, origin_m: Floats, heading_rad: float) -> Floats:
 
 
 def _moving(position_m: Floats) -> Ints:
-    """Indices of the steps of a path (K, 2) that lead on, not counting standstill."""
+    """Indices of the steps of a path (K, 2) in which it moves."""
     return np.flatnonzero(np.hypot(*np.diff(position_m, axis=0).T) > _STEP_M)
 
 
 def route_ahead(rollout: Rollout, case: Case, step: int) -> Floats:
-    """(P, 2) points ahead of the AV's pose at a step; empty where only straight on is known.
+    """(P, 2) points ahead of the AV's pose at a step; empty if no route is known.
 
-    The path of the recorded AV, if the AV is within 2 m and 30 degrees of it; else the centre
-    lines of the lane that the AV is on by the same measure, and of the lanes that follow with the
-    least turn.
+    These are on the path of the recorded AV, if the AV is within 2 m and 30 degrees of it; else on
+    the centre line of the lane that the AV is on by the same measure, and of the following lanes
+    with the least turn.
     """
     row = rollout.tracks.row(rollout.av_id)
     position, heading = rollout.tracks.position_m[row, step], rollout.tracks.heading_rad[row, step]
@@ -127,7 +127,7 @@ def route_ahead(rollout: Rollout, case: Case, step: int) -> Floats:
 
 
 def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | None:
-    """The part of a line (P, 2) ahead of a pose; None where the pose is not on the line."""
+    """The part of a line (P, 2) ahead of a pose; None if the pose is not on the line."""
     if len(line_m) < 2 or polylines.arc_lengths(line_m)[-1] < 1.0:
         return None
     line = polylines.resample(line_m, 1.0)
@@ -139,9 +139,9 @@ def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | No
 
 
 def _along_lanes(road_map: RoadMap, position_m: Floats, heading_rad: float, z_m: float) -> Floats:
-    """The rest of the nearest lane, and of the lanes after it up to 150 m.
+    """The rest of the nearest lane, and the lanes after it, until the route is 150 m long.
 
-    Where roads cross at different heights, of the lanes on the level nearest to ``z_m``.
+    Where roads cross at different heights, the nearest lane of the level nearest to ``z_m``.
     """
     lanes = road.lanes_for_cars(road_map)
     found: list[tuple[float, Lane, Floats]] = []
@@ -194,7 +194,7 @@ def stays_on_road(
     """(M) whether the outer side of a car at (M, K) along and left of the path stays on the road.
 
     Where the path itself is off all lanes (a car park, a driveway), the map does not contain the
-    road, and leaving it is allowed. ``z_m`` is the height of the car at the least of ``along_m``:
+    road, and leaving it is allowed. ``z_m`` is the height of the car at the least of ``along_m``;
     roads above or below its path do not count.
     """
     stations = np.arange(along_m.min(), along_m.max() + _ALONG_M, _ALONG_M)
@@ -216,7 +216,7 @@ def stays_on_road(
 def keeps_lane(
     road_map: RoadMap, position_m: Floats, heading_rad: float, width_m: float, z_m: float = 0.0
 ) -> bool:
-    """Whether a car is within one lane of its direction, or at most 0.2 m over its border."""
+    """Whether a car is within a lane of its direction, or crosses its border by at most 0.2 m."""
     under = road.covering(road_map, position_m[None], np.array([z_m]))
     aligned = np.abs(frames.difference(under.heading_rad, heading_rad)) < _ALIGNED_RAD
     normal = frames.unit(under.heading_rad + np.pi / 2)

@@ -1,7 +1,8 @@
-"""The contact of a rollout as a question: given the opponent's motion, can the AV avoid it?
+"""The contact of a rollout in the frame of the AV's path, for asking whether the AV can avoid it.
 
-An `Encounter` lays the contact out on the AV's path. Its onset is the step from which on the AV may
-react. Third parties are the agents that an evasive manoeuvre must not hit instead.
+An `Encounter` consists of the AV's path and of the opponent's motion relative to it. Its onset is
+the first step at which the AV may react. Third parties are the agents that an evasive manoeuvre
+must not hit instead.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import clear, off_level
 
 AFTER_S: Final = 4.0
-"""No other contact may happen for this time after the contact: a car has stopped by then."""
+"""Time after the contact in which no other contact may happen: by then a car has stopped."""
 DEPARTURE_M: Final = 0.5
 CONFLICT_S: Final = 3.0
 _TESTED_S = np.arange(0.0, CONFLICT_S + 0.05, 0.1)
@@ -25,16 +26,16 @@ _TESTED_S = np.arange(0.0, CONFLICT_S + 0.05, 0.1)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Encounter:
-    """A contact of AV and opponent, laid out on the AV's path. K steps, the first is the current.
+    """A contact of AV and opponent along the AV's path. K steps, the first is the current one.
 
     Attributes:
-        path: what the AV drove until the contact, then its route ahead.
-        av_along_m: (K) where the AV was on it; after the contact at constant speed.
-        approach: the opponent (N = 1): what it drove until the contact, then what its last plan
-            says, then at constant velocity.
-        first_step: step of the rollout that is 0 here.
-        onset: step here from which the AV may act.
-        contact: step here of the contact.
+        path: of the AV, as driven until the contact, then its route ahead.
+        av_along_m: (K) the AV's arc length on the path; after the contact at constant speed.
+        approach: of the opponent (N = 1), as driven until the contact, then by its last plan, then
+            at constant velocity.
+        first_step: step of the rollout that is step 0 of the encounter.
+        onset: step of the encounter from which the AV may react.
+        contact: step of the encounter at which they touch.
     """
 
     path: AvPath
@@ -46,7 +47,7 @@ class Encounter:
 
 
 def encounter_of(rollout: Rollout, case: Case) -> Encounter | None:
-    """The encounter, or None where the AV and the opponent did not touch."""
+    """The encounter, or None if the AV and the opponent did not touch."""
     hit = rollout.first("av_opponent")
     if hit is None or rollout.opponent_id is None:
         return None
@@ -79,7 +80,7 @@ def encounter_of(rollout: Rollout, case: Case) -> Encounter | None:
 
 
 def _together_since(rollout: Rollout, av: int, opponent: int, hit: Contact) -> int:
-    """First step, not before the current one, from which on both are present until the contact."""
+    """First step, at or after the current one, since when both are present until the contact."""
     both = rollout.tracks.valid[av] & rollout.tracks.valid[opponent]
     away = np.flatnonzero(~both[: hit.step + 1])
     since = int(away[-1]) + 1 if len(away) else 0
@@ -113,11 +114,11 @@ def _opponent_motion(rollout: Rollout, row: int, first: int, last: int) -> tuple
 
 
 def onset_step(rollout: Rollout, case: Case, opponent: int, first: int, contact: int) -> int:
-    """First step of first..contact - 1 with a sign of the attack; ``first`` where there is none.
+    """First step of first..contact - 1 with a sign of the attack; ``first`` without a sign.
 
-    A sign is that the opponent is more than 0.5 m from where it would have been without the attack
-    (its recorded position; in SUMO's traffic the likeliest prediction of the first plan), or that
-    the two would collide within 3 s at constant velocities.
+    A sign is that the opponent is more than 0.5 m from its position without the attack (the
+    recorded one; in SUMO's traffic the likeliest prediction of the first plan), or that the two
+    would collide within 3 s at constant velocities.
     """
     steps = np.arange(first, contact)
     departed = _departure_m(rollout, case, opponent, steps) > DEPARTURE_M
@@ -140,7 +141,7 @@ def _on_collision_course(rollout: Rollout, opponent: int, steps: Ints) -> Bools:
 
 
 def _departure_m(rollout: Rollout, case: Case, opponent: int, steps: Ints) -> Floats:
-    """(K) distance from where the opponent would have been; 0 where that is unknown."""
+    """(K) distance to the opponent's position without the attack; 0 where that is unknown."""
     distance = np.zeros(len(steps))
     where = rollout.tracks.position_m[opponent, steps]
     name = rollout.tracks.ids[opponent]
@@ -176,8 +177,8 @@ class ThirdParties(NamedTuple):
 def third_parties_of(rollout: Rollout, case: Case, first: int, steps: int) -> ThirdParties:
     """All agents but AV and opponent, from a step of the rollout on, on the AV's level.
 
-    As simulated while the rollout lasts; then as recorded, if the recording drives the traffic,
-    else at the velocity that they had at its end.
+    They move as simulated until the rollout ends; then as recorded, if the recording drives the
+    traffic, else at their last velocity.
     """
     tracks = rollout.tracks
     rows = [
@@ -214,7 +215,7 @@ def third_parties_of(rollout: Rollout, case: Case, first: int, steps: int) -> Th
 def _as_recorded(
     found: ThirdParties, ids: list[str], recorded: Tracks, first: int, known: int
 ) -> None:
-    """Replace constant velocities by the recorded poses, where there are some."""
+    """Replace motion at constant velocity by recorded poses, where they exist."""
     begin, end = first + known, min(first + found.valid.shape[1], recorded.steps)
     if end <= begin:
         return
@@ -231,9 +232,9 @@ def _as_recorded(
 def hit_by(driven: Driven, others: ThirdParties, av_size_m: Floats) -> Bools:
     """(M) whether a manoeuvre of `manoeuvres.GRID` hits a third party.
 
-    An agent that overlaps the AV at the first step is left out: its recorded place is wrong. An
-    agent that is behind the AV when it appears does not count against braking alone: recorded
-    followers do not brake, real ones would.
+    An agent that overlaps the AV at the first step is left out: its recorded position is wrong. An
+    agent that is behind the AV when it appears does not count against manoeuvres that only brake:
+    recorded followers do not brake, real ones would.
     """
     hit = np.zeros(len(driven.holds), bool)
     straight = GRID.lateral_mps2 == 0

@@ -1,15 +1,15 @@
-"""Whether a contact could have been avoided, and whose fault it was.
+"""Grades of contacts: whether the AV could have avoided them, and whether it was at fault.
 
-`judge` grades a contact: avoidable by no driver, by a manoeuvre alone, by some or by all reference
-drivers. `avoidable` answers the same for many futures of the opponent before any of them is driven:
-the AV keeps its speed along its path until the driver in its place reacts.
+`judge` grades a contact: unavoidable, avoidable by a manoeuvre but by no reference driver, by some
+or by all of them. `avoidable` tests many futures of the opponent before any of them is driven: the
+AV keeps its speed along its path until the driver in its place reacts.
 
 `av_at_fault` follows the classes of nuPlan's at-fault collisions (Caesar et al., 2021, metric
 ``no_ego_at_fault_collisions``): the AV is at fault if it hits something that stands, or hits with
 its front, or touches sideways while it is not within one lane. It is not at fault while it stands
-itself, or where it is hit from behind. The classes know neither a right of way nor a cut-in: a car
-that pulls in close before the AV and is hit there counts against the AV; the grade says whether it
-could have done anything. A vehicle stands at less than 0.1 m/s (nuPlan: 0.05, which recorded
+itself, or if it is hit from behind. The classes contain neither right of way nor cut-ins: a car
+that cuts in close ahead of the AV and is hit there counts against the AV; the grade says whether
+the AV could have avoided it. A vehicle stands at less than 0.1 m/s (nuPlan: 0.05, which recorded
 velocities of standing vehicles exceed).
 """
 
@@ -43,12 +43,12 @@ _PARTS_LEFT = np.linspace(0.95, 0.0, 20)  # of the step: at 40 m/s 0.2 m from on
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """Which drivers and manoeuvres would have avoided a contact.
+    """The drivers and manoeuvres that would have avoided a contact.
 
     Attributes:
-        avoided_by: name of each of `reference_drivers.MODELS` -> whether that driver would.
-        standing: the same -> whether the opponent runs into that driver's car, which has stopped.
-        manoeuvres: how many of `manoeuvres.GRID` would, started at the onset.
+        avoided_by: name of each of `reference_drivers.MODELS` -> whether that driver avoids it.
+        standing: the same -> whether the opponent hits that driver's car after it has stopped.
+        manoeuvres: number of `manoeuvres.GRID` that avoid it, started at the onset.
         onset_step: of the rollout.
     """
 
@@ -83,7 +83,7 @@ class Judgement:
 
 
 def judge(rollout: Rollout, case: Case) -> Judgement | None:
-    """The judgement, or None where AV and opponent did not touch."""
+    """The judgement, or None if AV and opponent did not touch."""
     encounter = encounter_of(rollout, case)
     if encounter is None:
         return None
@@ -103,14 +103,12 @@ def judge(rollout: Rollout, case: Case) -> Judgement | None:
 
 
 def evasive_manoeuvres(encounter: Encounter, rollout: Rollout, case: Case) -> Bools:
-    """(M) which of `manoeuvres.GRID` avoid any contact and stay on the road."""
+    """(M) whether each of `manoeuvres.GRID` avoids all contacts and stays on the road."""
     approach, start = encounter.approach, encounter.onset
     steps = approach.steps - start
     driven = manoeuvres.drive(encounter.path, encounter.av_along_m[start:], rollout.dt_s)
-    hit = reference_drivers.overlaps(
-        approach.since(start), driven.centre_m, driven.heading_rad
-    ).any(axis=1)
-    free = driven.holds & ~hit
+    poses = driven.centre_m, driven.heading_rad
+    free = driven.holds & ~reference_drivers.overlaps(approach, *poses, start).any(axis=1)
     free &= stays_on_road(
         case.road,
         encounter.path,
@@ -138,16 +136,21 @@ def avoidable(
     by: By = "any",
     av_along_m: Floats | None = None,
 ) -> Bools:
-    """(N) whether there is no contact with future n of the opponent if a reference driver drives.
+    """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
 
-    ``av_start`` is the AV at the current step, whose speed it keeps until the driver reacts;
-    ``av_path_m`` (P, 2), P >= 0, are the known points ahead of it; then it goes straight on.
-    ``opponent_now`` is the opponent at the current step, ``opponent_position_m`` (N, K, 2) and
-    ``opponent_heading_rad`` (N, K) are its futures from the step after it, every ``dt_s``. Sizes
-    are (2): length, width. ``by`` names the driver that has to avoid it: one of
-    `reference_drivers.MODELS`, ``any`` of them or ``all``. ``av_along_m`` (K + 1) is how far the AV
-    has driven along its path, now and at the opponent's steps, where it is known not to keep its
-    speed.
+    Args:
+        av_start: the AV now; it keeps this speed until the driver reacts.
+        av_size_m: (2) length, width.
+        av_path_m: (P, 2), P >= 0, the known points ahead of the AV; then it goes straight on.
+        opponent_now: the opponent at the current step.
+        opponent_size_m: (2) length, width.
+        opponent_position_m: (N, K, 2) its futures from the next step on.
+        opponent_heading_rad: (N, K).
+        dt_s: of a step.
+        by: the driver that has to avoid contact: one of `reference_drivers.MODELS`, ``any`` of them
+            or ``all``.
+        av_along_m: (K + 1) the AV's arc lengths now and at the opponent's steps until the driver
+            reacts, if it does not keep its speed.
     """
     path = AvPath.through(av_start.position_m[None], np.array([av_start.heading_rad]), av_path_m)
     futures, steps = np.shape(opponent_heading_rad)
@@ -164,7 +167,7 @@ def avoidable(
 
 
 def collision_class(rollout: Rollout, contact: Contact) -> Collision:
-    """Class of a contact of the AV, from the speeds at the step before it."""
+    """Class of a contact of the AV; speeds are those of the step before it."""
     tracks, before = rollout.tracks, max(contact.step - 1, 0)
     av, other = tracks.row(contact.first_id), tracks.row(contact.second_id)
     if tracks.speed_mps[av, before] <= STANDING_MPS:
@@ -199,14 +202,14 @@ def _during_step(
 
 
 def av_at_fault(rollout: Rollout, case: Case) -> bool | None:
-    """Whether the contact with the opponent is the AV's fault; None where they did not touch."""
+    """Whether the contact with the opponent is the AV's fault; None if they did not touch."""
     contact = rollout.first("av_opponent")
     if contact is None:
         return None
     found = collision_class(rollout, contact)
     if found == "active_lateral":
-        width = float(rollout.tracks.size_m[rollout.tracks.row(contact.first_id), 1])
-        pose = contact.pose_first
-        z_m = rollout.tracks.z_m[rollout.tracks.row(contact.first_id), contact.step]
-        return not keeps_lane(case.road, pose[:2], float(pose[2]), width, float(z_m))
+        pose, tracks = contact.pose_first, rollout.tracks
+        av = tracks.row(contact.first_id)
+        width, z_m = float(tracks.size_m[av, 1]), float(tracks.z_m[av, contact.step])
+        return not keeps_lane(case.road, pose[:2], float(pose[2]), width, z_m)
     return found in ("other_stopped", "active_front")

@@ -1,9 +1,9 @@
-"""What a car could have done: about a hundred evasive manoeuvres, started without delay.
+"""Evasive manoeuvres: about a hundred that a car could have started without delay.
 
-Each brakes with one deceleration (0 keeps the speed), or drives as the AV did, and swerves with one
-lateral acceleration to one side up to a wanted offset, where it goes on beside its path. Kinematic:
-the tyres hold 8 m/s2 in total (a dry road), and the turning circle of the rear axle has a radius of
-5 m.
+Each brakes with a constant deceleration (0 keeps the speed), or drives as the AV did, and swerves
+with a constant lateral acceleration to one side up to a target offset, where it goes on beside its
+path. The model is kinematic: the grip of the tyres is 8 m/s2 in total (a dry road), and the turning
+circle of the rear axle has a radius of 5 m.
 """
 
 from typing import Final, NamedTuple
@@ -19,13 +19,13 @@ BRAKING_MPS2: Final = (0.0, 2.0, 4.0, 6.0, GRIP_MPS2)
 _SWERVES_MPS2 = (2.0, 4.0, LATERAL_MPS2)
 _OFFSETS_M = (0.5, 1.0, 2.0, 3.5)
 _RADIUS_M = 5.0
-_SLOPE = 0.5  # most that the car may point aside of its path, as a tangent
+_SLOPE = 0.5  # largest angle between car and path, as a tangent
 _BEND_M = 4.0
 _SHARPEST = 1 / _RADIUS_M
 
 
 class Manoeuvres(NamedTuple):
-    """M manoeuvres: deceleration, lateral acceleration, wanted offset to the left; each (M).
+    """M manoeuvres: deceleration, lateral acceleration, target offset to the left; each (M).
 
     ``as_driven``: (M) along the path as the AV, instead of braking.
     """
@@ -37,7 +37,7 @@ class Manoeuvres(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """M manoeuvres driven over K steps, and whether the tyres hold on the path's bends.
+    """M manoeuvres over K steps, and whether their grip is enough in the path's bends.
 
     ``along_m``, ``left_m``: (M, K) on the path. ``centre_m`` (M, K, 2), ``heading_rad`` (M, K): of
     the box. ``holds``: (M).
@@ -68,7 +68,7 @@ def _grid() -> Manoeuvres:
 
 
 GRID: Final = _grid()
-"""All manoeuvres that the tyres hold on a straight road."""
+"""All manoeuvres within the grip of the tyres on a straight road."""
 
 
 def drive(path: AvPath, av_along_m: Floats, dt_s: float) -> Driven:
@@ -99,9 +99,9 @@ def _along(av_along_m: Floats, dt_s: float) -> tuple[Floats, Floats]:
 
 
 def _aside(speed_mps: Floats, dt_s: float) -> tuple[Floats, Floats]:
-    """(M, K) offset to the left and its rate: swerve, then straighten so as to end at the offset.
+    """(M, K) offset to the left and its rate: swerve, then straighten to end at the offset.
 
-    At low speed the steering angle limits the swerve, and a car that stands does not move aside.
+    At low speed the steering angle limits the swerve; a car that stands does not move sideways.
     """
     wanted, hardest = np.abs(GRID.offset_m), GRID.lateral_mps2
     offset, rate = np.zeros_like(speed_mps), np.zeros_like(speed_mps)
@@ -123,7 +123,7 @@ def _aside(speed_mps: Floats, dt_s: float) -> tuple[Floats, Floats]:
 def _holds(path: AvPath, along_m: Floats, speed_mps: Floats) -> Bools:
     """(M) whether braking, swerve and the path's bends together stay within the tyres' grip.
 
-    Braking less than the hardest is never refused for a bend alone: the AV drove there as well.
+    Braking below the maximum is never excluded because of a bend only: the AV drove there as well.
     """
     bend = np.abs(path.at(along_m + _BEND_M / 2)[1] - path.at(along_m - _BEND_M / 2)[1]) / _BEND_M
     turning = np.minimum(bend * speed_mps**2, GRIP_MPS2)

@@ -1,4 +1,4 @@
-"""Reference drivers: what they see, when they perceive a risk, and how hard they brake then.
+"""Reference drivers: their perception of an opponent, of a risk, and their braking.
 
 ``cc``: the competent and careful human driver of UN Regulation 157 (annex 4, appendix 3).
 ``fsm``: the fuzzy safety model of the same regulation (Mattas et al., Accident Analysis and
@@ -6,17 +6,17 @@ Prevention 174, 2022), written from its formulas. ``rss``: braking as Responsibi
 Safety asks for (Shalev-Shwartz et al. 2017), with the parameters usual beside the other two.
 
 The regulation's models are for lane keeping: a leader that brakes, a car that cuts in. Here every
-opponent that enters the AV's corridor counts as one that cuts in, and one that is in it as a
-leader, whatever its direction: one that crosses is a leader that stands, one that comes towards the
-AV has a negative speed, and its stopping distance adds to the AV's. No driver brakes for what is
-behind it, and none knows a right of way.
+opponent that enters the AV's corridor counts as a cut-in, and every opponent inside it as a leader,
+whatever its direction: a crossing vehicle is a leader that stands, an oncoming one has a negative
+speed, and its stopping distance adds to the AV's. No driver brakes for vehicles behind it, and none
+knows right of way.
 
-All lengths are in the frame of the AV's path: along it, and to the left of it. The corridor is what
-the AV's box sweeps if it stays on its path.
+All lengths are in the frame of the AV's path: along it, and to the left of it. The corridor is the
+area that the AV's box sweeps if it stays on its path.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -30,29 +30,29 @@ JERK_MPS3: Final = 12.65
 DELAY_S: Final = 0.75
 _G_MPS2: Final = 9.81
 _SPAN = 2
-"""Steps over which velocities are taken, so that noise of a centimetre stays below 0.1 m/s."""
+"""Steps between the positions of a velocity: noise of a centimetre stays below 0.1 m/s."""
 _PARALLEL = np.cos(np.pi / 4)
 _STILL_MPS = 0.05
-"""Of one component of a motion: a vehicle that drives along may drift across this slowly."""
+"""Slower, one component of a motion is zero: a vehicle that drives along may drift across."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Approach:
-    """N motions of the opponent over K steps, as seen from the AV's path.
+    """N motions of the opponent over K steps, relative to the AV's path.
 
     Attributes:
-        position_m: (N, K, 2) of the box, heading_rad: (N, K), as they are in the scene.
+        position_m: (N, K, 2) of the box, heading_rad: (N, K), in the scene's frame.
         size_m, av_size_m: (2) length, width.
         rear_m, front_m: (N, K) ends of the box along the path.
         along_mps: (N, K) speed along the path, negative where it comes towards the AV.
         aside_mps: (N, K) speed towards the path's line; negative: away from it.
         clearance_m: (N, K) between the box and the corridor; negative inside.
-        enters_s, leaves_s: (N, K) seconds until the box begins and ceases to reach into the
-            corridor, at the velocity that it has. A box that moves along the path (within 45
-            degrees) and has not yet passed its line is taken to stay: it changes lanes.
+        enters_s, leaves_s: (N, K) seconds until the box enters and leaves the corridor, at its
+            velocity. A box that moves along the path (within 45 degrees) and has not yet passed its
+            line is taken to stay: it changes lanes.
         parallel: (N, K) within 45 degrees of the path's direction.
-        sideways_m: (N, K) how far the box has come towards the path's line from where it was
-            farthest off.
+        sideways_m: (N, K) distance that the box has come towards the path's line since it was
+            farthest from it.
     """
 
     position_m: Floats
@@ -114,17 +114,8 @@ class Approach:
         """Number of steps, K."""
         return int(self.heading_rad.shape[1])
 
-    def since(self, step: int) -> Self:
-        """The same motions from a step on."""
-        parts = {
-            part.name: getattr(self, part.name)[:, step:]
-            for part in fields(self)
-            if part.name not in ("size_m", "av_size_m", "dt_s")
-        }
-        return replace(self, **parts)
-
     def seen(self, step: int, along_m: Floats, speed_mps: Floats, braking_mps2: Floats) -> "Sight":
-        """What drivers at these arc lengths, speeds and decelerations (D, N) see at a step."""
+        """Perception of drivers at arc lengths, speeds and decelerations (D, N) at a step."""
         front_m = along_m + self.av_size_m[0] / 2
         rear = front_m - self.av_size_m[0]
         along_mps, enters_s = self.along_mps[:, step], self.enters_s[:, step]
@@ -155,14 +146,14 @@ class Approach:
 
 
 class Sight(NamedTuple):
-    """What drivers see of N opponents at one step; the names are those of `Approach`.
+    """Perception of N opponents at one step; for other names see `Approach`.
 
     Attributes:
         speed_mps, braking_mps2: (N) the AV's own speed, and its deceleration until now.
         gap_m: from the AV's front bumper to the box along the path, negative beside the AV.
-        ahead: False where the box's middle is behind the AV's rear bumper.
-        reach_s: until the gap is closed, at the speeds of this step.
-        meets_s: until the two overlap along and across the path; inf where they never do.
+        ahead: False if the middle of the box is behind the AV's rear bumper.
+        reach_s: until the gap is closed, at the present speeds.
+        meets_s: until the two overlap along and across the path; inf if they never do.
         lengths_m: of both vehicles together.
     """
 
@@ -183,7 +174,7 @@ class Sight(NamedTuple):
     dt_s: float
 
     def of(self, driver: int) -> "Sight":
-        """What one of D drivers sees."""
+        """The perception of one of D drivers."""
         return self._replace(
             speed_mps=self.speed_mps[driver],
             braking_mps2=self.braking_mps2[driver],
@@ -195,7 +186,7 @@ class Sight(NamedTuple):
 
 
 def _velocities(position_m: Floats, dt_s: float) -> Floats:
-    """(N, K, 2) differences to the pose before, over up to 0.2 s: what can be seen by then."""
+    """(N, K, 2) velocities from positions up to 0.2 s before, which are known by then."""
     now = np.maximum(np.arange(position_m.shape[1]), 1)
     before = np.maximum(now - _SPAN, 0)
     moved = position_m[:, now] - position_m[:, before]
@@ -205,10 +196,10 @@ def _velocities(position_m: Floats, dt_s: float) -> Floats:
 def _crossing_times(
     left_m: Floats, left_mps: Floats, reach_m: Floats, parallel: Bools
 ) -> tuple[Floats, Floats]:
-    """Seconds until a box begins and ceases to be within ``reach_m`` of the path's line."""
+    """Seconds until a box enters and leaves the band of ``reach_m`` around the path's line."""
     speed = np.abs(left_mps)
     still = speed < _STILL_MPS
-    done = left_m * np.sign(left_mps)  # position on the way across the line, which is at 0
+    done = left_m * np.sign(left_mps)  # position across the line, which is at 0
     divisor = np.where(still, 1.0, speed)
     inside = np.abs(left_m) < reach_m
     enters = np.where(done < reach_m, np.maximum(-reach_m - done, 0.0) / divisor, np.inf)
@@ -258,11 +249,11 @@ class CompetentCareful:
 
 
 class FuzzySafety:
-    """Brakes by how unsafe the gap is, before it becomes critical.
+    """Brakes in proportion to how unsafe the gap is, before it becomes critical.
 
-    The proactive measure (PFS) asks whether the AV could stop behind a leader that brakes with all
-    its might, the critical one (CFS) whether the two collide as they drive now. The answer follows
-    the measures after the reaction time of 0.75 s, under the limit of jerk.
+    The proactive measure (PFS) tells whether the AV could stop behind a leader that brakes at its
+    maximum, the critical one (CFS) whether the two collide at their present motion. The braking
+    follows the measures after the reaction time of 0.75 s, within the limit of jerk.
     """
 
     COMFORTABLE_MPS2 = 4.0
@@ -271,8 +262,8 @@ class FuzzySafety:
     MARGIN_M = 2.0
 
     def respond(self, sight: Sight, since_s: Floats) -> tuple[Bools, Floats]:
-        """What the measures ask for now."""
-        # in the middle of the step, for which the answer holds: at its start it would be late
+        """Braking by the two measures."""
+        # in the middle of the step, to which the braking applies: at its start it would be late
         closing = sight.speed_mps - sight.along_mps
         gap = np.maximum(sight.gap_m - closing * sight.dt_s / 2, 0.0)
         critical = critical_safety(gap, sight.speed_mps, sight.along_mps, -sight.braking_mps2)
@@ -286,7 +277,7 @@ class FuzzySafety:
 
 
 class ResponsibilitySensitive:
-    """Brakes with 6 m/s2 from 0.75 s after the gap became too short, as long as it is."""
+    """Brakes with 6 m/s2 from 0.75 s after the gap became too short, until it is no longer."""
 
     ACCEL_MPS2 = 3.0
     BRAKING_MPS2 = 6.0
@@ -311,7 +302,7 @@ MODELS: Final[dict[str, Driver]] = {
 
 
 def in_the_way(sight: Sight) -> Bools:
-    """(N) whether the opponent enters the corridor before the AV has passed, and is there still.
+    """(N) whether the opponent enters the corridor before the AV has passed, and is still there.
 
     The fuzzy model's test of a cut-in: the lateral headway is at most the longitudinal gross one
     (over the gap and both lengths) and 0.1 s.
@@ -380,11 +371,11 @@ def _response(speed_mps: Floats) -> Floats:
 def drive(
     models: Sequence[Driver], approach: Approach, av_along_m: Floats, start: int = 0
 ) -> Floats:
-    """(D, N, K) where the AV is along its path if driver d takes over at step ``start``.
+    """(D, N, K) the AV's arc lengths if driver d takes over at step ``start``.
 
-    Until it perceives a risk, the driver does as the AV did: ``av_along_m`` (K), K > 1, are the
-    AV's arc lengths. From then on it brakes as its model says, keeps its speed where the model asks
-    for nothing, and is never faster than the AV was.
+    Until it perceives a risk, the driver drives as the AV did: ``av_along_m`` (K), K > 1, are the
+    AV's arc lengths. From then on it brakes by its model, keeps its speed if the model does not
+    brake, and is never faster than the AV was.
     """
     shape, dt = (len(models), len(approach.heading_rad)), approach.dt_s
     speeds = np.maximum(np.gradient(av_along_m, dt), 0.0)
@@ -409,14 +400,17 @@ def drive(
     return along
 
 
-def overlaps(approach: Approach, centre_m: Floats, heading_rad: Floats) -> Bools:
-    """(N, K) overlap of AV boxes (N, K, 2), (N, K) and the opponent's; either N may be 1."""
+def overlaps(approach: Approach, centre_m: Floats, heading_rad: Floats, start: int = 0) -> Bools:
+    """(N, K) overlap of AV boxes (N, K, 2), (N, K) and the opponent's from step ``start`` on.
+
+    Either N may be 1.
+    """
     return boxes.touching(
         centre_m,
         heading_rad,
         approach.av_size_m,
-        approach.position_m,
-        approach.heading_rad,
+        approach.position_m[:, start:],
+        approach.heading_rad[:, start:],
         approach.size_m,
     )
 
@@ -425,7 +419,7 @@ class Outcome(NamedTuple):
     """Outcomes of D drivers and N opponents, (D, N) each.
 
     ``avoided``: no contact. ``standing``: a contact, but the driver had stopped before, and the
-    opponent ran into the standing car.
+    opponent hit the standing car.
     """
 
     avoided: Bools

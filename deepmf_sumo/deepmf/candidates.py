@@ -1,19 +1,19 @@
-"""Candidates of the opponent with their weights, and their collisions with the AV.
+"""Candidates of the opponent, their probabilities, and their collisions with the AV.
 
-The opponent's N1 candidates: marginal modes, paths to goals, the rest of the last plan.
+There are N1 candidates: marginal modes, paths to goals, the rest of the last plan.
 
 Probabilities. A marginal mode j keeps the probability P_j of the predictor. For any other candidate
-g only a density f_g = exp(log_density(Y_g)) is known. It is assumed to cover as large a part of the
-space of futures as the modes do on average, with V the P-weighted geometric mean of P_j / f_j:
+g only a density f_g = exp(log_density(Y_g)) is known. It is assumed to cover the same volume of the
+space of futures as the modes on average: V, the P-weighted geometric mean of P_j / f_j:
 
     log w_j = log P_j        log w_g = min(log f_g + log V, max_j log P_j)        P = softmax(log w)
 
 so that no other candidate is more likely than the most likely mode, and candidates that the
 predictor considers unlikely remain so.
 
-Comfort. The predictor knows where vehicles go better than how hard they accelerate on the way, and
-of many candidates that meet the AV some do so by harder driving than others. With a_j(t) the
-acceleration along candidate j and the weight c (`settings.Settings.comfort`; 0 as published):
+Comfort. The predictor is better at where vehicles go than at how hard they accelerate, and of the
+candidates that meet the AV some drive harder than others. With a_j(t) the acceleration along
+candidate j and the weight c (`settings.Settings.comfort`; 0 as published):
 
     P'_j  ~  P_j exp(-c mean over the first 3 s of a_j(t)^2)
 """
@@ -40,7 +40,7 @@ _COMFORT_STEPS = 30  # 3 s; most of what follows is planned again before it is d
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class References:
-    """Paths to track: positions (K, F, 2), limits (K, 3), and the origin of each (K)."""
+    """Paths to track: positions (K, F, 2), limits (K, 3), and origins (K)."""
 
     position_m: Floats
     limits: Floats
@@ -58,7 +58,7 @@ class References:
 
     @classmethod
     def joined(cls, parts: Sequence["References"]) -> "References":
-        """All parts in sequence."""
+        """All parts, one after the other."""
         return cls(
             position_m=np.concatenate([part.position_m for part in parts]),
             limits=np.concatenate([part.limits for part in parts]),
@@ -74,6 +74,24 @@ class Candidates:
     speed_mps: Floats
     bent_m: Floats
     origin: tuple[str, ...]
+
+    def take(self, rows: Ints) -> "Candidates":
+        """Only these candidates (K), with probabilities that sum to 1."""
+        futures, probability = self.forecast.futures, self.forecast.probability[rows]
+        return Candidates(
+            forecast=replace(
+                self.forecast,
+                futures=replace(
+                    futures,
+                    position_m=futures.position_m[rows],
+                    heading_rad=futures.heading_rad[rows],
+                ),
+                probability=probability / probability.sum(),
+            ),
+            speed_mps=self.speed_mps[rows],
+            bent_m=self.bent_m[rows],
+            origin=tuple(self.origin[row] for row in rows),
+        )
 
 
 def tail(situation: Situation, steps: int) -> list[References]:
@@ -135,29 +153,6 @@ def ranked(
     )
 
 
-def of_use(own: Candidates, mass: Floats, count: int) -> Candidates:
-    """At most ``count`` of them, likeliest first: the largest ``mass`` (N1), then the likeliest.
-
-    Their probabilities are normalised among each other.
-    """
-    rows = np.sort(np.argsort(-mass, kind="stable")[:count])
-    futures, probability = own.forecast.futures, own.forecast.probability[rows]
-    return Candidates(
-        forecast=replace(
-            own.forecast,
-            futures=replace(
-                futures,
-                position_m=futures.position_m[rows],
-                heading_rad=futures.heading_rad[rows],
-            ),
-            probability=probability / probability.sum(),
-        ),
-        speed_mps=own.speed_mps[rows],
-        bent_m=own.bent_m[rows],
-        origin=tuple(own.origin[row] for row in rows),
-    )
-
-
 def collisions(
     candidates: Futures,
     reactions: Sequence[Forecast],
@@ -210,15 +205,15 @@ def impact_sectors(
     av_size_m: Floats,
     collision_step: Floats,
 ) -> Ints:
-    """(N1, N2) sector of the AV, 0..7, in which each pair first overlaps; `NO_SECTOR` without.
+    """(N1, N2) sector of the AV, 0..7, in which each pair first overlaps, or `NO_SECTOR`.
 
-    The same judgement as that of contacts in the simulation (`geometry.impact`).
+    Sectors are those of contacts in the simulation (`geometry.impact`).
     """
     found = np.full(collision_step.shape, NO_SECTOR)
     row, mode = np.nonzero(collision_step < candidates.position_m.shape[1])
     step = collision_step[row, mode].astype(int)
-    other = np.stack([reaction.futures.position_m for reaction in reactions])
-    other_heading = np.stack([reaction.futures.heading_rad for reaction in reactions])
+    other = _stacked([reaction.futures.position_m for reaction in reactions])
+    other_heading = _stacked([reaction.futures.heading_rad for reaction in reactions])
     found[row, mode] = impact.sectors(
         other[row, mode, step],
         other_heading[row, mode, step],
@@ -241,7 +236,7 @@ def delta_v(
     change = np.zeros(collision_step.shape)
     row, mode = np.nonzero(collision_step < candidates.position_m.shape[1])
     after = np.maximum(collision_step[row, mode].astype(int), 1)
-    other = np.stack([reaction.futures.position_m for reaction in reactions])
+    other = _stacked([reaction.futures.position_m for reaction in reactions])
     apart = other[row, mode, after] - candidates.position_m[row, after]
     before = other[row, mode, after - 1] - candidates.position_m[row, after - 1]
     area, av_area = np.prod(opponent_size_m), np.prod(av_size_m)
@@ -258,9 +253,9 @@ def pairs(
     sectors: bool = False,
     severity: bool = False,
 ) -> Pairs:
-    """How N1 candidates and the AV's reactions to each of them collide within the horizon.
+    """Collisions of N1 candidates and the AV's reactions to each of them within the horizon.
 
-    ``sectors`` and ``severity`` say whether these are needed: they take time.
+    ``sectors`` and ``severity``, which take time, are computed on request.
     """
     futures, sizes = own.forecast.futures, (situation.size_m, situation.av_size_m)
     collides, step = collisions(futures, reactions, *sizes, situation.horizon, situation.levels)
@@ -280,4 +275,5 @@ def shortlisted(situation: Situation, own: Candidates, count: int) -> Candidates
     if alone is None or len(own.origin) <= count:
         return own
     met = pairs(situation, own, [alone] * len(own.origin))
-    return of_use(own, met.collides @ alone.probability, count)
+    mass = met.collides @ alone.probability
+    return own.take(np.sort(np.argsort(-mass, kind="stable")[:count]))

@@ -1,9 +1,9 @@
 """Constraints on the choice: the side of the AV that is hit, fair attacks, lawful attacks.
 
-A constraint says which candidates, or which pairs of candidate and reaction, it allows; `choose`
-narrows the choice to these, and says so if nothing is left. To add one, write a class here and list
-it in `CONSTRAINTS`; ``adversary: {name: deepmf, constraints: [its_name]}`` then asks for it.
-`CONTRIBUTING.md` shows one.
+A constraint is a mask of the candidates, or pairs of candidate and reaction, that it allows;
+`choose` narrows the choice to these, and reports if nothing is left. To add one, write a class here
+and list it in `CONSTRAINTS`; ``adversary: {name: deepmf, constraints: [its_name]}`` then uses it.
+`CONTRIBUTING.md` shows an example.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,13 +29,13 @@ _REFUSALS = 12  # verifying a candidate takes some milliseconds
 
 
 class Constraint(Protocol):
-    """What the opponent may do. There is one object per attack, so that it may keep a state.
+    """A restriction of the opponent. There is one object per attack, so that it may keep a state.
 
     Attributes:
         name: in the settings and in `PlanReason`.
-        scope: what is not allowed: ``driven``: the candidate is driven only if all are forbidden;
-            ``attack``: it does not count as an attack, and is not driven where it would collide;
-            ``preferred``: its pairs count only if no others do.
+        scope: treatment of forbidden candidates. ``driven``: driven only if all are forbidden;
+            ``attack``: do not count as an attack, and are not driven if they collide;
+            ``preferred``: their pairs count only if no others do.
         keeps_plan: the rest of the last plan is a candidate for the next one.
     """
 
@@ -46,7 +46,7 @@ class Constraint(Protocol):
     def __init__(self, settings: Settings) -> None: ...
 
     def references(self, situation: Situation, paths: list[OwnPath]) -> list[References]:
-        """Further candidates, without which few would be allowed; ``paths``: the opponent's own."""
+        """Additional candidates that the constraint allows; ``paths``: the opponent's own."""
         return []
 
     def allowed(
@@ -58,16 +58,16 @@ class Constraint(Protocol):
     def confirmed(
         self, situation: Situation, own: Candidates, reaction: Forecast, pairs: Pairs, row: int
     ) -> bool:
-        """Whether the chosen candidate is allowed on a closer look, which is too slow for all."""
+        """Whether the chosen candidate passes a closer check, which is too slow for all."""
         return True
 
     def decided(self, attacks: bool) -> None:
-        """The choice is made; ``attacks``: its candidate is allowed and collides."""
+        """Notice of the choice; ``attacks``: its candidate is allowed and collides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mask:
-    """What a constraint allows: (N1) candidates, or (N1, N2) pairs."""
+    """Candidates (N1) or pairs (N1, N2) that a constraint allows."""
 
     name: str
     scope: Scope
@@ -86,8 +86,8 @@ def decide(
 ) -> tuple[Choice, list[Mask]]:
     """`choose`, until all constraints confirm the choice: ``confirmed(number of the mask, row)``.
 
-    A refused candidate is no longer allowed; after 12 refusals none is. Returns the masks without
-    the refused candidates, too.
+    A refused candidate is no longer allowed; after 12 refusals none is. The returned masks are
+    without the refused candidates.
     """
     masks, refusals = list(masks), 0
     while True:
@@ -102,23 +102,23 @@ def decide(
 
 
 def _binding(masks: Sequence[Mask], choice: Choice) -> list[int]:
-    """Masks that a choice has to obey; none if an attack was given up."""
+    """Masks that a choice has to obey; none if the attack was dropped."""
     required = [number for number, mask in enumerate(masks) if mask.scope != "preferred"]
     given_up = {masks[number].name for number in required} & {*choice.unmet}
     return [] if given_up else required
 
 
 def choose(pairs: Pairs, masks: Sequence[Mask], objective: Objective) -> Choice:
-    """The choice by the pairs that count; ``unmet`` names the constraints that are given up.
+    """The choice by the pairs that count; ``unmet`` names the constraints that are dropped.
 
     - ``driven``: the choice is among the allowed candidates, or among all if there are none.
-    - ``attack``: the pairs of other candidates do not count, and such candidates are not chosen if
+    - ``attack``: pairs of forbidden candidates do not count, and such candidates are not chosen if
       they collide.
-    - Pairs collide, but none that these allow: no attack (`scoring.harmless`), rule
+    - If pairs collide, but none that these two allow: no attack (`scoring.harmless`), rule
       ``nothing <name>``.
-    - ``preferred``: allowed pairs count, and first those of candidates that collide mostly in
-      allowed ones, because any contact ends the attack. If there are none the constraint is given
-      up; the rule then ends with ``, any <name>``.
+    - ``preferred``: allowed pairs count, first those of candidates that collide mostly in allowed
+      pairs, because any contact ends the attack. If there are none, the constraint is dropped; the
+      rule then ends with ``, any <name>``.
     """
     for number, mask in enumerate(masks):
         if mask.scope == "driven":
@@ -144,7 +144,7 @@ def choose(pairs: Pairs, masks: Sequence[Mask], objective: Objective) -> Choice:
 
 
 def _among_allowed(pairs: Pairs, mask: Mask, rest: list[Mask], objective: Objective) -> Choice:
-    """The choice among the allowed candidates alone."""
+    """The choice among the allowed candidates only."""
     rows, count = np.flatnonzero(mask.allowed), len(mask.allowed)
     if not len(rows):
         none = pairs.collides.any()
@@ -160,7 +160,7 @@ def _given_up(pairs: Pairs, mask: Mask) -> Choice:
 
 
 def _mostly(there: Bools, pairs: Pairs) -> Bools:
-    """Pairs ``there`` of candidates that collide mostly there; all of ``there`` if none does."""
+    """Pairs ``there`` of candidates that collide mostly in them; all of ``there`` if none does."""
     rather = 2 * (pairs.reaction_probability * there).sum(axis=1) > pairs.mass
     narrowed = there & rather[:, None]
     return narrowed if narrowed.any() else there
@@ -206,7 +206,7 @@ class Fair(Constraint):
     def confirmed(
         self, situation: Situation, own: Candidates, reaction: Forecast, pairs: Pairs, row: int
     ) -> bool:
-        """Whether it is fair also if the AV follows the likeliest future that it collides with."""
+        """Whether it is fair also if the AV follows the likeliest colliding reaction."""
         hits = pairs.collides[row]
         if self._kept(own)[row] or not hits.any():
             return True
@@ -223,12 +223,12 @@ class Fair(Constraint):
         self.keeps_plan = attacks
 
     def _kept(self, own: Candidates) -> Bools:
-        """(N1) the rest of a fair attack."""
+        """(N1) candidates that continue a fair attack."""
         return np.array([origin == "tail" for origin in own.origin]) & self.keeps_plan
 
 
 def fair_candidates(situation: Situation, futures: Futures, av: Forecast) -> Bools:
-    """(N1) futures of the opponent that a reference driver in the AV's place avoids from now on.
+    """(N1) futures of the opponent that a reference driver in the AV's place can avoid from now on.
 
     Until that driver reacts, the AV follows the likeliest of its predicted futures ``av``.
     """
@@ -283,5 +283,5 @@ CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (Sector, Lawful, Fair)
 
 
 def made(settings: Settings) -> tuple[Constraint, ...]:
-    """The constraints that the settings ask for, for one attack."""
+    """The constraints of the settings, for one attack."""
     return tuple(one(settings) for one in CONSTRAINTS if one.name in settings.constrained)

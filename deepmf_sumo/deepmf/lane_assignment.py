@@ -1,4 +1,4 @@
-"""Which lanes the candidates are on, step by step, and where they may go from there."""
+"""Assignment of candidates to lanes, step by step, and the lanes that lead on from there."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from deepmf_sumo.geometry.lane_map import WIDTH_M, LaneMap, per_road, reach_m
 EVERY_STEPS: Final = 2
 """Futures are examined every 0.2 s."""
 OFF: Final = -1
-"""On none of the lanes."""
+"""Row of a pose that is on none of the lanes."""
 _SPACING_M = 4.0
-_BEYOND_M = 300.0  # what lies beyond the map is taken as more of the road
+_BEYOND_M = 300.0  # a lane that leaves the map is taken to go on straight for this length
 _SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
 
 
@@ -28,12 +28,12 @@ class LaneAssignment:
     """Futures (N) at S times on L lanes.
 
     Attributes:
-        lanes: (L) that can be reached. begins: (L) the vehicle is on it now.
-        straight: (L) it follows those without a change of lanes.
+        lanes: (L) reachable lanes. begins: (L) the vehicle is on the lane now.
+        straight: (L) the lane is reached without a lane change.
         on: (N, S, L) the centre of the box is on the lane, in its direction.
-        left_m: (N, S, L) offset from the lane's centre.
-        nearest: (N, S) row of the lane that is meant, or `OFF`.
-        driven: (N, L) the future drives there; of lanes that part from one only one.
+        left_m: (N, S, L) offset to the left of the lane's centre line.
+        nearest: (N, S) row of the assigned lane, the nearest one; or `OFF`.
+        driven: (N, L) the future uses the lane; of lanes that branch off one lane only one.
     """
 
     lanes: tuple[Lane, ...]
@@ -53,9 +53,10 @@ class LaneAssignment:
         ahead_m: float,
         z_m: float = 0.0,
     ) -> "LaneAssignment":
-        """Of a pose now, (2) and heading, and futures: positions (N, S, 2), headings (N, S).
+        """Assignment for a pose now, (2) and heading, and futures (N, S, 2), (N, S) from there.
 
-        Where roads cross the lanes now are those of the level nearest to the height ``z_m``.
+        Lanes are searched for ``ahead_m``. Where roads cross, they start on the level that is
+        nearest to the height ``z_m``.
         """
         first = lanes_at(road, *now, z_m)
         straight = _within(road, first, ahead_m, beside=False)
@@ -68,9 +69,9 @@ class LaneAssignment:
             poses = futures[0][near], futures[1][near]
             on[near, row], left_m[near, row] = on_lane(road, lane, *poses, endless=endless)
         off = np.where(on, np.abs(left_m), np.inf)
-        nearest = (
-            np.where(on.any(axis=-1), off.argmin(axis=-1), OFF) if lanes else _none(futures[1])
-        )
+        nearest = np.full(shape[:2], OFF)
+        if lanes:
+            nearest = np.where(on.any(axis=-1), off.argmin(axis=-1), OFF)
         return cls(
             lanes=lanes,
             begins=np.array([lane.id in first for lane in lanes], bool),
@@ -87,7 +88,7 @@ def lanes_at(
 ) -> tuple[str, ...]:
     """Ids of the lanes for cars under a pose, (2) and heading, that run in its direction.
 
-    Where roads cross only those of the level nearest to the height ``z_m``.
+    Where roads cross, only those of the level nearest to the height ``z_m``.
     """
     lanes, point = coarse_lanes(road), np.asarray(position_m, float)[None]
     near = np.unique(lanes.lane[lanes.around(point[0], lanes.widest_m)])
@@ -120,7 +121,7 @@ def _coarse(line_m: Floats) -> Floats:
 
 
 def _height_m(lane: Lane, point_m: Floats) -> float:
-    """Of a lane below a point (1, 2)."""
+    """Height of a lane at its foot of a point (1, 2)."""
     along = polylines.project(lane.centre_m, point_m).along_m[0]
     return float(np.interp(along, polylines.arc_lengths(lane.centre_m), lane.z_m))
 
@@ -151,13 +152,13 @@ def width_m(lane: Lane) -> float:
 
 
 def _leaves(road: RoadMap, lane: Lane) -> bool:
-    """Whether a lane leads out of the map: it ends, and so do those beside it."""
+    """Whether a lane leads out of the map: it ends, and so do the lanes beside it."""
     beside = [one.lane_id for one in (*lane.left, *lane.right)]
     return not lane.next and not any(road.lanes[one].next for one in beside if one in road.lanes)
 
 
 def _around(lane: Lane, point_m: Floats) -> Bools:
-    """(...) whether points (..., 2) can be on a lane, by the rectangle around it."""
+    """(...) whether points (..., 2) can be on a lane, by its bounding box."""
     low, high = lane.centre_m.min(axis=0) - reach_m(lane), lane.centre_m.max(axis=0) + reach_m(lane)
     return np.asarray(((point_m >= low) & (point_m <= high)).all(axis=-1))
 
@@ -185,25 +186,23 @@ def _within(road: RoadMap, first: Iterable[str], ahead_m: float, *, beside: bool
     return [name for name in left_m if road.lanes[name].kind != "bike"]
 
 
-def _none(like: Floats) -> Ints:
-    return np.full(like.shape, OFF)
-
-
 def _driven(lanes: tuple[Lane, ...], nearest: Ints) -> Bools:
-    """(N, L): where lanes part the one that most poses are nearest to."""
+    """(N, L) see `LaneAssignment`: where lanes branch off, the one with the most poses."""
     count = (nearest[..., None] == np.arange(len(lanes))).sum(axis=1)
     row = {lane.id: index for index, lane in enumerate(lanes)}
     driven: Bools = count > 0
     for lane in lanes:
-        parting = [row[name] for name in lane.next if name in row]
-        if len(parting) > 1:
-            driven[:, parting] &= count[:, parting] == count[:, parting].max(axis=1, keepdims=True)
+        branches = [row[name] for name in lane.next if name in row]
+        if len(branches) > 1:
+            driven[:, branches] &= count[:, branches] == count[:, branches].max(
+                axis=1, keepdims=True
+            )
     return driven
 
 
 PACE_S = DT_S * EVERY_STEPS
 _AHEAD_M = 20.0  # lanes are searched this far beyond what is driven
-_LIKELY = 0.1  # futures of the AV with at least this probability must not be obstructed
+_LIKELY = 0.1  # the rules hold towards futures of the AV with at least this probability
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,9 +211,9 @@ class LaneFutures:
 
     Attributes:
         position_m: (N, S, 2). heading_rad, speed_mps: (N, S). size_m: (2) length, width.
-        start: its pose now. ways: the lanes that it drives on.
-        av_position_m: (K, R, 2), av_heading_rad: (K, R), R >= S: what the AV does if nobody
-            attacks. av_size_m: (2).
+        start: its pose now. assignment: of the futures to lanes.
+        av_position_m: (K, R, 2), av_heading_rad: (K, R), R >= S: likely futures of the unattacked
+            AV. av_size_m: (2).
         z_m, av_z_m: (N, S), (K, R) heights; z_now_m: the opponent's now. Zeros on one level.
     """
 
@@ -223,7 +222,7 @@ class LaneFutures:
     speed_mps: Floats
     size_m: Floats
     start: Start
-    ways: LaneAssignment
+    assignment: LaneAssignment
     av_position_m: Floats
     av_heading_rad: Floats
     av_size_m: Floats
@@ -233,7 +232,7 @@ class LaneFutures:
 
     @classmethod
     def of(cls, situation: Situation, own: Candidates) -> "LaneFutures":
-        """Of N candidates; the situation needs the unattacked AV."""
+        """The futures of N candidates; the situation needs the unattacked AV."""
         view, start, alone = situation.view, situation.start, situation.unattacked
         futures, levels = own.forecast.futures, situation.levels
         assert alone is not None
@@ -256,7 +255,7 @@ class LaneFutures:
             speed_mps=own.speed_mps[:, steps],
             size_m=situation.size_m,
             start=start,
-            ways=LaneAssignment.of(view.road, now, (position, heading), ahead_m, z_now_m),
+            assignment=LaneAssignment.of(view.road, now, (position, heading), ahead_m, z_now_m),
             av_position_m=av_m[:, every],
             av_heading_rad=alone.futures.heading_rad[likely, every],
             av_size_m=situation.av_size_m,
@@ -266,7 +265,7 @@ class LaneFutures:
         )
 
     def meets(self, later_s: float) -> Bools:
-        """(N, S, K) the AV is ``later_s`` later where the opponent is; negative: was before."""
+        """(N, S, K) the AV is at the opponent's pose ``later_s`` later; negative: earlier."""
         times = np.arange(self.position_m.shape[1]) + round(later_s / PACE_S)
         row = np.clip(times, 0, self.av_position_m.shape[1] - 1)
         hit = boxes.overlap(
@@ -281,6 +280,6 @@ class LaneFutures:
         return hit & (times == row)[None, :, None]
 
     def av_comes(self, within_s: float) -> Bools:
-        """(N, S, K) the AV is there at the same time, or at most ``within_s`` later."""
+        """(N, S, K) the AV is at the opponent's pose then, or at most ``within_s`` later."""
         later = np.append(np.arange(0.0, within_s, 2 * PACE_S), within_s)
         return np.any([self.meets(float(one)) for one in later], axis=0)

@@ -1,4 +1,4 @@
-"""Which vehicle attacks: chosen once, before the first plan (Algorithm 1)."""
+"""The choice of the vehicle that attacks: once, before the first plan (Algorithm 1)."""
 
 from typing import Final
 
@@ -10,7 +10,7 @@ from deepmf_sumo.predictors.base import OpponentPredictor
 from deepmf_sumo.predictors.routes import passes_over
 
 SCORED: Final = frozenset({"argmax", "sample", "partner"})
-"""Choices that need the opponent network."""
+"""Values of ``opponent`` that need the scores of the opponent network."""
 
 
 def choose(
@@ -20,16 +20,16 @@ def choose(
     partner_id: AgentId | None,
     rng: np.random.Generator,
 ) -> tuple[AgentId | None, OpponentScores | None]:
-    """The opponent, None if there is nobody; and the scores that it was chosen by, if it was.
+    """The opponent, None without candidates; and the scores, if it was chosen by scores.
 
     Args:
         view: at the current step.
         how: one of `SCORED`, ``labelled`` or the id of a vehicle.
-        predictor: the opponent network; needed by `SCORED` alone.
-        partner_id: whom the recording names as the AV's partner.
+        predictor: the opponent network; only `SCORED` needs it.
+        partner_id: the AV's interaction partner according to the recording.
         rng: for ``sample``.
 
-    Raises RunError where the vehicle that is asked for is not there, or nobody is labelled.
+    Raises RunError if the named vehicle is not in the view, or no partner is labelled.
     """
     if how in SCORED:
         assert predictor is not None
@@ -46,9 +46,9 @@ def choose(
 
 
 def _on_level(view: View, scores: OpponentScores) -> OpponentScores:
-    """The scores without vehicles that pass over or under the AV's way; all if no other is there.
+    """The scores without vehicles that pass over or under the AV's path; all if no others are left.
 
-    The opponent network does not know heights.
+    Heights are not among the features of the opponent network.
     """
     tracks = view.history
     rows = [tracks.row(one) for one in (view.av_id, *scores.ids)]
@@ -71,8 +71,8 @@ def _on_level(view: View, scores: OpponentScores) -> OpponentScores:
 def from_scores(scores: OpponentScores, how: str, rng: np.random.Generator) -> AgentId | None:
     """The opponent by ``argmax``, ``sample`` (softmax of the logits) or ``partner``.
 
-    ``partner`` takes the head that was trained on labelled interacting partners. None where there
-    is no candidate.
+    ``partner`` takes the head that was trained on labelled interaction partners. None without
+    candidates.
     """
     if not scores.ids:
         return None
@@ -82,13 +82,13 @@ def from_scores(scores: OpponentScores, how: str, rng: np.random.Generator) -> A
 
 
 def highest(scores: OpponentScores, how: str, count: int) -> list[AgentId]:
-    """At most ``count`` vehicles by ``argmax`` or ``partner``, the best first."""
+    """At most ``count`` vehicles by ``argmax`` or ``partner``, highest score first."""
     logits = scores.partner_logits if how == "partner" else scores.logits
     return [scores.ids[row] for row in np.argsort(-logits, kind="stable")[:count]]
 
 
 def named(view: View, agent_id: AgentId) -> AgentId:
-    """The opponent that the settings name. Raises RunError if it is not there, or is the AV."""
+    """The opponent that the settings name. Raises RunError if it is not in view, or is the AV."""
     others = [
         other
         for other, kind in zip(view.history.ids, view.history.kinds, strict=True)
@@ -97,8 +97,8 @@ def named(view: View, agent_id: AgentId) -> AgentId:
     if agent_id not in others:
         known = ", ".join(others[:10]) + (" ..." if len(others) > 10 else "")
         raise RunError(
-            f"opponent '{agent_id}' is no vehicle beside the AV at step {view.step}; "
-            f"name one of: {known or 'none is there'}, or use argmax."
+            f"opponent '{agent_id}' is not a vehicle near the AV at step {view.step}; "
+            f"name one of: {known or 'there are none'}, or use argmax."
         )
     return agent_id
 

@@ -45,26 +45,27 @@ class Predictors(Protocol):
 
     @property
     def opponent(self) -> OpponentPredictor:
-        """How suitable each vehicle is: phi in the paper."""
+        """Scores of vehicles as opponents: phi."""
         ...
 
     @property
     def marginal(self) -> MarginalPredictor:
-        """The opponent's futures: phi_M."""
+        """Futures of the opponent: phi_M."""
         ...
 
     @property
     def conditional(self) -> ConditionalPredictor:
-        """The AV's futures given the opponent's: phi_C."""
+        """Futures of the AV given the opponent's: phi_C."""
         ...
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Attack:
-    """An opponent, and what is kept from one plan to the next.
+    """An opponent, and the state that is kept from one plan to the next.
 
     Attributes:
-        last: the last plan. ready: it was made while the opponent was chosen, and not driven yet.
+        last: the last plan.
+        ready: ``last`` was made when opponents were compared, and has not been returned yet.
     """
 
     opponent_id: AgentId
@@ -75,7 +76,7 @@ class _Attack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Av:
-    """The AV's prediction at one moment, and its futures if nobody attacks (None: not needed)."""
+    """The AV's prediction at one moment, and its futures without an attack (None: not needed)."""
 
     prediction: ConditionalPrediction
     unattacked: Forecast | None
@@ -102,11 +103,11 @@ class DeepMF:
 
     @property
     def period_steps(self) -> int | None:
-        """Steps between plans; None plans once."""
+        """Steps between plans; None: one plan."""
         return self._settings.period_steps
 
     def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
-        """Choose the opponent once, before the first plan.
+        """Choose the opponent, before the first plan.
 
         Raises RunError if the settings name an opponent that is not in the view.
         """
@@ -144,7 +145,7 @@ class DeepMF:
         return _Attack(opponent_id=opponent_id, constraints=constraints.made(self._settings))
 
     def _most_promising(self, view: View, attacks: Sequence[_Attack]) -> _Attack:
-        """The first of the attacks that meet the AV at least 95 % as likely as the best."""
+        """The first attack with at least 95 % of the largest collision mass of all attacks."""
         watch = Stopwatch()
         av, mass = self._predict_av(view, watch), {}
         for attack in attacks:
@@ -155,7 +156,7 @@ class DeepMF:
         return next(attack for attack in attacks if mass[attack.opponent_id] >= enough)
 
     def _predict_av(self, view: View, watch: Stopwatch) -> _Av:
-        """What is predicted of the AV without knowing the opponent's plan."""
+        """The AV's prediction, which does not depend on the opponent."""
         settings, conditional = self._settings, self._predictors.conditional
         prediction = conditional.predict(view, view.av_id, planner=self._planner)
         needed = settings.goal_candidates or settings.constrained
@@ -164,7 +165,7 @@ class DeepMF:
         return _Av(prediction, unattacked)
 
     def _plan(self, view: View, attack: _Attack, av: _Av, watch: Stopwatch) -> Plan:
-        """The plan for one opponent from now on."""
+        """The opponent's plan: generate, predict, collide, constrain, choose."""
         situation = Situation.of(
             view, attack.opponent_id, self._settings.limits, av.unattacked, attack.last
         )
@@ -188,7 +189,7 @@ class DeepMF:
     def _generate(
         self, situation: Situation, attack_constraints: Sequence[Constraint], watch: Stopwatch
     ) -> Candidates:
-        """Drivable candidates of the opponent, with P(OV), to which reactions are predicted."""
+        """Drivable candidates of the opponent with their probabilities P(OV)."""
         settings, limits, start = self._settings, situation.limits, situation.start
         prediction = self._predictors.marginal.predict(situation.view, situation.opponent_id)
         modes = prediction.modes(settings.candidates)
@@ -218,7 +219,7 @@ class DeepMF:
         return own
 
     def _reactions(self, av: _Av, own: Candidates) -> list[Forecast]:
-        """The AV's futures under each candidate; without condition the same ones under all."""
+        """The AV's futures given each candidate; without condition the same ones for all."""
         if self._settings.conditional:
             return av.prediction.given(own.forecast.futures, self._settings.reactions)
         alone = av.unattacked or av.prediction.given(None, self._settings.reactions)[0]
@@ -233,7 +234,7 @@ class DeepMF:
         pairs: Pairs,
         watch: Stopwatch,
     ) -> tuple[Choice, list[Mask]]:
-        """The choice under the constraints, and what these allow."""
+        """The choice under the constraints, and their masks."""
         masks = []
         for one in attack.constraints:
             allowed = one.allowed(situation, own, reactions, pairs)

@@ -1,4 +1,4 @@
-"""Paths for candidates: along the opponent's lanes, to the AV's futures, to a side of the AV.
+"""Reference paths of candidates: to predicted positions of the AV, and to a side of the AV.
 
 **To a predicted position of the AV.** Marginal modes follow the road; few of them cross the AV's
 path at the right moment. A goal is a predicted position of the AV at some time, or a point close to
@@ -13,8 +13,8 @@ from ahead. Of all aims within the limits, those that first touch the predicted 
 sector are kept.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 
 _PATHS = 12
-_SAME_PATH_M = 0.7  # a mode that ends this close to another's path follows it
+_SAME_PATH_M = 0.7  # a mode that ends this close to the path of another one is on that path
 _BEYOND_M = 60.0
 _COARSE = 8  # every eighth point (0.8 s) is enough to find the nearest point of a path
 
@@ -120,20 +120,37 @@ _LENGTH_SHARE, _WIDTH_SHARE = 0.35, 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Goals:
-    """Goals in coordinates of the opponent's own paths; arrays (G)."""
+class _Targets:
+    """Targets in coordinates of the opponent's own paths; arrays (G), also of subclasses."""
 
     path: Ints
     along_m: Floats
     left_m: Floats
     step: Ints
     accel: Floats
+
+    def take(self, rows: Ints) -> Self:
+        """Only these targets."""
+        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+
+    def references(self, paths: list[OwnPath], driven_m: Floats, share: Floats) -> Floats:
+        """(G, F, 2) positions at arc lengths (G, F), with ``share`` (G, F) of the lateral shift."""
+        shift = self.left_m[:, None] * share**3 * (10 - 15 * share + 6 * share**2)
+        reference = np.empty((*driven_m.shape, 2))
+        for path in np.unique(self.path):
+            rows = self.path == path
+            where, heading = polylines.points_at(paths[path].points_m, driven_m[rows])
+            reference[rows] = where + shift[rows][..., None] * frames.unit(heading + np.pi / 2)
+        return reference
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Goals(_Targets):
+    """Goals, which one acceleration reaches."""
+
     curvature: Floats
     lateral: Floats
     score: Floats
-
-    def take(self, rows: Ints) -> "_Goals":
-        return _Goals(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
 def goal_paths(situation: Situation, paths: list[OwnPath], count: int) -> References:
@@ -159,7 +176,7 @@ def goal_paths(situation: Situation, paths: list[OwnPath], count: int) -> Refere
 
 
 def _goals(paths: list[OwnPath], av: Forecast, when: Ints, av_size_m: Floats) -> _Goals:
-    """All goals on their nearest own path, without timing yet."""
+    """All goals on their nearest own path, not timed yet."""
     position = av.futures.position_m[:, when].reshape(-1, 2)
     heading = av.futures.heading_rad[:, when].reshape(-1)
     chance = np.repeat(np.log(np.maximum(av.probability, 1e-6)), len(when))
@@ -231,8 +248,7 @@ def _chosen(goals: _Goals, count: int) -> _Goals:
 
 
 def _goal_references(goals: _Goals, paths: list[OwnPath], start: Start, steps: int) -> Floats:
-    """(K, F, 2) positions of the opponent on the path to each goal and beyond."""
-    reference = np.empty((len(goals.path), steps, 2))
+    """(K, F, 2) positions of the opponent on the path to each goal and past it."""
     accel, along = goals.accel[:, None], goals.along_m[:, None]
     arrival = (goals.step[:, None] + 1) * DT_S
     standing = start.speed_mps / np.maximum(-accel, 1e-6)
@@ -241,44 +257,26 @@ def _goal_references(goals: _Goals, paths: list[OwnPath], start: Start, steps: i
     busy = np.minimum(seconds, arrival)
     final = start.speed_mps + accel * arrival
     driven = start.speed_mps * busy + accel * busy**2 / 2 + final * (seconds - busy)
-    share = np.clip(driven / along, 0.0, 1.0)
-    shift = goals.left_m[:, None] * share**3 * (10 - 15 * share + 6 * share**2)
-    for path in np.unique(goals.path):
-        rows = goals.path == path
-        where, heading = polylines.points_at(paths[path].points_m, driven[rows])
-        reference[rows] = where + shift[rows][..., None] * frames.unit(heading + np.pi / 2)
-    return reference
+    return goals.references(paths, driven, np.clip(driven / along, 0.0, 1.0))
 
 
 _FIRST_STEP, _EVERY_STEPS = 4, 5  # aims at 0.5, 1.0, 1.5 ... s
 _ASIDE_RAD = (0.0, 0.2, -0.2)  # contact points beside the middle of the sector
 _DEEP_M = (0.15, 1.0)  # boxes that merely touch do not overlap yet
-_FASTER_MPS = (
-    -3.0,
-    0.0,
-    3.0,
-)  # arrival speeds relative to the AV's
+_FASTER_MPS = (-3.0, 0.0, 3.0)  # arrival speeds relative to the AV's
 _SHIFT_FROM = (0.0, 0.5)  # share of the path before the lateral shift
 _SHIFT_PEAK = 5.77  # largest second derivative of the quintic step 10u^3 - 15u^4 + 6u^5
 _WIDEST_M, _STEEPEST = 8.0, 0.35
-_TRIED = 400  # aims that are tested against the prediction
+_TRIED = 400  # aims at most are tested against the prediction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Aims:
-    """Aims in coordinates of the opponent's own paths; arrays (G)."""
+class _Aims(_Targets):
+    """Aims, which two accelerations reach; the shift starts after a share of the path."""
 
-    path: Ints
-    along_m: Floats
-    left_m: Floats
-    step: Ints
-    accel: Floats
     then_accel: Floats
     shift_from: Floats
     effort: Floats
-
-    def take(self, rows: Ints) -> "_Aims":
-        return _Aims(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
 def aimed_paths(situation: Situation, paths: list[OwnPath], sector: int, count: int) -> References:
@@ -406,7 +404,7 @@ def _timed(
 
 
 def _reachable(aims: _Aims, paths: list[OwnPath], start: Start, limits: Limits) -> _Aims:
-    """The best aims within the limits; of aims within a metre and otherwise alike only the best."""
+    """The best aims within the limits; of aims that differ by less than a metre only the best."""
     seconds = (aims.step + 1) * DT_S
     halfway = start.speed_mps + aims.accel * seconds / 2
     arrival = halfway + aims.then_accel * seconds / 2
@@ -443,7 +441,7 @@ def _reachable(aims: _Aims, paths: list[OwnPath], start: Start, limits: Limits) 
 
 
 def _references(aims: _Aims, paths: list[OwnPath], start: Start, steps: int) -> Floats:
-    """(K, F, 2) positions of the opponent on the path to each aim and beyond."""
+    """(K, F, 2) positions of the opponent on the path to each aim and past it."""
     arrival = (aims.step[:, None] + 1) * DT_S
     seconds = (np.arange(steps) + 1) * DT_S
     first = np.minimum(seconds, arrival / 2)
@@ -456,13 +454,7 @@ def _references(aims: _Aims, paths: list[OwnPath], start: Start, steps: int) -> 
     driven = driven + final * np.maximum(seconds - arrival, 0.0)
     begin = aims.shift_from[:, None]
     share = np.clip((driven / aims.along_m[:, None] - begin) / (1.0 - begin), 0.0, 1.0)
-    shift = aims.left_m[:, None] * share**3 * (10 - 15 * share + 6 * share**2)
-    reference = np.empty((len(aims.path), steps, 2))
-    for path in np.unique(aims.path):
-        rows = aims.path == path
-        where, heading = polylines.points_at(paths[path].points_m, driven[rows])
-        reference[rows] = where + shift[rows][..., None] * frames.unit(heading + np.pi / 2)
-    return reference
+    return aims.references(paths, driven, share)
 
 
 def _wanted_mass(situation: Situation, av: Forecast, reference: Floats, sector: int) -> Floats:
@@ -479,7 +471,7 @@ def _wanted_mass(situation: Situation, av: Forecast, reference: Floats, sector: 
 
 
 def _headings(reference: Floats, heading_rad: float) -> Floats:
-    """(K, F) directions of motion; a standing vehicle keeps its last one."""
+    """(K, F) directions of motion; a standing vehicle keeps its last direction."""
     moved = np.diff(reference, axis=1, prepend=reference[:, :1])
     moved[:, 0] = moved[:, 1]
     going = np.hypot(moved[..., 0], moved[..., 1]) > DIRECTION_MPS * DT_S

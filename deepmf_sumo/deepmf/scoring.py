@@ -1,18 +1,18 @@
-"""The choice among candidates.
+"""Scoring of candidates, and the choice of the best.
 
 With P_j = P(Y_j^OV), P_jk = P(Y_k^AV | Y_j^OV) and the likelihood weight w:
 
 - ``expected`` (Algorithm 1, Eq. 5): largest P_j^w * sum_k P_jk Coll_jk; w = 1 is the paper's.
-- ``pair`` (the paper's text): the colliding pair with the largest P_j^w * P_jk.
+- ``pair`` (text of the paper): the colliding pair with the largest P_j^w * P_jk.
 - ``likeliest``: among the candidates with at least 95 % of the largest collision mass
   sum_k P_jk Coll_jk, the likeliest.
-- ``drawn``: a random candidate, with a chance that grows with its collision mass; not an attack to
-  report, but attacks of all kinds to learn the AV's reactions from.
-- a `Balance` (``aggressiveness``) in place of a rule: see there.
-- no pair collides: the pair with the largest P_j * P_jk (the paper's text), rule ``fallback``.
-- constraints exclude some of the colliding pairs: sums and maxima run over the others alone.
+- ``drawn``: a random candidate, with a probability that grows with its collision mass. It is meant
+  for training data: attacks of all kinds, from which the AV's reactions can be learned.
+- ``aggressiveness``: see `Balance`, which replaces the rule.
+- If no pair collides: the pair with the largest P_j * P_jk (text of the paper), rule ``fallback``.
+- If constraints exclude some colliding pairs: sums and maxima run over the remaining pairs.
 
-Equal values: the earlier collision, then the larger P_j, then the lower index.
+Ties go to the earlier collision, then the larger P_j, then the lower index.
 """
 
 from dataclasses import dataclass, replace
@@ -25,19 +25,20 @@ from deepmf_sumo.datatypes import Bools, Floats, Ints
 Rule = Literal["expected", "pair", "likeliest", "drawn"]
 
 MASS_SHARE: Final = 0.95
-"""Candidates with at least this share of the largest collision mass count as equally good."""
-_DRAWN_ANYWAY = 0.05  # added to the collision mass: candidates that miss are useful, too
+"""Candidates with at least this share of the largest collision mass are equally good."""
+_DRAWN_ANYWAY = 0.05  # added to the collision mass: candidates that miss are drawn, too
 _EQUAL = 1e-9  # relative: smaller differences are rounding errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Balance:
-    """Between likely and dangerous.
+    """A balance of likelihood and severity.
 
-    Among the candidates with at least ``mass_share`` of the largest collision mass, the largest
-    P_j^(1 - severity_share) * severity_j^severity_share, with the severity expected over the
-    counted reactions. For given candidates P_j of the chosen one never rises with either share;
-    its mass never falls with ``mass_share``, its severity never falls with ``severity_share``.
+    It chooses, among the candidates with at least ``mass_share`` of the largest collision mass, the
+    largest P_j^(1 - severity_share) * severity_j^severity_share, where the severity is the expected
+    one over the reactions that count. For given candidates, a larger share never raises P_j of the
+    chosen candidate; a larger ``mass_share`` never lowers its mass, a larger ``severity_share``
+    never its severity.
     """
 
     mass_share: float
@@ -45,7 +46,7 @@ class Balance:
 
     @classmethod
     def at(cls, aggressiveness: float) -> Self:
-        """0: the likeliest, even if it misses; 0.5: the rule ``likeliest``; 1: the severest."""
+        """0: the likeliest, even if it misses; 0.5: as rule ``likeliest``; 1: the most severe."""
         return cls(
             mass_share=MASS_SHARE * min(1.0, 2 * aggressiveness),
             severity_share=max(0.0, 2 * aggressiveness - 1.0),
@@ -54,7 +55,7 @@ class Balance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Objective:
-    """How a candidate is chosen; ``drawn`` needs the generator."""
+    """The rule of the choice; ``drawn`` needs ``rng``."""
 
     rule: Rule | Balance = "expected"
     likelihood_weight: float = 1.0
@@ -63,13 +64,13 @@ class Objective:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pairs:
-    """N1 candidates with P_j and N2 reactions each with P_jk, and how they collide.
+    """N1 candidates with P_j, N2 reactions to each of them with P_jk, and their collisions.
 
     Attributes:
         probability: (N1). reaction_probability, collides, collision_step: (N1, N2), the last two as
             from `candidates.collisions`.
-        sector: (N1, N2) in which the AV is hit; None if no sector is wanted.
-        severity: (N1, N2) delta-v of the AV; None if nothing depends on it.
+        sector: (N1, N2) of the AV that is hit; None if it is not needed.
+        severity: (N1, N2) delta-v of the AV; None if it is not needed.
     """
 
     probability: Floats
@@ -98,9 +99,9 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """The chosen candidate, the rule that chose it, and (N1) values of the rule and of Eq. 5.
+    """The index of the chosen candidate, the rule used, and (N1) its values and those of Eq. 5.
 
-    ``unmet``: names of the constraints that were given up.
+    ``unmet``: names of the constraints that were dropped.
     """
 
     index: int
@@ -110,7 +111,7 @@ class Choice:
     unmet: tuple[str, ...] = ()
 
     def of_all(self, rows: Ints, count: int) -> "Choice":
-        """The same choice with indices of all ``count`` candidates; it was made among ``rows``."""
+        """This choice, which was made among ``rows``, in terms of all ``count`` candidates."""
         value, product = np.zeros(count), np.zeros(count)
         value[rows], product[rows] = self.value, self.product
         return replace(self, index=int(rows[self.index]), value=value, product=product)
@@ -125,8 +126,8 @@ def choose(
 ) -> Choice:
     """Choose among N1 candidates.
 
-    Of the colliding pairs those ``counted`` (N1, N2) are wanted, by default all; candidates
-    ``barred`` (N1) are not chosen. A `Balance` needs ``pairs.severity``.
+    ``counted`` (N1, N2): colliding pairs that count, by default all. ``barred`` (N1): candidates
+    that are not chosen. A `Balance` needs ``pairs.severity``.
     """
     rule, probability = objective.rule, pairs.probability
     counted = pairs.collides if counted is None else counted
@@ -152,7 +153,7 @@ def choose(
 
 
 def harmless(pairs: Pairs, rule: str) -> Choice:
-    """The likeliest candidate that meets the AV in no reaction; else that with the least mass."""
+    """The likeliest candidate of those with the least collision mass: no attack."""
     mass = pairs.mass
     value = np.where(mass <= mass.min() + _EQUAL, pairs.probability, 0.0)
     index = _best(value, -pairs.collision_step.min(axis=1), pairs.probability)
@@ -160,7 +161,7 @@ def harmless(pairs: Pairs, rule: str) -> Choice:
 
 
 def _drawn(mass: Floats, barred: Bools | None, rng: np.random.Generator) -> Floats:
-    """(N1) 1 for the candidate drawn among those that are not barred, else 0."""
+    """(N1) 1 for the drawn candidate, which is not barred; else 0."""
     chance = mass + _DRAWN_ANYWAY
     if barred is not None:
         chance = np.where(barred, 0.0, chance)

@@ -24,9 +24,9 @@ SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
 ]
 LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
-"""Default limits of what an opponent drives: the same for all aimed methods."""
+"""Default limits on an opponent's accelerations, which all aimed methods share."""
 _RANKED = frozenset({"argmax", "partner"})
-"""Choices of the opponent that rank vehicles by a score."""
+"""Values of ``opponent`` that rank vehicles by a score."""
 _TRIED = 3
 _COMFORT = 1.0
 _PAPER: Final[dict[str, Any]] = {
@@ -43,18 +43,18 @@ _PAPER: Final[dict[str, Any]] = {
     "lawful": False,
     "constraints": (),
 }
-"""What ``form: paper`` means: keys with other values contradict it."""
+"""Values of ``form: paper``: keys with other values contradict it."""
 _PAPER_RULES: Final = ("expected", "pair")
 _PAPER_REACTIONS = 6
 
 
 class Settings(plugins.Settings):
-    """How DeepMF attacks.
+    """Settings of DeepMF.
 
     Attributes:
-        form: ``paper`` is the method as published: one opponent, the predictor's modes alone,
+        form: ``paper`` is the method as published: one opponent, only the predictor's modes,
             reactions to all of them, Eq. 5 (or the text's pair), no comfort and no constraint; keys
-            that contradict it are refused. ``extended`` adds what the keys below say.
+            that contradict it are refused. ``extended`` adds the extensions of the keys below.
         version: the paper's name of a period: G (one plan), S4, S2, S1.
         period_s: seconds between plans, a multiple of 0.1; null plans once (G).
         opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
@@ -81,7 +81,7 @@ class Settings(plugins.Settings):
             null follows the AV's planner (``human`` for ``replay``).
         conditional: False predicts the AV as if it knew nothing of the opponent's future, with the
             same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to measure its effect.
-        accel_mps2, brake_mps2, lateral_mps2: limits of what the opponent drives.
+        accel_mps2, brake_mps2, lateral_mps2: limits on the opponent's accelerations.
         keep_tail: the rest of the last plan is a candidate too.
         sector: the side of the AV to hit: 0 (front) to 7, counter-clockwise in steps of 45 degrees,
             or a name of `geometry.impact.SECTORS`. Only pairs that first touch there count;
@@ -123,7 +123,7 @@ class Settings(plugins.Settings):
 
     @property
     def takes_turns(self) -> bool:
-        """Whether one opponent can follow another in an episode: they are chosen by score."""
+        """Whether several opponents can attack in turn in an episode: they are chosen by score."""
         return self.opponent in SCORED
 
     @model_validator(mode="before")
@@ -188,7 +188,7 @@ class Settings(plugins.Settings):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Results name the form and further constraints only where they are not the defaults."""
+        """Results contain the form and further constraints only if they are not the defaults."""
         values: dict[str, Any] = handler(self)
         if not self.constraints:
             del values["constraints"]
@@ -204,7 +204,7 @@ class Settings(plugins.Settings):
 
     @property
     def period_steps(self) -> int | None:
-        """Steps between plans; None plans once."""
+        """Steps between plans; None: one plan."""
         period = self.period_s if self.version is None else VERSIONS[self.version]
         return None if period is None else round(period / DT_S)
 
@@ -228,7 +228,7 @@ class Settings(plugins.Settings):
 
     @property
     def limits(self) -> Limits:
-        """Limits of what the opponent drives."""
+        """Limits on the opponent's accelerations."""
         more = 1.0 if self.aggressiveness is None else 2.0 ** (self.aggressiveness - 0.5)
         return Limits(
             accel=more * self.accel_mps2,

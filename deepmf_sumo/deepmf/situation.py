@@ -1,4 +1,4 @@
-"""What is known when a plan is made: the present, the opponent, and the AV's unattacked future."""
+"""Input of a plan: the present, the opponent, and the future of the unattacked AV."""
 
 import time
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ class Situation:
         opponent_id: the vehicle that attacks.
         start: its state now.
         size_m, av_size_m: (2) length and width of the opponent and of the AV.
-        limits: of what the opponent drives.
-        horizon: number of steps that count: of the futures, at most those that are left.
+        limits: on the opponent's accelerations.
+        horizon: number of steps of the futures that count: at most those left in the episode.
         levels: heights of the two, if the road passes over itself; else None.
-        unattacked: the AV's futures if nobody attacks; None if nothing needs them.
-        last: the plan before this one, if there is one.
+        unattacked: the AV's futures without an attack; None if nothing needs them.
+        last: the previous plan, if there is one.
     """
 
     view: View
@@ -47,7 +47,7 @@ class Situation:
         unattacked: Forecast | None = None,
         last: Plan | None = None,
     ) -> Self:
-        """The situation in a view. Raises KeyError if opponent or AV are not in it."""
+        """The situation in a view. Raises KeyError if the opponent or the AV is not in it."""
         return cls(
             view=view,
             opponent_id=opponent_id,
@@ -77,7 +77,7 @@ class Levels:
 
     @classmethod
     def of(cls, view: View, opponent_id: AgentId) -> "Levels | None":
-        """None if the road passes nowhere over itself: heights then decide nothing."""
+        """None if the road never passes over itself: heights are then irrelevant."""
         ground, tracks = ground_of(view.road), view.history
         if not ground.has_levels:
             return None
@@ -119,7 +119,7 @@ class Stopwatch:
         self.milliseconds: dict[str, float] = {}
 
     def lap(self, part: str) -> None:
-        """Add the time since the last lap to a part."""
+        """Add the time since the last call to a part."""
         now = time.perf_counter()
         spent = 1000 * (now - self._since)
         self.milliseconds[part] = self.milliseconds.get(part, 0.0) + spent

@@ -1,11 +1,10 @@
-"""Reference paths driven by a bicycle model within the limits of motion.
+"""Tracking: a bicycle model follows reference paths within the limits of motion.
 
-Makes predicted positions drivable: a bicycle follows each of them from the current state.
-
-A predictor knows no limits, and its first sample need not join the current state. Every candidate
-is therefore followed by a single-track model *before* it is judged, so that what is checked is what
-is executed. The course (direction of motion of the box centre) turns at most as fast as the lateral
-limit and the steering angle allow; the rear axle follows like a trailer, which gives the heading.
+A predictor knows no limits, and its first sample need not join the current state. A single-track
+model therefore follows every candidate from the current state *before* it is assessed, so that the
+assessed motion is the executed one. The course (direction of motion of the box centre) turns at
+most as fast as the lateral limit and the steering angle allow; the rear axle follows like a
+trailer, which gives the heading.
 
 The controller looks ahead along the path (pure pursuit: Coulter, CMU-RI-TR-92-01, 1992), keeps time
 by a critically damped law with feed-forward, and slows down ahead of curves.
@@ -22,12 +21,12 @@ from deepmf_sumo.geometry import frames
 Complexes = NDArray[np.complex128]
 
 _SPACING_M = 0.5
-_BEYOND_M = 40.0  # every path goes on straight: nothing looks farther ahead than this
+_BEYOND_M = 40.0  # every path is extended straight by this length, the farthest look-ahead
 _DIRECTED_M = 0.3  # a shorter last metre gives no direction
 _STANDING_M = 0.005  # shorter steps are noise of a standing vehicle
 _SMOOTHING_STEPS = 2  # speeds of a reference are differences over 0.4 s
 _BEND_POINTS = 4  # curvature is the turn over 4 m
-_SHARE = 0.9  # of the limits, kept for curves, so that tracking errors can be corrected
+_SHARE = 0.9  # of the limits is used in curves; the rest corrects tracking errors
 _SLOWEST_MPS = 1.5
 
 
@@ -35,12 +34,12 @@ _SLOWEST_MPS = 1.5
 class Courses:
     """M paths (M, G) sampled every 0.5 m, and where each reference is on its path (M, F + 1).
 
-    Points are complex numbers, x + iy, and what is asked for at each step is prepared: the tracking
-    loop runs 80 times, and this is a third of its cost.
+    Points are complex numbers, x + iy, and everything that the tracking loop reads in its 80 steps
+    is prepared: look-ups are a third of its cost.
 
     Attributes:
         path_m: (M, G) points. ahead_m: (M, G) from each point to the next, 0 at the end.
-        fastest_mps: (M, G) from which the curves ahead can still be driven.
+        fastest_mps: (M, G) highest speeds at which the curves ahead can still be driven.
         due_m, speed_mps, accel_mps2: (M, F + 1) of the references. row: (M) flat index of points 0.
     """
 
@@ -81,12 +80,12 @@ class Courses:
         return self.due_m[:, step], self.speed_mps[:, step], self.accel_mps2[:, step]
 
     def point(self, along_m: Floats) -> Complexes:
-        """Points at arc lengths (M), one a path."""
+        """Points at arc lengths (M), one for each path."""
         cell, share = self._cell(along_m)
         return self.path_m.take(cell) + share * self.ahead_m.take(cell)
 
     def progress(self, guess_m: Floats, least_m: Floats, position_m: Complexes) -> Floats:
-        """Arc lengths (M) of the feet of points near ``guess_m``; never behind ``least_m``."""
+        """Arc lengths (M) of the feet of points, near ``guess_m`` and at least ``least_m``."""
         cell, share = self._cell(guess_m)
         off, ahead = position_m - self.path_m.take(cell), self.ahead_m.take(cell)
         product = off * ahead.conj()
@@ -95,11 +94,11 @@ class Courses:
         return np.maximum(guess_m + correction, least_m)
 
     def speed_limit(self, along_m: Floats) -> Floats:
-        """Highest speed (M) from which the curves ahead can still be driven."""
+        """Highest speed (M) at which the curves ahead can still be driven."""
         return self.fastest_mps.take(self._cell(along_m)[0])
 
     def _cell(self, along_m: Floats) -> tuple[Ints, Floats]:
-        """Places (M) in the flat arrays, and shares of the way to the next point."""
+        """Rows (M) in the flat arrays, and shares of the distance to the next point."""
         place = np.minimum(along_m / _SPACING_M, self.path_m.shape[1] - 1.001)
         cell = place.astype(np.int64)
         return self.row + cell, place - cell
@@ -117,7 +116,7 @@ def _resampled(points: Complexes, length: Floats, course_rad: float) -> Complexe
     path = np.empty((len(points), len(grid)), dtype=np.complex128)
     for row, (mode, along) in enumerate(zip(points, length, strict=True)):
         end = mode[-1] - np.interp(max(total[row] - 1.0, 0.0), along, mode)
-        # A standing vehicle goes on the way that it points.
+        # A standing vehicle goes on in the direction of its heading.
         ahead = end / np.abs(end) if np.abs(end) > _DIRECTED_M else np.exp(1j * course_rad)
         path[row] = np.interp(grid, along, mode) + np.maximum(grid - total[row], 0.0) * ahead
     return path
@@ -152,7 +151,7 @@ _DAMPING_PER_S = 2.0  # both poles of the timing law
 _REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
 _STEERING_SLIP = 0.33  # course against heading at full lock, radians
 _COURSE_MPS = 1.0  # slower, a measured velocity does not show the slip angle: 0.1 m/s are 6 degrees
-_COURSE_SLIP = 0.2  # a measured course is believed up to this far from the heading, radians
+_COURSE_SLIP = 0.2  # largest slip angle that is taken from a measured velocity, radians
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +167,7 @@ class Limits:
         return np.tile([self.accel, self.brake, self.lateral], (count, 1)).astype(float)
 
     def mild(self) -> "Limits":
-        """What a calm driver uses: at most (3, 4, 2.5) and 70 % of these limits."""
+        """Limits of a calm driver: at most (3, 4, 2.5) and 70 % of these limits."""
         return Limits(
             accel=min(3.0, 0.7 * self.accel),
             brake=min(4.0, 0.7 * self.brake),
@@ -209,7 +208,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracked:
-    """M drivable futures: (M, F, 2), (M, F), (M, F), and (M) farthest move off the reference."""
+    """M drivable futures: (M, F, 2), (M, F), (M, F), and (M) largest distance to the reference."""
 
     position_m: Floats
     heading_rad: Floats
@@ -218,9 +217,9 @@ class Tracked:
 
 
 def joined(reference_m: Floats, start: Start) -> Floats:
-    """(M, F, 2) references moved so that they begin where the vehicle will be in one step.
+    """(M, F, 2) references shifted so that they start at the vehicle's position in one step.
 
-    The move fades out over 1.5 s.
+    The shift fades out over 1.5 s.
     """
     reference = np.asarray(reference_m, float)
     expected = start.position_m + start.speed_mps * DT_S * frames.unit(start.course_rad)

@@ -1,20 +1,21 @@
-"""Which futures of an opponent break no rule of the road, as far as the road map tells the rules.
+"""Futures of an opponent that break no traffic rule, as far as the road map contains the rules.
 
 A future is lawful if
 
 - it stays on lanes that can be reached from the lane where it begins, in their direction;
-- it drives no faster than 110 % of their limit, or than it does now;
-- it crosses no stop line (by more than 2 m) at red, or of a stop sign without standing before it,
-  where 5 m/s2 of braking were enough to stop in time, and none at yellow where 3 m/s2 were;
-- it comes into the AV's way only with 1.5 s to spare before the AV, if the AV goes on as if nobody
-  attacked: on a link over a junction that gives way to the AV's, or when it leaves its lane; out
-  of its lane it touches the AV in none of its reactions;
-- behind the AV it neither touches it nor speeds up within 1 s of it; before it, where no line makes
-  it stop and no turn slow down, it brakes by no more than 2 m/s2, and keeps half of its speed.
+- it drives at most 110 % of their speed limit, or at most its present speed;
+- it does not cross (by more than 2 m) a stop line at red, or a stop sign without standing before
+  it, if braking at 5 m/s2 was enough to stop in time; the same at yellow with 3 m/s2;
+- it enters the path of the AV only if the unattacked AV arrives at least 1.5 s later: on a link
+  over a junction that gives way to the AV's, or when it leaves its lane; while it is out of its
+  lane it does not touch the AV in any reaction;
+- behind the AV it neither touches the AV nor speeds up within 1 s of it; ahead of the AV, unless a
+  line makes it stop or a turn makes it slow down, it brakes by at most 2 m/s2, and to no less than
+  half of its speed.
 
 None of this applies where the AV enters the opponent's path: that is a lawful attack.
-Lights are assumed not to change until the next plan. What the map does not contain restricts
-nothing: recordings have no right of way at junctions, and a vehicle that starts off the lanes may
+Lights are assumed not to change until the next plan. Rules that the map does not contain are not
+applied: recordings have no right of way at junctions, and a vehicle that starts off the lanes may
 drive anywhere. Only the AV is considered, not other vehicles.
 """
 
@@ -52,10 +53,10 @@ from deepmf_sumo.geometry.ground import clear
 RED: Final = frozenset({SignalState.STOP, SignalState.ARROW_STOP})
 HALT: Final = RED | {SignalState.CAUTION, SignalState.ARROW_CAUTION}
 OVER_M: Final = 2.0
-"""A front farther than this beyond a line has crossed it, and did not merely stop late."""
+"""A front farther than this past a line has crossed it, and did not merely stop late."""
 YELLOW_MPS2: Final = 3.0
 RED_MPS2: Final = 5.0
-"""Somewhat more than SUMO's drivers brake with for a light that has long been red."""
+"""Somewhat more than the braking of SUMO's drivers before a light that has long been red."""
 _STOP_ZONE_M = 6.0
 _STOP_MPS = 0.7
 """Slower before a stop sign counts as a stop: drivers roll."""
@@ -78,15 +79,15 @@ class Line(NamedTuple):
     brake_mps2: float
 
     def crossed(self, driven: LaneFutures) -> Bools:
-        """(N) futures whose front comes over it; those that stand before a sign may."""
+        """(N) futures whose front crosses the line without having stood before its sign."""
         front = driven.position_m + frames.unit(driven.heading_rad) * driven.size_m[0] / 2
         local = frames.to_local(front, self.point_m, self.heading_rad)
         ahead, left = local[..., 0], local[..., 1]
         over = (ahead > OVER_M) & (np.abs(left) <= width_m(self.lane))
         crossed: Bools = np.asarray(over.any(axis=1))
         if not self.sign:
-            lanes = [lane.id for lane in driven.ways.lanes]
-            return crossed & driven.ways.driven[:, lanes.index(self.lane.id)]
+            lanes = [lane.id for lane in driven.assignment.lanes]
+            return crossed & driven.assignment.driven[:, lanes.index(self.lane.id)]
         waiting = (ahead <= OVER_M) & (ahead > -_STOP_ZONE_M)
         stands = np.asarray((waiting & (driven.speed_mps < _STOP_MPS)).any(axis=1))
         return crossed & ~stands
@@ -96,20 +97,20 @@ class Line(NamedTuple):
         return self.sign and self.before_m(driven) < _STOP_ZONE_M and slowest_mps < _STOP_MPS
 
     def before_m(self, driven: LaneFutures) -> float:
-        """Distance of the front to the line now; negative beyond it."""
+        """Distance of the front to the line now; negative past it."""
         start = driven.start
         front = start.position_m + frames.unit(start.heading_rad) * driven.size_m[0] / 2
         ahead, left = frames.to_local(front, self.point_m, self.heading_rad)
         return -float(ahead) if ahead > 0 else float(np.hypot(ahead, left))
 
 
-def stop_lines(view: View, ways: LaneAssignment) -> list[Line]:
+def stop_lines(view: View, assignment: LaneAssignment) -> list[Line]:
     """Lines on the lanes ahead at which vehicles must stop now: at lights and stop signs.
 
     The line of a light is the start of the lane behind it.
     """
     lines = []
-    known = {lane.id: lane for lane in ways.lanes if len(lane.centre_m) > 1}
+    known = {lane.id: lane for lane in assignment.lanes if len(lane.centre_m) > 1}
     for lane in known.values():
         if view.signals.get(lane.id) in HALT:
             dx, dy = lane.centre_m[1] - lane.centre_m[0]
@@ -141,50 +142,50 @@ GIVE_WAY_S: Final = 1.5
 FOLLOW_S: Final = 1.0
 CAUSELESS_MPS2: Final = 2.0
 _FASTER = 1.1  # times the speed limit
-_OUTSIDE_M = 0.3  # a box that reaches so far out of its lane leaves it
-_CUT_IN_S = 2.0  # so long after it left its lane it has to leave the AV room
+_OUTSIDE_M = 0.3  # a box that reaches this far out of its lane leaves it
+_CUT_IN_S = 2.0  # for this time after it left its lane it must leave the AV room
 _SAME_WAY = 0.7  # cosine: within 45 degrees
 _SLOWING_S = 0.4
 
 
 def off_lanes(driven: LaneFutures) -> Bools:
-    """Somewhere on none of the lanes that lead on from its own."""
-    return np.asarray((driven.ways.nearest == OFF).any(axis=1))
+    """At some time on none of the lanes that lead on from its own."""
+    return np.asarray((driven.assignment.nearest == OFF).any(axis=1))
 
 
 def speeds(driven: LaneFutures) -> Bools:
-    """Faster than the lane allows, and than now."""
-    limits = np.array([lane.speed_limit_mps or np.inf for lane in driven.ways.lanes])
-    allowed = np.maximum(_FASTER * limits[driven.ways.nearest], driven.start.speed_mps)
+    """Faster than the lane allows, and than its present speed."""
+    limits = np.array([lane.speed_limit_mps or np.inf for lane in driven.assignment.lanes])
+    allowed = np.maximum(_FASTER * limits[driven.assignment.nearest], driven.start.speed_mps)
     return np.asarray((driven.speed_mps > allowed + 0.1).any(axis=1))
 
 
-def takes_way(view: View, driven: LaneFutures) -> Bools:
-    """On a link that gives way to the AV's, in front of the AV; not where the AV's light is red."""
+def takes_priority(view: View, driven: LaneFutures) -> Bools:
+    """On a link that gives way to the AV's, shortly before the AV; not if the AV's light is red."""
     takes = np.zeros(len(driven.position_m), bool)
-    for row, lane in enumerate(driven.ways.lanes):
+    for row, lane in enumerate(driven.assignment.lanes):
         first = [view.road.lanes[name] for name in lane.gives_way_to if name in view.road.lanes]
         first = [one for one in first if view.signals.get(one.id) not in RED]
-        if not first or driven.ways.begins[row]:
+        if not first or driven.assignment.begins[row]:
             continue
         av_poses = driven.av_position_m, driven.av_heading_rad
         used = [on_lane(view.road, one, *av_poses)[0] for one in first]
         goes_first = np.any(used, axis=(0, 2))  # (K)
         if goes_first.any():
-            there = driven.ways.on[:, :, row, None] & driven.av_comes(GIVE_WAY_S)
-            takes |= driven.ways.driven[:, row] & (there & goes_first).any(axis=(1, 2))
+            there = driven.assignment.on[:, :, row, None] & driven.av_comes(GIVE_WAY_S)
+            takes |= driven.assignment.driven[:, row] & (there & goes_first).any(axis=(1, 2))
     return takes
 
 
 def through(view: View, driven: LaneFutures) -> Bools:
-    """(L) lanes inside a junction whose end can be passed without giving way.
+    """(L) lanes inside a junction that can be left without giving way.
 
-    None if the map contains no right of way: any vehicle may then have priority.
+    No lanes if the map contains no right of way: any vehicle may then have priority.
     """
     lanes = view.road.lanes
     known = any(one.gives_way_to for one in lanes.values())
     free: list[bool] = []
-    for lane in driven.ways.lanes:
+    for lane in driven.assignment.lanes:
         after = [lanes[name] for name in lane.next if name in lanes]
         waits = any(one.interpolating and one.gives_way_to for one in after)
         free.append(known and lane.interpolating and not waits)
@@ -192,35 +193,35 @@ def through(view: View, driven: LaneFutures) -> Bools:
 
 
 def blocks(driven: LaneFutures, free: Bools, so_far_mps: float) -> Bools:
-    """Slows down to less than half inside a junction that it could have passed.
+    """Slows down to less than half of its speed inside a junction that it could have left.
 
-    ``free``: as of `through`; ``so_far_mps``: its highest speed there until now.
+    ``free``: see `through`; ``so_far_mps``: its highest speed inside until now.
     """
-    inside = np.append(free, False)[driven.ways.nearest]  # `OFF` is the last
+    inside = np.append(free, False)[driven.assignment.nearest]  # `OFF` is the last
     fastest = np.maximum.accumulate(np.where(inside, driven.speed_mps, 0.0), axis=1)
     slowest = np.maximum(fastest, so_far_mps) / 2 - 0.1
     return np.asarray((inside & (driven.speed_mps < slowest)).any(axis=1))
 
 
 def cuts_in(driven: LaneFutures, collision_step: Floats) -> Bools:
-    """Leaves its lane right before the AV, or is out of it where it touches the AV."""
-    ways = driven.ways
-    rows = np.flatnonzero(ways.straight)
-    slack = [(width_m(ways.lanes[row]) - driven.size_m[1]) / 2 + _OUTSIDE_M for row in rows]
-    inside = ways.on[..., rows] & (np.abs(ways.left_m[..., rows]) <= np.maximum(slack, 0.5))
+    """Leaves its lane shortly before the AV, or is out of its lane when it touches the AV."""
+    lanes = driven.assignment
+    rows = np.flatnonzero(lanes.straight)
+    slack = [(width_m(lanes.lanes[row]) - driven.size_m[1]) / 2 + _OUTSIDE_M for row in rows]
+    inside = lanes.on[..., rows] & (np.abs(lanes.left_m[..., rows]) <= np.maximum(slack, 0.5))
     outside = ~np.asarray(inside.any(axis=-1))
     leaving = outside & (np.cumsum(outside, axis=1) * PACE_S <= _CUT_IN_S)
     cuts = leaving[..., None] & driven.av_comes(GIVE_WAY_S)
-    time = collision_step.astype(int) // EVERY_STEPS  # (N, M), beyond the last where there is none
+    time = collision_step.astype(int) // EVERY_STEPS  # (N, M), past the last without collision
     there = np.minimum(time, outside.shape[1] - 1)
     touches = np.take_along_axis(outside, there, axis=1) & (time <= there)
     return np.asarray(cuts.any(axis=(1, 2)) | touches.any(axis=1))
 
 
 def hinders(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bools:
-    """Comes too near to the AV ahead in its lane, or brakes before the AV without a cause.
+    """Comes too close to the AV ahead in its lane, or brakes ahead of the AV without a cause.
 
-    ``collides`` (N): the future touches the AV in one of its reactions; ``halts``: a line makes the
+    ``collides`` (N): the future touches the AV in one of the reactions; ``halts``: a line makes the
     opponent stop.
     """
     if _follows(view, driven):
@@ -239,19 +240,19 @@ def hinders(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bo
 
 
 def _follows(view: View, driven: LaneFutures) -> bool:
-    """Whether the AV is ahead in the opponent's lane, or one that it leads to."""
+    """Whether the AV is ahead, in the opponent's lane or one that it leads to."""
     row = view.history.row(view.av_id)
     position = view.history.position_m[row, -1]
     heading, z_m = view.history.heading_rad[row, -1], view.history.z_m[row, -1]
     under = lanes_at(view.road, position, float(heading), float(z_m))
-    ahead = zip(driven.ways.lanes, driven.ways.straight, strict=True)
+    ahead = zip(driven.assignment.lanes, driven.assignment.straight, strict=True)
     shared = {lane.id for lane, straight in ahead if straight} & {*under}
     start = driven.start
     return bool(shared) and frames.to_local(position, start.position_m, start.heading_rad)[0] > 0
 
 
 def _leads(driven: LaneFutures) -> bool:
-    """Whether the AV goes, behind, where the opponent is now."""
+    """Whether the AV follows: it will be at the opponent's present position."""
     start = driven.start
     hit = boxes.overlap(
         driven.av_position_m,
@@ -267,13 +268,13 @@ def _leads(driven: LaneFutures) -> bool:
 
 @dataclass(slots=True)
 class Law:
-    """The traffic rules for one attack, with what earlier plans saw of the opponent.
+    """The traffic rules for one attack, with a memory of the opponent's behaviour in earlier plans.
 
-    It remembers at which lines the opponent was still able to stop: it must stop there until the
-    light turns green, or it could approach a red light until it is too late. It remembers that the
-    opponent stood before a sign: it may drive on, even if a plan is made before it is over the
-    line. And it remembers how fast the opponent came into a junction: else each plan could halve
-    its speed.
+    - Lines at which the opponent was still able to stop: it must stop there until the light turns
+      green, or it could approach a red light until it is too late to stop.
+    - Signs at which the opponent has stood: it may drive on, even if a plan is made before it has
+      crossed the line.
+    - The speed at which the opponent entered a junction: else each plan could halve its speed.
     """
 
     _owed: set[tuple[AgentId, str]] = field(default_factory=set)
@@ -283,11 +284,11 @@ class Law:
     def lawful(self, situation: Situation, own: Candidates, collision_step: Floats) -> Bools:
         """(N) candidates that break no rule; the situation needs the unattacked AV.
 
-        ``collision_step`` (N, M): first touch of each candidate and each of M reactions; F without.
+        ``collision_step`` (N, M): first contact of each candidate and reaction; F without contact.
         """
         view, agent_id = situation.view, situation.opponent_id
         driven = LaneFutures.of(situation, own)
-        if not driven.ways.begins.any():
+        if not driven.assignment.begins.any():
             return np.ones(len(own.speed_mps), bool)
         self._forget(view)
         touches = (collision_step < own.speed_mps.shape[1]).any(axis=1)
@@ -296,18 +297,20 @@ class Law:
             over_line
             | off_lanes(driven)
             | speeds(driven)
-            | takes_way(view, driven)
+            | takes_priority(view, driven)
             | cuts_in(driven, collision_step)
             | self._blocks(view, agent_id, driven)
             | hinders(view, driven, touches, halts)
         )
 
     def _lines(self, view: View, agent_id: AgentId, driven: LaneFutures) -> tuple[bool, Bools]:
-        """Whether a line makes the opponent stop, and (N) futures that drive over one."""
+        """Whether a line makes the opponent stop, and (N) futures that cross such a line."""
         over, halts = np.zeros(len(driven.position_m), bool), False
         row = view.history.row(agent_id)
         slowest_mps = float(view.history.speed_mps[row, view.history.valid[row]].min())
-        lines = [line for line in stop_lines(view, driven.ways) if line.before_m(driven) >= -OVER_M]
+        lines = [
+            line for line in stop_lines(view, driven.assignment) if line.before_m(driven) >= -OVER_M
+        ]
         self._stood &= {(agent_id, line.lane.id) for line in lines}
         for line in lines:
             key, before_m = (agent_id, line.lane.id), line.before_m(driven)
@@ -325,7 +328,7 @@ class Law:
         """(N) futures that slow down inside a junction without a cause."""
         free = through(view, driven)
         fastest = 0.0
-        if (free & driven.ways.begins).any():
+        if (free & driven.assignment.begins).any():
             row = view.history.row(agent_id)
             now = float(view.history.speed_mps[row, view.history.valid[row]].max())
             fastest = max(self._inside_mps.get(agent_id, 0.0), now)
@@ -333,9 +336,9 @@ class Law:
         return blocks(driven, free, fastest)
 
     def _forget(self, view: View) -> None:
-        """Of lights that let go; signs stay."""
+        """Drop lines whose light no longer requires a stop; signs stay."""
         self._owed = {
-            (who, lane)
-            for who, lane in self._owed
+            (agent_id, lane)
+            for agent_id, lane in self._owed
             if lane not in view.signals or view.signals[lane] in HALT
         }

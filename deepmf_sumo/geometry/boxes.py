@@ -28,10 +28,10 @@ def overlap(
     heading_b: Floats,
     size_b: Floats,
 ) -> Bools:
-    """(...) whether two boxes share interior points (touching is no overlap).
+    """(...) whether two boxes share interior points (touching is not overlap).
 
-    Separating-axis test on the four box axes. For boxes the projections have closed forms, so that
-    nothing of shape (4, 2) is made.
+    Separating-axis test on the four box axes, by closed forms of the projections, which need no
+    arrays of shape (4, 2).
     """
     offset = np.asarray(centre_b, float) - centre_a
     heading_a, heading_b = np.asarray(heading_a, float), np.asarray(heading_b, float)

@@ -26,7 +26,7 @@ _ROW: Final = 1 << 32
 
 
 def clear(z_m: Floats, other_m: Floats) -> Bools:
-    """(...) whether what is at one height passes above or below what is at the other."""
+    """(...) whether vehicles at these two heights pass above or below each other."""
     return np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
 
 
@@ -45,9 +45,9 @@ def on_nearest_level(group: Ints, heights_m: Floats, z_m: Floats) -> Bools:
 
 
 def distance_m(gap_m: Floats, z_m: Floats, other_m: Floats) -> Floats:
-    """(...) metres between vehicles with a gap in the plan; 0 where they meet.
+    """(...) distance of vehicles with a gap in the plane, in metres; 0 if they meet.
 
-    Of a difference in height what is beyond the clearance counts.
+    A difference in height counts as far as it exceeds the clearance.
     """
     above = np.maximum(np.abs(np.asarray(z_m, float) - other_m) - CLEARANCE_M, 0.0)
     return np.where(clear(z_m, other_m), np.hypot(gap_m, above), gap_m)
@@ -91,10 +91,10 @@ class Ground:
             self._fill(np.concatenate([_surface(lane) for lane in lanes]))
 
     def follow(self, paths_m: Floats, z_m: Floats) -> Floats:
-        """(N, P) heights along paths (N, P, 2) that begin at heights (N).
+        """(N, P) heights along paths (N, P, 2) that start at heights (N).
 
-        Vehicles climb and descend with the road below them; where there is none they keep their
-        height, and so they do where it would be a fall.
+        Vehicles climb and descend with the road below them. They keep their height off the road,
+        and where the road below is out of reach.
         """
         points = np.asarray(paths_m, float)
         found = np.repeat(np.asarray(z_m, float)[:, None], points.shape[1], axis=1)
@@ -109,7 +109,7 @@ class Ground:
         return found
 
     def arrived(self, start_m: Floats, z_m: Floats, end_m: Floats) -> Floats:
-        """(N) heights at ends (N, 2), reached straight from starts (N, 2) at heights (N)."""
+        """(N) heights at ends (N, 2) of straight paths from starts (N, 2) at heights (N)."""
         start, way = np.asarray(start_m, float), np.asarray(end_m, float) - start_m
         farthest = float(np.hypot(way[:, 0], way[:, 1]).max(initial=0.0))
         steps = int(np.clip(np.ceil(farthest / _CELL_M), 1, _MOST_STEPS))
@@ -117,7 +117,7 @@ class Ground:
         return self.follow(start[:, None] + share * way[:, None], z_m)[:, -1]
 
     def _fill(self, samples: Floats) -> None:
-        """From points and slopes of the surface (S, 5)."""
+        """Fill the cells from points and slopes of the surface (S, 5)."""
         key = _cells(samples[:, :2])
         order = np.lexsort((samples[:, 2], key))
         key, samples = key[order], samples[order]
@@ -132,7 +132,7 @@ class Ground:
         self.has_levels = bool((highest - self._level[self._first, 2] >= CLEARANCE_M).any())
 
     def _surfaces(self, points: Floats) -> Floats:
-        """(..., L) heights of the road at points (..., 2), nan beyond those that there are."""
+        """(..., L) heights of the road's levels at points (..., 2); nan fills up to L levels."""
         key = _cells(points)
         cell = np.minimum(np.searchsorted(self._key, key), len(self._key) - 1)
         each = np.arange(int(self._count.max()))
@@ -167,7 +167,7 @@ def _cells(points: Floats) -> Ints:
 
 
 def _nearest(surface: Floats, z_m: Floats) -> Floats:
-    """(N) the height of N surfaces (N, L) that is nearest to (N); nan where there is none."""
+    """(N) the height of surfaces (N, L) that is nearest to (N); nan without a surface."""
     away = np.abs(surface - z_m[:, None])
     best = np.where(np.isnan(away), np.inf, away).argmin(axis=1)
     return surface[np.arange(len(surface)), best]

@@ -25,7 +25,7 @@ def arc_lengths(points_m: Floats) -> Floats:
 
 
 class Measured:
-    """A polyline (P, 2), P >= 2 distinct points, prepared for being asked for many points.
+    """A polyline (P, 2), P >= 2 distinct points, prepared for many look-ups.
 
     Attributes:
         along_m: (P) distance along the polyline at each point; the first is 0.
@@ -58,8 +58,8 @@ def points_at(points_m: Floats, along_m: Floats) -> tuple[Floats, Floats]:
 def project(points_m: Floats, query_m: Floats) -> Projection:
     """Nearest point of the polyline (P, 2), P >= 2, for each query (..., 2)."""
     points, query = np.asarray(points_m, float), np.asarray(query_m, float)
-    # Each axis by itself, and one flat look-up each: this is asked for every box at every step of
-    # a simulation, and numpy is slow at sums over the two of them.
+    # Each axis by itself, with one flat look-up each: this runs for every box at every step of a
+    # simulation, and numpy is slow at sums over an axis of length two.
     step_x, step_y = (points[1:] - points[:-1]).T
     square = np.maximum(step_x**2 + step_y**2, 1e-12)
     off_x, off_y = (query[..., axis, None] - points[:-1, axis] for axis in range(2))

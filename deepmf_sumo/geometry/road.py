@@ -1,4 +1,4 @@
-"""Whether points are on the road, and which way it runs there: lanes for cars around them."""
+"""Whether points are on the road, and whether vehicles drive against its direction."""
 
 from typing import NamedTuple
 

@@ -157,7 +157,7 @@ class LaneIndex:
         return place[best], lane[best], cost[best], distance[best]
 
     def cheapest(self, place: Ints, lane: Ints, cost: Floats) -> dict[int, int]:
-        """The candidate of each place on the cheapest way through all (Viterbi)."""
+        """The candidate of each point on the cheapest sequence through all points (Viterbi)."""
         places, begins = np.unique(place, return_index=True)
         if not len(places):
             return {}
@@ -209,7 +209,7 @@ class LaneIndex:
 
 
 MOST_EDGES: Final = 50
-"""An extension that goes round in circles ends here."""
+"""Length of an extension at most, so that circular ones end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,7 +252,7 @@ def checked_route(net: SumoNet, lane_ids: Sequence[str], extend_m: float = 200.0
         if stage.edges:
             onward = joins.along(route, stage.edges)
         elif number and not stages[number - 1].edges and route:
-            continue  # the way over the lane before was chosen to lead over this one too
+            continue  # the path over the lane before was chosen to lead over this one, too
         else:
             onward = joins.across(route, stages[number:])
         if onward is None:
@@ -324,8 +324,8 @@ class _Joins:
     def across(self, route: list[str], stages: list[_Stage]) -> list[str] | None:
         """What a lane inside a junction adds: the edges before and behind it.
 
-        Several ways may share the lane. Taken is one that leads over the lanes which follow in the
-        sequence too, and to the edge behind them.
+        Several paths may share the lane. The chosen one also leads over the lanes that follow in
+        the sequence, and to the edge behind them.
         """
         ways = [way for lane in stages[0].inner for way in self._around[lane]]
         if route:
@@ -341,7 +341,7 @@ class _Joins:
         return [edge for edge in ways[0] if edge not in route[-1:]]
 
     def extension(self, edge: str, lane: str | None, length_m: float) -> list[str]:
-        """Edges behind an edge, until they are as long as asked or the net ends."""
+        """Edges behind an edge, until they have the length or the net ends."""
         added: list[str] = []
         seen = {edge}
         while length_m > 0 and len(added) < MOST_EDGES:

@@ -1,8 +1,7 @@
 """Anchors (goals) on the paths ahead of a vehicle, and their features.
 
-Geometry of dense goals: (path x speed profile) anchors, timed, in the vehicle's frame.
-
-All tensors; the same code serves training and prediction. P paths, R profiles, S times.
+An anchor is a path and a speed profile, in the vehicle's frame. All arguments are tensors; the same
+code serves training and prediction. P paths, R profiles, S times.
 """
 
 from functools import cache
@@ -22,9 +21,9 @@ BRAKING: Final = (
     (5.0, 1.5),
     (8.0, 1.5),
 )
-"""Deceleration, m/s2, and for how long, s, of profiles that data hold too rarely to form clusters.
+"""Deceleration, m/s2, and duration, s, of braking profiles too rare in data to form clusters.
 
-Drivers who are attacked brake like this: to a stop, or briefly, going on at what is left.
+Attacked drivers brake like this: to a stop, or briefly, and then keep the remaining speed.
 """
 START_SPEEDS_MPS: Final = (0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0, 11.0, 13.5, 16.0, 20.0, 25.0, 30.0)
 KNOTS_S: Final = (1.0, 2.0, 4.0, 6.0, 8.0)
@@ -107,7 +106,7 @@ def placed_on(
 
 
 @cache
-@torch.inference_mode(False)  # it is kept, and others differentiate what they do with it
+@torch.inference_mode(False)  # it is cached, and used where gradients are needed
 def knot_matrix() -> Tensor:
     """(5, 80) maps values at the knots to all steps: Hermite, from 0 with slope 0 at time 0."""
     times = torch.tensor((0.0, *KNOTS_S), dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""What a predictor is: view -> prediction.
+"""Interfaces of predictors: view -> prediction.
 
 A prediction contains everything that the networks compute of a view. Callers that ask several
 questions about one moment keep it and pass it on; predictors themselves keep nothing.

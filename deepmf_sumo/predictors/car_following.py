@@ -1,8 +1,9 @@
-"""Where a driver who follows cars would be on each path, if another vehicle drives as given.
+"""Positions of a car-following driver on each path, given the future of another vehicle.
 
 The Intelligent Driver Model (Treiber, Hennecke, Helbing 2000) on every path: behind the given
-vehicle while it reaches into the path, and behind who is next ahead on it now. Networks learn what
-their planners and people do beyond that; here they are told what braking in time amounts to.
+vehicle while it reaches into the path, and behind the vehicle that is next ahead on it now. As a
+feature it tells networks what braking in time amounts to; they learn how planners and people
+differ from it.
 """
 
 from dataclasses import dataclass
@@ -23,11 +24,11 @@ FOLLOWING: Final = 6
 
 _SUBSTEPS: Final = 2
 _ACCEL_MPS2, _DECEL_MPS2, _HARD_MPS2, _HEADWAY_S, _GAP_M = 1.5, 2.0, 8.0, 1.5, 2.0
-"""As `planners.idm.TREIBER`, which lies above the predictors."""
+"""As `planners.idm.TREIBER`, which predictors cannot import."""
 _LENGTH_M, _WIDTH_M, _MARGIN_M = 4.8, 2.0, 0.2
-"""Of both vehicles, and how much wider than the own one the way is kept free."""
+"""Size of both vehicles, and the margin beside the own one that has to be free."""
 _SLOW_MPS, _FREE_MPS = 3.0, 12.0
-"""Least speed that is wanted, and what is wanted where no limit is known."""
+"""Least desired speed, and the desired speed where no limit is known."""
 _BESIDE_M, _SAME_M, _FAR_M = 1.8, 3.0, 1e3
 
 _Singles = NDArray[np.float32]
@@ -35,7 +36,7 @@ _Singles = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Road:
-    """What the follower knows of each path.
+    """The follower's paths.
 
     Attributes:
         paths: (B, P, 121, 2). limit_mps: (B, P), 0 where unknown. speed_mps: (B) the follower's.
@@ -59,10 +60,10 @@ class Road:
 
 
 def relations(road: Road, along_m: Tensor, given: Condition) -> Tensor:
-    """(B, K, P, R, 6) how goals, (B, P, R, 16) along at 2 Hz, differ from what the follower does.
+    """(B, K, P, R, 6) differences of goals, (B, P, R, 16) along at 2 Hz, from the follower.
 
-    The goal's lead at 2, 4, 6, 8 s, and how near it is over all times, sharply and widely. Always
-    in full precision, as `conditioning.relations`.
+    The goal's lead at 2, 4, 6, 8 s, and its closeness over all times, on two scales. Always in full
+    precision, as `conditioning.relations`.
     """
     with torch.autocast(along_m.device.type, enabled=False):
         driven = followed(road, given)  # (B, K, P, 16)
@@ -74,18 +75,18 @@ def relations(road: Road, along_m: Tensor, given: Condition) -> Tensor:
 
 
 def followed(road: Road, given: Condition) -> Tensor:
-    """(B, K, P, 16) m that the follower drives along each path, at 2 Hz."""
+    """(B, K, P, 16) distances that the follower drives along each path, at 2 Hz, m."""
     ahead, pace = _ahead(road, given)  # (16 * substeps, 2, B, K, P), (16, 2, B, K, P)
     free = torch.where(road.limit_mps > 0, road.limit_mps, _FREE_MPS).unsqueeze(1)
     start = road.speed_mps.view(-1, 1, 1)
     slowness = 1.0 / torch.maximum(free, start).clamp_min(_SLOW_MPS)  # (B, 1, P)
-    # a thousand small operations, of which numpy makes five in the time of one of torch's
+    # a thousand small operations: numpy is five times as fast as torch
     arrays = (each.cpu().numpy() for each in (ahead, pace, start, slowness))
     return torch.from_numpy(_driven(*arrays)).to(ahead.device)
 
 
 def _driven(ahead: _Singles, pace: _Singles, start: _Singles, slowness: _Singles) -> _Singles:
-    """The model's steps, see `followed`."""
+    """The steps of the model, see `followed`."""
     seconds, brisk = EVERY * DT_S / _SUBSTEPS, 0.5 / (_ACCEL_MPS2 * _DECEL_MPS2) ** 0.5
     along = np.zeros(ahead.shape[2:], np.float32)
     speed = along + start
@@ -111,7 +112,7 @@ def _driven(ahead: _Singles, pace: _Singles, start: _Singles, slowness: _Singles
 
 
 def _ahead(road: Road, given: Condition) -> tuple[Tensor, Tensor]:
-    """Way to the tails of two leaders and their speeds: the given vehicle, who is next ahead."""
+    """Distances to the tails of two leaders, the given vehicle and the next one, and speeds."""
     place, left, there = _leader(road.paths, given)  # (17, B, K, P)
     tail, pace = _next_ahead(road.agents, place[0], left[0])  # (B, K, P)
     moves = torch.diff(place, dim=0)
@@ -125,9 +126,9 @@ def _ahead(road: Road, given: Condition) -> tuple[Tensor, Tensor]:
 
 
 def _leader(paths: Tensor, given: Condition) -> tuple[Tensor, Tensor, Tensor]:
-    """(17, B, K, P) the given vehicle at its first step and at 2 Hz: along and left, in their way.
+    """(17, B, K, P) the given vehicle at its first step and at 2 Hz: along, left, in the path.
 
-    The first step, 0.1 s ahead, stands for now: of a fast vehicle the first half second is short.
+    The first step, 0.1 s ahead, stands for now, because a fast vehicle drives far in half a second.
     """
     moves, turns = given.position_m, given.facing  # (B, K, 80, 2), (B, K, 16, 2)
     other = torch.cat([moves[:, :, :1], moves[:, :, EVERY - 1 :: EVERY]], 2).flatten(1, 2)
@@ -143,7 +144,7 @@ def _leader(paths: Tensor, given: Condition) -> tuple[Tensor, Tensor, Tensor]:
     half_width = 0.5 * (_LENGTH_M * sin + _WIDTH_M * cos)
     half_length = 0.5 * (_LENGTH_M * cos + _WIDTH_M * sin)
     there = left.abs() < half_width + 0.5 * _WIDTH_M + _MARGIN_M
-    # of one length whichever way it stands: its end that is nearer counts
+    # one length whatever its direction: the nearer end counts
     along = base + tangent_x * x + tangent_y * y + 0.5 * _LENGTH_M - half_length
     shape = (*paths.shape[:2], given.futures, -1)  # (B, P, K, 17)
     return (
@@ -154,7 +155,7 @@ def _leader(paths: Tensor, given: Condition) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _next_ahead(agents: Tensor, place_m: Tensor, left_m: Tensor) -> tuple[Tensor, Tensor]:
-    """(B, K, P) gap to and speed of who is next ahead on each path now, but for the given one."""
+    """(B, K, P) gap to and speed of the next vehicle ahead on each path, except the given one."""
     along, left, speed = (agents[..., row].unsqueeze(1) for row in range(3))
     length, there = agents[..., 6].unsqueeze(1), agents[..., 7].unsqueeze(1)
     apart = (along - place_m.unsqueeze(-1)).abs() + (left - left_m.unsqueeze(-1)).abs()

@@ -7,18 +7,18 @@ from torch import Tensor
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.predictors import conditioning, decoding
-from deepmf_sumo.predictors.decoding import Pose
 from deepmf_sumo.predictors.densetnt import DenseTNT, Encoding, Goals
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.kinematics import Pose, pose_of
 from deepmf_sumo.predictors.marginal import Marginal
 
 _SHORTLIST = 64
-"""Goals of each reaction that may become modes: this halves the time to choose them."""
+"""Number of likeliest goals of each reaction that may become modes: this halves the time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConditionalPrediction:
-    """One agent at one moment: what does not depend on the given futures.
+    """One agent at one moment: everything that does not depend on the given futures.
 
     Attributes:
         encoding: of the scene. gain: added to the logits (see `decoding.gain`).
@@ -99,7 +99,7 @@ class Conditional:
 
         ``planner``: an automated planner drives the agent.
         """
-        pose = decoding.pose_of(view, agent_id)
+        pose = pose_of(view, agent_id)
         arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
         encoding = self.net.encode(decoding.as_batch(arrays))
         gain: Tensor | float = 0.0

@@ -74,7 +74,10 @@ class Preset:
         """The preset of a card. Raises WeightsError where a size is missing, unknown or wrong."""
         if not isinstance(record, dict):
             raise WeightsError(f"The sizes of the network are {record!r:.80}, which is no mapping.")
-        sizes = {str(k): tuple(v) if isinstance(v, list) else v for k, v in record.items()}
+        sizes: dict[str, Any] = {
+            str(key): tuple(value) if isinstance(value, list) else value
+            for key, value in record.items()
+        }
         try:
             return cls(**sizes)
         except ValidationError as error:

@@ -1,36 +1,34 @@
-"""Goals to trajectories: choice of modes, completion, combination of two networks' scores.
+"""Goals to trajectories: choice of modes, completion, combination of the scores of two networks.
 
-From hundreds of weighted dense goals to a few modes: k-medoids.
+Modes are chosen by k-medoids from hundreds of weighted dense goals, for K independent sets of N
+goals at once.
 
-K independent sets at once, N goals each.
-
-What a second network knows of a first one's goals: their scores as a product of experts.
-
-Both look at one vehicle in one view, so that their goals lie on the same paths; speed profiles and
-residuals may differ, hence goals are compared by how far along a path they end. After Hinton 2002,
-"Training products of experts by minimizing contrastive divergence", section 1.
+`gain` combines the goal scores of two networks as a product of experts (Hinton 2002, "Training
+products of experts by minimizing contrastive divergence", section 1). Both predict one vehicle in
+one view, so that their goals lie on the same paths; speed profiles and residuals may differ, so
+that goals are compared by how far along a path they end.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
+from deepmf_sumo.datatypes import Floats, Forecast, Futures
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors import anchors
 from deepmf_sumo.predictors.densetnt import Goals
 from deepmf_sumo.predictors.features import Features
+from deepmf_sumo.predictors.kinematics import Pose
 
 CAP_M: Final = 25.0
-"""Being farther away than this from all modes costs no more."""
+"""A larger distance to all modes costs no more than this one."""
 _SWAPS = 4
-"""Rounds in which the modes move to the medians of what is nearest to them."""
+"""Rounds in which each mode moves to the median of the goals that are nearest to it."""
 
 
 def select(
@@ -46,7 +44,7 @@ def select(
         probability: (K, N).
         ends_m: (K, N, 2) end points.
         modes: M, at most N.
-        shortlist: only that many likeliest goals may become modes.
+        shortlist: number of likeliest goals that may become modes; None: all.
 
     Raises RunError where there are fewer goals than modes.
 
@@ -69,9 +67,9 @@ def select(
 
 
 def _medoids(weight: Tensor, distance: Tensor, modes: int) -> Tensor:
-    """(K, M): each mode lowers the expected distance to the nearest mode as much as one can.
+    """(K, M) modes that lower the expected distance to the nearest mode.
 
-    Chosen greedily, and then moved together.
+    They are chosen greedily, and then moved together.
     """
     least = torch.full_like(weight, CAP_M)
     free = torch.ones_like(weight)
@@ -94,9 +92,9 @@ def _medoids(weight: Tensor, distance: Tensor, modes: int) -> Tensor:
 
 
 def _medians(weight: Tensor, distance: Tensor, chosen: Tensor) -> Tensor:
-    """(K, M): for each chosen goal the one with the least distance to all that are nearest to it.
+    """(K, M) for each mode the goal with the least distance to all goals nearest to the mode.
 
-    A goal that two have chosen is the nearest of the first: the second stays where it is.
+    If two modes chose one goal, it counts for the first; the second mode does not move.
     """
     modes, goals = chosen.shape[1], weight.shape[1]
     nearest = distance.gather(2, chosen.unsqueeze(1).expand(-1, goals, -1)).argmin(2)
@@ -112,27 +110,6 @@ def mass(probability: Tensor, ends_m: Tensor, modes_m: Tensor) -> Tensor:
     distance = torch.cdist(ends_m, modes_m, compute_mode="donot_use_mm_for_euclid_dist")
     share = torch.zeros(modes_m.shape[:2], dtype=probability.dtype, device=probability.device)
     return share.scatter_add_(1, distance.argmin(-1), probability)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pose:
-    """Where an agent is now: the frame of its features."""
-
-    agent_id: AgentId
-    position_m: Floats
-    heading_rad: float
-    speed_mps: float
-
-
-def pose_of(view: View, agent_id: AgentId) -> Pose:
-    """The agent's pose at the view's step. Raises KeyError if it is not in view."""
-    row = view.history.row(agent_id)
-    return Pose(
-        agent_id=agent_id,
-        position_m=view.history.position_m[row, -1],
-        heading_rad=float(view.history.heading_rad[row, -1]),
-        speed_mps=float(view.history.speed_mps[row, -1]),
-    )
 
 
 def as_batch(features: Features) -> dict[str, Tensor]:
@@ -151,9 +128,9 @@ def forecasts(
 ) -> list[Forecast]:
     """One forecast for each of the K given futures (one where there is none).
 
-    Modes are chosen, and their mass is taken, at the temperature: which few ends come nearest to
-    what may happen depends on how likely the tails are. They are chosen by where they are at 8 s,
-    or at the step ``chosen_at`` (0 to 79).
+    Modes and their mass are taken at the temperature, because the best few ends depend on how
+    likely the tails are. Modes are chosen by their positions at 8 s, or at the step ``chosen_at``
+    (0 to 79).
     """
     probability = (goals.logits[0].flatten(1) / temperature).softmax(-1)  # (K, N)
     ends = goals.ends()[0] if chosen_at is None else _all_at(goals, chosen_at)  # (K, N, 2)
@@ -175,7 +152,7 @@ def end_density(goals: Goals, pose: Pose, ends_m: Floats, kernel_m: float) -> Fl
 
     A Gaussian of width ``kernel_m`` stands on each goal: for comparing networks.
     """
-    local = _tensor(frames.to_local(ends_m, pose.position_m, pose.heading_rad))
+    local = _tensor(pose.to_local(ends_m))
     ends = goals.ends()[0, 0]  # (N, 2)
     score = goals.logits[0, 0].flatten().log_softmax(-1)
     square = torch.cdist(local, ends, compute_mode="donot_use_mm_for_euclid_dist") ** 2
@@ -198,7 +175,7 @@ def complete(goals: Goals, chosen: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _all_at(goals: Goals, step: int) -> Tensor:
-    """(K, N, 2) where all goals are at a step."""
+    """(K, N, 2) positions of all goals at a step."""
     _, futures, paths, profiles = goals.logits.shape
     every = torch.arange(paths * profiles).expand(futures, -1)
     return complete(goals, every)[0][:, :, step]
@@ -214,9 +191,8 @@ def to_scene(pose: Pose, position: Tensor, heading: Tensor) -> tuple[Floats, Flo
 
 def to_pose(pose: Pose, futures: Futures) -> tuple[Tensor, Tensor]:
     """Positions (1, K, F, 2) and headings (1, K, F) of futures in the pose's frame."""
-    local = frames.to_local(futures.position_m, pose.position_m, pose.heading_rad)
-    heading = frames.wrap(futures.heading_rad - pose.heading_rad)
-    return _tensor(local)[None], _tensor(heading)[None]
+    local = pose.to_local(futures.position_m)
+    return _tensor(local)[None], _tensor(pose.turn_rad(futures.heading_rad))[None]
 
 
 def _tensor(values: Floats) -> Tensor:
@@ -224,15 +200,15 @@ def _tensor(values: Floats) -> Tensor:
 
 
 _REACH_M: Final = 3.0
-"""Goals that end so far apart on a path are much alike (Laplace)."""
+"""Scale of the Laplace kernel over distance along a path."""
 
 
 def gain(alone: Goals, others: Sequence[Goals]) -> Tensor:
-    """(1, 1, P, R) by how much likelier others hold each goal than a network given nothing, nats.
+    """(1, 1, P, R) log of each goal's probability under others over that under a network, nats.
 
     Args:
-        alone: goals of the first network, given nothing (1, 1, P, R).
-        others: of each member of the second one (1, 1, P, R'), a mixture in equal parts.
+        alone: goals of the first network without condition (1, 1, P, R).
+        others: of each member of the second network (1, 1, P, R'), a mixture in equal parts.
     """
     end_m = _end(alone)
     known = torch.stack([_mass_near(each, end_m) for each in others]).logsumexp(0)
@@ -246,7 +222,7 @@ def _end(goals: Goals) -> Tensor:
 
 
 def _mass_near(goals: Goals, end_m: Tensor) -> Tensor:
-    """(P, Q) log mass of goals near ends (P, Q) on the same paths, but for a constant."""
+    """(P, Q) log mass of goals near ends (P, Q) on the same paths, up to a constant."""
     off = (end_m.unsqueeze(2) - _end(goals).unsqueeze(1)).abs() / _REACH_M  # (P, Q, R)
     score = goals.logits[0, 0].flatten().log_softmax(-1).view(goals.logits.shape[2:])
     return (score.unsqueeze(1) - off).logsumexp(-1)

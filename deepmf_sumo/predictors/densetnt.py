@@ -64,13 +64,13 @@ class Goals:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Encoding:
-    """A batch before any future is given; ``goals`` (B, P, R, H) lack what the target adds.
+    """A batch before any future is given; ``goals`` (B, P, R, H) are without the target's part.
 
     Attributes:
         paths: (B, P, 121, 2). exists: (B, P). along_m: (B, P, R, 80).
         elements, there: (B, E, H), (B, E) of VectorNet.
-        target, around: (B, 1, H) the vehicle, and what it attends to.
-        road: what a follower of cars looks at.
+        target, around: (B, 1, H) the vehicle, and the elements it attends to.
+        road: input of the car-following model.
         image: (B, C, S', S') of the blocks of VGG16 that all given futures share.
     """
 
@@ -90,7 +90,7 @@ class DenseTNT(nn.Module):
     """Scores and completes the dense goals of one vehicle; ``conditional`` takes given futures.
 
     Buffers ``profiles`` (13, R, 80) and ``prior`` (13, R) come from training data; a
-    conditional network has those of `anchors.BRAKING` besides, as the last six; ``widths``
+    conditional network also has those of `anchors.BRAKING`, as the last six; ``widths``
     (5, 2) are the log scales of the Laplace kernels along and across at the knots.
     """
 
@@ -146,7 +146,7 @@ class DenseTNT(nn.Module):
         return self.decode(self.encode(batch), given)
 
     def encode(self, batch: dict[str, Tensor]) -> Encoding:
-        """What does not depend on the given futures of a batch of `features.Features`."""
+        """The encoding of a batch of `features.Features`, which no given future changes."""
         batch = _trimmed(batch)
         paths, speed = batch["paths"], batch["motion"][:, 0]
         along = anchors.profiles_at(self.profiles, speed)  # (B, R, 80)
@@ -214,7 +214,7 @@ class DenseTNT(nn.Module):
 
         ``position_m`` (B, K, 5, 2) are true positions, ``valid`` (B, K, 5) which of them count.
         """
-        # Each axis by itself, goals and knots in rows: thrice as fast as vectors of two.
+        # Each axis by itself, goals and knots in rows: three times as fast as vectors of two.
         centre, tangent = goals.at_knots()
         goal_x, goal_y = centre.flatten(2, 3).unbind(-1)  # (B, K', N, 5)
         cos, sin = (each.contiguous() for each in tangent.flatten(2, 3).unbind(-1))
@@ -229,7 +229,7 @@ class DenseTNT(nn.Module):
         return (score + fit).view(*fit.shape[:2], *goals.logits.shape[2:])
 
     def _lines(self, batch: dict[str, Tensor], elements: Tensor, there: Tensor) -> Tensor:
-        """(B, P, H) features of the paths: shape, what stands on them, surroundings, each other."""
+        """(B, P, H) features of the paths: shape, agents on them, surroundings, each other."""
         paths, info = batch["paths"], batch["path_info"]
         valid = info[..., 0] > 0
         bend = torch.nn.functional.pad(anchors.curvature(paths), (1, 1))
@@ -262,7 +262,7 @@ class DenseTNT(nn.Module):
         return torch.cat([target * (1 + scale) + shift, scene.around + aware, picture], -1)
 
     def _motion(self, motion: Tensor) -> Tensor:
-        """(B, 7) of `features.Features`, scaled; when a planner took over only if it is asked."""
+        """(B, 7) of `features.Features`, scaled; take-over times only for reactive networks."""
         scaled = motion * motion.new_tensor([1 / 15, 0.5, 2, 0.2, 0.5, 1, 1])
         if not self.preset.reactive:
             scaled[:, 6].clamp_(max=1.0)
@@ -285,7 +285,7 @@ class DenseTNT(nn.Module):
         return picture.view(-1, count, self.preset.hidden)
 
     def _nothing_given(self, target: Tensor) -> Condition:
-        """The condition that says nothing: one future per scene, switched off."""
+        """The empty condition: one future for each scene, switched off."""
         size = len(target)
         position = target.new_zeros(size, 1, 80, 2)
         heading = target.new_zeros(size, 1, 80)

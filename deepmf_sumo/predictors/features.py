@@ -1,4 +1,4 @@
-"""Vector features around one vehicle, in its own frame: positions, headings and velocities alike.
+"""Vector features around one vehicle: all positions, headings and velocities in its frame.
 
 Arrays are in metres and seconds; the networks scale them. `Features` names them, with shapes.
 """
@@ -12,6 +12,7 @@ from deepmf_sumo.datatypes import HISTORY_STEPS, Bools, Floats, Ints, View
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.kinematics import Pose, pose_of
 from deepmf_sumo.predictors.lanes import RoadIndex, road_index
 from deepmf_sumo.predictors.paths import NODE_SPACING_M, PathSet, path_set, signal_colour
 
@@ -20,10 +21,10 @@ AGENTS: Final = NEIGHBOURS + 1
 LANES: Final = 48
 PATH_AGENTS: Final = 8
 MEANING: Final = 2
-"""Counts changes of what the numbers mean: kept features of another meaning are of no use."""
+"""Version of the features' meaning: cached features of another version are not used."""
 
 Features = dict[str, NDArray[np.float32] | NDArray[np.uint8]]
-"""What a trajectory network reads of one vehicle:
+"""Input of a trajectory network for one vehicle:
 
 ===========  ============== ====================================================================
 agents       (25, 11, 7)    x, y, cos, sin, vx, vy, valid; row 0 is the vehicle itself
@@ -49,19 +50,17 @@ def features(
 ) -> tuple[Features, PathSet]:
     """Features of one agent, and its paths. Raises KeyError for an agent that is not in view.
 
-    ``planner`` says that an automated planner drives it, which reacts otherwise than people do.
+    ``planner``: an automated planner drives it, which reacts differently from people.
     """
     index = road_index(view.road)
     tracks = view.history
-    row = tracks.row(agent_id)
-    origin = tracks.position_m[row, -1]
-    heading = float(tracks.heading_rad[row, -1])
-    speed = float(tracks.speed_mps[row, -1])
+    row, pose = tracks.row(agent_id), pose_of(view, agent_id)
     near = nearest_agents(view, row, NEIGHBOURS)
-    agents, agent_info = agent_arrays(view, near, AGENTS, origin, heading)
-    lanes, lane_info = lane_arrays(view, index, origin, heading, speed, LANES)
+    agents, agent_info = agent_arrays(view, near, AGENTS, pose)
+    lanes, lane_info = lane_arrays(view, index, LANES, pose)
     z_m = float(tracks.z_m[row, -1])
-    paths = path_set(index, origin, heading, speed, view.signals, z_m)
+    place = pose.position_m, pose.heading_rad, pose.speed_mps
+    paths = path_set(index, *place, view.signals, z_m)
     driver = 1.0 + view.av_recorded_steps / (HISTORY_STEPS - 1) if planner else 0.0
     motion = np.append(_motion(view, row), driver)
     arrays: Features = {
@@ -75,8 +74,7 @@ def features(
         "motion": motion.astype(np.float32),
     }
     if preset.raster:
-        image = raster.draw(view, index, row, preset, origin, heading)
-        arrays["raster"] = raster.pack(image)
+        arrays["raster"] = raster.pack(raster.draw(view, index, preset, pose))
     return arrays, paths
 
 
@@ -88,19 +86,16 @@ def nearest_agents(view: View, row: int, count: int) -> Ints:
     return np.argsort(square, kind="stable")[: count + 1]
 
 
-def agent_arrays(
-    view: View, rows: Ints, size: int, origin_m: Floats, heading_rad: float
-) -> tuple[Floats, Floats]:
+def agent_arrays(view: View, rows: Ints, size: int, pose: Pose) -> tuple[Floats, Floats]:
     """(size, 11, 7) and (size, 8), see `Features`; rows beyond the agents are zero."""
     tracks = view.history
     states = np.zeros((size, HISTORY_STEPS, 7))
     info = np.zeros((size, 8))
     count = len(rows)
-    turn = frames.wrap(tracks.heading_rad[rows] - heading_rad)
     valid = tracks.valid[rows][..., None]
-    states[:count, :, 0:2] = frames.to_local(tracks.position_m[rows], origin_m, heading_rad)
-    states[:count, :, 2:4] = frames.unit(turn)
-    states[:count, :, 4:6] = frames.rotate(tracks.velocity_mps[rows], -heading_rad)
+    states[:count, :, 0:2] = pose.to_local(tracks.position_m[rows])
+    states[:count, :, 2:4] = frames.unit(pose.turn_rad(tracks.heading_rad[rows]))
+    states[:count, :, 4:6] = pose.vectors(tracks.velocity_mps[rows])
     states[:count] *= valid
     states[:count, :, 6] = valid[..., 0]
     info[:count, 0:2] = tracks.size_m[rows, :2]
@@ -110,16 +105,16 @@ def agent_arrays(
     return states, info
 
 
-def lane_arrays(
-    view: View, index: RoadIndex, origin_m: Floats, heading_rad: float, speed_mps: float, size: int
-) -> tuple[Floats, Floats]:
+def lane_arrays(view: View, index: RoadIndex, size: int, pose: Pose) -> tuple[Floats, Floats]:
     """(size, 10, 2) and (size, 10): the pieces nearest to a point two seconds ahead."""
     pieces, info = np.zeros((size, 10, 2)), np.zeros((size, 10))
-    focus = origin_m + 2 * speed_mps * frames.unit(heading_rad)
+    focus = pose.position_m + 2 * pose.speed_mps * frames.unit(pose.heading_rad)
     square = ((index.piece_m[:, 5] - focus) ** 2).sum(-1)
-    rows = np.argsort(square, kind="stable")[:size]
+    farthest = np.partition(square, size)[size] if len(square) > size else np.inf
+    near = np.flatnonzero(square <= farthest)  # a city has many pieces to sort
+    rows = near[np.argsort(square[near], kind="stable")[:size]]
     count = len(rows)
-    pieces[:count] = frames.to_local(index.piece_m[rows], origin_m, heading_rad)
+    pieces[:count] = pose.to_local(index.piece_m[rows])
     info[:count, 0:4] = index.piece_kind[rows]
     info[:count, 4] = index.limit_mps[index.piece_lane[rows]]
     info[:count, 9] = 1.0

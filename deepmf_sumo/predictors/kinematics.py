@@ -1,11 +1,11 @@
-"""Relations of vehicles to the AV by their motion alone: poses, ways at constant motion, ranks."""
+"""Poses and motions of vehicles now, and features of vehicles that follow from these alone."""
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import HISTORY_STEPS, Bools, Floats, Ints, View
+from deepmf_sumo.datatypes import HISTORY_STEPS, AgentId, Bools, Floats, Ints, View
 from deepmf_sumo.geometry import frames
 
 MOTION: Final = 34
@@ -20,6 +20,39 @@ _BACK_STEPS = 5
 _MOST_YAW_RPS, _MOST_GAIN_MPS2 = 0.8, 5.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Where an agent is now: the frame of its features."""
+
+    agent_id: AgentId
+    position_m: Floats
+    heading_rad: float
+    speed_mps: float
+
+    def to_local(self, points_m: Floats) -> Floats:
+        """Points (..., 2) of the scene in the agent's frame."""
+        return frames.to_local(points_m, self.position_m, self.heading_rad)
+
+    def vectors(self, vectors: Floats) -> Floats:
+        """Vectors (..., 2) of the scene in the agent's frame."""
+        return frames.rotate(vectors, -self.heading_rad)
+
+    def turn_rad(self, heading_rad: Floats) -> Floats:
+        """Headings (...) of the scene in the agent's frame."""
+        return frames.wrap(heading_rad - self.heading_rad)
+
+
+def pose_of(view: View, agent_id: AgentId) -> Pose:
+    """The agent's pose at the view's step. Raises KeyError if it is not in view."""
+    row = view.history.row(agent_id)
+    return Pose(
+        agent_id=agent_id,
+        position_m=view.history.position_m[row, -1],
+        heading_rad=float(view.history.heading_rad[row, -1]),
+        speed_mps=float(view.history.speed_mps[row, -1]),
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
     """Motion of V vehicles now, in the AV's frame; the AV is the first.
@@ -27,7 +60,8 @@ class Motion:
     Attributes:
         position_m, velocity_mps: (V, 2). heading_rad, speed_mps: (V).
         gain_mps2, yaw_rps: (V) change of speed and heading over the last half second.
-        moved_m: (V) way from the first step known of the last second. seen: (V) share of its steps.
+        moved_m: (V) distance to the first known position of the last second. seen: (V) share of its
+            steps in which the vehicle is known.
         size_m: (V, 2) length, width.
     """
 
@@ -50,8 +84,7 @@ class Motion:
 def motion_of(view: View, rows: Ints) -> Motion:
     """Motion of the given rows of the view, the AV's first."""
     tracks = view.history
-    origin = tracks.position_m[rows[0], -1]
-    heading = float(tracks.heading_rad[rows[0], -1])
+    pose = pose_of(view, tracks.ids[rows[0]])
     valid = tracks.valid[rows]
     first = valid.argmax(1)
     recent = valid.copy()
@@ -63,9 +96,9 @@ def motion_of(view: View, rows: Ints) -> Motion:
     turned = frames.difference(tracks.heading_rad[rows, -1], tracks.heading_rad[rows, back])
     apart = tracks.position_m[rows, -1] - tracks.position_m[rows, first]
     return Motion(
-        position_m=frames.to_local(tracks.position_m[rows, -1], origin, heading),
-        velocity_mps=frames.rotate(tracks.velocity_mps[rows, -1], -heading),
-        heading_rad=frames.wrap(tracks.heading_rad[rows, -1] - heading),
+        position_m=pose.to_local(tracks.position_m[rows, -1]),
+        velocity_mps=pose.vectors(tracks.velocity_mps[rows, -1]),
+        heading_rad=pose.turn_rad(tracks.heading_rad[rows, -1]),
         speed_mps=speed[:, -1],
         gain_mps2=np.clip(
             (speed[:, -1] - speed[each, back]) / seconds, -_MOST_GAIN_MPS2, _MOST_GAIN_MPS2
@@ -78,7 +111,7 @@ def motion_of(view: View, rows: Ints) -> Motion:
 
 
 def motion_columns(motion: Motion) -> Floats:
-    """(V - 1, 34) of everybody but the AV: pose, motion, the AV seen from there, the AV's own."""
+    """(V - 1, 34) of all but the AV: pose, motion, the AV in its frame, the AV's motion."""
     x, y = motion.position_m[1:].T
     vx, vy = motion.velocity_mps[1:].T
     ego_speed = motion.speed_mps[0]
@@ -106,19 +139,19 @@ def motion_columns(motion: Motion) -> Floats:
 
 
 def constant_columns(motion: Motion) -> Floats:
-    """(V - 1, 18) how near ways at constant velocity, and at constant turn and gain, come.
+    """(V - 1, 18) closest approach at constant velocity, and at constant turn and acceleration.
 
-    Six of each: least distance at one time and when, least distance of the ways at any two times
-    and both times, and the difference. Then six of the headings' rays: whether each lies ahead of
-    the other's ray, and how far along both the rays cross.
+    Six of each: least distance at the same time and that time, least distance of the paths at any
+    two times, both times and their difference. Then six of the lines along both headings: distances
+    and times until they cross, their difference, and whether they cross ahead of both.
     """
-    straight = _ways(motion, np.zeros(len(motion.speed_mps)), np.zeros(len(motion.speed_mps)))
-    turning = _ways(motion, motion.gain_mps2, motion.yaw_rps)
+    straight = _paths(motion, np.zeros(len(motion.speed_mps)), np.zeros(len(motion.speed_mps)))
+    turning = _paths(motion, motion.gain_mps2, motion.yaw_rps)
     return np.concatenate([_nearest(straight), _nearest(turning), _rays(motion)], axis=1)
 
 
-def _ways(motion: Motion, gain_mps2: Floats, yaw_rps: Floats) -> Floats:
-    """(V, 17, 2) positions over 8 s; gain acts for 2 s, turning for 4 s."""
+def _paths(motion: Motion, gain_mps2: Floats, yaw_rps: Floats) -> Floats:
+    """(V, 17, 2) positions over 8 s; acceleration acts for 2 s, turning for 4 s."""
     time = _TIMES_S[None]
     speed = np.maximum(motion.speed_mps[:, None] + gain_mps2[:, None] * np.minimum(time, 2.0), 0.0)
     course = motion.heading_rad[:, None] + yaw_rps[:, None] * np.minimum(time, 4.0)
@@ -127,14 +160,14 @@ def _ways(motion: Motion, gain_mps2: Floats, yaw_rps: Floats) -> Floats:
     slip = np.where(moves, frames.difference(drift, motion.heading_rad), 0.0)
     step = 0.5 * (speed[:, 1:] + speed[:, :-1]) * np.diff(time)
     middle = 0.5 * (course[:, 1:] + course[:, :-1]) + slip[:, None]
-    ways = np.zeros((len(speed), len(_TIMES_S), 2))
-    ways[:, 1:] = np.cumsum(step[..., None] * frames.unit(middle), axis=1)
-    return ways + motion.position_m[:, None]
+    paths = np.zeros((len(speed), len(_TIMES_S), 2))
+    paths[:, 1:] = np.cumsum(step[..., None] * frames.unit(middle), axis=1)
+    return paths + motion.position_m[:, None]
 
 
-def _nearest(ways: Floats) -> Floats:
-    """(V - 1, 6) of each way against the first, see `constant_columns`."""
-    own, ego = ways[1:], ways[0]
+def _nearest(paths: Floats) -> Floats:
+    """(V - 1, 6) of each path and the first one, see `constant_columns`."""
+    own, ego = paths[1:], paths[0]
     same = np.linalg.norm(own - ego, axis=-1)
     apart = np.linalg.norm(own[:, :, None] - ego, axis=-1).reshape(len(own), -1)
     when = apart.argmin(1)
@@ -150,7 +183,7 @@ def _nearest(ways: Floats) -> Floats:
 
 
 def _rays(motion: Motion) -> Floats:
-    """(V - 1, 6) where the lines along both headings cross, in metres and seconds of each."""
+    """(V - 1, 6) crossing of the lines along both headings, in metres and seconds of each."""
     x, y = motion.position_m[1:].T
     sin, cos = np.sin(motion.heading_rad[1:]), np.cos(motion.heading_rad[1:])
     parallel = np.abs(sin) < 0.1
@@ -169,5 +202,5 @@ def _rays(motion: Motion) -> Floats:
 
 
 def rank(values: Floats) -> Floats:
-    """Logarithm of one plus each value's rank, the least first."""
+    """Logarithm of one plus the rank of each value; the least value has rank 0."""
     return np.log1p(values.argsort(kind="stable").argsort(kind="stable"))

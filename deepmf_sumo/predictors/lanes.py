@@ -1,4 +1,4 @@
-"""Look-up of lanes: the nearest points of lanes to poses, and sequences of lanes ahead."""
+"""Lanes as features need them: nearest points to a pose, sequences of lanes ahead, drawn points."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,7 +22,7 @@ ROAD_CHANNELS = (
 
 
 class Foot(NamedTuple):
-    """Where a pose stands on a lane; ``left_m`` is the signed offset, left of the lane positive."""
+    """The nearest point of a lane to a pose; ``left_m`` is the pose's offset to the left."""
 
     lane: int
     along_m: float
@@ -211,7 +211,7 @@ _PASSED_M = 3.0
 def lane_sequences(
     index: RoadIndex, lane: int, along_m: float, depth_m: float, most: int
 ) -> list[tuple[int, ...]]:
-    """At most so many sequences of lanes from a place on a lane, each as deep as wanted."""
+    """At most ``most`` sequences of lanes from a point of a lane, ``depth_m`` long if possible."""
     found: list[tuple[int, ...]] = []
     stack: list[tuple[tuple[int, ...], float]] = [((lane,), float(index.length_m[lane]) - along_m)]
     while stack and len(found) < most:
@@ -227,7 +227,7 @@ def lane_sequences(
 def first_signal(
     index: RoadIndex, lanes: tuple[int, ...], along_m: float, signals: dict[str, SignalState]
 ) -> tuple[float, SignalState] | None:
-    """Distance to the first signal that is not behind, and its state."""
+    """Distance to the first signal that is not behind the vehicle, and its state."""
     start = -along_m
     for lane in lanes:
         state = signals.get(index.lane_ids[lane])

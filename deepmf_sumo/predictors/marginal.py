@@ -1,9 +1,8 @@
 """The marginal predictor: futures of a vehicle from the past alone, as a mixture of modes.
 
-Networks that were trained alike but for the seed, as one: a mixture in equal parts.
-
-What one of them misses another often has: Lakshminarayanan et al. 2017, "Simple and scalable
-predictive uncertainty estimation using deep ensembles", section 2.4.
+Several members, networks that differ in the seed of their training, form a mixture in equal parts:
+Lakshminarayanan et al. 2017, "Simple and scalable predictive uncertainty estimation using deep
+ensembles", section 2.4.
 """
 
 from collections.abc import Sequence
@@ -16,16 +15,16 @@ from torch import Tensor
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.predictors import decoding
 from deepmf_sumo.predictors.anchors import KNOT_STEPS
-from deepmf_sumo.predictors.decoding import Pose
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import Features, features
+from deepmf_sumo.predictors.kinematics import Pose, pose_of
 
 
 def pooled(members: Sequence[Goals]) -> Goals:
-    """All goals of all members as those of one network; those of one member as they are.
+    """The goals of all members as goals of one network; those of a single member unchanged.
 
     The logits become log probabilities within each member, so that every member has the same mass.
-    Members follow one another along the paths; they need the same number of profiles.
+    Members are joined along the axis of paths; they need the same number of profiles.
     """
     if len(members) == 1:
         return members[0]
@@ -44,9 +43,9 @@ def log_density(
     position_m: Tensor,
     valid: Tensor,
 ) -> Tensor:
-    """(B, K) log density of true positions at the knots, as `DenseTNT.log_density` has them.
+    """(B, K) log density of true positions at the knots, see `DenseTNT.log_density`.
 
-    The pooled goals have the temperature, and each member's goals the kernels of that member.
+    The temperature applies to the pooled goals; each member's goals have that member's kernels.
     """
     warm = [
         replace(goals, logits=logits / temperature)
@@ -61,14 +60,14 @@ def log_density(
 
 
 def _of_equal_mass(members: Sequence[Goals]) -> list[Tensor]:
-    """Logits of each member, so that all have the same mass; those of one as they are."""
+    """Logits of each member, normalised to the same mass; those of a single one unchanged."""
     if len(members) == 1:
         return [members[0].logits]
     return [goals.logits.flatten(2).log_softmax(-1).view_as(goals.logits) for goals in members]
 
 
 _SHORTLIST: Final = 256
-"""Goals that may become modes: of one network seldom fewer than all, of two half of the time."""
+"""Number of likeliest goals that may become modes: nearly always all goals of one network."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +152,7 @@ class Marginal:
 
         ``arrays`` are its features, if they have been computed for another network.
         """
-        pose = decoding.pose_of(view, agent_id)
+        pose = pose_of(view, agent_id)
         if arrays is None:
             arrays, _ = features(view, agent_id, self.net.preset)
         batch = decoding.as_batch(arrays)

@@ -15,7 +15,8 @@ from deepmf_sumo.predictors.features import Features, agent_arrays, lane_arrays
 from deepmf_sumo.predictors.kinematics import CONSTANT, MOTION, Motion, rank
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.raster import unpack
-from deepmf_sumo.predictors.routes import LANES, MEETING, PLACE, lane_columns, on_lanes
+from deepmf_sumo.predictors.route_relations import LANES, MEETING, PLACE, lane_columns
+from deepmf_sumo.predictors.routes import on_lanes
 from deepmf_sumo.predictors.vectornet import VectorNet
 from deepmf_sumo.predictors.vgg import VGG16
 
@@ -31,13 +32,13 @@ _ON_LANE_M, _ALONG_LANE_RAD = 2.0, np.deg2rad(45.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """Who is around the AV.
+    """The agents around the AV.
 
     Attributes:
         rows: rows of the view: the AV, the vehicles within 80 m, nearest first, then others.
-        vehicles: how many vehicles there are.
-        parked: (vehicles) who has not moved in the history and stands off the lanes, or across
-            them. Who waits on a lane may well attack.
+        vehicles: number of these vehicles.
+        parked: (vehicles) has not moved in the history and stands off the lanes, or across them. A
+            vehicle that waits on a lane may well attack.
     """
 
     rows: Ints
@@ -69,7 +70,7 @@ def surroundings(view: View) -> Surroundings:
 def opponent_features(
     view: View, preset: Preset, *, known_s: float = 8.0, stands_in: bool = False
 ) -> tuple[Features, Surroundings]:
-    """Arrays around the AV, and whom they are about.
+    """Arrays around the AV, and the agents in them.
 
     Keys: pair (63, 112) and vehicle (63) 1 for slots that hold a vehicle, which come first. With
     the preset's vectors: agents (64, 11, 7), agent_info (64, 8), the AV first, then the slots;
@@ -78,8 +79,8 @@ def opponent_features(
     Args:
         view: of the present.
         preset: of the network.
-        known_s: time ahead that the labels look at, told to the network.
-        stands_in: the AV of this view is another vehicle of the recording: it saw less.
+        known_s: time ahead from which the labels are made, a feature.
+        stands_in: the AV of this view is another vehicle of the recording: it observed less.
     """
     around = surroundings(view)
     pair, vehicle = np.zeros((OTHERS, PAIR)), np.zeros(OTHERS)
@@ -87,20 +88,15 @@ def opponent_features(
     if around.vehicles:
         pair[: around.vehicles] = _pairs(view, around, known_s, stands_in)
     arrays: Features = {"pair": pair.astype(np.float32), "vehicle": vehicle.astype(np.float32)}
-    index, av = road_index(view.road), int(around.rows[0])
-    origin = view.history.position_m[av, -1]
-    heading = float(view.history.heading_rad[av, -1])
+    index, pose = road_index(view.road), kinematics.pose_of(view, view.av_id)
     if preset.vectors:
-        speed = float(view.history.speed_mps[av, -1])
-        agents, info = agent_arrays(view, around.rows, OTHERS + 1, origin, heading)
-        lanes, lane_info = lane_arrays(view, index, origin, heading, speed, 48)
+        agents, info = agent_arrays(view, around.rows, OTHERS + 1, pose)
+        lanes, lane_info = lane_arrays(view, index, 48, pose)
         arrays["agents"], arrays["agent_info"] = agents.astype(np.float32), info.astype(np.float32)
-        arrays["lanes"], arrays["lane_info"] = (
-            lanes.astype(np.float32),
-            lane_info.astype(np.float32),
-        )
+        arrays["lanes"] = lanes.astype(np.float32)
+        arrays["lane_info"] = lane_info.astype(np.float32)
     if preset.raster:
-        arrays["raster"] = raster.pack(raster.draw(view, index, av, preset, origin, heading))
+        arrays["raster"] = raster.pack(raster.draw(view, index, preset, pose))
     return arrays, around
 
 
@@ -119,7 +115,7 @@ def _parked(view: View, rows: Ints) -> Bools:
 
 
 def _pairs(view: View, around: Surroundings, known_s: float, stands_in: bool) -> Floats:
-    """(V, 112) by motion, at constant motion, along the lanes; ranks (7), parked, the rest (2)."""
+    """(V, 112) motion, constant motion, lanes, ranks (7), parked, stands in, known time."""
     rows = around.rows[: around.vehicles + 1]
     motion = kinematics.motion_of(view, rows)
     constant = kinematics.constant_columns(motion)
@@ -135,7 +131,7 @@ def _pairs(view: View, around: Surroundings, known_s: float, stands_in: bool) ->
 
 
 def _ranks(motion: Motion, constant: Floats, lanes: Floats) -> Floats:
-    """(V, 7) each vehicle's place in the order by several measures of nearness."""
+    """(V, 7) each vehicle's rank by several measures of nearness."""
     distance = np.hypot(*motion.position_m[1:].T)
     meeting = lanes[:, MEETING]
     late = meeting[:, 0] + np.maximum(meeting[:, 3], meeting[:, 4])
@@ -153,7 +149,7 @@ _RARE = -2.3
 """log(.09 / .91): the share of positive vehicles, where training starts."""
 _DROPOUT = 0.2
 _SCENE_DROPOUT = 0.5
-"""More on what comes from the whole scene: there are few scenes to learn it from."""
+"""Of the scene's features, which few scenes have to teach."""
 _HEADS = 4
 _MOST_DEVIATIONS = 4.0
 
@@ -194,7 +190,7 @@ class Block(nn.Module):
 
 
 class Member(nn.Module):
-    """Pair features and the scene's -> two logits of each vehicle."""
+    """Pair features and scene features -> two logits of each vehicle."""
 
     def __init__(self, hidden: int) -> None:
         super().__init__()
@@ -223,8 +219,8 @@ class OpponentNet(nn.Module):
     """VectorNet and VGG16 around the AV, then MLP and FC for each vehicle; two heads.
 
     The first head learns the paper's pseudo-labels, the second which vehicle is the labelled
-    interacting partner. What decides is each vehicle's relation to the AV (`opponent_features`),
-    so the residual path begins there, and what the two encoders find is added to it.
+    interaction partner. Each vehicle's relation to the AV (`opponent_features`) matters most, so
+    the residual path starts with it, and the outputs of the two encoders are added.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -295,7 +291,7 @@ class Opponent:
     def score(self, view: View, *, everyone: bool = False) -> OpponentScores:
         """Logits of both heads for vehicles within 80 m, nearest first.
 
-        Parked vehicles are left out, as they cannot attack, but with ``everyone``.
+        Parked vehicles, which cannot attack, are left out unless ``everyone`` is set.
         """
         arrays, around = opponent_features(view, self.net.preset)
         keep = np.flatnonzero(everyone | ~around.parked)

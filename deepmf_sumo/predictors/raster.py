@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.datatypes import Bytes, Floats, Ints, SignalState, Tracks, View
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.datatypes import AgentId, Bytes, Floats, Ints, SignalState, Tracks, View
 from deepmf_sumo.predictors.config import AGENT_CLASSES, Preset
+from deepmf_sumo.predictors.kinematics import Pose
 from deepmf_sumo.predictors.lanes import RoadIndex
 from deepmf_sumo.predictors.paths import signal_colour
 
@@ -25,29 +25,26 @@ _SEVEN = {
 }  # fmt: skip
 
 
-def draw(
-    view: View, index: RoadIndex, row: int, preset: Preset, origin_m: Floats, heading_rad: float
-) -> Bytes:
-    """(C, pixels, pixels) of 0 and 1 around the pose of agent ``row``."""
+def draw(view: View, index: RoadIndex, preset: Preset, pose: Pose) -> Bytes:
+    """(C, pixels, pixels) of 0 and 1 around the pose of an agent of the view."""
     side = preset.raster_pixels
     image = np.zeros((preset.raster_channels, side, side), np.uint8)
     tracks = view.history
-    groups = _classes(tracks, row, view.av_id)
+    groups = _classes(tracks, pose.agent_id, view.av_id)
     for number, step in enumerate(preset.raster_frames):
         seen = np.flatnonzero(tracks.valid[:, step])
         points = _box_points(tracks, seen, step)
-        local = frames.to_local(points, origin_m, heading_rad)
+        local = pose.to_local(points)
         channel = groups[seen] * len(preset.raster_frames) + number
         _set(image, local.reshape(-1, 2), np.repeat(channel, len(_BOX)), preset)
     base = len(AGENT_CLASSES) * len(preset.raster_frames)
-    local = frames.to_local(index.pixel_m, origin_m, heading_rad)
-    _set(image, local, base + index.pixel_channel, preset)
-    _signals(image, view, index, preset, origin_m, heading_rad)
+    _set(image, pose.to_local(index.pixel_m), base + index.pixel_channel, preset)
+    _signals(image, view, index, preset, pose)
     return image
 
 
 def pack(image: Bytes) -> Bytes:
-    """The image as bits, for the cache."""
+    """The image as bits, for the cache of features."""
     return np.packbits(image.reshape(-1))
 
 
@@ -98,11 +95,11 @@ def draw_future(position_m: Tensor, preset: Preset) -> Tensor:
     return image.reshape(batch * futures, channels, side, side)
 
 
-def _classes(tracks: Tracks, row: int, av_id: str) -> Ints:
-    """(A) 0 the target, 1 vehicles, 2 everybody else, 3 the AV."""
+def _classes(tracks: Tracks, target_id: AgentId, av_id: AgentId) -> Ints:
+    """(A) 0 the target, 1 vehicles, 2 all other agents, 3 the AV."""
     groups = np.array([1 if kind == "vehicle" else 2 for kind in tracks.kinds], np.int64)
     groups[tracks.row(av_id)] = 3
-    groups[row] = 0
+    groups[tracks.row(target_id)] = 0
     return groups
 
 
@@ -124,9 +121,7 @@ def _set(image: Bytes, local_m: Floats, channel: Ints, preset: Preset) -> None:
     image[channel[inside], pixel[inside, 0], pixel[inside, 1]] = 1
 
 
-def _signals(
-    image: Bytes, view: View, index: RoadIndex, preset: Preset, origin_m: Floats, heading_rad: float
-) -> None:
+def _signals(image: Bytes, view: View, index: RoadIndex, preset: Preset, pose: Pose) -> None:
     """The first metres of each lane with a signal, in the channel of its state."""
     base = preset.raster_channels - preset.raster_signals
     for lane_id, state in view.signals.items():
@@ -135,5 +130,5 @@ def _signals(
         number = _SEVEN.get(state, 6) if preset.raster_signals == 7 else signal_colour(state)
         if number < preset.raster_signals:
             line = index.map.line_m[index.map.row[lane_id]]
-            local = frames.to_local(line[:6], origin_m, heading_rad)
+            local = pose.to_local(line[:6])
             _set(image, local, np.full(len(local), base + number), preset)

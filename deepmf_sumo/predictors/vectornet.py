@@ -10,7 +10,7 @@ LANE_VECTOR = 16
 POSITION_SCALE_M = 30.0
 SPEED_SCALE_MPS = 15.0
 _UNSEEN = -1e4
-"""Score of what is not there: its share is zero, and stays defined where nothing is there."""
+"""Score of missing elements: their share is zero, and defined even if all are missing."""
 
 
 class SubGraph(nn.Module):

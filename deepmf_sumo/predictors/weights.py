@@ -1,12 +1,12 @@
 """Sets of weights: a folder with a tensor file and a card for each network.
 
-Every set holds the three networks of the paper; STRIVE's motion prior is one more, loaded where it
-is asked for. The marginal network may have several members, each in files of its own
+Every set contains the three networks of the paper. STRIVE's motion prior is optional, and loaded
+only by that baseline. The marginal network may have several members, each in its own files
 (``marginal``, ``marginal-2``, ...): the card of the first one lists them under ``members``, with
 the temperature of their mixture.
 
-A card has the digest of its tensor file: a file that was changed, or belongs to another card, is
-refused. Cards of earlier versions have none; they are counted (`unchecked`) and said.
+A card contains the digest of its tensor file: a file that was changed, or belongs to another card,
+is refused. Cards of earlier versions have none; `load` warns of them (`unchecked`).
 
 ``open`` is part of the package. Other names are looked up in ``$DEEPMF_SUMO_HOME/weights`` and in
 ``.weights`` of the working directory; a path to a folder works as well.
@@ -39,12 +39,12 @@ from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 
 Network = Literal["opponent", "marginal", "conditional", "strive"]
 NETWORKS: Final[tuple[Network, ...]] = ("opponent", "marginal", "conditional")
-"""Those of the paper, which every set holds."""
+"""Networks of the paper, which every set contains."""
 BASELINES: Final[tuple[Network, ...]] = ("strive",)
-"""Those that single baselines need: a set may be without them."""
+"""Networks of single baselines, which a set may lack."""
 FORMAT_VERSION: Final = 1
 DIGEST: Final = "tensors_sha256"
-"""Of the tensor file, in the card."""
+"""Key of a card: the digest of its tensor file."""
 _LARGEST_CARD: Final = 2**20
 _LARGEST_TENSORS: Final = 2**30
 _MOST_MEMBERS: Final = 64
@@ -56,7 +56,7 @@ _TEMPERATURES: Final[dict[Network, tuple[str, ...]]] = {
     "conditional": ("temperature",),
     "strive": (),
 }
-"""Numbers above 0, up to 1e6, in a network's card."""
+"""Keys of a network's card whose values are numbers above 0, at most 1e6."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,10 +111,8 @@ def members(folder: Path, card: dict[str, Any]) -> list[str | None]:
     listed = card["members"]
     right = isinstance(listed, list) and all(isinstance(one, dict) for one in listed)
     if not (right and 0 < len(listed) <= _MOST_MEMBERS):
-        raise WeightsError(
-            f"{folder / 'marginal.json'} has members {str(listed)[:80]!r}; it must be a list of"
-            f" 1 to {_MOST_MEMBERS} trained networks; {_again(folder, 'marginal')}."
-        )
+        what = f"marginal.json has members {str(listed)[:80]!r}; it must be a list of"
+        raise _broken(folder, "marginal", f"{what} 1 to {_MOST_MEMBERS} trained networks")
     return [one.get("training_digest") for one in listed]
 
 
@@ -221,26 +219,22 @@ def read_card(folder: Path, network: str) -> dict[str, Any]:
     """The card of one network or `member`. Raises WeightsError where it is missing or no card."""
     file = folder / f"{network}.json"
     try:
-        card: dict[str, Any] = json.loads(files_module.content(file, _LARGEST_CARD))
+        card: Any = json.loads(files_module.content(file, _LARGEST_CARD))
+        why = "" if isinstance(card, dict) else "no mapping"
     except FileNotFoundError:
-        raise WeightsError(_missing(folder, file)) from None
+        raise _missing(folder, file) from None
     except OSError as error:
         why = files_module.reason(error)
-        raise WeightsError(f"{file} is not a card ({why}); {_again(folder, network)}.") from None
     except ValueError as error:
         why = f"{error}"[:200]
-        raise WeightsError(f"{file} is not a card ({why}); {_again(folder, network)}.") from None
     except RecursionError:
         why = "nested too deeply"
-        raise WeightsError(f"{file} is not a card ({why}); {_again(folder, network)}.") from None
-    if not isinstance(card, dict):
-        raise WeightsError(f"{file} is not a card (no mapping); {_again(folder, network)}.")
+    if why:
+        raise _broken(folder, network, f"{file.name} is not a card ({why})")
     version = card.get("format_version")
     if version != FORMAT_VERSION:
-        raise WeightsError(
-            f"{file} has format_version {version!r:.80}, not {FORMAT_VERSION};"
-            f" {_again(folder, network)}."
-        )
+        what = f"{file.name} has format_version {version!r:.80}, not {FORMAT_VERSION}"
+        raise _broken(folder, network, what)
     return card
 
 
@@ -252,20 +246,16 @@ def tensors(folder: Path, network: str, digest: object = None) -> dict[str, Tens
     file = folder / f"{network}.safetensors"
     try:
         content = files_module.content(file, _LARGEST_TENSORS)
+        if digest is None or digest == digest_of(content):
+            return tensors_of(content)
+        why = f", or of another training than its card: its digest is not the card's {DIGEST}"
     except FileNotFoundError:
-        raise WeightsError(_missing(folder, file)) from None
+        raise _missing(folder, file) from None
     except OSError as error:
-        why = files_module.reason(error)
-        raise WeightsError(f"{file} is damaged ({why}); {_again(folder, network)}.") from None
-    if digest is not None and digest != digest_of(content):
-        raise WeightsError(
-            f"{file} is damaged, or of another training than its card: its digest is not the card's"
-            f" {DIGEST}; {_again(folder, network)}."
-        )
-    try:
-        return tensors_of(content)
+        why = f" ({files_module.reason(error)})"
     except (SafetensorError, ValueError, KeyError) as error:
-        raise WeightsError(f"{file} is damaged ({error}); {_again(folder, network)}.") from None
+        why = f" ({error})"
+    raise _broken(folder, network, f"{file.name} is damaged{why}")
 
 
 def read_network(
@@ -277,16 +267,12 @@ def read_network(
     for key in _TEMPERATURES[network]:
         value = card.get(key)
         if not (isinstance(value, int | float) and 0.0 < value <= _LARGEST_NUMBER):
-            raise WeightsError(
-                f"{folder / stem}.json has {key} {value!r:.80}; it must be a number above 0, at"
-                f" most {_LARGEST_NUMBER:g}; {_again(folder, stem)}."
-            )
+            what = f"{stem}.json has {key} {value!r:.80}; it must be a number above 0, at most"
+            raise _broken(folder, stem, f"{what} {_LARGEST_NUMBER:g}")
     offset = card.get("offset", 0.0)
     if not (isinstance(offset, int | float) and abs(offset) <= _LARGEST_NUMBER):
-        raise WeightsError(
-            f"{folder / stem}.json has offset {offset!r:.80}; it must be a number, at most"
-            f" {_LARGEST_NUMBER:g}; {_again(folder, stem)}."
-        )
+        what = f"{stem}.json has offset {offset!r:.80}; it must be a number, at most"
+        raise _broken(folder, stem, f"{what} {_LARGEST_NUMBER:g}")
     try:
         preset = Preset.from_record(card.get("sizes"))
     except WeightsError as error:
@@ -296,16 +282,12 @@ def read_network(
         net.load_state_dict(tensors(folder, stem, card.get(DIGEST)))
     except RuntimeError as error:
         reason = " ".join(str(error).split())[:200]
-        raise WeightsError(
-            f"{folder / stem}.safetensors does not fit the {network} network of preset "
-            f"'{preset.name}' ({reason}); {_again(folder, stem)}."
-        ) from None
+        what = f"{stem}.safetensors does not fit the {network} network of preset '{preset.name}'"
+        raise _broken(folder, stem, f"{what} ({reason})") from None
     for key, value in net.state_dict().items():
         if not torch.isfinite(value).all():
-            raise WeightsError(
-                f"{folder / stem}.safetensors holds numbers in '{key}' that are not finite; "
-                f"{_again(folder, stem)}."
-            )
+            what = f"{stem}.safetensors has numbers in '{key}' that are not finite"
+            raise _broken(folder, stem, what)
     return net, card
 
 
@@ -331,21 +313,22 @@ def _marginal(folder: Path) -> tuple[list[DenseTNT], dict[str, Any]]:
         net, own = read_network(folder, "marginal", number)
         assert isinstance(net, DenseTNT)
         if replace(net.preset, name="", dropout=0.0) != sizes:
-            raise WeightsError(
-                f"{folder / stem}.json has other sizes than marginal.json; {_again(folder, stem)}."
-            )
+            raise _broken(folder, stem, f"{stem}.json has other sizes than marginal.json")
         if own.get("training_digest") != digest:
-            raise WeightsError(
-                f"{folder / stem}.safetensors is not the member that marginal.json lists, with"
-                f" which its temperature was fitted; {_again(folder, stem)}."
-            )
+            what = f"{stem}.safetensors is not the member that marginal.json lists, with which its"
+            raise _broken(folder, stem, f"{what} temperature was fitted")
         nets.append(net)
     return nets, card
 
 
-def _missing(folder: Path, file: Path) -> str:
+def _missing(folder: Path, file: Path) -> WeightsError:
     what = f"The weights in {folder} are incomplete: {file.name} is missing"
-    return f"{what}; {_again(folder, file.stem)}."
+    return WeightsError(f"{what}; {_again(folder, file.stem)}.")
+
+
+def _broken(folder: Path, stem: str, what: str) -> WeightsError:
+    """The error for a file of a folder; ``what`` starts with the file's name."""
+    return WeightsError(f"{folder}{os.sep}{what}; {_again(folder, stem)}.")
 
 
 def _again(folder: Path, stem: str) -> str:

@@ -133,5 +133,5 @@ def test_nobody_to_attack(monkeypatch):
 
 
 def test_an_opponent_that_is_not_there_is_refused():
-    with pytest.raises(RunError, match="opponent 'z' is no vehicle"):
+    with pytest.raises(RunError, match="opponent 'z' is not a vehicle"):
         attack(World(), {"opponent": "z"})

@@ -120,7 +120,7 @@ class TestChoice:
         assert loads == []
 
     def test_who_is_not_there_is_refused(self, loads):
-        with pytest.raises(RunError, match="opponent 'z' is no vehicle"):
+        with pytest.raises(RunError, match="opponent 'z' is not a vehicle"):
             OpponentChoice("z", "mine").of(case_of())(self.view, None)
         with pytest.raises(RunError, match="names no partner"):
             OpponentChoice("labelled", "mine").of(case_of())(self.view, None)

@@ -46,7 +46,7 @@ def test_tensors_that_are_not_finite(folder):
     tensors[name] = torch.full_like(tensors[name], float("nan"))
     save_file(tensors, file)
     changed(folder, "conditional", **{weights.DIGEST: weights.digest_of(file.read_bytes())})
-    with pytest.raises(WeightsError, match=r"conditional\.safetensors holds numbers"):
+    with pytest.raises(WeightsError, match=r"conditional\.safetensors has numbers"):
         weights.load(folder)
 
 

@@ -9,6 +9,7 @@ import torch
 from deepmf_sumo.predictors import decoding, marginal, weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.kinematics import pose_of
 from deepmf_sumo.predictors.marginal import Marginal
 
 from tests.support.synthetic import view
@@ -45,7 +46,7 @@ def test_members_have_equal_mass_and_one_is_as_it_is(nets):
 
 
 def test_modes_are_goals_of_either_member(nets):
-    pose, members = decoding.pose_of(view(), "av"), goals_of(nets)
+    pose, members = pose_of(view(), "av"), goals_of(nets)
     everything = [
         decoding.to_scene(
             pose, *decoding.complete(goals, torch.arange(goals.logits.numel())[None])

@@ -9,7 +9,8 @@ from deepmf_sumo.predictors import kinematics, weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.opponent import OTHERS, PAIR, Opponent, opponent_features, surroundings
-from deepmf_sumo.predictors.routes import MEETING, SPACING_M, lane_columns, lane_routes, on_lanes
+from deepmf_sumo.predictors.route_relations import MEETING, lane_columns
+from deepmf_sumo.predictors.routes import SPACING_M, lane_routes, on_lanes
 
 from tests.support.synthetic import crossing, scene, view
 

@@ -8,6 +8,7 @@ from deepmf_sumo.datatypes import Futures
 from deepmf_sumo.predictors import conditioning, decoding, raster, weights
 from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.kinematics import pose_of
 from deepmf_sumo.predictors.lanes import ROAD_CHANNELS, road_index
 from deepmf_sumo.predictors.marginal import Marginal
 
@@ -83,7 +84,7 @@ def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated)
     goals = opinionated(decoding.as_batch(features(view(), "av", LIGHT)[0]))
     probability = goals.logits[0, 0].flatten().softmax(0)
     every = decoding.complete(goals, torch.arange(len(probability))[None])
-    pose = decoding.pose_of(view(), "av")
+    pose = pose_of(view(), "av")
     all_m = decoding.to_scene(pose, *(each.detach() for each in every))[0][0, :, 29]
 
     def expected_error(chosen_at):
@@ -127,7 +128,7 @@ def test_one_forecast_per_given_future(predictors):
 def test_the_given_future_acts_through_each_path_alone(predictors, path):
     net = predictors.conditional.net
     arrays, _ = features(view(), "av", LIGHT)
-    pose = decoding.pose_of(view(), "av")
+    pose = pose_of(view(), "av")
 
     def encoded(futures):
         position, heading = decoding.to_pose(pose, futures)
@@ -145,7 +146,7 @@ def test_the_given_future_acts_through_each_path_alone(predictors, path):
 
 def test_without_a_condition_the_conditional_is_marginal(predictors):
     arrays, _ = features(view(), "av", LIGHT)
-    pose = decoding.pose_of(view(), "av")
+    pose = pose_of(view(), "av")
     net = predictors.conditional.net
     with torch.inference_mode():
         position, heading = decoding.to_pose(pose, southern())
@@ -192,7 +193,7 @@ def test_an_agent_that_is_not_there_is_an_error(predictors):
 
 def test_the_image_shows_what_is_where():
     seen = view()
-    image = raster.draw(seen, road_index(seen.road), 0, LIGHT, np.array([-50.0, 0.0]), 0.0)
+    image = raster.draw(seen, road_index(seen.road), LIGHT, pose_of(seen, "av"))
     assert image.shape == (20, 56, 56)
     assert image[1, 14, 28] == 1  # the target, now, at a quarter of the height
     street = 8 + ROAD_CHANNELS.index("street")
