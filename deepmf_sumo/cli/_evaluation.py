@@ -23,8 +23,8 @@ _RULES: Final = {
 
 _CERTAINTY: Final = {
     "ece": "ECE",
-    "ece_if_right": "  so many right ones would show",
-    "ece_if_right_95": "  at most, in 95 %",
+    "ece_if_right": "  expected if calibrated",
+    "ece_if_right_95": "  at most if calibrated, in 95 %",
     "ece_of_horizon": "  modes chosen for each time",
     "ece_uncalibrated": "ECE at temperature 1",
     "negative_log_likelihood": "negative log likelihood, nats",
@@ -74,7 +74,7 @@ def _opponent(found: dict[str, Any]) -> list[Table | str]:
         f"leaves {found['parked']} parked candidates out ({found['positives_parked']} positives, "
         f"{found['partners_parked']} partners). "
         f"ECE {_number(found['ece'])}, at temperature 1 {_number(found['ece_uncalibrated'])}; "
-        f"so many right scores would show {_number(found['ece_if_right'])}, "
+        f"calibrated scores would show {_number(found['ece_if_right'])}, "
         f"at most {_number(found['ece_if_right_95'])} in 95 %."
     )
     return [table, note]
@@ -94,7 +94,7 @@ def _ranks(found: dict[str, Any]) -> list[str]:
 
 def _marginal(found: dict[str, Any], modes: Sequence[int]) -> list[Table | str]:
     ends = _table("Marginal: least error", "modes", *(f"{key} s" for key in _SECONDS), "± at 8.0 s")
-    ways = _whole_ways("Marginal: the whole way", "network", found, modes)
+    ways = _whole_ways("Marginal: the whole path", "network", found, modes)
     for count in map(str, modes):
         ends.add_row("network", count, *_ends(found, count))
     for count in map(str, modes):
@@ -148,7 +148,9 @@ def _ways(found: dict[str, Any], count: str) -> list[str]:
 
 def _conditional(found: dict[str, Any], modes: Sequence[int]) -> list[Table | str]:
     if not found["targets"]:
-        return ["Conditional: nobody comes near anybody in these recordings; nothing to measure."]
+        return [
+            "Conditional: no vehicles come near each other in these recordings; nothing to measure."
+        ]
     names = {
         "marginal": "marginal network",
         "given_nothing": "conditional, given nothing",
@@ -167,7 +169,7 @@ def _conditional(found: dict[str, Any], modes: Sequence[int]) -> list[Table | st
         cells = [_number(found[key]["most_probable_fde"][name]) for key in _SECONDS]
         errors.add_row("  most probable mode", "1", *cells)
     title = "Conditional, given the truth"
-    ways = _whole_ways(f"{title}: the whole way", "network", found, modes)
+    ways = _whole_ways(f"{title}: the whole path", "network", found, modes)
     return [errors, ways, _calibration(title, found), _gains(found)]
 
 

@@ -112,8 +112,6 @@ def command(
 
     sweep = Sweep.of(wanted)
     batch = None if file else sweep.begin(pictures=True)
-    if wanted["of"] is not None:
-        _refuse_others(configs, **wanted)
     keys = {key: value for key in _KEYS if (value := wanted.pop(key)) is not None}
     if "planner" in keys:
         keys["planner"] = {"name": keys["planner"]}
@@ -154,20 +152,3 @@ def _save(file: Path | None, documents: "list[Document]") -> None:
     with files.writing(file):
         files.write(file, text)
     click.echo(f"{file}: deepmf-sumo run {file}")
-
-
-def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
-    """Raise UsageError where more is wanted than the moments of another attack."""
-    if len(configs) > 1:
-        raise UsageError(
-            f"--moments-of goes with one configuration, and {len(configs)} are given: vehicles are"
-            " those of one traffic."
-        )
-    names = {"count": "--moments", "av": "--av", "av_type": "--av-type", "at_s": "--at"}
-    for key, option in names.items():
-        if wanted[key]:
-            raise UsageError(f"{option} cannot be given with --moments-of: leave one of them out.")
-    if wanted["prefer"] != "spread":
-        raise UsageError(
-            "--prefer encounters cannot be given with --moments-of: leave one of them out."
-        )

@@ -68,7 +68,7 @@ PROBE_S: Final = 120.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line of the report; ``warning``: something that not everybody needs does not work."""
+    """One line of the report; ``warning``: something that few users need does not work."""
 
     name: str
     state: State
@@ -87,7 +87,7 @@ def look(name: str, check: Check) -> Finding:
 
 
 def probe(code: str) -> tuple[bool, str]:
-    """Run Python code in a process of its own; whether it went well, and its last line.
+    """Run Python code in a separate process; whether it succeeded, and its last line.
 
     A wheel that does not fit ends its process, often by a signal and without a traceback.
     """
@@ -95,7 +95,7 @@ def probe(code: str) -> tuple[bool, str]:
 
 
 def ended(command: list[str], timeout_s: float) -> tuple[bool, str]:
-    """Run a program; whether it went well, and the last line that it wrote, else its end."""
+    """Run a program; whether it succeeded, and its last line, or how it ended."""
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=timeout_s,

@@ -1,8 +1,8 @@
-"""A benchmark's folder -> ``table.csv`` and the tables beside it.
+"""A plan's folder -> ``table.csv`` and the tables beside it.
 
 Differences between two methods on the same scenes, with bootstrap intervals over scenes.
 
-Scenes are drawn anew with replacement (Efron, 1979; percentiles), all seeds of a scene together:
+Scenes are resampled with replacement (Efron, 1979; percentiles), all seeds of a scene together:
 attacks on one scene are not independent of each other.
 """
 
@@ -207,7 +207,7 @@ ACCIDENTS: Final = "accidents.csv"
 
 
 def write(folder: Path) -> None:
-    """Write all tables of a benchmark's folder, from its runs. Raises UsageError."""
+    """Write all tables of a plan's folder, from its runs. Raises UsageError."""
     plan = layout.read_layout(folder)
     runs = _grouped(results_of(folder))
     files.write(folder / MAIN, tables.to_csv(main_rows(plan, runs)))

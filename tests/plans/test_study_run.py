@@ -119,7 +119,7 @@ def test_other_plans_and_versions_are_not_merged(whole, tmp_path):
     (tmp_path / "version" / "manifest.json").write_text('{"tool": "deepmf-sumo"}')
     with pytest.raises(UsageError, match=r"made by version 0\.0\.1"):
         plans.run(plans.load(whole[0]), options(tmp_path / "version", resume=True))
-    with pytest.raises(UsageError, match="no benchmark's folder"):
+    with pytest.raises(UsageError, match="not the folder of a plan"):
         plans.merge(tmp_path / "out", [tmp_path])
     assert not (tmp_path / "out").exists()
 
@@ -252,7 +252,7 @@ def test_tables_can_be_made_again(whole, tmp_path):
     before = (folder / "table.csv").read_bytes()
     tables.write(folder)
     assert (folder / "table.csv").read_bytes() == before
-    with pytest.raises(UsageError, match="no benchmark's folder"):
+    with pytest.raises(UsageError, match="not the folder of a plan"):
         tables.write(tmp_path)
 
 
