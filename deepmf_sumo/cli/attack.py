@@ -110,34 +110,29 @@ def command(
     from deepmf_sumo import moments, plans
     from deepmf_sumo.cli._screen import announce_moments, progress
 
-    sweep = Sweep.of(wanted)
-    batch = None if file else sweep.begin(pictures=True)
     keys = {key: value for key in _KEYS if (value := wanted.pop(key)) is not None}
     if "planner" in keys:
         keys["planner"] = {"name": keys["planner"]}
-    documents = moments.documents(
-        configs, keys, sets, sumo_options=ctx.meta[_AFTER], **_plain(wanted)
-    )
+    chosen = {key: wanted.pop(key) for key in _MOMENTS}
+    if chosen["of"]:
+        chosen["of"] = str(chosen["of"].absolute())
+    sweep = None if file else Sweep.begin(wanted, pictures=True)
+    documents = moments.documents(configs, keys, sets, sumo_options=ctx.meta[_AFTER], **chosen)
     specs = [moments.spec_of(one) for one in documents]
-    if file or batch is None:
+    if sweep is None:
         _save(file, documents)
         return
     with progress() as report:
-        results = plans.run_specs(specs, batch, report, announce_moments, by_option=True)
+        results = plans.run_specs(specs, sweep.options, report, announce_moments, by_option=True)
     code = end_of_runs(sweep, results)
     if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):
-        map_risk(sweep.out)
+        map_risk(sweep.options.out)
     ctx.exit(code)
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
-"""Options that are keys of the spec."""
-
-
-def _plain(wanted: dict[str, Any]) -> dict[str, Any]:
-    """Values as a spec holds them."""
-    of = wanted["of"]
-    return wanted | {"of": of and str(of.absolute())}
+_MOMENTS = ("count", "av", "av_type", "at_s", "of", "prefer", "until_s")
+"""Options that are keys of the spec, and of its moments."""
 
 
 def _save(file: Path | None, documents: "list[Document]") -> None:

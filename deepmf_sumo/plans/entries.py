@@ -188,7 +188,7 @@ def _situations(
     twice = [name for name, number in names.items() if number > 1]
     if twice:
         raise SpecError(
-            f"key 'source': the scene '{twice[0]}' stands twice; leave one of them out."
+            f"key 'source': the scene '{twice[0]}' is given twice; leave one of them out."
         )
     if not found:
         raise SpecError("key 'source': no moment of the networks can be attacked.")

@@ -176,7 +176,7 @@ def test_left_out_methods_are_nowhere(plan, tmp_path):
 
 
 def test_the_same_situation_twice_is_refused(plan, tmp_path):
-    with pytest.raises(SpecError, match="'tiny 2 s av' stands twice"):
+    with pytest.raises(SpecError, match="'tiny 2 s av' is given twice"):
         entries.entries_of(plan(tiny_plan.PLAN.replace("start_s: 3.0", "start_s: 2.0")), tmp_path)
 
 
