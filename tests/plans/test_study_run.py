@@ -19,7 +19,7 @@ from deepmf_sumo.sweep import batch
 
 from tests.support import tiny_plan
 
-COMMAND = (sys.executable, "-m", "deepmf_sumo.cli.main", "benchmark")
+COMMAND = (sys.executable, "-m", "deepmf_sumo.cli.main", "run")
 
 ENDED = "planner_error: the planner ended its process (SIGSEGV; see log.txt)."
 
@@ -129,7 +129,7 @@ def test_nothing_is_lost_or_doubled_by_kills(whole, tmp_path):
     file, folder = whole
     out = tmp_path / "out"
     command = [
-        sys.executable, "-m", "deepmf_sumo.cli.main", "benchmark", file, "--out", out, "--resume",
+        sys.executable, "-m", "deepmf_sumo.cli.main", "run", file, "--out", out, "--resume",
         "--no-figures", "--jobs", "2",
     ]  # fmt: skip
     finished: set[str] = set()
