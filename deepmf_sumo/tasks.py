@@ -22,11 +22,11 @@ Part = Literal["main", "budgets", "figures"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
-    """What a run is called in tables.
+    """The names of a run in tables.
 
     Attributes:
-        method: how the attack is found, the budget in it where that is not its own.
-        planner: who drives the AV. part: of a benchmark.
+        method: how the attack is found, with the budget where that is not its own.
+        planner: what drives the AV. part: of a plan.
         base: the method without the budget.
     """
 
@@ -43,7 +43,7 @@ class Task:
     Attributes:
         run_id: ``<spec>--<scene>--<seed>``, safe as a file name, unique in a batch.
         scene: id in the recording; of a network its file name without suffix, or the moment.
-        label: in a benchmark; None takes the names of spec and planner.
+        label: in a plan; None takes the names of spec and planner.
         inputs: digest of what is in the files that it reads, see `inputs.fingerprinted`.
         record: where the scene is recorded; None of a network. Not part of `key`.
     """
@@ -59,7 +59,7 @@ class Task:
     def key(self) -> str:
         """Digest of the spec, the files that it names and the version: of equal runs the same.
 
-        Of the files by their content: where they lie on this machine is nothing of the run.
+        Files count by content: where they are on this machine does not matter.
         """
         parts = [self.run_id, self.scene, deepmf_sumo.__version__, self._placeless(), self.inputs]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
@@ -67,8 +67,8 @@ class Task:
     def entropy(self) -> list[int]:
         """Seeds of the run's random generators: the same for every method and planner of a scene.
 
-        So differences between them are not those of the dice, and a search with a larger budget
-        begins as one with a smaller.
+        So differences between methods are not those of random numbers, and a search with a larger
+        budget begins as one with a smaller.
         """
         source, situation = self.spec.source, self.scene
         if isinstance(source, FromNetwork):
@@ -148,7 +148,7 @@ def _told_apart(task: Task, times: Mapping[str, int]) -> Task:
 
 
 def moment_name(av: str, start_s: float) -> str:
-    """What stands for the scene where a network is attacked at several moments."""
+    """The name of the scene where a network is attacked at several moments."""
     return f"{av}-{start_s:g}s"
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import click
 
 from deepmf_sumo.cli import data, run, show
-from deepmf_sumo.cli._sweep import Sweep, options
+from deepmf_sumo.cli._sweep import options
 
 
 def _renamed(command: click.Command, name: str, **defaults: Any) -> click.Command:
@@ -40,8 +40,7 @@ def _reproduce(
     if weights:
         place = str(Path(weights).resolve()) if "/" in weights else weights
         over.append(f"weights={json.dumps(place)}")
-    sweep = Sweep.of(wanted)
-    ctx.exit(run.run_plan(Path("paper"), sweep, sets=(*over, *sets), **wanted))
+    ctx.exit(run.run_plan(Path("paper"), wanted, sets=(*over, *sets)))
 
 
 COMMANDS: Final = {

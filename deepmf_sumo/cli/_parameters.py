@@ -1,10 +1,12 @@
-"""Options, and types of options, that several commands share."""
+"""Options, types of options, and a group of commands, that several commands share."""
 
 import math
 import re
 from typing import Any, Final
 
 import click
+
+from deepmf_sumo.errors import nearest
 
 format_option: Final = click.option(
     "--format", "form", type=click.Choice(["table", "json", "csv", "md"]), default="table",
@@ -13,6 +15,19 @@ format_option: Final = click.option(
 MOST: Final = 100_000
 _LARGEST: Final = 2**31 - 1
 _PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
+
+
+class Group(click.Group):
+    """A group of commands that suggests the nearest one for an unknown name."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click's, with the suggestion."""
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            ctx.fail(f"No such command '{name}'.{nearest(name, self.list_commands(ctx))}")
+        return super().resolve_command(ctx, args)
 
 
 class FiniteRange(click.FloatRange):

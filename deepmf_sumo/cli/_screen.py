@@ -66,7 +66,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def leaving() -> Iterator[Callable[[], bool]]:
-    """Whether a signal has asked to leave; a second one raises KeyboardInterrupt at once."""
+    """Whether a signal has asked to stop; a second one raises KeyboardInterrupt at once."""
     asked = False
 
     def ask(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as `signal` wants it
@@ -218,7 +218,7 @@ def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:
 
 
 def _columns(console: Console, found: SideBySide, other: Sequence[Line], part: slice) -> None:
-    """A line a quantity."""
+    """One line for each quantity."""
     grid = _grid([""], found.names[part] if len(found.names) > 1 else [""])
     for lines in (other, found.key, found.more):
         for line in lines:
@@ -230,7 +230,7 @@ def _columns(console: Console, found: SideBySide, other: Sequence[Line], part: s
 
 
 def _rows(console: Console, found: SideBySide, other: Sequence[Line]) -> None:
-    """A line a result, with the most important quantities."""
+    """One line for each result, with the most important quantities."""
     grid = _grid(["results", *(line.label for line in other)], [one.short for one in found.short])
     for number, name in enumerate(found.names):
         cells = (line.cells[number] for line in (*other, *found.short))
@@ -280,7 +280,7 @@ def announce_moments(request: Request, found: Found) -> None:
         steps = f"asks for steps of {configuration.step_s:g} s; it is run with {DT_S:g} s"
         click.echo(shown(f"{name} {steps}"), err=True)
     if not found.moments:
-        click.echo(shown(f"nobody to attack in {name}: {found.reason}"))
+        click.echo(shown(f"no vehicle to attack in {name}: {found.reason}"))
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     further = "" if found.complete or wish.at_s else f" ({wish.later})"
@@ -304,7 +304,7 @@ _MOST: Final = 30
 
 
 def show_risk(written: Sequence[Written], top: int) -> None:
-    """A table a network: movements and edges, by the lower end of the risk of a hit."""
+    """One table for each network: movements and edges, by the lower end of the risk of a hit."""
     from deepmf_sumo.report.table import counted
     from deepmf_sumo.risk.table import worst
 
@@ -437,7 +437,7 @@ _FAILURES: Final = 10
 
 
 def show_study(out: Path, results: Sequence[Result], expected: int, made: Sequence[Path]) -> None:
-    """A line a method and planner, what did not go through, and the files."""
+    """One line for each method and planner, the runs that failed, and the files."""
     from deepmf_sumo.report.table import counted
     from deepmf_sumo.report.tables.layouts import read_content
     from deepmf_sumo.results.quantities import COLUMNS
@@ -452,7 +452,7 @@ def show_study(out: Path, results: Sequence[Result], expected: int, made: Sequen
     statuses = Counter(one["status"] for one in results)
     told = ", ".join(f"{count} {status}" for status, count in statuses.items())
     left = expected - len(results)
-    unfinished = f"; {left} not begun: --resume makes them" if left else ""
+    unfinished = f"; {left} not begun: --resume does them" if left else ""
     console.print(escape(f"{counted(len(results), 'run')}: {told}{unfinished}"), soft_wrap=True)
     wrong = [one for one in results if one["status"] != "ok"]
     for one in wrong[:_FAILURES]:

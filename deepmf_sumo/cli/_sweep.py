@@ -24,88 +24,70 @@ _GIVEN: Final = click.Path(exists=True, path_type=Path)
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """How runs are done, where their results go, and how they are judged: one option each."""
+    """How runs are done, and by what they are judged.
 
-    jobs: int | None
-    executor: str
-    out: Path
-    resume: bool
-    overwrite: bool
-    shard: str | None
-    max_minutes: float | None
-    timeout: float
-    memory: float
-    gui: bool
-    pictures: bool | None
-    junit: bool
+    Attributes:
+        options: of the runs.
+        thresholds: a file, see `gate.load`. baseline: earlier results.
+    """
+
+    options: "Options"
     thresholds: Path | None
     baseline: Path | None
 
     @classmethod
-    def of(cls, values: dict[str, Any]) -> Self:
-        """Take the shared options out of all options of a command."""
-        return cls(**{field.name: values.pop(field.name) for field in fields(cls)})
-
-    def begin(self, *, pictures: bool, **more: Any) -> "Options":
-        """Options of a batch, ``more`` of them the command's own.
+    def begin(cls, values: dict[str, Any], *, pictures: bool, **more: Any) -> Self:
+        """Take the shared options out of ``values``, those of a command; ``more`` are its own.
 
         ``pictures``: whether runs are drawn where no option says so. Raises UsageError for what
         would show only after hours of runs: a shard, an executor, thresholds or a baseline that are
         wrong; OutputError for a folder that cannot be used.
         """
         from deepmf_sumo.report.picture import draw
+        from deepmf_sumo.results import folder
         from deepmf_sumo.sweep import batch
         from deepmf_sumo.sweep.shards import Shard
 
         sys.path.append(os.getcwd())  # noqa: PTH109 - planners under test lie in the working folder
-        check(self)
-        self._check_gui()
-        shard = Shard.parse(self.shard) if self.shard else None
-        executor = batch.executor_named(self.executor, self.jobs)
-        self._check_place()
-        executor.check()
-        return batch.Options(
-            out=self.out,
-            executor=self.executor,
-            jobs=1 if self.gui else self.jobs,
-            timeout_s=None if self.gui else self.timeout,
-            memory_mb=None if self.gui else self.memory,
-            minutes=self.max_minutes,
-            shard=shard,
-            draw=draw if (pictures if self.pictures is None else self.pictures) else None,
-            gui=self.gui,
-            junit=self.junit,
-            resume=self.resume,
-            overwrite=self.overwrite,
-            **more,
+        shard, drawn = values.pop("shard"), values.pop("pictures")
+        judged = {key: values.pop(key) for key in ("thresholds", "baseline")}
+        known = [field.name for field in fields(batch.Options) if field.name in values]
+        given = {key: values.pop(key) for key in known} | more
+        if given["gui"]:
+            _check_gui(given["executor"])
+            given |= {"jobs": 1, "timeout_s": None, "memory_mb": None}
+        options = batch.Options(
+            **given,
+            shard=Shard.parse(shard) if shard else None,
+            draw=draw if (pictures if drawn is None else drawn) else None,
         )
-
-    def _check_place(self) -> None:
-        from deepmf_sumo.results import folder
-
-        if self.resume and self.overwrite:
+        sweep = cls(options=options, **judged)
+        check(sweep)
+        executor = batch.executor_named(options.executor, options.jobs)
+        if options.resume and options.overwrite:
             raise UsageError(
                 "--resume keeps the results in the folder, and --overwrite deletes them: leave one"
                 " of them out."
             )
-        folder.check(self.out, resume=self.resume, overwrite=self.overwrite)
+        folder.check(options.out, resume=options.resume, overwrite=options.overwrite)
+        executor.check()
+        return sweep
 
-    def _check_gui(self) -> None:
-        if self.gui and self.executor != "local":
-            raise UsageError(
-                f"--gui shows runs on this machine: leave --executor {self.executor} out."
-            )
-        needs_one = sys.platform not in {"win32", "darwin"}
-        display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
-        if self.gui and needs_one and not display:  # the run would wait for sumo-gui for ever
-            raise UsageError(
-                "--gui: there is no display (DISPLAY is not set); leave it out, or put xvfb-run -a"
-                " before the command."
-            )
+
+def _check_gui(executor: str) -> None:
+    if executor != "local":
+        raise UsageError(f"--gui shows runs on this machine: leave --executor {executor} out.")
+    needs_one = sys.platform not in {"win32", "darwin"}
+    display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    if needs_one and not display:  # the run would wait for sumo-gui for ever
+        raise UsageError(
+            "--gui: there is no display (DISPLAY is not set); leave it out, or put xvfb-run -a"
+            " before the command."
+        )
 
 
 def options(*, out: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator: the shared options, as keywords that `Sweep.of` takes; ``out`` is a default."""
+    """Decorator: the shared options, as keywords that `Sweep.begin` takes; ``out`` is a default."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         for option in reversed((*_place(out), *_limits(), *_shown(), *_judged())):
@@ -147,16 +129,16 @@ def _place(out: str) -> tuple[Callable[..., Any], ...]:
 def _limits() -> tuple[Callable[..., Any], ...]:
     return (
         click.option(
-            "--max-minutes", metavar="M", type=_POSITIVE,
+            "--max-minutes", "minutes", metavar="M", type=_POSITIVE,
             help="Start no run after M minutes: exit code 130; --resume does the others.",
         ),
         click.option(
-            "--timeout", metavar="S", type=_POSITIVE, default=600.0, show_default=True,
+            "--timeout", "timeout_s", metavar="S", type=_POSITIVE, default=600.0, show_default=True,
             help="End a run that takes more seconds.",
         ),
         click.option(
-            "--memory", metavar="MB", type=_POSITIVE, default=4096.0, show_default=True,
-            help="End a run that takes more memory.",
+            "--memory", "memory_mb", metavar="MB", type=_POSITIVE, default=4096.0,
+            show_default=True, help="End a run that takes more memory.",
         ),
     )  # fmt: skip
 
@@ -192,9 +174,10 @@ def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
     from deepmf_sumo.results import stored
     from deepmf_sumo.results.folder import summary
 
-    missing = len(stored.keys_of(sweep.out)) - len(results)
+    out = sweep.options.out
+    missing = len(stored.keys_of(out)) - len(results)
     if results:
-        table(results, summary(results), sweep.out)
+        table(results, summary(results), out)
     if missing:
         click.echo(f"{counted(missing, 'run')} not begun: --resume goes on")
     return end(sweep, results, missing)
@@ -211,9 +194,10 @@ def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
 
     if not watched():
         click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
-    if not folder.known(sweep.out):
+    out = sweep.options.out
+    if not folder.known(out):
         unlocked = "its file system has no locks: do not let two sweeps write into it at a time"
-        click.echo(f"deepmf-sumo: {sweep.out}: {unlocked}", err=True)
+        click.echo(f"deepmf-sumo: {out}: {unlocked}", err=True)
     endings = batch.endings(results)
     verdict = judge(sweep) if sweep.thresholds else None
     if missing:
@@ -275,8 +259,8 @@ def judge(sweep: Sweep) -> int:
     from deepmf_sumo.gate.verdict import write_junit
 
     assert sweep.thresholds is not None
-    verdict = gate.check(sweep.out, gate.load(sweep.thresholds), sweep.baseline)
+    verdict = gate.check(sweep.options.out, gate.load(sweep.thresholds), sweep.baseline)
     show_verdict(verdict)
-    if sweep.junit:
-        write_junit(sweep.out / "junit.xml", verdict)
+    if sweep.options.junit:
+        write_junit(sweep.options.out / "junit.xml", verdict)
     return verdict.exit_code

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -38,14 +39,7 @@ from deepmf_sumo.errors import exit_code
 )
 @click.pass_context
 def command(
-    ctx: click.Context,
-    file: Path,
-    sets: tuple[str, ...],
-    out: Path,
-    jobs: int,
-    threads: int | None,
-    device: str,
-    cache: Path | None,
+    ctx: click.Context, /, file: Path, sets: tuple[str, ...], out: Path, jobs: int, **settings: Any
 ) -> None:
     """Train, evaluate and attack with each variant of PLAN: a table of quality and cost.
 
@@ -56,18 +50,12 @@ def command(
     from deepmf_sumo.cli._screen import show_ablation
 
     plan = ablation.load(file, sets)
-    options = ablation.Options(
-        out=out,
-        cache=cache,
-        jobs=jobs,
-        threads=threads,
-        device="cuda" if device == "cuda" else "cpu",
-        command=" ".join(["deepmf-sumo", *sys.argv[1:]]),
-    )
+    called = " ".join(["deepmf-sumo", *sys.argv[1:]])
+    options = ablation.Options(out=out, jobs=jobs, command=called, **settings)
     rows, notes = [], []
     for row in ablation.run(plan, options, lambda line: click.echo(line, err=True)):
         rows.append(row)
-        notes = ablation.notes(plan, options.jobs, rows)
+        notes = ablation.notes(plan, jobs, rows)
         ablation.write(out, notes, rows)
     show_ablation(notes, rows, out)
     failed = any(attacked.failed for row in rows for attacked in row.attacks)

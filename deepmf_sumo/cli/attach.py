@@ -1,6 +1,8 @@
 """``deepmf-sumo attach``: join a running SUMO and attack a vehicle in it."""
 
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -10,7 +12,7 @@ from deepmf_sumo.errors import exit_code
 
 @click.command(name="attach", short_help="Attack a vehicle in a SUMO that already runs.")
 @click.option(
-    "--port", "-p", required=True, type=click.IntRange(1, 65535),
+    "--port", "-p", "number", required=True, type=click.IntRange(1, 65535),
     help="Connect to this port, SUMO's --remote-port.",
 )  # fmt: skip
 @click.option("--host", default="localhost", show_default=True, help="Connect to this machine.")
@@ -27,11 +29,11 @@ from deepmf_sumo.errors import exit_code
     help="Attack at time=S, edge=ID or ttc=S; may be repeated.  [default: whenever a vehicle can]",
 )  # fmt: skip
 @click.option(
-    "--duration", metavar="S", type=FiniteRange(min=3), default=15.0, show_default=True,
-    help="End an attack after this time.",
+    "--duration", "duration_s", metavar="S", type=FiniteRange(min=3), default=15.0,
+    show_default=True, help="End an attack after this time.",
 )  # fmt: skip
 @click.option(
-    "--pause", metavar="S", type=FiniteRange(min=0), default=5.0, show_default=True,
+    "--pause", "pause_s", metavar="S", type=FiniteRange(min=0), default=5.0, show_default=True,
     help="Wait this time after an attack.",
 )  # fmt: skip
 @click.option("--attacks", metavar="N", type=click.IntRange(min=1), help="Stop after N attacks.")
@@ -40,8 +42,8 @@ from deepmf_sumo.errors import exit_code
     help="Leave at this time of the simulation.",
 )  # fmt: skip
 @click.option(
-    "--patience", metavar="S", type=FiniteRange(min=0), default=600.0, show_default=True,
-    help="Wait this time of the simulation for the AV to appear.",
+    "--patience", "patience_s", metavar="S", type=FiniteRange(min=0), default=600.0,
+    show_default=True, help="Wait this time of the simulation for the AV to appear.",
 )  # fmt: skip
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True,
@@ -57,24 +59,7 @@ from deepmf_sumo.errors import exit_code
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Delete the results that the folder has.")
 @click.pass_context
-def command(
-    ctx: click.Context,
-    port: int,
-    host: str,
-    av: str,
-    order: int,
-    wait_s: float,
-    triggers: tuple[str, ...],
-    duration: float,
-    pause: float,
-    attacks: int | None,
-    until_s: float | None,
-    patience: float,
-    sets: tuple[str, ...],
-    net: Path | None,
-    out: Path,
-    overwrite: bool,
-) -> None:
+def command(ctx: click.Context, /, out: Path, overwrite: bool, **given: Any) -> None:
     """Join a running sumo or sumo-gui, and attack a vehicle that another client drives.
 
     Start SUMO with --remote-port P --num-clients 2; the other client calls setOrder(1). Both step
@@ -86,14 +71,14 @@ def command(
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.session import Stay
 
-    wish = live.Wish(
-        av=av, triggers=triggers, duration_s=duration, pause_s=pause, sets=sets, net=net
+    port, wish, stay = (
+        {field.name: given[field.name] for field in fields(kind)}
+        for kind in (Port, live.Wish, Stay)
     )
-    place = Port(number=port, host=host, order=order, wait_s=wait_s)
-    stay = Stay(until_s=until_s, attacks=attacks, patience_s=patience)
     with leaving() as stopped:
         done = live.attach(
-            place, wish, stay, out, overwrite=overwrite, stopped=stopped, tell=tell_attack
-        )
-    show_session(done, av, out)
+            Port(**port), live.Wish(**wish), Stay(**stay), out,
+            overwrite=overwrite, stopped=stopped, tell=tell_attack,
+        )  # fmt: skip
+    show_session(done, given["av"], out)
     ctx.exit(exit_code("interrupted") if done.end == "stopped" else 0)

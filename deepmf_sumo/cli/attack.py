@@ -110,36 +110,29 @@ def command(
     from deepmf_sumo import moments, plans
     from deepmf_sumo.cli._screen import announce_moments, progress
 
-    sweep = Sweep.of(wanted)
-    batch = None if file else sweep.begin(pictures=True)
-    if wanted["of"] is not None:
-        _refuse_others(configs, **wanted)
     keys = {key: value for key in _KEYS if (value := wanted.pop(key)) is not None}
     if "planner" in keys:
         keys["planner"] = {"name": keys["planner"]}
-    documents = moments.documents(
-        configs, keys, sets, sumo_options=ctx.meta[_AFTER], **_plain(wanted)
-    )
+    chosen = {key: wanted.pop(key) for key in _MOMENTS}
+    if chosen["of"]:
+        chosen["of"] = str(chosen["of"].absolute())
+    sweep = None if file else Sweep.begin(wanted, pictures=True)
+    documents = moments.documents(configs, keys, sets, sumo_options=ctx.meta[_AFTER], **chosen)
     specs = [moments.spec_of(one) for one in documents]
-    if file or batch is None:
+    if sweep is None:
         _save(file, documents)
         return
     with progress() as report:
-        results = plans.run_specs(specs, batch, report, announce_moments, by_option=True)
+        results = plans.run_specs(specs, sweep.options, report, announce_moments, by_option=True)
     code = end_of_runs(sweep, results)
     if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):
-        map_risk(sweep.out)
+        map_risk(sweep.options.out)
     ctx.exit(code)
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
-"""Options that are keys of the spec."""
-
-
-def _plain(wanted: dict[str, Any]) -> dict[str, Any]:
-    """Values as a spec holds them."""
-    of = wanted["of"]
-    return wanted | {"of": of and str(of.absolute())}
+_MOMENTS = ("count", "av", "av_type", "at_s", "of", "prefer", "until_s")
+"""Options that are keys of the spec, and of its moments."""
 
 
 def _save(file: Path | None, documents: "list[Document]") -> None:
@@ -154,20 +147,3 @@ def _save(file: Path | None, documents: "list[Document]") -> None:
     with files.writing(file):
         files.write(file, text)
     click.echo(f"{file}: deepmf-sumo run {file}")
-
-
-def _refuse_others(configs: tuple[Path, ...], **wanted: Any) -> None:
-    """Raise UsageError where more is wanted than the moments of another attack."""
-    if len(configs) > 1:
-        raise UsageError(
-            f"--moments-of goes with one configuration, and {len(configs)} are given: vehicles are"
-            " those of one traffic."
-        )
-    names = {"count": "--moments", "av": "--av", "av_type": "--av-type", "at_s": "--at"}
-    for key, option in names.items():
-        if wanted[key]:
-            raise UsageError(f"{option} cannot be given with --moments-of: leave one of them out.")
-    if wanted["prefer"] != "spread":
-        raise UsageError(
-            "--prefer encounters cannot be given with --moments-of: leave one of them out."
-        )

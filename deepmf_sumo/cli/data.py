@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from deepmf_sumo.cli._parameters import FiniteRange, format_option
+from deepmf_sumo.cli._parameters import FiniteRange, Group, format_option
 from deepmf_sumo.errors import ConversionError, ReaderError, SimulationError, UsageError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ KINDS = ("grid", "spider", "random", "junctions", "motorway", "mix")
 """As in `network.generated`, which is not imported for help."""
 
 
-@click.group(name="data", short_help="List, convert and record scenes.")
+@click.group(name="data", cls=Group, short_help="List, convert and record scenes.")
 def command() -> None:
     """List recorded scenes, convert them to SUMO networks, and record SUMO traffic as scenes."""
 

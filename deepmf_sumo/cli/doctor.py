@@ -7,11 +7,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import click
 
@@ -37,7 +36,7 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
     import deepmf_sumo
 
     click.echo(f"deepmf-sumo {deepmf_sumo.__version__}")
-    checks: dict[str, Check] = {
+    checks: dict[str, Callable[[], Finding]] = {
         "Python": python,
         "SUMO packages": sumo_versions,
         "libsumo": libsumo,
@@ -53,11 +52,11 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
     }
     states = []
     with ThreadPoolExecutor(max_workers=4) as pool:  # most of them wait for a process
-        for found in pool.map(look, checks, checks.values()):
-            states.append(found.state)
-            mark, colour = _MARKS[found.state]
-            text = " ".join(found.text.split())
-            click.echo(f"{click.style(f'{mark:4}', fg=colour)} {found.name:14} {text}")
+        for name, (state, text) in zip(checks, pool.map(look, checks.values()), strict=True):
+            states.append(state)
+            mark, colour = _MARKS[state]
+            line = " ".join(text.split())
+            click.echo(f"{click.style(f'{mark:4}', fg=colour)} {name:14} {line}")
     ctx.exit(exit_code("broken") if "broken" in states else 0)
 
 
@@ -66,28 +65,23 @@ PROBE_S: Final = 120.0
 """The first import of torch from a slow disk takes a minute."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One line of the report; ``warning``: something that not everybody needs does not work."""
+class Finding(NamedTuple):
+    """What a check found; ``warning``: something that few users need does not work."""
 
-    name: str
     state: State
     text: str
 
 
-Check = Callable[[], Finding]
-
-
-def look(name: str, check: Check) -> Finding:
+def look(check: Callable[[], Finding]) -> Finding:
     """The finding of a check; one that fails itself is a finding too."""
     try:
         return check()
     except Exception as error:  # noqa: BLE001 - whatever is broken here is what is looked for
-        return Finding(name=name, state="broken", text=f"{type(error).__name__}: {error}")
+        return Finding("broken", f"{type(error).__name__}: {error}")
 
 
 def probe(code: str) -> tuple[bool, str]:
-    """Run Python code in a process of its own; whether it went well, and its last line.
+    """Run Python code in a separate process; whether it succeeded, and its last line.
 
     A wheel that does not fit ends its process, often by a signal and without a traceback.
     """
@@ -95,7 +89,7 @@ def probe(code: str) -> tuple[bool, str]:
 
 
 def ended(command: list[str], timeout_s: float) -> tuple[bool, str]:
-    """Run a program; whether it went well, and the last line that it wrote, else its end."""
+    """Run a program; whether it succeeded, and its last line, or how it ended."""
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=timeout_s,
@@ -126,19 +120,19 @@ _CGROUP: Final = Path("/sys/fs/cgroup/memory.max")
 def cores() -> Finding:
     """Cores that this process may use, for --jobs."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Finding(name="cores", state="ok", text=f"{usable or 1}: --jobs {usable or 1}")
+    return Finding("ok", f"{usable or 1}: --jobs {usable or 1}")
 
 
 def memory() -> Finding:
     """Memory that is free, within the container's limit."""
     free, limit = _free_mb(), _limit_mb()
     if free is None:
-        return Finding(name="memory", state="ok", text="not known on this system")
+        return Finding("ok", "not known on this system")
     usable = min(free, limit) if limit is not None else free
     enough = usable >= _RUN_MB
     told = f"{free:.0f} MB free" + (f", limit {limit:.0f} MB" if limit is not None else "")
     need = f"; a run needs about {_RUN_MB} MB" if not enough else ""
-    return Finding(name="memory", state="ok" if enough else "warning", text=told + need)
+    return Finding("ok" if enough else "warning", told + need)
 
 
 def weights_of_set(name: str) -> Finding:
@@ -153,7 +147,7 @@ def weights_of_set(name: str) -> Finding:
     )
     there = {file.parent.name for home in _homes() for file in home.glob("*/opponent.json")}
     also = f"; also there: {', '.join(sorted(there - {name}))}" if there - {name} else ""
-    return Finding(name=f"weights {name}", state="ok" if good else "broken", text=text + also)
+    return Finding("ok" if good else "broken", text + also)
 
 
 def cache() -> Finding:
@@ -167,12 +161,11 @@ def cache() -> Finding:
             pass
     except OSError as error:
         hint = "set DEEPMF_SUMO_HOME to a folder that can"
-        text = f"{folder} cannot be written ({error.strerror}); {hint}"
-        return Finding(name="cache", state="broken", text=text)
+        return Finding("broken", f"{folder} cannot be written ({error.strerror}); {hint}")
     held = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / _MB
     free = shutil.disk_usage(folder).free / _MB
     text = f"{folder}, {held:.0f} MB in it, {free:.0f} MB left"
-    return Finding(name="cache", state="ok" if free >= 100 else "warning", text=text)
+    return Finding("ok" if free >= 100 else "warning", text)
 
 
 def _homes() -> list[Path]:
@@ -213,7 +206,7 @@ def python() -> Finding:
     fits = sys.version_info[:2] >= OLDEST_PYTHON
     oldest = ".".join(map(str, OLDEST_PYTHON))
     text = f"{version}, {sys.executable}" + ("" if fits else f"; {oldest} or newer is needed")
-    return Finding(name="Python", state="ok" if fits else "broken", text=text)
+    return Finding("ok" if fits else "broken", text)
 
 
 def sumo_versions() -> Finding:
@@ -223,17 +216,15 @@ def sumo_versions() -> Finding:
     told = ", ".join(f"{name} {version or 'missing'}" for name, version in found.items())
     wrong = [name for name, version in found.items() if version is None or version != wanted[name]]
     if not wrong:
-        return Finding(name="SUMO packages", state="ok", text=told)
+        return Finding("ok", told)
     asked = " ".join(f"{name}=={wanted[name]}" for name in wrong)
-    return Finding(
-        name="SUMO packages", state="broken", text=f"{told}; install them as: pip install {asked}"
-    )
+    return Finding("broken", f"{told}; install them as: pip install {asked}")
 
 
 def libsumo() -> Finding:
     """Whether SUMO's library can be loaded into Python."""
     good, text = probe("import libsumo; print(libsumo.getVersion()[1])")
-    return Finding(name="libsumo", state="ok" if good else "broken", text=_tell(good, text))
+    return _loaded(good, text)
 
 
 def netconvert() -> Finding:
@@ -248,22 +239,20 @@ def sumo_gui() -> Finding:
         return found
     display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     if display:
-        return Finding(name="sumo-gui", state="ok", text=f"{found.text}, display {display}")
-    text = "no display (DISPLAY is not set): --gui does not work, all else does"
-    return Finding(name="sumo-gui", state="warning", text=text)
+        return Finding("ok", f"{found.text}, display {display}")
+    return Finding("warning", "no display (DISPLAY is not set): --gui does not work, all else does")
 
 
 def sumo_home() -> Finding:
     """Whether SUMO_HOME, which is not needed here, points to another SUMO."""
-    name = "SUMO_HOME"
-    named = os.environ.get(name)
+    named = os.environ.get("SUMO_HOME")
     if not named:
-        return Finding(name=name, state="ok", text="not set; the installed package is used")
+        return Finding("ok", "not set; the installed package is used")
     good, own = probe(_PROGRAMS)
     if good and Path(named).resolve() == Path(own).resolve():
-        return Finding(name=name, state="ok", text=named)
-    what = "another SUMO" if Path(named).is_dir() else "no folder"
-    return Finding(name=name, state="warning", text=f"{named} is {what}; here {own} is used")
+        return Finding("ok", named)
+    what = "another SUMO" if Path(named).is_dir() else "not a folder"
+    return Finding("warning", f"{named} is {what}; here {own} is used")
 
 
 def torch() -> Finding:
@@ -274,7 +263,7 @@ def torch() -> Finding:
         " gpu = torch.cuda.get_device_name() if there else 'no GPU (none needed)';"
         " print(f'{torch.__version__}, {torch.get_num_threads()} threads, {gpu}')"
     )
-    return Finding(name="torch", state="ok" if good else "broken", text=_tell(good, text))
+    return _loaded(good, text)
 
 
 def libraries() -> Finding:
@@ -283,7 +272,7 @@ def libraries() -> Finding:
     if good:
         names = [name.partition(".")[0] for name in _LIBRARIES]
         text = ", ".join(f"{name} {_installed(name) or '?'}" for name in names)
-    return Finding(name="libraries", state="ok" if good else "broken", text=_tell(good, text))
+    return _loaded(good, text)
 
 
 def _program(name: str, failed: State, consequence: str) -> Finding:
@@ -291,13 +280,11 @@ def _program(name: str, failed: State, consequence: str) -> Finding:
     if good:
         file = f"{name}.exe" if sys.platform == "win32" else name
         good, text = ended([str(Path(text) / "bin" / file), "--version"], PROGRAM_S)
-    if good:
-        return Finding(name=name, state="ok", text="starts")
-    return Finding(name=name, state=failed, text=f"{consequence}: {text}")
+    return Finding("ok", "starts") if good else Finding(failed, f"{consequence}: {text}")
 
 
-def _tell(good: bool, text: str) -> str:
-    return text if good else f"cannot be loaded: {text}"
+def _loaded(good: bool, text: str) -> Finding:
+    return Finding("ok", text) if good else Finding("broken", f"cannot be loaded: {text}")
 
 
 def _wanted() -> dict[str, str]:

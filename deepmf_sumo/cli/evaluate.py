@@ -33,15 +33,7 @@ from deepmf_sumo.cli._parameters import format_option
     "--threads", type=click.IntRange(min=1),
     help="Use this number of CPU threads.  [default: torch's own]",
 )  # fmt: skip
-def command(
-    data: tuple[Path, ...],
-    name: str,
-    form: str,
-    file: Path | None,
-    candidates: int,
-    card: bool,
-    threads: int | None,
-) -> None:
+def command(data: tuple[Path, ...], form: str, **settings: Any) -> None:
     """Measure the three predictors on the recordings DATA, which should not be training data.
 
     Records that cannot be used are named and left out. The figures of baselines without a network
@@ -50,15 +42,7 @@ def command(
     from deepmf_sumo.cli import _evaluation, _screen
     from deepmf_sumo.training import evaluation
 
-    found = evaluation.run(
-        data,
-        name=name,
-        file=file,
-        card=card,
-        threads=threads,
-        report=lambda line: click.echo(line, err=True),
-        candidates=candidates,
-    )
+    found = evaluation.run(data, report=lambda line: click.echo(line, err=True), **settings)
     if form == "table":
         _evaluation.show(found)
     elif form == "json":

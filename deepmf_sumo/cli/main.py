@@ -17,7 +17,8 @@ import click
 
 import deepmf_sumo
 from deepmf_sumo import cli
-from deepmf_sumo.errors import EXIT_CODES, DeepmfError, OutputError, nearest
+from deepmf_sumo.cli._parameters import Group
+from deepmf_sumo.errors import EXIT_CODES, DeepmfError, OutputError
 from deepmf_sumo.texts import shown
 
 OLD_NAMES: Final = {
@@ -32,7 +33,7 @@ _MAKE_ROOM: Final = (
 )
 
 
-class Commands(click.Group):
+class Commands(Group):
     """The modules of this folder."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
@@ -54,14 +55,11 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click's; an unknown name gets a suggestion, an old one a line about the new one."""
-        name = args[0]
-        if not name.startswith("-") and self.get_command(ctx, name) is None:
-            ctx.fail(f"No such command '{name}'.{nearest(name, self.list_commands(ctx))}")
-        if name in OLD_NAMES:
-            new = f"`deepmf-sumo {OLD_NAMES[name]}`"
+        """As of `Group`; an old name gets a line about the new one."""
+        if args[0] in OLD_NAMES:
+            new = f"`deepmf-sumo {OLD_NAMES[args[0]]}`"
             click.echo(
-                f"deepmf-sumo: `{name}` is now {new}; the next release drops the old name.",
+                f"deepmf-sumo: `{args[0]}` is now {new}; the next release drops the old name.",
                 err=True,
             )
         return super().resolve_command(ctx, args)

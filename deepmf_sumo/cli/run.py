@@ -80,22 +80,22 @@ def command(
     from deepmf_sumo import plans
     from deepmf_sumo.cli._screen import announce_moments, progress
 
-    sweep = Sweep.of(wanted)
     if seeds and (seed is not None or any(_sets_seed(one) for one in sets)):
         raise UsageError("--seeds goes without --seed and without --set seed=N: leave one out.")
     if any(map(plans.is_plan, files)):
         _check_alone(files, name_filter)
         chosen = list(seeds or (() if seed is None else (seed,)))
         over = [*sets, *([f"seeds={chosen}"] if chosen else [])]
-        ctx.exit(run_plan(files[0], sweep, sets=over, scenes=scenes, page=report, **wanted))
-    if wanted["without"]:
+        ctx.exit(run_plan(files[0], wanted, sets=over, scenes=scenes, page=report))
+    if wanted.pop("without"):
         raise UsageError("--without is for a plan: specs have one method each.")
-    batch = sweep.begin(pictures=True, name_filter=name_filter, scenes=scenes)
+    wanted["sumo"] = True
+    sweep = Sweep.begin(wanted, pictures=True, name_filter=name_filter, scenes=scenes)
     specs = _loaded(files, sets, seed, seeds)
     with progress() as show:
-        results = plans.run_specs(specs, batch, show, announce_moments)
+        results = plans.run_specs(specs, sweep.options, show, announce_moments)
     if report:
-        write_page(sweep.out)
+        write_page(sweep.options.out)
     ctx.exit(end_of_runs(sweep, results))
 
 
@@ -124,27 +124,22 @@ def _loaded(
 
 
 def run_plan(
-    file: Path,
-    sweep: Sweep,
-    *,
-    sets: Sequence[str],
-    without: Sequence[str],
-    figures: bool,
-    page: bool = False,
-    **more: Any,
+    file: Path, wanted: dict[str, Any], *, sets: Sequence[str], page: bool = False, **more: Any
 ) -> int:
     """Run a plan, write its tables and figures, show the table; returns the exit code."""
     from deepmf_sumo import plans
     from deepmf_sumo.cli._screen import announce_moments, progress, show_study
     from deepmf_sumo.report import benchmark
 
-    wanted = sweep.begin(pictures=False, **more)
+    without, figures = wanted.pop("without"), wanted.pop("figures")
+    sweep = Sweep.begin(wanted, pictures=False, **more)
     loaded = plans.load(file, sets, without)
     with progress() as report:
-        results = plans.run(loaded, wanted, report, announce_moments)
-    made = benchmark.finish(sweep.out, figures=figures)
+        results = plans.run(loaded, sweep.options, report, announce_moments)
+    out = sweep.options.out
+    made = benchmark.finish(out, figures=figures)
     if page:
-        write_page(sweep.out)
-    expected = plans.expected(sweep.out, wanted.shard)
-    show_study(sweep.out, results, expected, made)
+        write_page(out)
+    expected = plans.expected(out, sweep.options.shard)
+    show_study(out, results, expected, made)
     return end(sweep, results, expected - len(results))

@@ -20,7 +20,7 @@ _TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "
 LONG_S: Final = 15.0
 """An attack on one opponent is decided by then."""
 _SLOWEST_MPS: Final = 3.0
-"""Who stands now may be at the junction in a moment."""
+"""A vehicle that stands now may be at the junction soon."""
 
 Place = tuple[int, int]
 """An edge, and the next one if the vehicle gets there, else -1."""
@@ -31,10 +31,10 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | Non
     """Draw moments; the same for the same sightings, wish and seed.
 
     Args:
-        sightings: who is where when.
+        sightings: which vehicle is where at which time.
         turns: what it is to drive from an edge to another.
-        wish: what the moments shall be like.
-        met: encounters that attacks would begin with; None where nobody meets anybody.
+        wish: the moments that are asked for.
+        met: encounters that attacks would begin with; None where no vehicles meet.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
@@ -51,7 +51,7 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | Non
                 f" within {REACH_M:g} m"
             )
     if wish.again and len(moments) < wish.count and not none_at_all:
-        reason = "the other vehicles are not there at their times, or nobody is around them"
+        reason = "the other vehicles are not there at their times, or no vehicle is near them"
     return Found(
         moments=tuple(sorted(moments, key=lambda one: (one.start_s, one.av))),
         suitable=len(rows),
@@ -74,7 +74,7 @@ def turns_of(net: NetFile) -> dict[tuple[str, str], str]:
 
 @dataclass
 class _Used:
-    """How often something has been chosen already."""
+    """How often each was chosen."""
 
     junctions: Counter[str] = field(default_factory=Counter)
     edges: Counter[int] = field(default_factory=Counter)
@@ -87,7 +87,7 @@ class _Spread:
     """The edge that was chosen least often is next, and of its places one at a rare time.
 
     Where encounters are preferred, the junction that was chosen least often comes first, there
-    places with encounters, and of the place the closest encounter; at last edges of no junction.
+    places with encounters, and at each place the closest encounter; edges of no junction are last.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class _Spread:
             self._kind[int(edge), int(after)] = int(met.kind[mine].min())
 
     def draw(self) -> list[Moment]:
-        """As many moments as asked for, if there are."""
+        """As many moments as are asked for, or all."""
         moments: list[Moment] = []
         while self._left and len(moments) < self._wish.count:
             place = min(self._left, key=self._order)
@@ -138,7 +138,7 @@ class _Spread:
         return says_nothing, used.junctions[self._junction(place)], kind, *spread
 
     def _take(self, place: Place) -> Moment | None:
-        """The next moment of a place; None where it was none, which is left out from now on."""
+        """The next moment of a place; None where it is unsuitable, which leaves it out."""
         rows = self._left[place]
         vehicle = self._sightings.vehicle[rows]
         cost = self._taken[self._span[rows]] + self._leaves[rows].astype(float)
@@ -168,7 +168,7 @@ class _Spread:
         return any(abs(now - start) < self._wish.duration_s for start in starts)
 
     def _comes_near(self, row: int) -> bool:
-        """Whether somebody who is farther away gets there, as the AV meets another soon."""
+        """Whether a vehicle farther away gets near, because the AV soon meets another one."""
         return (
             self._prefers
             and bool(self._met.kind[row] != NONE)
@@ -203,7 +203,7 @@ class _Spread:
         )
 
     def _junction(self, place: Place) -> str:
-        """The one that the edge leads to, or comes from; the edge where nobody meets anybody."""
+        """The one that the edge leads to, or comes from; the edge itself where no vehicles meet."""
         edge = self._sightings.edges[place[0]]
         return self._met.junctions.get(edge, edge)
 
@@ -215,7 +215,7 @@ class _Spread:
 
 
 def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
-    """(K) which part of the time it is, of as many as moments are asked for."""
+    """(K) the part of the time, of as many as moments are asked for."""
     time_s = sightings.time_s
     if wish.at_s:
         nearest: Ints = np.abs(time_s[:, None] - np.array(wish.at_s)).argmin(axis=1)
@@ -227,7 +227,7 @@ def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
 
 
 def _gets_there(sightings: Sightings, duration_s: float) -> Bools:
-    """(K) who comes to the next junction in the time of an attack, at the speed of now."""
+    """(K) whether it reaches the next junction within the attack, at its present speed."""
     way_m = duration_s * np.maximum(sightings.speed_mps, _SLOWEST_MPS)
     gets_there: Bools = sightings.to_end_m <= way_m
     return gets_there
@@ -244,13 +244,13 @@ def _again(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
 def _staying(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
     """Of the rows for a long attack those that stay half as long as the one that stays longest.
 
-    In a scenario of minutes most others would be gone before the second opponent's turn.
+    In a scenario of minutes most others would have left before the second opponent's turn.
     """
     if wish.duration_s <= LONG_S or not len(rows):
         return rows
     last = _last_seen_s(sightings)
     stays_s = np.minimum(last[sightings.vehicle] - sightings.time_s, wish.duration_s)[rows]
-    # of those at each moment that is asked for, so that a late one keeps somebody
+    # of those at each time that is asked for, so that a late one keeps a vehicle
     times, group = np.unique(sightings.time_s[rows], return_inverse=True)
     if not wish.at_s:
         group = np.zeros(len(rows), np.int64)
@@ -268,7 +268,7 @@ def _last_seen_s(sightings: Sightings) -> Floats:
 
 
 def _leave(sightings: Sightings, duration_s: float) -> Bools:
-    """(K) who arrives before the attack is over."""
+    """(K) whether it arrives before the attack is over."""
     last = _last_seen_s(sightings)
     until = np.minimum(sightings.time_s + duration_s, sightings.until_s - 1.0)
     leaves: Bools = last[sightings.vehicle] < until

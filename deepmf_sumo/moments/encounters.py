@@ -1,4 +1,4 @@
-"""Who meets somebody at a junction when nobody attacks, and how closely."""
+"""Which vehicles meet at a junction without an attack, and how closely."""
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from deepmf_sumo.simulation.traffic_survey import EVERY_S, Sightings
 
 _ROUNDING_S: Final = 0.05
 _FASTER_MPS: Final = 10.0
-"""In a second nobody gets faster by more: who has gone farther was teleported."""
+"""No vehicle gains more speed in a second: one that has gone farther was teleported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,8 +24,8 @@ class Passages:
     Attributes:
         ways: names of the edge before the junction and of the one behind it, each pair once.
         vehicle, way: (P) index.
-        entered_s, left_s: (P) good to about half a second. Who waits inside, to turn left, enters
-            when it goes on: who passes meanwhile does not meet it.
+        entered_s, left_s: (P) good to about half a second. A vehicle that waits inside, to turn
+            left, enters when it goes on: one that passes meanwhile does not meet it.
     """
 
     ways: tuple[tuple[str, str], ...]
@@ -36,11 +36,11 @@ class Passages:
 
 
 def passages(sightings: Sightings, waiting: Set[Way] = frozenset()) -> Passages:
-    """Who was on an edge, and within a second in or behind the junction at its end.
+    """Vehicles that were on an edge, and within a second in or behind the junction at its end.
 
-    Who passes two junctions in a second is seen at both, who passes more not at those between.
-    Jumps of teleported vehicles are none, and of who is inside a junction when first seen nothing
-    is known. ``waiting`` are ways with a place to wait inside.
+    One that passes two junctions in a second is seen at both, one that passes more not at those
+    between. Jumps of teleported vehicles do not count, and of a vehicle that is inside a junction
+    when first seen nothing is known. ``waiting`` are paths with a position to wait inside.
     """
     steps = _Steps(sightings)
     over = steps.over
@@ -102,7 +102,7 @@ class _Steps:
         self._last = ends
 
     def stood_s(self, rows: Ints) -> Floats:
-        """Until when who is before a junction in these rows stood inside it; -inf if it did not."""
+        """When the vehicles before a junction in these rows last stood inside it; -inf: never."""
         stood = np.where(
             self.inside & (self._speed_mps < WAITING_MPS), np.arange(len(self.inside)), -1
         )
@@ -123,13 +123,13 @@ class _Steps:
 
 
 NEAR_S: Final = 5.0
-"""Between one vehicle's leaving the junction and another's entering it; more is no encounter."""
+"""Longest time between a vehicle leaving the junction and another entering it."""
 STEP_S: Final = 1.0
 """Encounters that differ by less are equal: they are not known better."""
 LEAD_S: Final = (3.0, 8.0)
-"""After an attack's beginning: sooner nobody can do much about it, later the traffic is another."""
+"""After an attack's beginning: sooner it cannot be influenced, later the traffic is different."""
 FROM_M: Final = 80.0
-"""Who meets the AV within seconds may be so far away; who is farther is never chosen to attack."""
+"""A vehicle that meets the AV within seconds may be this far away; beyond it none is chosen."""
 _STEPS: Final = int(NEAR_S / STEP_S)
 _RANKS: Final = 2 * _STEPS
 NONE: Final = 2
@@ -140,8 +140,8 @@ class Encounters:
     """Of each of K sightings the encounter that an attack beginning there would have.
 
     Attributes:
-        rank: (K) 0 is the best; of the last rank is who has none.
-        apart_s: (K) what time is between the two, 0 where both are in the junction at once; nan
+        rank: (K) 0 is the best; those without an encounter have the last rank.
+        apart_s: (K) time between the two, 0 where both are in the junction at once; nan
             where there is none.
         other: (K) index of the vehicle that is met; -1 where there is none, or it is not there yet
             or farther away than `FROM_M`.
@@ -162,9 +162,10 @@ class Encounters:
 def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encounters:
     """Look ahead from each sighting, as far as an attack lasts.
 
-    First come those that `LEAD_S` suits, of them those with the least time between the two, and of
-    these who comes second: who waits for the other meets it at whatever speed its planner would
-    drive, who comes first only if its planner is as fast as SUMO's driver.
+    First come those at a time within `LEAD_S`, of them those with the least time between the two,
+    and of these the AVs that come second: an AV that waits for the other vehicle meets it at
+    whatever speed its planner drives, one that comes first only if its planner is as fast as SUMO's
+    driver.
     """
     passed = passages(sightings, waiting_ways(net))
     place = _places(net, passed)
@@ -179,7 +180,7 @@ def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encount
     span = float(sightings.until_s - min(sightings.begin_s, 0.0)) + duration_s + 1.0
     key = np.append(vehicle * span + entered, np.inf)
     rank = np.full(len(sightings.time_s), NONE * _RANKS)
-    found, who = np.full(len(rank), np.nan), np.full(len(rank), -1)
+    found, met_by = np.full(len(rank), np.nan), np.full(len(rank), -1)
     ahead = np.searchsorted(key, sightings.vehicle * span + sightings.time_s, "right")
     rows = np.arange(len(rank))
     while len(rows):
@@ -192,9 +193,9 @@ def encounters(sightings: Sightings, net: NetFile, duration_s: float) -> Encount
         better = new < rank[rows]
         rank[rows[better]] = new[better]
         found[rows[better]] = apart[ahead[better]]
-        who[rows[better]] = np.where(there, other[ahead], -1)[better]
+        met_by[rows[better]] = np.where(there, other[ahead], -1)[better]
         ahead = ahead + 1
-    return Encounters(rank=rank, apart_s=found, other=who, junctions=junctions(net))
+    return Encounters(rank=rank, apart_s=found, other=met_by, junctions=junctions(net))
 
 
 class _Near:
@@ -244,7 +245,7 @@ def nobody_met(sightings: Sightings) -> Encounters:
 
 
 def _able(sightings: Sightings) -> Bools:
-    """(V) who can be met."""
+    """(V) whether it can be met."""
     able = np.zeros(len(sightings.bodies), bool)
     able[sightings.vehicle[opponents(sightings)]] = True
     return able
@@ -260,9 +261,9 @@ def _places(net: NetFile, passed: Passages) -> Ints:
 def _apart(
     passed: Passages, place: Ints, meeting: Set[tuple[Way, Way]], able: Bools
 ) -> tuple[Floats, Ints]:
-    """(2, P) what time is between a passage and the nearest on a way that meets its own, and whose.
+    """(2, P) time between a passage and the nearest one on a path that meets its own, and whose.
 
-    First of those that it comes before, then of those that it comes after; inf if there are none.
+    First of those that it comes before, then of those that it comes after; inf without any.
     Each is compared to those that enter the same junction after it, one after the other, until
     they come too late.
     """

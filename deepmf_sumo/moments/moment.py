@@ -1,4 +1,4 @@
-"""Where and when somebody is attacked, what was asked for, and what was found."""
+"""Where and when a vehicle is attacked: what is asked for, and what is found."""
 
 import difflib
 from dataclasses import dataclass
@@ -63,11 +63,11 @@ class Moment:
         edge: where it is, or, inside a junction, where it comes from.
         following: the next edge on its route; empty at its end.
         turn: what it does at the next junction, where it gets that far in the time of an attack:
-            straight, left, right, turnaround; else ``along``.
+            straight, left, right, turnaround; otherwise ``along``.
         around: vehicles within reach of it.
-        encounter_s: what time is between it and another vehicle on a way that meets its own, at a
-            junction that it passes in the time of an attack, if nobody attacks: 0 where both are in
-            the junction at once; None where there is no such vehicle.
+        encounter_s: time between it and another vehicle on a path that meets its own, at a
+            junction that it passes within the time of an attack, without any attack: 0 where both
+            are in the junction at once; None where there is no such vehicle.
         meets: that vehicle, if it is there and within 80 m when the attack begins.
         street: name of the edge in the network; empty where it has none.
     """
@@ -106,9 +106,9 @@ class Found:
 
 
 REACH_M: Final = 50.0
-"""Between box centres; who is farther away seldom gets there in the time of an attack."""
+"""Between box centres; a vehicle farther away seldom gets there within an attack."""
 SEEN_S: Final = 1.0
-"""What views show of the past."""
+"""Length of the history in views."""
 STAYS_S: Final = 3.0
 _MOVES_M: Final = 3.0
 _ROUNDING_S: Final = 0.05
@@ -125,7 +125,7 @@ _NOT_ON_ROADS: Final = {
 
 
 def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
-    """Rows that can be a moment, but for who is around; and why there is none, if so.
+    """Rows that can be a moment, apart from the vehicles near; and why there is none, if so.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
@@ -141,14 +141,14 @@ def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
 
 
 def opponents(sightings: Sightings) -> Bools:
-    """(K) who can attack: vehicles on roads that are not parked."""
+    """(K) whether it can attack: vehicles on roads that are not parked."""
     others = np.array([body.permission not in _NOT_ON_ROADS for body in sightings.bodies], bool)
     able: Bools = others[sightings.vehicle] & ~sightings.parked
     return able
 
 
 def around(sightings: Sightings, able: Bools, row: int, reach_m: float = REACH_M) -> int:
-    """How many of the able are within reach of the vehicle of a row, at that moment."""
+    """Number of able vehicles within reach of the vehicle of a row, at that moment."""
     time_s = sightings.time_s
     begin, end = np.searchsorted(time_s, time_s[row]), np.searchsorted(time_s, time_s[row], "right")
     away = np.hypot(*(sightings.position_m[begin:end] - sightings.position_m[row]).T)
@@ -167,7 +167,7 @@ def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
 
 
 def _conditions(sightings: Sightings, wish: Wish) -> list[tuple[Bools, str]]:
-    """What a moment has to fulfil, one after the other, and what is said if none does."""
+    """The conditions of a moment, in order, each with the reason if no row satisfies it."""
     bodies, time_s, vehicle = sightings.bodies, sightings.time_s, sightings.vehicle
     asked = np.array([_is_asked(body, wish) for body in bodies], bool)[vehicle]
     on_road = np.array([body.permission in _AV_CLASSES for body in bodies], bool)[vehicle]
@@ -180,25 +180,25 @@ def _conditions(sightings: Sightings, wish: Wish) -> list[tuple[Bools, str]]:
     if wish.at_s:
         moments = np.array(wish.at_s)
         at = (np.abs(time_s[:, None] - moments) < _ROUNDING_S).any(axis=1)
-    who = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
+    named = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
     classes = ", ".join(sorted({body.permission for body in bodies if _is_asked(body, wish)}))
     return [
-        (asked, "nobody is asked for"),
+        (asked, "no vehicle is asked for"),
         (on_road, f"no car, truck or bus is among the vehicles (their classes: {classes})"),
-        (at, f"{who} is there{_when(sightings, wish)}, not at {_times(wish)}"),
+        (at, f"{named} is there{_when(sightings, wish)}, not at {_times(wish)}"),
         (
             (time_s >= departed + SEEN_S - _ROUNDING_S)
             & (time_s >= sightings.begin_s + SEEN_S - _ROUNDING_S),
-            f"{who} must have been there for {SEEN_S:g} s, and none has",
+            f"{named} must have been there for {SEEN_S:g} s, and none has",
         ),
-        (remains, f"{who} must stay for {stays:g} s, and none does"),
-        (~sightings.parked, f"{who} must not be parked, and all are"),
-        (_moves(sightings, max(STAYS_S, wish.duration_s)), f"{who} must move, and none does"),
+        (remains, f"{named} must stay for {stays:g} s, and none does"),
+        (~sightings.parked, f"{named} must not be parked, and all are"),
+        (_moves(sightings, max(STAYS_S, wish.duration_s)), f"{named} must move, and none does"),
     ]
 
 
 def _moves(sightings: Sightings, duration_s: float) -> Bools:
-    """(K) who is under way within so many seconds."""
+    """(K) whether it moves within this time."""
     order = np.lexsort((sightings.time_s, sightings.vehicle))
     vehicle, time_s = sightings.vehicle[order], sightings.time_s[order]
     key = vehicle * (2.0 * sightings.until_s + duration_s + 1.0) + time_s
@@ -234,7 +234,7 @@ def check_times(wish: Wish, begin_s: float, until_s: float, later: str = "") -> 
 
 
 def _check(sightings: Sightings, wish: Wish) -> None:
-    """Names and times that are not there are the user's mistakes."""
+    """Raise UsageError for names and times that are not in the traffic."""
     span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
     later = "" if sightings.complete else f" ({wish.later})"
     check_times(wish, sightings.begin_s, sightings.until_s, later)

@@ -1,4 +1,4 @@
-"""Looks for moments in a process of its own: SUMO may crash, and libsumo runs once a process."""
+"""Specs with moments -> runs. The search has its own process: SUMO may crash, libsumo runs once."""
 
 import csv
 import io
@@ -132,9 +132,9 @@ _LARGEST: Final = 2**26
 
 
 def names_of(configs: Sequence[Path]) -> list[str]:
-    """What the runs of each configuration are called after: no two alike, even as file names.
+    """Names for the runs of each configuration, all different, even as file names.
 
-    That is the file's name; where several have it, the folders that tell them apart. Raises
+    That is the file's name; where several have it, the folders in which they differ. Raises
     UsageError where a configuration is given twice.
     """
     places = [config.resolve() for config in configs]
@@ -160,7 +160,7 @@ def _by_folder(place: Path, depth: int) -> str:
 def check(configuration: Configuration, wish: Wish) -> None:
     """Raise UsageError for a vehicle, type or time that cannot be in a configuration's traffic.
 
-    What only the simulation shows is left to it.
+    Other mistakes show in the simulation.
     """
     end_s = configuration.end_s
     check_times(wish, configuration.begin_s, math.inf if end_s is None else end_s)
@@ -183,7 +183,7 @@ def check(configuration: Configuration, wish: Wish) -> None:
 def read(path: Path, key: str = "--moments-of") -> tuple[VehicleTime, ...]:
     """Vehicles and times of a result folder of `attack`, or of its moments.csv; each once.
 
-    Raises UsageError, which names ``key``, where there is no such table, or it holds none.
+    Raises UsageError, which names ``key``, where there is no such table, or it is empty.
     """
     file = path / MOMENTS if path.is_dir() else path
     try:
@@ -196,7 +196,7 @@ def read(path: Path, key: str = "--moments-of") -> tuple[VehicleTime, ...]:
         ) from None
     except (KeyError, TypeError, ValueError, csv.Error):
         raise UsageError(
-            f"{key} {path}: {file} is no table of moments (columns av and start_s)."
+            f"{key} {path}: {file} is not a table of moments (columns av and start_s)."
         ) from None
     if not found:
         raise UsageError(f"{key} {path}: {file} holds no moments.")
@@ -238,6 +238,11 @@ def documents(
 
     Raises SimulationError for a configuration that cannot be read, UsageError or SpecError.
     """
+    if wanted.get("of") and len(configs) > 1:
+        raise UsageError(
+            f"--moments-of goes with one configuration, and {len(configs)} are given: vehicles are"
+            " those of one traffic."
+        )
     return [
         _document(config, name, keys, sets, sumo_options, wanted)
         for config, name in zip(configs, names_of(configs), strict=True)

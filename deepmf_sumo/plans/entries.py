@@ -167,7 +167,7 @@ def _name(method: str, planner: str) -> str:
 def _situations(
     specs: Sequence[Spec], cache: Path, look: Callable[[Spec], Sequence[Moment]]
 ) -> tuple[Situation, ...]:
-    """All scenes of all sources; networks of one name are told apart by time and AV."""
+    """All scenes of all sources; networks of one name differ by time and AV."""
     stems = Counter(one.source.network.stem for one in specs if isinstance(one.source, FromNetwork))
     found: list[Situation] = []
     for number, one in enumerate(specs):
@@ -188,7 +188,7 @@ def _situations(
     twice = [name for name, number in names.items() if number > 1]
     if twice:
         raise SpecError(
-            f"key 'source': the scene '{twice[0]}' stands twice; leave one of them out."
+            f"key 'source': the scene '{twice[0]}' is given twice; leave one of them out."
         )
     if not found:
         raise SpecError("key 'source': no moment of the networks can be attacked.")
@@ -250,7 +250,7 @@ def _checked(loaded: Loaded, method: str, planner: str, source: int) -> Spec:
 
 
 def _check_installed(method: str, one: Spec) -> None:
-    """Make the adversary and find its weights, so that what lacks shows before hours of work."""
+    """Make the adversary and find its weights: what is missing shows before hours of work."""
     choice = one.adversary
     settings = plugins.settings("adversaries", choice.name, choice.settings)
     try:

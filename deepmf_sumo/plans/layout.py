@@ -1,4 +1,4 @@
-"""What a benchmark's folder says of its plan: all that tables need, without specs and scenes."""
+"""What a result folder says of its plan: all that tables need, without specs and scenes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -38,7 +38,7 @@ class Budgeted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """A benchmark.
+    """A plan as its result folder keeps it.
 
     Attributes:
         name: of the plan. version: of the program.
@@ -138,11 +138,11 @@ class _Planned(BaseModel):
 
 
 def read_layout(folder: Path) -> Layout:
-    """The layout of a benchmark's folder. Raises UsageError where it is none of this version."""
+    """The layout of a plan's folder. Raises UsageError where it is not one of this version."""
     file = folder / FILE
     if not file.exists():
-        raise UsageError(f"{folder} is no benchmark's folder: it has no {FILE}.")
-    values = stored.mapping(file, again="run the benchmark again")
+        raise UsageError(f"{folder} is not the folder of a plan: it has no {FILE}.")
+    values = stored.mapping(file, again="run the plan again")
     found = values.get("version")
     if found != deepmf_sumo.__version__ or values.pop("format_version", None) != FORMAT_VERSION:
         raise UsageError(
@@ -155,16 +155,16 @@ def read_layout(folder: Path) -> Layout:
         _check(layout)
     except ValidationError as error:
         wrong = stored.first_wrong(error)
-        raise UsageError(f"{file} is damaged ({wrong}); run the benchmark again.") from None
+        raise UsageError(f"{file} is damaged ({wrong}); run the plan again.") from None
     except (LookupError, TypeError, ValueError) as error:
-        raise UsageError(f"{file} is damaged ({error}); run the benchmark again.") from None
+        raise UsageError(f"{file} is damaged ({error}); run the plan again.") from None
     for run_id in layout.runs:
         stored.run_folder(folder, run_id, FILE)
     return layout
 
 
 def _check(layout: Layout) -> None:
-    """Raise ValueError where the plan is none, or names methods that it does not have."""
+    """Raise ValueError where it is not a plan, or names methods that it does not have."""
     plan = _Planned.model_validate(layout.plan)
     parts = [part for part in (layout.equal_seconds, layout.curves) if part]
     for part in parts:

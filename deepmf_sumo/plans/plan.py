@@ -28,7 +28,7 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     """A value that is given twice would be counted twice."""
     for value in values:
         if values.count(value) > 1:
-            rule = f"'{value}' stands twice; leave one of them out"
+            rule = f"'{value}' is given twice; leave one of them out"
             raise PydanticCustomError("rule", "{rule}", {"rule": rule})
     return values
 
@@ -65,7 +65,7 @@ class Method(Subset):
 
 
 class EqualSeconds(Subset):
-    """Methods that search, again with the same time; the others stand beside them as they are."""
+    """Methods that search, again with the same time; the others appear beside them unchanged."""
 
     seconds: Seconds
     methods: Annotated[Names, Field(min_length=1)]
@@ -91,7 +91,7 @@ class Curves(Subset):
 
 
 class Tables(Strict):
-    """Which methods stand in which table.
+    """Which methods appear in which table.
 
     Attributes:
         baseline: what the paired differences are taken to; None is the first method.
@@ -193,7 +193,7 @@ class Plan(Strict):
 
 @dataclass(frozen=True)
 class Loaded:
-    """A plan and the document that it was read from, which knows where each key stands."""
+    """A plan and the document that it was read from, which knows where each key is."""
 
     plan: Plan
     document: Document

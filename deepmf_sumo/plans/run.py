@@ -26,7 +26,7 @@ from deepmf_sumo.tasks import Part, Task
 
 Report = Callable[[Progress], None]
 Announce = Callable[[Request, Found], None]
-"""Is told which moments of a network were found."""
+"""Called with the moments of a network that were found."""
 
 
 def run_specs(
@@ -44,8 +44,8 @@ def run_specs(
     Args:
         specs: any.
         options: of the runs.
-        report: is told of each run that has ended.
-        announce: is told which moments were found.
+        report: called when a run has ended.
+        announce: called when moments were found.
         by_option: messages name the options of ``attack``, see `Wish`.
 
     Raises SpecError, UsageError, SimulationError or OutputError before anything is attacked.
@@ -97,7 +97,7 @@ def run(
 ) -> list[Result]:
     """Run a plan, or a shard of it, and write runs.csv and the tables.
 
-    Runs begin scene by scene, so that an unfinished benchmark shows all methods; tables are in the
+    Runs begin scene by scene, so that an unfinished plan shows all methods; tables are in the
     plan's order. An interrupt leaves the finished runs and their tables behind and is passed on.
 
     Raises SpecError, UsageError, SimulationError or OutputError before anything runs.

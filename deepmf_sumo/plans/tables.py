@@ -1,4 +1,4 @@
-"""A benchmark's folder -> ``table.csv`` and the tables beside it.
+"""A plan's folder -> ``table.csv`` and the tables beside it.
 
 Differences between two methods on the same scenes have the intervals of `results.difference`. A
 scene counts once, with all its seeds: attacks on one scene depend on each other.
@@ -193,7 +193,7 @@ ACCIDENTS: Final = "accidents.csv"
 
 
 def write(folder: Path) -> None:
-    """Write all tables of a benchmark's folder, from its runs. Raises UsageError."""
+    """Write all tables of a plan's folder, from its runs. Raises UsageError."""
     plan = layout.read_layout(folder)
     runs = _grouped(results_of(folder))
     files.write(folder / MAIN, tables.to_csv(main_rows(plan, runs)))

@@ -15,7 +15,6 @@ from deepmf_sumo.datatypes import (
     Plan,
     PlanReason,
     Rollout,
-    Tracks,
 )
 from deepmf_sumo.results import stored, tracks
 from deepmf_sumo.results.tracks import read_tracks

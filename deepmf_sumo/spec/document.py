@@ -1,6 +1,6 @@
 """YAML text -> plain values, with the place of every key.
 
-Stricter than PyYAML: a key that stands twice is refused, and so are aliases (a small file could
+Stricter than PyYAML: a key that is given twice is refused, and so are aliases (a small file could
 unfold into gigabytes), keys that are not text, whole numbers that are not plain decimals, and what
 takes long to read: deep nesting, very many values, and numbers of very many digits.
 """
@@ -30,14 +30,14 @@ KeyPath = tuple[str | int, ...]
 
 @dataclass
 class Document:
-    """A mapping; ``places`` says where each key stands: ``file:line`` or ``--set key=value``."""
+    """A mapping; ``places`` says where each key is: ``file:line`` or ``--set key=value``."""
 
     file: Path
     values: dict[str, Any]
     places: dict[KeyPath, str] = field(default_factory=dict)
 
     def place(self, path: KeyPath) -> str:
-        """Where a key stands, or the nearest key around it."""
+        """Where a key is, or the nearest key around it."""
         for end in range(len(path), 0, -1):
             if path[:end] in self.places:
                 return self.places[path[:end]]
@@ -161,7 +161,9 @@ class _Loader:
                 key = key_node.value
                 if key in seen:
                     dotted = ".".join(str(part) for part in (*path, key))
-                    raise SpecError(f"{place}: key '{dotted}' stands twice, first at {seen[key]}.")
+                    raise SpecError(
+                        f"{place}: key '{dotted}' is given twice, first at {seen[key]}."
+                    )
                 seen[key] = self.places[*path, key] = place
                 self._visit(value_node, (*path, key))
 

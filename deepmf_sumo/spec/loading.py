@@ -55,7 +55,7 @@ def takes_turns(spec: Spec) -> bool:
 
 
 def _one_opponent(spec: Spec) -> str:
-    """Why there is but one."""
+    """Why there is only one opponent."""
     named = spec.adversary.settings.get("opponent")
     if spec.adversary.name in _DEEPMF and named is not None:
         return f"adversary.opponent is '{named}'"

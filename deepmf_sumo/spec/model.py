@@ -106,7 +106,7 @@ class FromNetwork(Strict):
 class Moments(Strict):
     """Which vehicles of a network are attacked when; what is not given is chosen.
 
-    ``of`` is a result folder of an attack, or its moments.csv: the same vehicles at the same times.
+    ``of`` is a result folder of an attack, or its moments.csv: the same vehicles and times.
     """
 
     count: int | None = Field(
@@ -127,9 +127,10 @@ class Moments(Strict):
     def _of_says_all(self) -> "Moments":
         for key in ("count", "av", "av_type", "at_s"):
             if self.of is not None and getattr(self, key):
-                raise _wrong(f"'{key}' cannot be given with 'of'; leave one of them out", key)
+                raise _wrong("cannot be given with 'of' (--moments-of): leave one of them out", key)
         if self.of is not None and self.prefer != "spread":
-            raise _wrong("'prefer' cannot be given with 'of'; leave one of them out", "prefer")
+            rule = "encounters cannot be given with 'of' (--moments-of): leave one of them out"
+            raise _wrong(rule, "prefer")
         return self
 
 
@@ -232,19 +233,17 @@ class SearchBudget(Strict):
 
 
 class Turns(Strict):
-    """With ``opponents: in_turn``: when an opponent is spent, and who may be the next."""
+    """With ``opponents: in_turn``: when an opponent's turn ends, and which vehicle may be next."""
 
-    longest_s: float = Field(default=15.0, ge=3.0, description="an opponent is tried for so long")
+    longest_s: float = Field(default=15.0, ge=3.0, description="longest turn of an opponent")
     reach_m: float = Field(default=80.0, gt=0, description="farther from the AV is out of reach")
     harmless_s: float = Field(
-        default=4.0, gt=0, description="so long without a plan that meets a predicted AV"
+        default=4.0, gt=0, description="without a plan that meets a predicted AV"
     )
     again_after_s: float = Field(
-        default=30.0, ge=0, description="before its next turn, unless nobody else is there"
+        default=30.0, ge=0, description="before its next turn, unless no other vehicle can attack"
     )
-    clear_s: float = Field(
-        default=10.0, ge=0, description="so long the AV is given to be clear of everybody"
-    )
+    clear_s: float = Field(default=10.0, ge=0, description="for the AV to be clear of all vehicles")
 
 
 class Bound(Strict):
@@ -255,16 +254,16 @@ class Bound(Strict):
 
 
 class Expect(Strict):
-    """What must come true in every run of the spec; makes the spec a test."""
+    """What must hold in every run of the spec; makes the spec a test."""
 
-    av_collision: bool | None = Field(default=None, description="the AV touches anybody")
+    av_collision: bool | None = Field(default=None, description="the AV touches another vehicle")
     outcome: Literal["av_opponent", "av_other", "opponent_other", "none"] | None = None
     max_contact_speed_mps: float | None = Field(default=None, ge=0)
     metrics: dict[str, Bound] = Field(default_factory=dict)
 
 
 def _weights(value: str, info: ValidationInfo) -> str:
-    """A name stays a name; whatever holds a slash is a folder, relative to the spec."""
+    """A name stays a name; a text with a slash is a folder, relative to the spec."""
     return str(_existing(value, info)) if "/" in value else value
 
 
@@ -275,7 +274,7 @@ class Spec(Strict):
     name: str = Field(min_length=1, max_length=200)
     source: Source
     duration_s: float = Field(default=8.0, ge=0.1, le=3600)
-    traffic: Literal["log", "sumo"] = Field(description="who drives the others")
+    traffic: Literal["log", "sumo"] = Field(description="what drives the other vehicles")
     planner: Plugin = Plugin(name="idm")
     adversary: Plugin = Plugin(name="deepmf")
     opponents: Literal["one", "in_turn"] = Field(
@@ -314,7 +313,7 @@ class Spec(Strict):
     def resolved(self) -> dict[str, Any]:
         """Plain values with absolute paths, as they are written to a result folder.
 
-        What says nothing is left out: specs of one opponent stay equal to those of earlier runs.
+        Keys of turns are left out for one opponent: such specs equal those of earlier versions.
         """
         without = {"opponents", "turns"} if self.opponents == "one" else None
         return self.model_dump(mode="json", exclude=without)

@@ -55,7 +55,7 @@ def test_times_are_kept_and_nothing_later_is_looked_at(tiny, tmp_path, capsys):
 def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_path, capsys):
     out = tmp_path / "out"
     assert attack(tiny, out, "--", "--end", "0.5") == 0
-    line = "nobody to attack in tiny.sumocfg: there is no vehicle from 0 to 0 s"
+    line = "no vehicle to attack in tiny.sumocfg: there is no vehicle from 0 to 0 s"
     assert capsys.readouterr().out.strip() == line
     assert json.loads((out / "summary.json").read_text())["runs"] == 0
     assert (out / "moments.csv").read_text().startswith("run_id,av,")
@@ -165,11 +165,17 @@ def test_moments_of_another_attack_make_pairs(tiny, tmp_path, capsys):
     (tmp_path / "odd.csv").write_text("a,b\n1,2\n")
     for more, message in (
         (["--moments-of", tmp_path / "nothing"], "cannot be read (No such file or directory)"),
-        (["--moments-of", tmp_path / "odd.csv"], "is no table of moments (columns av and start_s)"),
-        (["--moments-of", first, "--av", "leader"], "--av cannot be given with --moments-of"),
+        (
+            ["--moments-of", tmp_path / "odd.csv"],
+            "is not a table of moments (columns av and start_s)",
+        ),
+        (
+            ["--moments-of", first, "--av", "leader"],
+            "--av: key 'source.moments.av': cannot be given with 'of' (--moments-of)",
+        ),
         (
             ["--moments-of", first, "--prefer", "encounters"],
-            "--prefer encounters cannot be given with --moments-of",
+            "--prefer: key 'source.moments.prefer': encounters cannot be given with 'of'",
         ),
     ):
         capsys.readouterr()

@@ -34,7 +34,7 @@ def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
     assert (out / "figures" / "index.md").is_file()
     done = call(merge.command, tmp_path / "half", tmp_path / "2", "--no-figures")
     assert done.exit_code == 130
-    assert "4 not begun: --resume makes them" in done.output
+    assert "4 not begun: --resume does them" in done.output
 
 
 def test_wrong_calls_run_nothing(tiny, tmp_path, monkeypatch):

@@ -70,6 +70,20 @@ def test_the_commands_of_a_page_exist(page):
     assert wrong == []
 
 
+def test_the_commands_of_the_makefile_exist():
+    text = (ROOT / "Makefile").read_text("utf-8").replace("\\\n", " ")
+    text = text.replace("$(TRAIN)", "$(RUN) train").replace("$(RUN)", "deepmf-sumo")
+    for _ in range(2):  # variables of make may be nested once
+        text = re.sub(r"\$\([^()]*\)", "X", text)
+    lines = [
+        line.partition("deepmf-sumo ")[2] for line in text.splitlines() if "deepmf-sumo " in line
+    ]
+    found = [shlex.split(re.split(r" [|&>]", line)[0]) for line in lines]
+    assert len(found) > 10
+    for arguments in found:
+        parse(arguments)
+
+
 def test_commands_are_found():
     """So that the test above does not pass for want of commands."""
     found = [one for page in PAGES for one in commands_of(page.read_text("utf-8"))]

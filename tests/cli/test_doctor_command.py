@@ -29,7 +29,7 @@ def test_a_check_that_fails_itself_is_a_finding():
     def check():
         raise KeyError("oops")
 
-    assert doctor.look("x", check) == Finding(name="x", state="broken", text="KeyError: 'oops'")
+    assert doctor.look(check) == Finding("broken", "KeyError: 'oops'")
 
 
 def test_sumo_packages_of_two_versions(monkeypatch):
@@ -59,7 +59,7 @@ def test_sumo_home(monkeypatch, tmp_path):
     found = doctor.sumo_home()
     assert (found.state, "is another SUMO" in found.text) == ("warning", True)
     monkeypatch.setenv("SUMO_HOME", str(tmp_path / "no"))
-    assert "is no folder" in doctor.sumo_home().text
+    assert "is not a folder" in doctor.sumo_home().text
 
 
 def test_display(monkeypatch):
@@ -69,7 +69,7 @@ def test_display(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     assert doctor.sumo_gui().state == "warning"
     monkeypatch.setenv("DISPLAY", ":7")
-    assert doctor.sumo_gui() == Finding(name="sumo-gui", state="ok", text="starts, display :7")
+    assert doctor.sumo_gui() == Finding("ok", "starts, display :7")
 
 
 def _done(command, **_):
@@ -153,7 +153,7 @@ def test_other_weights_are_named(monkeypatch, tmp_path):
 
 
 def test_the_command_goes_on_after_a_broken_line(monkeypatch, capsys):
-    fine = Finding(name="any", state="ok", text="fine")
+    fine = Finding("ok", "fine")
     for name in ("libsumo", "netconvert", "sumo_gui", "torch", "libraries"):
         monkeypatch.setattr(doctor, name, lambda: fine)
     monkeypatch.setattr(doctor, "weights_of_set", lambda name: fine)

@@ -156,7 +156,7 @@ def test_moments_of_a_table_are_each_taken_once(tmp_path):
     assert search.read(tmp_path) == search.read(table) == (("car ü", 3.0), ("b", 7.0))
     for damaged in ("run_id,av,start_s\nr,a,inf\n", "run_id,av\nr,a\n", "run_id,av,start_s\nr\n"):
         table.write_text(damaged)
-        with pytest.raises(UsageError, match="is no table of moments"):
+        with pytest.raises(UsageError, match="is not a table of moments"):
             search.read(table)
 
 

@@ -98,10 +98,13 @@ def test_moments_of_a_plan_are_those_of_one_seed(tiny):
     [
         ("{network: tiny.sumocfg, moments: {cuont: 2}}", "source.moments.cuont.* mean 'count'"),
         ("{network: tiny.sumocfg, moments: {}, start_s: 2.0}", "'start_s' does not go with"),
-        ("{network: tiny.sumocfg, moments: {of: a, av: b}}", "'av' cannot be given with 'of'"),
+        (
+            "{network: tiny.sumocfg, moments: {of: a, av: b}}",
+            "moments.av': cannot be given with 'of'",
+        ),
         (
             "{network: tiny.sumocfg, moments: {of: a, prefer: encounters}}",
-            "'prefer' cannot be given with 'of'",
+            "moments.prefer': encounters cannot be given with 'of'",
         ),
         ("{recording: ., moments: {}}", "unknown key"),
     ],

@@ -176,7 +176,7 @@ def test_left_out_methods_are_nowhere(plan, tmp_path):
 
 
 def test_the_same_situation_twice_is_refused(plan, tmp_path):
-    with pytest.raises(SpecError, match="'tiny 2 s av' stands twice"):
+    with pytest.raises(SpecError, match="'tiny 2 s av' is given twice"):
         entries.entries_of(plan(tiny_plan.PLAN.replace("start_s: 3.0", "start_s: 2.0")), tmp_path)
 
 
@@ -209,7 +209,6 @@ def test_the_papers_plan_is_found_in_a_checkout_and_in_a_package(tmp_path, monke
 
 
 def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
-    from deepmf_sumo.cli._starter import paper_plan
 
     from deepmf_sumo import readers
     from deepmf_sumo import tasks as batch_tasks

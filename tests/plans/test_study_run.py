@@ -19,7 +19,7 @@ from deepmf_sumo.sweep import batch
 
 from tests.support import tiny_plan
 
-COMMAND = (sys.executable, "-m", "deepmf_sumo.cli.main", "benchmark")
+COMMAND = (sys.executable, "-m", "deepmf_sumo.cli.main", "run")
 
 ENDED = "planner_error: the planner ended its process (SIGSEGV; see log.txt)."
 
@@ -119,7 +119,7 @@ def test_other_plans_and_versions_are_not_merged(whole, tmp_path):
     (tmp_path / "version" / "manifest.json").write_text('{"tool": "deepmf-sumo"}')
     with pytest.raises(UsageError, match=r"made by version 0\.0\.1"):
         plans.run(plans.load(whole[0]), options(tmp_path / "version", resume=True))
-    with pytest.raises(UsageError, match="no benchmark's folder"):
+    with pytest.raises(UsageError, match="not the folder of a plan"):
         plans.merge(tmp_path / "out", [tmp_path])
     assert not (tmp_path / "out").exists()
 
@@ -129,7 +129,7 @@ def test_nothing_is_lost_or_doubled_by_kills(whole, tmp_path):
     file, folder = whole
     out = tmp_path / "out"
     command = [
-        sys.executable, "-m", "deepmf_sumo.cli.main", "benchmark", file, "--out", out, "--resume",
+        sys.executable, "-m", "deepmf_sumo.cli.main", "run", file, "--out", out, "--resume",
         "--no-figures", "--jobs", "2",
     ]  # fmt: skip
     finished: set[str] = set()
@@ -252,7 +252,7 @@ def test_tables_can_be_made_again(whole, tmp_path):
     before = (folder / "table.csv").read_bytes()
     tables.write(folder)
     assert (folder / "table.csv").read_bytes() == before
-    with pytest.raises(UsageError, match="no benchmark's folder"):
+    with pytest.raises(UsageError, match="not the folder of a plan"):
         tables.write(tmp_path)
 
 

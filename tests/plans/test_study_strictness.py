@@ -21,13 +21,13 @@ from tests.support import tiny_plan
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
-        ("seeds=[0, 0]", r"key 'seeds': \[0, 0\]: '0' stands twice"),
+        ("seeds=[0, 0]", r"key 'seeds': \[0, 0\]: '0' is given twice"),
         ("seeds=[0, -1]", r"key 'seeds\.1': -1"),
         ("seeds=[0, 99999999999]", r"key 'seeds\.1': 99999999999"),
-        ("methods.fixed.planners=[lane, lane]", r"fixed\.planners': .*'lane' stands twice"),
-        ("tables.compared=[none, none]", r"tables\.compared': .*'none' stands twice"),
-        ("equal_seconds={seconds: 1.0, methods: [fixed, fixed]}", "'fixed' stands twice"),
-        ("curves={methods: {fixed: {simulations: [5, 5]}}}", "'5' stands twice"),
+        ("methods.fixed.planners=[lane, lane]", r"fixed\.planners': .*'lane' is given twice"),
+        ("tables.compared=[none, none]", r"tables\.compared': .*'none' is given twice"),
+        ("equal_seconds={seconds: 1.0, methods: [fixed, fixed]}", "'fixed' is given twice"),
+        ("curves={methods: {fixed: {simulations: [5, 5]}}}", "'5' is given twice"),
         ("curves={methods: {fixed: {simulations: [0]}}}", r"fixed\.simulations\.0': 0"),
         ("curves={methods: {fixed: {seconds: [-1.0]}}}", r"fixed\.seconds\.0': -1"),
         ("methods.fixed.figures_only=true", "key 'tables.baseline': 'fixed' is run for figures"),

@@ -24,7 +24,7 @@ for _name in plugins.names("readers"):
 
 
 def _used(path: Path, out: Path) -> None:
-    """As `scenes`, `run` and `record` use a recording."""
+    """As `data list`, `run` and `data record` use a recording."""
     refused = False
     for name in dict.fromkeys(readers.ids(path, out)):
         try:
@@ -33,7 +33,7 @@ def _used(path: Path, out: Path) -> None:
             refused = True
             continue
         npz.write(scene, out / "scene.npz")
-    runner.command("scenes", path, "--csv", out / "rows.csv")
+    runner.command("data", "list", path, "--csv", out / "rows.csv")
     if refused:
         raise DeepmfError("a scene was refused")
 

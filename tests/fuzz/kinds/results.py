@@ -21,7 +21,7 @@ from tests.fuzz import mutators, runner
 from tests.support import tiny_network
 
 _THRESHOLDS = Path(__file__).resolve().parents[3] / "docs" / "ci" / "thresholds.yaml"
-_COMMANDS = ("table", "report", "merge", "risk", "check", "compare")
+_COMMANDS = ("show", "report", "merge", "risk", "check", "compare")
 
 
 def _make(folder: Path) -> Path:
@@ -103,7 +103,7 @@ def _use(folder: Path, out: Path) -> None:
         with contextlib.suppress(DeepmfError):
             store.read_run(path.name)
     arguments: dict[str, tuple[object, ...]] = {
-        "table": ("table", folder),
+        "show": ("show", folder),
         "report": ("report", folder),
         "merge": ("merge", out / "merged", folder),
         "risk": ("risk", folder, "--out", out / "risk"),
