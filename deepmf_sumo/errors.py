@@ -1,4 +1,4 @@
-"""All errors that users can meet, and their exit codes.
+"""Every error that a user can meet, and the exit code that goes with it.
 
 ::
 

@@ -11,11 +11,9 @@ Needs the extra `gym`. SUMO is one simulation a process: for several environment
 """
 
 import importlib
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Lock, Thread
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
@@ -23,12 +21,12 @@ from numpy.typing import NDArray
 
 from deepmf_sumo import spec as specs
 from deepmf_sumo import tasks
-from deepmf_sumo.datatypes import Attack, Case, Command, Floats, Rollout, VehicleModel, View
+from deepmf_sumo.datatypes import Attack, Case, Command, Floats, Rollout, View
 from deepmf_sumo.datatypes.scene import HISTORY_STEPS
-from deepmf_sumo.errors import DeepmfError, PluginError, UsageError
+from deepmf_sumo.errors import PluginError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry import frames, polylines
-from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.sweep import episode
 
@@ -115,88 +113,6 @@ def _filled(table: Floats, shape: tuple[int, ...]) -> Array:
     return array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ended:
-    """The episode is over; ``result`` is what its function returned."""
-
-    result: Any
-
-
-class _LeftError(DeepmfError):
-    """The episode was ended by the other thread."""
-
-
-_LEAVE: Final = object()
-
-
-class SteppedEpisode:
-    """An episode in another thread, which waits at each step for the next command.
-
-    Args:
-        episode: simulates one with a planner, in a separate thread; returns its result.
-        model: parameters of the AV's IDM in SUMO.
-    """
-
-    def __init__(self, episode: Callable[[Planner], Any], model: VehicleModel | None) -> None:
-        self._model = model
-        self._views: SimpleQueue[View | Ended | BaseException] = SimpleQueue()
-        self._commands: SimpleQueue[Any] = SimpleQueue()
-        self._started = False
-        self._thread = Thread(target=self._run, args=(episode,), daemon=True)
-        self._thread.start()
-
-    def next(self, command: Command | None = None) -> View | Ended:
-        """The view after a command (None: the first view), or that the episode has ended.
-
-        Raises what the simulation raises.
-        """
-        if command is not None:
-            self._commands.put(command)
-        came = self._views.get()
-        if isinstance(came, BaseException):
-            self._thread.join()
-            raise came
-        if isinstance(came, Ended):
-            self._thread.join()
-        return came
-
-    def leave(self) -> None:
-        """End the episode, if it is running."""
-        self._commands.put(_LEAVE)
-        self._thread.join()
-
-    @property
-    def model(self) -> VehicleModel | None:
-        """Parameters of the AV's IDM."""
-        return self._model
-
-    def reset(self, case: Case, rng: np.random.Generator) -> None:  # noqa: ARG002 - a planner's
-        """Start of the episode. Raises UsageError for adversaries that simulate several."""
-        if self._started:
-            raise UsageError(
-                "This adversary simulates an attack more than once before it decides, and an"
-                " environment is stepped through once; use deepmf or none."
-            )
-        self._started = True
-
-    def act(self, view: View) -> Command:
-        """The other thread's command."""
-        self._views.put(view)
-        command = self._commands.get()
-        if command is _LEAVE:
-            raise _LeftError
-        checked: Command = command
-        return checked
-
-    def _run(self, episode: Callable[[Planner], Any]) -> None:
-        try:
-            ended = Ended(result=episode(self))
-        except BaseException as error:  # noqa: BLE001 - it is raised again in the other thread
-            self._views.put(error)
-        else:
-            self._views.put(ended)
-
-
 try:
     _gymnasium: Any = importlib.import_module("gymnasium")
 except ImportError:
@@ -245,7 +161,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         self._observer = Observer(agents)
         self._next = 0
         self._seeded = False
-        self._stepped: SteppedEpisode | None = None
+        self._turns: SteppedEpisode | None = None
         self._run_id = ""
         self.case: Case | None = None
         self.view: View | None = None
@@ -283,11 +199,11 @@ class AttackEnv(_Env):  # type: ignore[misc]
         self, action: Floats | Command
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Drive the AV for 0.1 s."""
-        if self._stepped is None or self.view is None or self.case is None:
+        if self._turns is None or self.view is None or self.case is None:
             raise UsageError("The episode has ended, or none has begun: call reset first.")
         command = action if isinstance(action, Command) else _accelerated(self.view, action)
         try:
-            came = self._stepped.next(command)
+            came = self._turns.next(command)
         except BaseException:  # of the simulation, or an interrupt while it goes on
             self.close()
             raise
@@ -300,8 +216,8 @@ class AttackEnv(_Env):  # type: ignore[misc]
 
     def close(self) -> None:
         """End the episode, if one goes on, and SUMO with it."""
-        if self._stepped is not None:
-            self._stepped.leave()
+        if self._turns is not None:
+            self._turns.leave()
             self._release()
 
     def _begin(self, task: tasks.Task, case: Case) -> View:
@@ -311,11 +227,9 @@ class AttackEnv(_Env):  # type: ignore[misc]
                 "SUMO is one simulation a process, and another environment is in an episode; close"
                 " that, or use gymnasium.vector.AsyncVectorEnv."
             )
-        self._stepped = SteppedEpisode(
-            lambda me: episode.attack_case(task, case, planner=me), model
-        )
+        self._turns = SteppedEpisode(lambda me: episode.attack_case(task, case, planner=me), model)
         try:
-            came = self._stepped.next()
+            came = self._turns.next()
         except BaseException:
             self.close()
             raise
@@ -325,7 +239,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         return came
 
     def _release(self) -> None:
-        self._stepped = None
+        self._turns = None
         _one_simulation.release()
 
     def _task(self, scene: str | None) -> tasks.Task:
