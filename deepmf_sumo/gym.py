@@ -11,11 +11,9 @@ Needs the extra `gym`. SUMO runs one simulation per process: for several environ
 """
 
 import importlib
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Lock, Thread
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
@@ -23,12 +21,12 @@ from numpy.typing import NDArray
 
 from deepmf_sumo import spec as specs
 from deepmf_sumo import tasks
-from deepmf_sumo.datatypes import Attack, Case, Command, Floats, Rollout, VehicleModel, View
+from deepmf_sumo.datatypes import Attack, Case, Command, Floats, Rollout, View
 from deepmf_sumo.datatypes.scene import HISTORY_STEPS
-from deepmf_sumo.errors import DeepmfError, PluginError, UsageError
+from deepmf_sumo.errors import PluginError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry import frames, polylines
-from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.sweep import episode
 
@@ -125,88 +123,6 @@ def _filled(table: Floats, shape: tuple[int, ...]) -> Array:
     return array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ended:
-    """The episode is over; ``result`` is what its function returned."""
-
-    result: Any
-
-
-class _LeftError(DeepmfError):
-    """The episode was ended by the other thread."""
-
-
-_LEAVE: Final = object()
-
-
-class SteppedEpisode:
-    """An episode in another thread, which waits at each step for the next command.
-
-    Args:
-        episode: simulates one with a planner, in a separate thread; returns its result.
-        model: parameters of the AV's IDM in SUMO.
-    """
-
-    def __init__(self, episode: Callable[[Planner], Any], model: VehicleModel | None) -> None:
-        self._model = model
-        self._views: SimpleQueue[View | Ended | BaseException] = SimpleQueue()
-        self._commands: SimpleQueue[Any] = SimpleQueue()
-        self._started = False
-        self._thread = Thread(target=self._run, args=(episode,), daemon=True)
-        self._thread.start()
-
-    def next(self, command: Command | None = None) -> View | Ended:
-        """The view after a command (None: the first view), or that the episode has ended.
-
-        Raises what the simulation raises.
-        """
-        if command is not None:
-            self._commands.put(command)
-        came = self._views.get()
-        if isinstance(came, BaseException):
-            self._thread.join()
-            raise came
-        if isinstance(came, Ended):
-            self._thread.join()
-        return came
-
-    def leave(self) -> None:
-        """End the episode, if it is running."""
-        self._commands.put(_LEAVE)
-        self._thread.join()
-
-    @property
-    def model(self) -> VehicleModel | None:
-        """Parameters of the AV's IDM."""
-        return self._model
-
-    def reset(self, case: Case, rng: np.random.Generator) -> None:  # noqa: ARG002 - a planner's
-        """Start of the episode. Raises UsageError for adversaries that simulate several."""
-        if self._started:
-            raise UsageError(
-                "This adversary simulates an attack more than once before it decides, and an"
-                " environment is stepped through once; use deepmf or none."
-            )
-        self._started = True
-
-    def act(self, view: View) -> Command:
-        """The other thread's command."""
-        self._views.put(view)
-        command = self._commands.get()
-        if command is _LEAVE:
-            raise _LeftError
-        checked: Command = command
-        return checked
-
-    def _run(self, episode: Callable[[Planner], Any]) -> None:
-        try:
-            ended = Ended(result=episode(self))
-        except BaseException as error:  # noqa: BLE001 - it is raised again in the other thread
-            self._views.put(error)
-        else:
-            self._views.put(ended)
-
-
 _one_simulation = Lock()
 
 
@@ -243,7 +159,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         self._observer = Observer(agents)
         self._next = 0
         self._seeded = False
-        self._stepped: SteppedEpisode | None = None
+        self._turns: SteppedEpisode | None = None
         self._run_id = ""
         self.case: Case | None = None
         self.view: View | None = None
@@ -309,11 +225,9 @@ class AttackEnv(_Env):  # type: ignore[misc]
                 "SUMO runs one simulation per process, and another environment is in an episode;"
                 " close that, or use gymnasium.vector.AsyncVectorEnv."
             )
-        self._stepped = SteppedEpisode(
-            lambda me: episode.attack_case(task, case, planner=me), model
-        )
+        self._turns = SteppedEpisode(lambda me: episode.attack_case(task, case, planner=me), model)
         try:
-            came = self._stepped.next()
+            came = self._turns.next()
         except BaseException:
             self.close()
             raise
@@ -323,7 +237,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         return came
 
     def _release(self) -> None:
-        self._stepped = None
+        self._turns = None
         _one_simulation.release()
 
     def _task(self, scene: str | None) -> tasks.Task:

@@ -7,7 +7,7 @@ import pytest
 
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gym import Ended, SteppedEpisode
+from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
 
 GO = Command(kind="sumo")
 
