@@ -114,7 +114,7 @@ def test_one_episode_a_process(make, loaded):
     other.close()  # twice does no harm
 
 
-def test_what_is_wrong_comes_out_and_the_next_episode_goes_on(make, tiny, loaded):
+def test_an_error_is_raised_and_the_next_episode_runs(make, tiny, loaded):
     environment = make(loaded)
     environment.reset()
     with pytest.raises(PlannerError, match="speed_mps at step 10 is nan"):

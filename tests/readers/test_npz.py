@@ -51,7 +51,7 @@ def test_nothing_is_lost(scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["scene.npz"]
 
 
-def test_who_gives_way_comes_back(scene, tmp_path):
+def test_priorities_at_crossings_are_kept(scene, tmp_path):
     """As SUMO networks tell it."""
     lane = dataclasses.replace(scene.road.lanes["100"], gives_way_to=("a", "b"))
     road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})

@@ -96,7 +96,7 @@ def test_a_source_on_the_command_line_may_have_a_weight(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["a=", "a=heavy", "a=0", "a=-1", "a=inf", "a=nan", "=2"])
-def test_what_is_no_weight_is_refused(text):
+def test_a_weight_that_is_not_a_number_is_refused(text):
     with pytest.raises(UsageError, match="is not a weight; give PATH=WEIGHT"):
         config.parsed(text)
 

@@ -121,7 +121,7 @@ def test_what_has_been_made_stays(trained):
     assert [line.split(":")[0] for line in lines] == ["marginal", "marginal-2"]
 
 
-def test_a_run_cut_off_in_the_second_member_goes_on_to_the_same_bytes(training, made, monkeypatch):
+def test_a_run_interrupted_in_the_second_member_gives_the_same_bytes(training, made, monkeypatch):
     step, steps = loop._Run.step, []
 
     def cut(self, number, *rest):

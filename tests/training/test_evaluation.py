@@ -398,7 +398,7 @@ def test_a_file_that_cannot_be_written_is_named(predictors, given, tmp_path):
 
 
 @pytest.mark.slow_unit
-def test_real_networks_and_clusters_go_through(monkeypatch, given, tmp_path):
+def test_real_networks_and_clusters_are_measured(monkeypatch, given, tmp_path):
     rng = np.random.default_rng(0)
     fitted = clusters.fit(
         rng.normal(size=(40, 80, 2)), np.ones((40, 80), bool), np.zeros((40, 6)), rng

@@ -51,7 +51,7 @@ def test_the_conditional_network_begins_from_the_marginal_one_beside_it(folder):
     assert initial_weights.name_of(file, None) == "marginal"
 
 
-def test_without_anything_to_begin_from_it_begins_anew(tmp_path):
+def test_without_a_set_to_start_from_weights_are_random(tmp_path):
     _, file, _ = begin("conditional", tmp_path, None)
     assert file is None
     assert initial_weights.name_of(file, None) == ""

@@ -92,13 +92,13 @@ def test_all_of_the_divergence_counts_in_evaluation(batch):
     assert early < late
 
 
-def test_a_batch_that_knows_nobody_among_the_nearest_teaches_nothing(batch):
+def test_a_batch_without_known_futures_among_the_nearest_teaches_nothing(batch):
     blind = {**batch, "future": torch.zeros_like(batch["future"])}
     value = motion_prior.loss_of(MotionPrior(LIGHT))(blind, torch.Generator().manual_seed(0))
     assert torch.isfinite(value)
 
 
-def test_nobody_moves():
+def test_no_vehicle_moves():
     assert motion_prior.errors(MotionPrior(LIGHT), [], torch.Generator()) == {}
 
 
