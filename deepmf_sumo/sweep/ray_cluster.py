@@ -1,9 +1,7 @@
-"""The machines of a Ray cluster (extra `cluster`); what a machine does is in `place`.
+"""Tasks on the machines of a Ray cluster (extra `cluster`).
 
-A place for one task at a time on a machine of a cluster.
-
-It is an actor: a process of Ray's, which does nothing but watch over a worker process as `pool`
-does at home. So a crash, a hang and a hungry planner cost one task there, too, and never the actor.
+Each `WorkerActor` is a process of Ray's that watches one worker process, as `workers.run` does on
+this machine. So a crash, a hang or too much memory costs one task there, too, and never the actor.
 """
 
 import contextlib
@@ -30,18 +28,18 @@ from deepmf_sumo.sweep.inputs import Input, inputs_of, lacking
 from deepmf_sumo.sweep.workers import START_LIMIT_S, Finished, Limits, Work, Worker
 from deepmf_sumo.tasks import Task
 
-TURN_S: Final = 0.5
-"""Longest wait in a turn: so long does whoever wants the actor to leave have to wait."""
+POLL_S: Final = 0.5
+"""Longest time of a poll, and so until an actor stops."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Home:
-    """The machine that asks: what it has, the others must have, too.
+class NodeState:
+    """The machine that started the sweep: what it has, the others must have, too.
 
     Attributes:
         version: of the program.
-        folder: where it was started. modules: other folders with modules of the user's.
-        environment: variables that say where things are.
+        folder: working folder. modules: other folders with modules of the user's.
+        environment: variables that name folders.
         inputs: files of the tasks.
     """
 
@@ -54,12 +52,12 @@ class Home:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Of a turn.
+    """What an actor answers.
 
     Attributes:
-        refusal: why the place is of no use, the machine's name first; else empty.
-        finished: the task's end, if it has ended.
-        files: its folder as a tar archive, whole or as far as it came; empty where there is none.
+        refusal: why the machine cannot be used, its name first; else empty.
+        finished: how the task ended; None while it runs.
+        files: its folder as a tar archive, complete or not; empty where there is none.
     """
 
     refusal: str = ""
@@ -67,42 +65,42 @@ class Answer:
     files: bytes = b""
 
 
-class Place:
+class WorkerActor:
     """The actor. Its methods are called one at a time."""
 
-    def __init__(self, home: Home, work: Any, limits: Limits) -> None:
-        self._home, self._limits = home, limits
+    def __init__(self, node: NodeState, work: Any, limits: Limits) -> None:
+        self._node, self._limits = node, limits
         self._runs = Path(tempfile.mkdtemp(prefix="deepmf-sumo-"))
         self._work = replace(work, runs=self._runs)
         self._given: tuple[int, Task] | None = None
         self._worker: Worker | None = None
 
-    def settle(self) -> Answer:
-        """Make this machine like the one that asks, or say what it lacks; start the worker."""
-        home = self._home
-        what = lacking(home.inputs)
-        if deepmf_sumo.__version__ != home.version:
-            what = f"has deepmf-sumo {deepmf_sumo.__version__}, not {home.version}"
-        elif not home.folder.is_dir():
-            what = f"has no {home.folder}, the working folder"
+    def start(self) -> Answer:
+        """Prepare this machine like the one that asks, or say what it lacks; start the worker."""
+        node = self._node
+        what = lacking(node.inputs)
+        if deepmf_sumo.__version__ != node.version:
+            what = f"has deepmf-sumo {deepmf_sumo.__version__}, not {node.version}"
+        elif not node.folder.is_dir():
+            what = f"has no {node.folder}, the working folder"
         if what:
             return Answer(refusal=f"{socket.gethostname()} {what}")
-        os.environ.update(home.environment)
-        os.chdir(home.folder)
-        sys.path += [name for name in home.modules if name not in sys.path]
+        os.environ.update(node.environment)
+        os.chdir(node.folder)
+        sys.path += [name for name in node.modules if name not in sys.path]
         with contextlib.suppress(AttributeError):  # workers would import Ray's main program
             del sys.modules["__main__"].__file__
         self._worker = self._new()
         return Answer()
 
-    def present(self) -> Answer:
-        """Answered by every actor whose machine is still there."""
+    def ping(self) -> Answer:
+        """Answered by every actor whose machine still works."""
         return Answer()
 
-    def turn(self, task: tuple[int, Task] | None = None) -> Answer:
-        """Begin a task, or go on with the one before; returns when it ends, or soon."""
+    def poll(self, task: tuple[int, Task] | None = None) -> Answer:
+        """Start a task, or wait for the one that runs; returns when it ends, or after `POLL_S`."""
         self._given = task or self._given
-        end = time.monotonic() + TURN_S
+        end = time.monotonic() + POLL_S
         while time.monotonic() < end:
             worker = self._ready()
             left = min(end, worker.deadline) - time.monotonic()
@@ -111,7 +109,7 @@ class Place:
                 return Answer(finished=finished, files=self._taken())
         return Answer()
 
-    def leave(self) -> None:
+    def stop(self) -> None:
         """End the worker and its children."""
         if self._worker:
             self._worker.kill()
@@ -133,7 +131,7 @@ class Place:
         return Worker(self._work, self._limits.timeout_s, self._limits.memory_mb)
 
     def _taken(self) -> bytes:
-        """What the task has left, taken away from here."""
+        """The files of the task, which are removed here."""
         folders = list(self._runs.iterdir())
         archive = packed(self._runs) if folders else b""
         for folder in folders:
@@ -142,7 +140,7 @@ class Place:
 
 
 def packed(folder: Path) -> bytes:
-    """All that lies in a folder, as a tar archive."""
+    """The content of a folder as a tar archive."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for path in sorted(folder.iterdir()):
@@ -152,7 +150,7 @@ def packed(folder: Path) -> bytes:
 
 def unpack(archive: bytes, runs: Path) -> None:
     """Put the folders of an archive into ``runs``, each whole or not at all."""
-    beside = runs / ".arriving"  # of one name, so that the next one clears up after a kill
+    beside = runs / ".arriving"  # always this name, so that the next call cleans up after a kill
     shutil.rmtree(beside, ignore_errors=True)
     with tarfile.open(fileobj=io.BytesIO(archive)) as files:
         files.extractall(beside, filter="data")
@@ -164,27 +162,27 @@ def unpack(archive: bytes, runs: Path) -> None:
     beside.rmdir()
 
 
-_KNOCK_S: Final = 5.0
-"""Ray itself tries for half a minute to reach an address where nobody is."""
+_CONNECT_S: Final = 5.0
+"""Ray itself tries for half a minute to reach an address without a server."""
 
 _TRIES: Final = 3
-"""A task that was running whenever its machine was lost may be why."""
+"""A task that was running each time its machine was lost may be the cause."""
 
-_JOINS: Final = 3
-"""So often a cluster is asked that says that it is busy."""
+_MOST_JOINS: Final = 3
+"""Attempts to join a cluster that says that it is busy."""
 
 _BUSY: Final = "client server failed"
 """Ray's words where the process that serves a program was not up in time, as on a busy machine."""
 
 _SILENT: Final = "connection timeout"
-"""Ray's words where its server does not answer: so it treats a program without its token."""
+"""Ray's words where its server does not answer, as to a program without its token."""
 
 _MODE: Final = "RAY_AUTH_MODE"
 _TOKEN: Final = Path(".ray") / "auth_token"
 """In the home folder."""
 
-_SAID: Final = 300
-"""Characters of Ray's words that are shown; what matters of a long one is at its end."""
+_LONGEST_CAUSE: Final = 300
+"""Characters of Ray's message that are shown, from its end."""
 
 _ENVIRONMENT: Final = ("DEEPMF_SUMO_HOME", "XDG_DATA_HOME")
 
@@ -208,30 +206,30 @@ class Cluster:
         return f"ray://{_bracketed(self.host)}:{self.port}" if self.host else "ray"
 
     def check(self) -> None:
-        """As `Executor.check`: PluginError without Ray, UsageError where nobody listens."""
+        """As `Executor.check`: PluginError without Ray, UsageError without a server."""
         if self.host:
             _offer_token()
         _ray()
         if self.host:
-            self._knock(self.host)
+            self._check_address(self.host)
 
     def run(
         self, work: Work, tasks: Sequence[Task], limits: Limits
     ) -> Generator[Finished, None, None]:
         """As `Executor.run`.
 
-        Raises PluginError where Ray is not installed, UsageError where nobody answers or a machine
-        lacks what the tasks need, RunError where no machine takes them.
+        Raises PluginError where Ray is not installed, UsageError where no server answers or a
+        machine lacks what the tasks need, RunError where no machine takes them.
         """
         stop = time.monotonic() + 60.0 * limits.minutes if limits.minutes else float("inf")
         if not tasks:
             return
         ray = self._connected()
         try:
-            seats = min(self.jobs or int(ray.cluster_resources().get("CPU", 1)), len(tasks))
-            crew = _Crew(ray=ray, work=work, tasks=tasks, limits=limits, seats=max(seats, 1))
+            slots = min(self.jobs or int(ray.cluster_resources().get("CPU", 1)), len(tasks))
+            actors = _Actors(ray=ray, work=work, tasks=tasks, limits=limits, slots=max(slots, 1))
             try:
-                yield from crew.all_done(stop)
+                yield from actors.all_done(stop)
             except ConnectionError as error:
                 raise RunError(
                     f"The connection to the Ray cluster '{self.name}' is lost ({error});"
@@ -239,7 +237,7 @@ class Cluster:
                 ) from None
             finally:
                 with contextlib.suppress(ConnectionError):
-                    crew.dismiss()
+                    actors.stop()
         finally:
             ray.shutdown()
 
@@ -250,33 +248,35 @@ class Cluster:
         kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             refusal = _BUSY
-            for _ in range(_JOINS):
+            for _ in range(_MOST_JOINS):
                 if _BUSY in refusal:
                     refusal = self._refusal(ray)
         finally:
             for number, handler in kept.items():  # Ray's own for SIGTERM loses the tables
                 signal.signal(number, handler)
         if refusal:
-            cause = refusal if len(refusal) <= _SAID else f"... {refusal[-_SAID:]}"
+            cause = (
+                refusal if len(refusal) <= _LONGEST_CAUSE else f"... {refusal[-_LONGEST_CAUSE:]}"
+            )
             hint = _of_tokens() if _SILENT in refusal else ""
             raise UsageError(f"The Ray cluster '{self.name}' cannot be joined: {cause}{hint}")
         return ray
 
     def _refusal(self, ray: Any) -> str:
-        """Join the cluster; what Ray says against it, nothing where this program is part of it."""
+        """Join the cluster; why that failed, or empty."""
         joined = ray.is_initialized()
         try:
             ray.init(address=self.name if self.host else None, **_quiet(new=not self.host))
-        except Exception as error:  # noqa: BLE001 - Ray's own, and what it is made of
+        except Exception as error:  # noqa: BLE001 - Ray raises errors of many libraries
             if not joined:
                 with contextlib.suppress(Exception):
                     ray.shutdown()
             return " ".join(str(error).split()) or type(error).__name__
         return ""
 
-    def _knock(self, host: str) -> None:
+    def _check_address(self, host: str) -> None:
         try:
-            socket.create_connection((host, self.port), timeout=_KNOCK_S).close()
+            socket.create_connection((host, self.port), timeout=_CONNECT_S).close()
         except OSError as error:
             raise UsageError(
                 f"No Ray cluster answers at {self.name} ({error.strerror or error}): start its"
@@ -286,94 +286,93 @@ class Cluster:
 
 
 @dataclass(kw_only=True)
-class _Seat:
-    """An actor, whether it has a worker, and the task that it does."""
+class _Slot:
+    """An actor, whether it has a worker, and the index of its task."""
 
     actor: Any
-    settled: bool = False
+    started: bool = False
     index: int | None = None
 
 
 @dataclass(kw_only=True)
-class _Crew:
+class _Actors:
     """All actors of a batch.
 
     Attributes:
-        calls: what they have been asked and have not answered yet.
-        idle: those without a task.
-        pending: tasks not begun, by index. tries: of tasks whose machine was lost.
-        stillborn: actors in a row that were lost before they could do anything.
-        heard: when an actor last answered, on the monotonic clock.
+        calls: calls without an answer yet. idle: actors without a task.
+        pending: indices of tasks not started. tries: of tasks whose machine was lost.
+        failed_starts: actors in a row that were lost before they had a worker.
+        answered: when an actor last answered, on the monotonic clock.
     """
 
     ray: Any
     work: Work
     tasks: Sequence[Task]
     limits: Limits
-    seats: int
-    calls: dict[Any, _Seat] = field(default_factory=dict)
-    idle: list[_Seat] = field(default_factory=list)
+    slots: int
+    calls: dict[Any, _Slot] = field(default_factory=dict)
+    idle: list[_Slot] = field(default_factory=list)
     tries: Counter[int] = field(default_factory=Counter)
-    stillborn: int = 0
-    heard: float = field(default_factory=time.monotonic)
+    failed_starts: int = 0
+    answered: float = field(default_factory=time.monotonic)
 
     def __post_init__(self) -> None:
         self.pending = deque(range(len(self.tasks)))
-        self._actor = self.ray.remote(Place).options(
+        self._actor = self.ray.remote(WorkerActor).options(
             num_cpus=1, scheduling_strategy="SPREAD", max_restarts=0, max_task_retries=0
         )
-        home = Home(
+        node = NodeState(
             version=deepmf_sumo.__version__,
             folder=Path.cwd(),
             modules=tuple(one for one in sys.path if one and not one.startswith(sys.prefix)),
             environment={key: os.environ[key] for key in _ENVIRONMENT if key in os.environ},
             inputs=inputs_of(self.tasks),
         )
-        self._home = self.ray.put(home)
+        self._node = self.ray.put(node)
 
     def all_done(self, stop: float) -> Generator[Finished, None, None]:
-        """Do all tasks; none is begun after ``stop``."""
-        for _ in range(self.seats):
-            self._hire()
+        """Do all tasks; none starts after ``stop``."""
+        for _ in range(self.slots):
+            self._start_actor()
         while self.pending or self._working():
             if time.monotonic() >= stop:
                 self.pending.clear()
-            self._occupy()
+            self._assign()
             done, _ = self.ray.wait(list(self.calls), num_returns=1, timeout=1.0)
             for call in done:
-                self.heard = time.monotonic()
-                yield from self._hear(call, self.calls.pop(call))
-            if time.monotonic() - self.heard > START_LIMIT_S:
+                self.answered = time.monotonic()
+                yield from self._answered(call, self.calls.pop(call))
+            if time.monotonic() - self.answered > START_LIMIT_S:
                 raise RunError(
                     f"No machine of the cluster has answered for {START_LIMIT_S:g} s: none has a"
                     " processor free, or all are gone; see `ray status`."
                 )
 
-    def dismiss(self) -> None:
-        """End all that still runs: a moment to do it in order, then by force."""
-        seats = [*self.calls.values(), *self.idle]
-        leaving = [seat.actor.leave.remote() for seat in seats]
-        if leaving:
-            self.ray.wait(leaving, num_returns=len(leaving), timeout=3 * TURN_S)
-        for seat in seats:
-            self.ray.kill(seat.actor)
+    def stop(self) -> None:
+        """End all that still runs: first in order, then by force."""
+        slots = [*self.calls.values(), *self.idle]
+        stopping = [slot.actor.stop.remote() for slot in slots]
+        if stopping:
+            self.ray.wait(stopping, num_returns=len(stopping), timeout=3 * POLL_S)
+        for slot in slots:
+            self.ray.kill(slot.actor)
 
     def _working(self) -> bool:
-        return any(seat.index is not None for seat in self.calls.values())
+        return any(slot.index is not None for slot in self.calls.values())
 
-    def _hire(self) -> None:
-        """A new actor, where the cluster has room for it."""
-        seat = _Seat(actor=self._actor.remote(self._home, self.work, self.limits))
-        self.calls[seat.actor.settle.remote()] = seat
+    def _start_actor(self) -> None:
+        """Start an actor, where the cluster has room for it."""
+        slot = _Slot(actor=self._actor.remote(self._node, self.work, self.limits))
+        self.calls[slot.actor.start.remote()] = slot
 
-    def _occupy(self) -> None:
-        """Give tasks to the idle."""
+    def _assign(self) -> None:
+        """Give tasks to idle actors."""
         while self.pending and self.idle:
-            seat = self.idle.pop()
-            seat.index = self.pending.popleft()
-            self.calls[seat.actor.turn.remote((seat.index, self.tasks[seat.index]))] = seat
+            slot = self.idle.pop()
+            slot.index = self.pending.popleft()
+            self.calls[slot.actor.poll.remote((slot.index, self.tasks[slot.index]))] = slot
 
-    def _hear(self, call: Any, seat: _Seat) -> Generator[Finished, None, None]:
+    def _answered(self, call: Any, slot: _Slot) -> Generator[Finished, None, None]:
         try:
             answer: Answer = self.ray.get(call)
         except DeepmfError:
@@ -381,46 +380,46 @@ class _Crew:
         except self.ray.exceptions.RayTaskError as error:
             raise RunError(f"A machine of the cluster cannot work: {_cause(error)}") from None
         except self.ray.exceptions.RayError as error:
-            yield from self._lost(seat, _cause(error))
+            yield from self._lost(slot, _cause(error))
             return
         if answer.refusal:
             raise UsageError(
                 f"{answer.refusal}: all machines of the cluster need the same files at the same"
                 " places, e.g. on a file system that they share."
             )
-        seat.settled, self.stillborn = True, 0
-        if not answer.finished and seat.index is not None:
-            self.calls[seat.actor.turn.remote()] = seat
+        slot.started, self.failed_starts = True, 0
+        if not answer.finished and slot.index is not None:
+            self.calls[slot.actor.poll.remote()] = slot
             return
-        seat.index = None
-        self.idle.append(seat)  # before the iterator may be closed: whoever is here is dismissed
+        slot.index = None
+        self.idle.append(slot)  # before the iterator may be closed: `stop` ends the actors here
         if answer.finished:
             if answer.files:
                 unpack(answer.files, self.work.runs)
             yield answer.finished
 
-    def _lost(self, seat: _Seat, why: str) -> Generator[Finished, None, None]:
+    def _lost(self, slot: _Slot, why: str) -> Generator[Finished, None, None]:
         """The actor is gone, or cannot be reached: another one does its task."""
-        self.ray.kill(seat.actor)
-        self.stillborn += not seat.settled
-        if self.stillborn > _TRIES * self.seats:
+        self.ray.kill(slot.actor)
+        self.failed_starts += not slot.started
+        if self.failed_starts > _TRIES * self.slots:
             raise RunError(
                 f"Workers do not start on the machines of the cluster: {why} (is deepmf-sumo"
                 " installed on all of them?)"
             )
-        self._hire()
-        for other in self.idle:  # those beside it are gone as well: no task is to find out
-            self.calls[other.actor.present.remote()] = other
+        self._start_actor()
+        for other in self.idle:  # they may be gone as well: a ping finds out, not a task
+            self.calls[other.actor.ping.remote()] = other
         self.idle.clear()
-        if seat.index is None:
+        if slot.index is None:
             return
-        self.tries[seat.index] += 1
-        if self.tries[seat.index] < _TRIES:
-            self.pending.appendleft(seat.index)
-            yield Finished(index=seat.index, status="lost", reason=why)
+        self.tries[slot.index] += 1
+        if self.tries[slot.index] < _TRIES:
+            self.pending.appendleft(slot.index)
+            yield Finished(index=slot.index, status="lost", reason=why)
         else:
             reason = f"the machine was lost {_TRIES} times while it did this: {why}"
-            yield Finished(index=seat.index, status="crashed", reason=reason)
+            yield Finished(index=slot.index, status="crashed", reason=reason)
 
 
 def _ray() -> Any:
@@ -462,7 +461,7 @@ def _of_tokens() -> str:
 
 
 def _quiet(*, new: bool) -> dict[str, Any]:
-    """Arguments of ``ray.init``: what it prints belongs to nobody's table."""
+    """Arguments of ``ray.init``: its output must not mix with tables."""
     quiet = {"logging_level": "ERROR", "log_to_driver": False}
     if new:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -471,7 +470,7 @@ def _quiet(*, new: bool) -> dict[str, Any]:
 
 
 def _cause(error: Exception) -> str:
-    """The last line that says something."""
+    """The last line that is not empty."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1] if lines else type(error).__name__
 

@@ -17,6 +17,7 @@ from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import page
 from deepmf_sumo.report.page import columns, roads
 from deepmf_sumo.report.page.replay import packed, steady, stepwise
+from deepmf_sumo.results.quantities import QUANTITIES
 
 from tests.support.result_folders import Folder
 
@@ -541,3 +542,16 @@ def test_a_metric_without_a_unit_is_shown(folder):
     del values["metrics"]["min_gap"]["unit"]
     file.write_text(json.dumps(values))
     assert Parsed(page.write(folder.out)).details(0)["metrics"]["min_gap"][:2] == [1.0, ""]
+
+
+@pytest.mark.sumo
+def test_every_quantity_with_a_label_is_a_column_with_its_unit(folder):
+    folder.add("s1", metrics={"ttc_min": 0.25})
+    found = {column["name"]: column for column in Parsed(page.write(folder.out)).content["columns"]}
+    labelled = {quantity.name: quantity for quantity in QUANTITIES if quantity.label}
+    assert labelled.keys() <= found.keys()
+    assert found["ttc_min_s"]["heading"] == "least TTC, s"
+    assert found["avoidable_rate"]["kind"] == "flag"
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    assert "least TTC, s</button>" in shown(f"file://{folder.out / 'report.html'}")

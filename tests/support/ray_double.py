@@ -76,7 +76,7 @@ class _Call:
     def happen(self):
         self.actor.done += 1
         if self.actor.done == self.actor.lost_at:
-            self.actor.place.leave()  # what the kernel does when Ray's process is gone
+            self.actor.place.stop()  # what the kernel does when Ray's process is gone
             self.actor.alive = False
         if not self.actor.alive:
             self.answer = RayError("the actor died\nits machine is gone")

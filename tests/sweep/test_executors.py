@@ -108,7 +108,7 @@ class OneMachine(Ray):
     def wait(self, calls, **options):
         if len(calls) == 1 and len(self.actors) == self.cpus:
             for actor in self.actors:
-                actor.place.leave()
+                actor.place.stop()
                 actor.alive = False
         return super().wait(calls, **options)
 
@@ -139,8 +139,10 @@ def test_a_machine_without_the_files_is_refused(runs, tmp_path, use):
 def test_another_version_is_refused(runs, use, monkeypatch):
     use(Ray())
     monkeypatch.setattr(ray_cluster.deepmf_sumo, "__version__", "0.0.1")
-    home = ray_cluster.Home(version="9.9", folder=Path.cwd(), modules=(), environment={}, inputs=())
-    refused = ray_cluster.Place(home, Writes(runs), Limits()).settle().refusal
+    home = ray_cluster.NodeState(
+        version="9.9", folder=Path.cwd(), modules=(), environment={}, inputs=()
+    )
+    refused = ray_cluster.WorkerActor(home, Writes(runs), Limits()).start().refusal
     assert refused.endswith("has deepmf-sumo 0.0.1, not 9.9")
 
 
@@ -257,7 +259,7 @@ def test_a_head_that_does_not_answer_may_want_a_token(runs, use, monkeypatch, tm
 @pytest.mark.parametrize("where", ["home", "RAY_AUTH_TOKEN_PATH", "RAY_AUTH_TOKEN", None])
 def test_a_token_of_this_machine_is_sent(use, monkeypatch, tmp_path, where):
     monkeypatch.setattr(os, "environ", {"HOME": str(tmp_path)})
-    monkeypatch.setattr(Cluster, "_knock", lambda self, host: None)
+    monkeypatch.setattr(Cluster, "_check_address", lambda self, host: None)
     token = tmp_path / ".ray" / "auth_token"
     token.parent.mkdir()
     if where == "home":
