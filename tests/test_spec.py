@@ -140,7 +140,10 @@ BAD = {
     ),
     "unknown in av": (("vehicle: av", "vehicel: av"), "Did you mean 'vehicle'?"),
     "twice": (("seed: 3", "seed: 3\nseed: 4"), ":8: key 'seed' is given twice, first at"),
-    "twice inside": (("headway_s: 1", "headway_s: 1, headway_s: 2"), "'planner.headway_s' stands"),
+    "twice inside": (
+        ("headway_s: 1", "headway_s: 1, headway_s: 2"),
+        "'planner.headway_s' is given twice",
+    ),
     "text for a number": (("42.0", "soon"), ":4: key 'source.start_s': 'soon'"),
     "exponent": (("42.0", "1e-3"), "YAML wants 1.0e-3"),
     "boolean for text": (("cut-in", "no"), ":3: key 'name': False"),
