@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.datatypes import Futures
+from deepmf_sumo.datatypes import Futures, RoadMap
 from deepmf_sumo.predictors import conditioning, decoding, raster, weights
 from deepmf_sumo.predictors.config import LIGHT, PAPER
-from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.features import features, lane_arrays
 from deepmf_sumo.predictors.kinematics import pose_of
 from deepmf_sumo.predictors.lanes import ROAD_CHANNELS, road_index
 from deepmf_sumo.predictors.marginal import Marginal
 
-from tests.support.synthetic import scene, view
+from tests.support.synthetic import lane, scene, straight, view
 
 
 @pytest.fixture(scope="module")
@@ -209,3 +209,17 @@ def test_paper_preset_has_the_published_sizes():
     kernels = [m for m in net.image.modules() if isinstance(m, torch.nn.Conv2d)]
     assert len(kernels) == 13
     assert sum(k.weight.numel() for k in kernels) == pytest.approx(14.8e6, rel=0.01)
+
+
+def test_the_pieces_of_lanes_are_the_nearest_in_order():
+    """Of equally near pieces the first ones of the road: as if all were sorted."""
+    lanes = [lane(f"{y}", straight((-90, 3.0 * y), (90, 3.0 * y))) for y in range(-9, 10)]
+    seen = replace(view(), road=RoadMap(lanes={one.id: one for one in lanes}))
+    index, pose = road_index(seen.road), pose_of(seen, "av")
+    pieces, info = lane_arrays(seen, index, 48, pose)
+    ahead = pose.position_m + 2 * pose.speed_mps * np.array([1.0, 0.0])
+    square = ((index.piece_m[:, 5] - ahead) ** 2).sum(-1)
+    rows = np.argsort(square, kind="stable")[:48]
+    assert len(square) > 100
+    assert np.array_equal(pieces, pose.to_local(index.piece_m[rows]))
+    assert info[:, 9].all()
