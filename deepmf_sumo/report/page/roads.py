@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from deepmf_sumo.datatypes import Floats, Lane, RoadMap
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.geometry.lane_map import per_road
 from deepmf_sumo.report.page.replay import packed, stepwise
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Run
@@ -100,7 +101,7 @@ def _keep(
             shapes[kind, number] = [kind, round(width_m / UNIT_M), x, y]
 
 
-@lru_cache(maxsize=_KEPT)
+@per_road
 def _features(road: RoadMap) -> list[tuple[str, int, float, shapely.LineString]]:
     """Kind, number, width in metres and line of all that is drawn."""
     rows = [
@@ -179,7 +180,7 @@ def _crossings(road: RoadMap, lane: Lane) -> Floats:
     return np.asarray(shapely.line_locate_point(line, shapely.points(met)), float)
 
 
-@lru_cache(maxsize=8)
+@per_road
 def _driven_lanes(road: RoadMap) -> tuple[list[Lane], NDArray[Any]]:
     """Lanes for cars, and their centre lines."""
     lanes = [lane for lane in road.lanes.values() if len(lane.centre_m) > 1 and lane.kind != "bike"]
