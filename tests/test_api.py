@@ -11,9 +11,9 @@ import deepmf_sumo
 from deepmf_sumo.cli import main
 from deepmf_sumo.cli.init import lay_out
 from deepmf_sumo.errors import OutputError, UsageError
-from deepmf_sumo.plans.compare import differences
 
 from tests.support import tiny_plan
+from tests.support.same_bytes import differences
 
 pytestmark = pytest.mark.sumo
 

@@ -13,9 +13,10 @@ import tempfile
 from pathlib import Path
 
 from deepmf_sumo import spec, tasks
-from deepmf_sumo.plans import compare
 from deepmf_sumo.sweep import episode, fork
 from deepmf_sumo.tasks import Task
+
+from tests.support import same_bytes
 
 
 def main() -> None:
@@ -35,7 +36,7 @@ def main() -> None:
         before = seconds_a_run(chosen, alone)
         fork._alone = possible
         after = seconds_a_run(chosen, passing)
-        assert compare.same(alone, passing), compare.differences(alone, passing)
+        assert same_bytes.same(alone, passing), same_bytes.differences(alone, passing)
     print(f"SUMO from the begin for each run: {before:.2f} s of processor a run")
     print(f"SUMO passing on: {after:.2f} s, ratio {after / before:.2f}; the same files")
 

@@ -195,7 +195,7 @@ def test_a_trajectory_lies_beside_its_spec(tiny, tmp_path, monkeypatch):
 def test_sumo_gui_shows_the_same_episode(tiny, tmp_path):
     import subprocess
 
-    from deepmf_sumo.plans import compare
+    from tests.support import same_bytes
 
     spec = tiny_network.spec(tiny, "seen")
     command = [sys.executable, "-m", "deepmf_sumo.cli.main", "run", str(spec), "--no-pictures"]
@@ -209,4 +209,4 @@ def test_sumo_gui_shows_the_same_episode(tiny, tmp_path):
             timeout=120,
         )
         assert done.returncode == 0, done.stdout + done.stderr
-    assert compare.differences(tmp_path / "plain", tmp_path / "gui") == []
+    assert same_bytes.differences(tmp_path / "plain", tmp_path / "gui") == []

@@ -15,11 +15,10 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.plans import compare
 from deepmf_sumo.results import stored
 from deepmf_sumo.sweep import shards
 
-from tests.support import tiny_network
+from tests.support import same_bytes, tiny_network
 
 SHARED = (
     "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",
@@ -66,7 +65,7 @@ def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
     parts = (folders / "1", folders / "2")
     assert call("merge", tmp_path / "all", *parts) == 0
     assert "3 runs: 3 ok" in capsys.readouterr().out
-    assert compare.differences(folders / "whole", tmp_path / "all") == []
+    assert same_bytes.differences(folders / "whole", tmp_path / "all") == []
     assert call("merge", tmp_path / "half", parts[1]) == 130
     assert f"2 runs are in no shard: the command without --shard, with --out {tmp_path}" in (
         capsys.readouterr().out
@@ -95,7 +94,7 @@ def test_each_spec_runs_with_each_seed(specs, tmp_path, capsys):
         folder = tmp_path / part[0]
         assert call(*run, "--seeds", "7-8,11-12", "--out", folder, "--shard", part) == 0
     assert call("merge", tmp_path / "all", tmp_path / "1", tmp_path / "2") == 0
-    assert compare.differences(out, tmp_path / "all") == []
+    assert same_bytes.differences(out, tmp_path / "all") == []
 
 
 @pytest.mark.parametrize(
@@ -166,7 +165,7 @@ def test_a_damaged_result_is_named_by_merge_and_done_again_by_resume(
     again = min(whole.glob("runs/*/result.json"))
     again.write_text(text)
     assert call("run", *specs, "--no-pictures", "--out", whole, "--resume") == 0
-    assert compare.differences(folders / "whole", whole) == []
+    assert same_bytes.differences(folders / "whole", whole) == []
 
 
 def test_thresholds_are_judged_at_the_end(specs, whole, tmp_path, capsys):
@@ -215,7 +214,7 @@ def test_results_are_replaced_where_that_is_asked_for(folders, specs, whole, tmp
     assert call("merge", tmp_path / "all", *parts) == 2
     assert "--overwrite deletes them, another folder for OUT" in capsys.readouterr().err
     assert call("merge", tmp_path / "all", *parts, "--overwrite") == 0
-    assert compare.differences(folders / "whole", tmp_path / "all") == []
+    assert same_bytes.differences(folders / "whole", tmp_path / "all") == []
 
 
 @pytest.mark.skipif(sys.platform in {"win32", "darwin"}, reason="has a display always")

@@ -21,9 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deepmf_sumo.plans import compare
-
-from tests.support import tiny_network
+from tests.support import same_bytes, tiny_network
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 RUNS = 16
@@ -94,7 +92,7 @@ class Sweep:
         self.number, self.finished = self.number + 1, {}
 
     def _differences(self) -> Iterator[str]:
-        yield from map(str, compare.differences(self.whole, self.out))
+        yield from map(str, same_bytes.differences(self.whole, self.out))
         with (self.out / "runs.csv").open(newline="") as table:
             ids = [row["run_id"] for row in csv.DictReader(table)]
         there = {path.name for path in (self.out / "runs").iterdir()}

@@ -22,9 +22,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from deepmf_sumo.plans import compare
-
 from tests.golden import cases
+from tests.support import same_bytes
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 STORE: Final = ROOT / ".cache" / "golden"
@@ -50,7 +49,7 @@ def main() -> None:
     now = STORE / PRESENT
     shutil.rmtree(now, ignore_errors=True)
     _run_all(ROOT, now, options.jobs)
-    changed = compare.differences(before / "out", now / "out")
+    changed = same_bytes.differences(before / "out", now / "out")
     if options.write_table:
         _measured(now).to_csv(TABLE, index=False)
     moved = _moved(now)

@@ -8,10 +8,10 @@ import yaml
 from deepmf_sumo import plans, spec, tasks
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import SpecError
-from deepmf_sumo.plans.compare import differences
 from deepmf_sumo.spec import FromMoments, FromNetwork
 
 from tests.support import tiny_network
+from tests.support.same_bytes import differences
 
 MOMENTS = "{network: tiny.sumocfg, moments: {count: 2}}"
 PLAN = """version: 1

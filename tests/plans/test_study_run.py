@@ -14,10 +14,10 @@ import pytest
 
 from deepmf_sumo import plans
 from deepmf_sumo.errors import OutputError, UsageError
-from deepmf_sumo.plans import compare, tables
+from deepmf_sumo.plans import tables
 from deepmf_sumo.sweep import batch
 
-from tests.support import tiny_plan
+from tests.support import same_bytes, tiny_plan
 
 COMMAND = (sys.executable, "-m", "deepmf_sumo.cli.main", "run")
 
@@ -81,7 +81,7 @@ def test_shards_merge_to_the_whole(whole, tmp_path):
         assert len(plans.run(plans.load(file), options(tmp_path / str(number), shard=part))) == 4
     results, missing = plans.merge(tmp_path / "all", [tmp_path / "1", tmp_path / "2"])
     assert (len(results), missing) == (8, [])
-    assert compare.differences(folder, tmp_path / "all") == []
+    assert same_bytes.differences(folder, tmp_path / "all") == []
     half, missing = plans.merge(tmp_path / "half", [tmp_path / "2"])
     assert (len(half), len(missing)) == (4, 4)
     assert {row["unfinished"] for row in rows(tmp_path / "half" / "table.csv")} == {"1"}
@@ -148,7 +148,7 @@ def test_nothing_is_lost_or_doubled_by_kills(whole, tmp_path):
         finished = {name for name in now if _status(out, name) == "ok"}
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-    assert compare.differences(folder, out) == []
+    assert same_bytes.differences(folder, out) == []
     ids = [row["run_id"] for row in rows(out / "runs.csv")]
     assert len(ids) == len(set(ids)) == 8
     assert {path.name for path in (out / "runs").iterdir()} == set(ids)
@@ -191,7 +191,7 @@ def test_a_time_limit_leaves_a_table_that_says_what_is_missing(whole, tmp_path):
     assert left == 8 - len(results)
     assert json.loads((out / "summary.json").read_text())["interrupted"]
     plans.run(plans.load(file), options(out, resume=True))
-    assert compare.differences(folder, out) == []
+    assert same_bytes.differences(folder, out) == []
 
 
 BAD = """

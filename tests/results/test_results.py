@@ -21,7 +21,6 @@ from deepmf_sumo.datatypes import (
     Trial,
 )
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.plans import compare
 from deepmf_sumo.report import table
 from deepmf_sumo.results import artifacts, junit, result
 from deepmf_sumo.results import folder as folder_module
@@ -29,7 +28,7 @@ from deepmf_sumo.results.tracks import TRACK_COLUMNS, write_tracks
 from deepmf_sumo.sweep import episode
 from deepmf_sumo.tasks import Task
 
-from tests.support import tiny_network
+from tests.support import same_bytes, tiny_network
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 
@@ -291,11 +290,11 @@ def test_compare_sees_what_matters(tmp_path):
         (folder / "sub" / "log.txt").write_text(name)
         (folder / "runs.csv").write_text(f"run_id,generation_s\na,{ord(name)}\n")
         (folder / "junit.xml").write_text(f'<a name="x" time="{ord(name)}"/>')
-    assert compare.same(tmp_path / "a", tmp_path / "b")
+    assert same_bytes.same(tmp_path / "a", tmp_path / "b")
     (tmp_path / "b" / "x.json").write_text(json.dumps({"kept": 2}))
     (tmp_path / "b" / "runs.csv").write_text("run_id,generation_s\nb,97\n")
     (tmp_path / "a" / "sub" / "extra").write_bytes(b"")
-    assert compare.differences(tmp_path / "a", tmp_path / "b") == [
+    assert same_bytes.differences(tmp_path / "a", tmp_path / "b") == [
         "runs.csv",
         "sub/extra",
         "x.json",

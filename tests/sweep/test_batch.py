@@ -7,12 +7,11 @@ import pytest
 
 from deepmf_sumo import spec
 from deepmf_sumo.errors import OutputError, SpecError, UsageError
-from deepmf_sumo.plans import compare
 from deepmf_sumo.report.picture import draw
 from deepmf_sumo.results import result
 from deepmf_sumo.sweep import batch, workers
 
-from tests.support import tiny_network
+from tests.support import same_bytes, tiny_network
 
 pytestmark = pytest.mark.sumo
 
@@ -32,7 +31,7 @@ def test_same_bytes_whatever_the_number_of_jobs(tiny, tmp_path):
         options = batch.Options(out=tmp_path / str(jobs), jobs=jobs, draw=draw, junit=True)
         results[jobs] = batch.run(specs, options)
     assert [one["status"] for one in results[1]] == ["ok", "ok"], results[1]
-    assert compare.differences(tmp_path / "1", tmp_path / "2") == []
+    assert same_bytes.differences(tmp_path / "1", tmp_path / "2") == []
     run = tmp_path / "1" / "runs" / "tiny-follower--tiny--0"
     expected = {"spec.yaml", "result.json", "tracks.csv.gz", "plans.npz", "picture.png", "sumo"}
     assert {path.name for path in run.iterdir()} == {*expected, "log.txt"}
@@ -49,7 +48,7 @@ def test_a_resolved_spec_repeats_its_run(tiny, tmp_path):
     batch.run([spec.load(tiny_network.spec(tiny, "once"))], first)
     resolved = spec.load(tmp_path / "first" / "runs" / "once--tiny--0" / "spec.yaml")
     batch.run([resolved], batch.Options(out=tmp_path / "again"))
-    assert compare.same(tmp_path / "first", tmp_path / "again")
+    assert same_bytes.same(tmp_path / "first", tmp_path / "again")
 
 
 def test_bad_runs_are_rows_and_cost_nobody_else(tiny, tmp_path, monkeypatch):
@@ -100,7 +99,7 @@ def test_interrupt_keeps_what_is_finished_and_resumes(tiny, tmp_path):
     batch.run(specs, options, seen.append)
     assert (seen[0].kept, seen[-1].done) == (1, 3)
     batch.run(specs, batch.Options(out=tmp_path / "whole"))
-    assert compare.differences(tmp_path / "out", tmp_path / "whole") == []
+    assert same_bytes.differences(tmp_path / "out", tmp_path / "whole") == []
 
 
 def test_a_run_that_ends_as_the_interrupt_comes_is_kept(tiny, tmp_path):

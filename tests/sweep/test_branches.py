@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from deepmf_sumo import spec, tasks
-from deepmf_sumo.plans import compare
 from deepmf_sumo.sweep import batch, fork, workers
 
-from tests.support import tiny_network
+from tests.support import same_bytes, tiny_network
 
 pytestmark = pytest.mark.sumo
 
@@ -109,7 +108,7 @@ def test_copies_do_what_a_simulation_of_ones_own_does(tiny, paths, tmp_path):
     assert done(forward, paths(), tiny) == 2
     assert done(backward, paths()[::-1], tiny) == 0
     assert len(list(forward.glob("at-*"))) == 3
-    assert compare.same(forward, backward)
+    assert same_bytes.same(forward, backward)
 
 
 def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_path):

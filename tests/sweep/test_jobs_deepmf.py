@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.plans.compare import differences
 from deepmf_sumo.spec import load
 from deepmf_sumo.sweep import batch
+
+from tests.support.same_bytes import differences
 
 SPECS = Path(__file__).resolve().parents[2] / "scenarios"
 

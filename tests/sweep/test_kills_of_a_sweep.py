@@ -16,9 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.plans import compare
-
-from tests.support import tiny_plan
+from tests.support import same_bytes, tiny_plan
 
 pytestmark = pytest.mark.slow
 
@@ -73,7 +71,7 @@ def _wait(process, out, count, rng):
 
 
 def _assert_equal(whole, out):
-    assert compare.differences(whole, out) == []
+    assert same_bytes.differences(whole, out) == []
     with (out / "runs.csv").open(newline="") as table:
         ids = [row["run_id"] for row in csv.DictReader(table)]
     assert len(ids) == len(set(ids)) == RUNS

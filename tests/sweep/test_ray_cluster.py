@@ -13,10 +13,9 @@ import pytest
 
 from deepmf_sumo import spec
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.plans import compare
 from deepmf_sumo.sweep import batch
 
-from tests.support import tiny_network
+from tests.support import same_bytes, tiny_network
 
 if importlib.util.find_spec("ray") is None:
     pytest.skip("Ray is not installed: pip install deepmf-sumo[cluster]", allow_module_level=True)
@@ -105,7 +104,7 @@ def run(specs, out, report=lambda _: None, **options):
 
 def test_results_are_those_of_this_machine(machines, specs, here, tmp_path):
     run(specs, tmp_path / "far", executor=machines.name)
-    assert compare.differences(here, tmp_path / "far") == []
+    assert same_bytes.differences(here, tmp_path / "far") == []
 
 
 def test_a_lost_machine_costs_its_run_a_second_try(machines, tiny, tmp_path, monkeypatch):
@@ -140,7 +139,7 @@ def test_a_lost_machine_costs_its_run_a_second_try(machines, tiny, tmp_path, mon
     assert [one["status"] for one in results] == ["ok"] * len(waiting)
     assert seen[-1].lost == 1
     assert seen[-1].done == len(waiting)
-    assert compare.differences(tmp_path / "here", tmp_path / "lost") == []
+    assert same_bytes.differences(tmp_path / "here", tmp_path / "lost") == []
 
 
 def test_bad_runs_are_rows_there_too(machines, tiny, tmp_path, monkeypatch):
@@ -168,7 +167,7 @@ def test_an_interrupt_keeps_what_came_home(machines, specs, here, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run(specs, tmp_path / "out", interrupt, executor=machines.name)
     run(specs, tmp_path / "out", executor="local", resume=True)
-    assert compare.differences(here, tmp_path / "out") == []
+    assert same_bytes.differences(here, tmp_path / "out") == []
 
 
 def test_files_that_differ_are_refused(machines, tiny, tmp_path, monkeypatch):
