@@ -397,12 +397,12 @@ def show_session(done: Attached, av: str, out: Path) -> None:
     attacks = counted(count, "attack")
     hits = sum(row["contact"] is not None for row in done.rows)
     why = _ENDS[done.end].format(time=done.time_s, attacks=attacks, av=av)
-    nobody = f" ({done.nobody})" if not count and done.nobody else ""
+    why_none = f" ({done.last_failure})" if not count and done.last_failure else ""
     if done.undriven:
         why += ", before the attack under way was over, which is not counted"
     file = f"{out}/{'attacks.jsonl' if count else 'session.json'}"
     console.print(
-        escape(f"{attacks}, {counted(hits, 'contact')}{nobody}; {why}; {file}"),
+        escape(f"{attacks}, {counted(hits, 'contact')}{why_none}; {why}; {file}"),
         soft_wrap=True,
     )
     if not done.watched:

@@ -59,9 +59,7 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
 @click.option(
     "--precision", type=click.Choice(["auto", "bf16", "fp32"]), help="Compute with this precision."
 )
-@click.option(
-    "--evaluate-every", type=_STEPS, help="Evaluate on held-out scenes once in so many steps."
-)
+@click.option("--evaluate-every", type=_STEPS, help="Evaluate on held-out scenes every N steps.")
 @click.option(
     "--patience",
     type=click.IntRange(min=0),

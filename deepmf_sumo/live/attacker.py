@@ -302,7 +302,7 @@ class Attached:
 
     Attributes:
         rows: the attacks. end: why it left, at ``time_s`` of the simulation.
-        nobody: why the last try to attack failed.
+        last_failure: why the last try to attack failed.
         collisions: what SUMO does at a collision, its ``--collision.action``.
         undriven: attacks that were not over when the script left; they are not in ``rows``.
         watched: whether it could observe that the script left.
@@ -311,7 +311,7 @@ class Attached:
     rows: list[dict[str, Any]]
     end: End
     time_s: float
-    nobody: str
+    last_failure: str
     collisions: str
     undriven: int
     watched: bool
@@ -370,7 +370,7 @@ def attach(
         rows=record.rows,
         end=left,
         time_s=steps.ended_s,
-        nobody=own.nobody,
+        last_failure=own.last_failure,
         collisions=collisions,
         undriven=own.undriven,
         watched=clients is not None,

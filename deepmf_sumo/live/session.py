@@ -54,7 +54,7 @@ class Session:
 
     Attributes:
         attacks, undriven: numbers of attacks so far.
-        nobody: why the last try to attack failed.
+        last_failure: why the last try to attack failed.
 
     Raises UsageError if 0.1 s is not a multiple of the simulation's step.
     """
@@ -74,7 +74,7 @@ class Session:
         self.script_left = False
         self.av_seen = False
         self.av_present = False
-        self.nobody = ""
+        self.last_failure = ""
         self._scenery = scenery
         self._policy = policy
         self._call = AtTime(np.inf)
@@ -215,17 +215,17 @@ class Session:
             return
         self._next_s = self.time_s + _AGAIN_S
         if len(latest.vehicles) < 2:
-            self.nobody = "no vehicle is near the AV"
+            self.last_failure = "no vehicle is near the AV"
             return
         try:
             attack = Engagement(
                 scenery, tuple(self._history), self._policy, self._rng, self._tired()
             )
         except RunError as error:
-            self.nobody = str(error)
+            self.last_failure = str(error)
             return
         if attack.opponent_id is None:
-            self.nobody = "no vehicle around the AV can attack"
+            self.last_failure = "no vehicle around the AV can attack"
             return
         fired.used()
         self._attack, self._begin_s = attack, self.time_s

@@ -337,7 +337,7 @@ def meeting_ways(net: NetFile, ways: Iterable[Way]) -> frozenset[tuple[Way, Way]
 
     Judged by the lines along the middle of the lanes, for junctions without a rule (`unregulated`)
     have no ``<request>`` that would name foes. In a network without lanes inside its junctions the
-    lines are straight. Ways that the network has no connection for meet nobody.
+    lines are straight. Paths without a connection in the network meet no other path.
     """
     links: dict[Way, list[NetLink]] = defaultdict(list)
     inside: dict[str, NetLink] = {}

@@ -73,7 +73,9 @@ class Preset:
     def from_record(cls, record: Any) -> "Preset":
         """The preset of a card. Raises WeightsError where a size is missing, unknown or wrong."""
         if not isinstance(record, dict):
-            raise WeightsError(f"The sizes of the network are {record!r:.80}, which is no mapping.")
+            raise WeightsError(
+                f"The sizes of the network are {record!r:.80}, which is not a mapping."
+            )
         sizes: dict[str, Any] = {
             str(key): tuple(value) if isinstance(value, list) else value
             for key, value in record.items()

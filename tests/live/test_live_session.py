@@ -88,7 +88,7 @@ def test_the_av_is_never_commanded_and_nothing_changes_before_an_attack(folder, 
         now = {one: api.vehicle.getPosition(one) for one in api.vehicle.getIDList()}
         assert now == positions
     assert session.attacks == 0
-    assert session.nobody == "no vehicle around the AV can attack"
+    assert session.last_failure == "no vehicle around the AV can attack"
 
 
 def test_closing_leaves_no_trace(folder, sumo):
@@ -293,7 +293,7 @@ def test_an_av_on_its_own_is_left_in_peace(folder, sumo):
     api.vehicle.remove("leader")
     session, _ = session_on(api, folder, policy)
     step(api, session, 20)
-    assert session.nobody == "no vehicle is near the AV"
+    assert session.last_failure == "no vehicle is near the AV"
     assert policy.views == []
 
 

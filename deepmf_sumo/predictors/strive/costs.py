@@ -19,7 +19,7 @@ def disc_centres(position: Tensor, heading: Tensor, size: Tensor, count: int = D
 def disc_radius(size: Tensor) -> Tensor:
     """(...) radius of a box's discs: they reach its front and rear, and stick out at the sides.
 
-    Not zero where nobody is, so that nothing is divided by it.
+    Not zero where there is no vehicle, so that nothing is divided by it.
     """
     return (size[..., 1] / 2 * 1.1).clamp_min(0.1)
 

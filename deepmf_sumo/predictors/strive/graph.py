@@ -39,7 +39,7 @@ way_info   (16, 7, 14)    see `paths.PathSet`
 _STRIDE: Final = round(SPACING_M / NODE_SPACING_M)
 _STANDING_MPS: Final = 0.5
 _STANDING_M: Final = 30.0
-"""Who stands counts as farther away: parked cars would fill the graph."""
+"""Added to the distance of a standing vehicle: parked cars would fill the graph."""
 _SMOOTHING_STEPS: Final = 5
 """Acceleration and yaw rate are those of the last half second."""
 
