@@ -24,7 +24,7 @@ class Messages(nn.Module):
         self.out = nn.Linear(width, hidden)
 
     def forward(self, nodes: Tensor, edges: Tensor, linked: Tensor) -> Tensor:
-        """(B, N, H), (B, N, N, E), mask (B, N, N) -> (B, N, H); zero where no vehicle sends a message."""
+        """(B, N, H), (B, N, N, E), mask (B, N, N) -> (B, N, H); zero without messages."""
         sent = (
             self.receiver(nodes).unsqueeze(2) + self.sender(nodes).unsqueeze(1) + self.edge(edges)
         )
