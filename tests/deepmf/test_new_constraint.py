@@ -49,6 +49,23 @@ def test_a_new_constraint_narrows_the_choice_and_is_recorded(known):
     )
 
 
+@pytest.mark.parametrize("name", sorted(one.name for one in constraints.CONSTRAINTS))
+def test_every_constraint_is_recorded_and_kept(name):
+    values = {"sector": {"sector": "rear"}}.get(name, {name: True})
+    reason = first_plan(opponent="near", **values).reason
+    allowed = reason.allowed[name]
+    of_pairs = constraint_of(name).scope == "preferred"
+    assert allowed.dtype == bool
+    assert allowed.shape == (reason.collides.shape if of_pairs else reason.collides.shape[:1])
+    assert allowed[reason.chosen].any() or reason.unmet == (name,)
+    if not of_pairs:
+        np.testing.assert_array_equal(artifacts._reason(reason)[f"candidate_{name}"], allowed)
+
+
+def constraint_of(name):
+    return next(one for one in constraints.CONSTRAINTS if one.name == name)
+
+
 def test_a_new_constraint_that_nothing_meets_is_named(known, monkeypatch):
     monkeypatch.setattr(Late, "step", 1000)
     reason = first_plan(constraints=["late"], opponent="near").reason
