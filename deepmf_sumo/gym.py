@@ -159,7 +159,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         self._observer = Observer(agents)
         self._next = 0
         self._seeded = False
-        self._turns: SteppedEpisode | None = None
+        self._stepped: SteppedEpisode | None = None
         self._run_id = ""
         self.case: Case | None = None
         self.view: View | None = None
@@ -225,9 +225,11 @@ class AttackEnv(_Env):  # type: ignore[misc]
                 "SUMO runs one simulation per process, and another environment is in an episode;"
                 " close that, or use gymnasium.vector.AsyncVectorEnv."
             )
-        self._turns = SteppedEpisode(lambda me: episode.attack_case(task, case, planner=me), model)
+        self._stepped = SteppedEpisode(
+            lambda me: episode.attack_case(task, case, planner=me), model
+        )
         try:
-            came = self._turns.next()
+            came = self._stepped.next()
         except BaseException:
             self.close()
             raise
@@ -237,7 +239,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         return came
 
     def _release(self) -> None:
-        self._turns = None
+        self._stepped = None
         _one_simulation.release()
 
     def _task(self, scene: str | None) -> tasks.Task:

@@ -101,8 +101,10 @@ def _limit(parent: int) -> None:
         signal.signal(number, signal.SIG_DFL)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # hides the output of a crash, which is reported
     gc.freeze()  # otherwise the first collection touches, and so copies, all objects
-    pages = int(Path("/proc/self/statm").read_text("ascii").split()[5])
-    most = pages * os.sysconf("SC_PAGE_SIZE") + MEMORY_MB * 2**20
+    status = Path("/proc/self/status").read_text("ascii", "replace")
+    # what the limit counts; statm adds the stack
+    present_kb = int(status.partition("VmData:")[2].split(maxsplit=1)[0])
+    most = present_kb * 2**10 + MEMORY_MB * 2**20
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(
         resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard)

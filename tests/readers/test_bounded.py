@@ -29,7 +29,7 @@ def forever():
 
 def large():
     yield 1
-    yield len(b"x" * (_bounded.MEMORY_MB + 10) * 2**20)
+    yield len(b"x" * (_bounded.MEMORY_MB + 64) * 2**20)
 
 
 def crash():
