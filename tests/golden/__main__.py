@@ -6,7 +6,8 @@ Runs the cases of `cases.py` with the code of a commit (once: its files are kept
 `.cache/golden/COMMIT`) and with the code of this checkout, and names the files that differ, timings
 and facts of the machine apart. Both run on this machine, in folders of the same name: other
 processors give other last digits. What the runs measured is also compared with `table.csv`, which
-is committed, to 1e-6: that holds on any machine. Ends with 1 where a file or a value differs.
+is committed, to 5e-6: that holds on any machine (one processor moved three values by up to 2e-6).
+Ends with 1 where a file or a value differs.
 """
 
 import argparse
@@ -88,7 +89,7 @@ def _moved(folder: Path) -> list[str]:
     )
     both = there.index.intersection(here.index)
     a, b = (pd.to_numeric(one[both], errors="coerce").to_numpy() for one in (there, here))
-    equal = np.isclose(a, b, rtol=1e-6, atol=1e-9) | (there[both] == here[both]).to_numpy()
+    equal = np.isclose(a, b, rtol=5e-6, atol=1e-9) | (there[both] == here[both]).to_numpy()
     names = [*both[~equal], *there.index.symmetric_difference(here.index)]
     return [" ".join(name) for name in names]
 
