@@ -58,7 +58,7 @@ def list_scenes(data: tuple[Path, ...], form: str, csv_file: Path | None) -> Non
     total = sum(counts.values())
     if form == "table":
         parts = ", ".join(f"{counts[status]} {status}" for status in _STYLES)
-        console.print(f"\n{total} scenes: {parts}", highlight=False)
+        console.print(f"\n{total} scene{'s' * (total != 1)}: {parts}", highlight=False)
     else:
         emit(form, rows, scene_table.COLUMNS)
     if not total:

@@ -65,7 +65,7 @@ def test_nothing_readable_ends_with_3(tmp_path):
     result = run(file)
     assert isinstance(result.exception, ReaderError)
     assert result.exception.exit_code == 3
-    assert "1 scenes: 0 ok, 0 repaired, 1 refused" in result.output
+    assert "1 scene: 0 ok, 0 repaired, 1 refused" in result.output
 
 
 def test_a_missing_path_is_a_usage_error_and_leaves_no_csv(tmp_path):
