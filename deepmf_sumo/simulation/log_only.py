@@ -82,7 +82,7 @@ def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
     for step in world.first_overlaps(opponent, first, stop + 1):
         for look in (step - 1, step):
             frame = world.frame(look)
-            record.judge.look(look, frame, record.recorder.sizes_m(frame.ids))
+            record.judge.look(look, frame, world.sizes_m(frame.ids))
         if record.judge.hit(step):
             stop = step
             break
@@ -145,6 +145,10 @@ class _LogOnly:
         rows = rows[np.argsort(there[rows].argmax(axis=1), kind="stable")]
         ids = [self._tracks.ids[row] for row in rows]
         return ids, self._state[rows, span], self._driver[rows, span]
+
+    def sizes_m(self, ids: list[AgentId]) -> Floats:
+        """(N, 2) length and width of agents, also of those that appear after the recorded step."""
+        return self._size_m[[self._tracks.row(agent) for agent in ids]]
 
     def body(self, agent: AgentId) -> Body:
         """Kind and size as recorded."""

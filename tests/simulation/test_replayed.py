@@ -119,6 +119,21 @@ def test_drawn_scene(case, policy):
     assert_same(*both(case, policy))
 
 
+@pytest.mark.parametrize("policy", [lambda: None, lambda: Towards("b", "av", 80)])
+def test_an_agent_that_appears_between_two_plans_and_is_hit(policy, tmp_path):
+    motions = {
+        "av": straight_motion(60.0, 0.0, 0.0, 10.0),
+        "b": straight_motion(40.0, LANE_M, 0.0, 9.0),
+        "late": straight_motion(90.0, 0.5, 0.0, 0.0),
+    }
+    valid = np.ones((len(motions), STEPS), bool)
+    valid[2, : NOW + 5] = False
+    case = case_of(scene_of(straight_road(), motions, valid=valid), tmp_path)
+    one, other = both(case, policy)
+    assert [contact.kind for contact in one.contacts] == ["av_other"]
+    assert_same(one, other)
+
+
 def test_views_are_the_same(case):
     policies = []
 
