@@ -209,7 +209,6 @@ def test_the_papers_plan_is_found_in_a_checkout_and_in_a_package(tmp_path, monke
 
 
 def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
-
     from deepmf_sumo import readers
     from deepmf_sumo import tasks as batch_tasks
 
@@ -224,7 +223,12 @@ def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
     rows, planned = rows_of(loaded, tmp_path)
     layout = layout_of(loaded.plan, rows, planned)
     assert layout.baseline == "DeepMF-S1"
-    assert layout.versions == ["DeepMF-G", "DeepMF-S4", "DeepMF-S2", "DeepMF-S1"]
+    versions = ["G", "S4", "S2", "S1"]
+    published = [f"DeepMF (paper) {one}" for one in versions]
+    assert layout.versions == [*published, *(f"DeepMF-{one}" for one in versions)]
+    assert layout.methods[:4] == published
+    assert {row.specs[0].adversary.settings.get("form") for row in rows[:4]} == {"paper"}
+    assert layout.compared[0] == "DeepMF (paper) S1"
     assert set(layout.compared) >= {"STRIVE", "ART", "BBO", "BRS", "BGA", "DeepMF-S1"}
     asked = {
         row.specs[0].adversary.settings.get("sector") for row in rows if row.label.part == "figures"

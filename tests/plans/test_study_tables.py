@@ -225,10 +225,14 @@ def test_tables_say_by_which_rule_deepmf_chose():
         one={"adversary": {"name": "deepmf", "version": "S1", "rule": "likeliest"}},
         two={"adversary": "S1"},
         three={"adversary": {"aggressiveness": 0.7}},
+        four={"adversary": {"name": "deepmf", "form": "paper"}},
         other={"adversary": "cat"},
     )
-    assert layouts.rule_title(mixed, ["one", "other"]) == " (DeepMF's rule: likeliest)"
-    assert layouts.rule_title(mixed, ["two"]) == " (DeepMF's rule: expected)"
+    assert layouts.rule_title(mixed, ["one", "other"]) == (" (DeepMF: extended, rule likeliest)")
+    assert layouts.rule_title(mixed, ["two"]) == " (DeepMF: extended, rule expected)"
+    assert layouts.rule_title(mixed, ["four", "one"]) == (
+        " (DeepMF: form paper; extended, rule likeliest)"
+    )
     assert layouts.rule_title(mixed, ["other"]) == ""
     assert layouts.notes(mixed) == [
         "one: attacks chosen by likeliest, not by the paper's product (rule expected).",

@@ -77,10 +77,15 @@ _PAPERS: Final = "expected"
 """The rule of DeepMF where nothing else is said, and of the paper's Algorithm 1."""
 
 
+_PUBLISHED: Final = "form paper"
+"""What is said of rows of DeepMF as it is published, instead of their rule."""
+
+
 def rule_title(layout: Layout, methods: Sequence[str]) -> str:
-    """What a table's title says of the rules of its rows of DeepMF; empty without such rows."""
+    """What a table's title says of the forms and rules of its rows of DeepMF; empty without any."""
     rules = dict.fromkeys(_by_method(layout, methods).values())
-    return f" (DeepMF's rule: {', '.join(rules)})" if rules else ""
+    said = [one if one == _PUBLISHED else f"extended, rule {one}" for one in rules]
+    return f" (DeepMF: {'; '.join(said)})" if said else ""
 
 
 def notes(layout: Layout) -> list[str]:
@@ -92,7 +97,7 @@ def notes(layout: Layout) -> list[str]:
         f"{', '.join(found)}: attacks chosen by {rule}, not by the paper's product (rule"
         f" {_PAPERS})."
         for rule, found in labels.items()
-        if rule != _PAPERS
+        if rule not in {_PAPERS, _PUBLISHED}
     ]
 
 
@@ -102,10 +107,12 @@ def _by_method(layout: Layout, methods: Sequence[str]) -> dict[str, str]:
 
 
 def _rule(choice: str | dict[str, Any]) -> str:
-    """The rule of a plan's method; empty where it is not DeepMF."""
+    """The rule of a plan's method, or `_PUBLISHED`; empty where it is not DeepMF."""
     settings = {"name": choice} if isinstance(choice, str) else choice
     if settings.get("name", "deepmf") not in {"deepmf", *VERSIONS}:
         return ""
+    if settings.get("form") == "paper":
+        return _PUBLISHED
     if settings.get("aggressiveness") is not None:
         return f"aggressiveness {settings['aggressiveness']:g}"
     return str(settings.get("rule", _PAPERS))
