@@ -127,7 +127,7 @@ def same_as_sumo(row):
     assert row.vehicles > 10
     assert row.apart_m < 1e-6
     assert row.between_m < 0.05
-    assert row.back_m < 0.15  # where the rear is still on the edge before
+    assert row.back_m < 0.05
     assert row.beyond_m < 0.0501  # netconvert leaves 0.1 m between two lanes
     assert row.more_sideways_m < 1e-6
 

@@ -8,7 +8,7 @@ import argparse
 import tempfile
 import xml.etree.ElementTree as ET
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -29,10 +29,18 @@ _NOWHERE_M = -1e6
 
 @dataclass
 class Vehicle:
-    """One vehicle by step: (time, SUMO's centre x and y, heading, shown x and y), and its lanes."""
+    """One vehicle by step: (time, SUMO's centre x and y, heading, shown x and y), and its lanes.
+
+    ``rear_m``: where its rear is along its lane, negative on the lane before.
+    """
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
     lanes: list[str] = field(default_factory=list)
+    rear_m: list[float] = field(default_factory=list)
+
+    def on_edge(self, steps: np.ndarray) -> list[bool]:
+        """Whether all of the vehicle is on its edge, at the steps of a mask."""
+        return [bool(self.rear_m[step] >= 0) for step in np.flatnonzero(steps)]
 
 
 @dataclass
@@ -57,8 +65,10 @@ class Row:
         vehicles, turns, changes: how many there were.
         spread: changes in which SUMO's vehicle jumped and the shown one did not.
         apart_m: largest distance outside lane changes.
-        between_m: how far a shown centre is outside the two lanes' centre lines in spread changes.
-        back_m: largest step away from the new lane during a change.
+        between_m: how much farther outside the two lanes' centre lines a shown centre is in a
+            spread change than SUMO's: in bends SUMO's is too.
+        back_m: largest step of a shown centre away from the new lane during a change, with its rear
+            on their edge: before, it swings in from the edge before, as it does without a change.
         beyond_m: how much farther beyond the lanes it used a shown centre is than SUMO's.
         beyond_sumo_m: how far SUMO's own centre is beyond them.
         sideways_m, sideways_sumo_m: largest step sideways outside lane changes.
@@ -124,6 +134,7 @@ def _note(api, name: str, motions: dict[str, ShownMotion], recorded: Recorded) -
     shown = motion.advance(read_pose(api, name, length))
     lane = api.vehicle.getLaneID(name)
     row = (api.simulation.getTime(), *centre, heading, shown.x_m, shown.y_m)
+    recorded.vehicles[name].rear_m.append(api.vehicle.getLanePosition(name) - length)
     recorded.vehicles[name].rows.append(row)
     recorded.vehicles[name].lanes.append(lane)
     if lane and lane not in recorded.lines:
@@ -151,8 +162,10 @@ def _judge(
         row.spread += spread
         if spread and origin in recorded.lines and len(changes) == 1:
             there = [vehicle.lanes[one] for one in np.flatnonzero(during)]
-            ways = np.array(list(_ways(recorded, origin, there, shown[during]))).reshape(-1, 2)
-            row.note(between_m=ways[:, 0].max(initial=0), back_m=np.diff(ways[:, 1]).max(initial=0))
+            points = zip(shown[during], own[during], vehicle.on_edge(during), strict=True)
+            ways = np.array(list(_ways(recorded, origin, there, points))).reshape(-1, 2)
+            steps = np.diff(ways[:, 1])
+            row.note(between_m=ways[:, 0].max(initial=0), back_m=np.nanmax(steps, initial=0))
     apart = np.hypot(*(shown - own).T)
     used = shapely.union_all([recorded.areas[lane] for lane in set(vehicle.lanes) if lane])
     beyond, beyond_sumo = (shapely.distance(used, shapely.points(each)) for each in (shown, own))
@@ -167,16 +180,27 @@ def _judge(
 
 
 def _ways(
-    recorded: Recorded, origin: str, lanes: list[str], shown: np.ndarray
+    recorded: Recorded,
+    origin: str,
+    lanes: list[str],
+    points: Iterable[tuple[np.ndarray, np.ndarray, bool]],
 ) -> Iterator[tuple[float, float]]:
-    """By how much a centre's ways to both lanes are longer than from lane to lane; to the new."""
-    for lane, point in zip(lanes, shapely.points(shown), strict=True):
+    """How much farther outside both lanes a shown centre is than SUMO's; its way to the new lane.
+
+    ``points``: shown centre, SUMO's centre, whether all of the vehicle is on the edge: else the way
+    is NaN.
+    """
+    for lane, (*centres, on_edge) in zip(lanes, points, strict=True):
         if lane == origin or lane.rpartition("_")[0] != origin.rpartition("_")[0]:
             continue
         old, new = recorded.lines[origin], recorded.lines[lane]
-        if min(old.project(point), new.project(point)) > 0:  # else it is before the edge
-            width = old.distance(new.interpolate(new.project(point)))
-            yield old.distance(point) + new.distance(point) - width, new.distance(point)
+        shown, sumos = shapely.points(np.array(centres))
+        if min(old.project(shown), new.project(shown)) > 0:  # else it is before the edge
+            width = old.distance(new.interpolate(new.project(shown)))
+            outside, sumos_outside = (
+                max(old.distance(one) + new.distance(one) - width, 0.0) for one in (shown, sumos)
+            )
+            yield outside - sumos_outside, new.distance(shown) if on_edge else np.nan
 
 
 def _turns(heading: np.ndarray) -> int:
