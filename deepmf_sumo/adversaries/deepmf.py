@@ -1,16 +1,29 @@
-"""DeepMF as an adversary: one episode under its policy."""
+"""DeepMF as an adversary: an episode under its policy, or several that learn from each other."""
+
+import time
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
+from deepmf_sumo.adversaries._episodes import deadline
+from deepmf_sumo.adversaries._search import nearest_m
 from deepmf_sumo.adversaries.base import Simulate
-from deepmf_sumo.datatypes import Attack, Budget, Case
+from deepmf_sumo.datatypes import Attack, Budget, Case, Rollout, Trial
+from deepmf_sumo.deepmf.experience import Experience
+from deepmf_sumo.deepmf.policy import DeepMF as Policy
 from deepmf_sumo.deepmf.policy import Predictors
 from deepmf_sumo.deepmf.policy import build as build_policy
-from deepmf_sumo.deepmf.settings import Settings
+from deepmf_sumo.deepmf.settings import Goal, Settings
+from deepmf_sumo.metrics import Episode
+from deepmf_sumo.metrics.collision import valid_collision
+
+_Rank = tuple[bool, ...]
+"""What an episode reached; the first is the goal."""
 
 
 class DeepMF:
-    """Attacks in one episode, whatever the budget; the first attack loads the predictors."""
+    """Attacks in one episode, or in at most ``tries``; the first attack loads the predictors."""
 
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
@@ -24,15 +37,70 @@ class DeepMF:
         budget: Budget,
         rng: np.random.Generator,
     ) -> Attack:
-        """The episode; ``generation_s`` is the policy's time, without loading the predictors."""
+        """The first try that reaches the goal, or the best.
+
+        Of a budget the episodes and seconds limit the tries; the first is always made.
+        ``generation_s`` of one try is the policy's time, without loading the predictors; of several
+        all time until the last ended, since each depends on those before.
+        """
         if self._predictors is None:
             # Imports torch, which a check of a spec's settings must not do.
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._predictors = cached_predictors(self._weights)
-        policy = build_policy(self._settings, self._predictors, case.partner_id, case.av_driver)
-        rollout = simulate(policy)
-        return Attack(rollout=rollout, simulations=1, generation_s=policy.seconds)
+        settings, experience = self._settings, Experience()
+        begin, end = time.perf_counter(), deadline(budget)
+        most = min(settings.tries, budget.simulations or settings.tries)
+        best: tuple[_Rank, float, Rollout] | None = None
+        trials: list[Trial] = []
+        while True:
+            policy = self._policy(case, experience)
+            rollout = simulate(policy)
+            rank, gap = _REACHED[settings.goal](rollout, case), _gap_m(rollout)
+            trials.append(Trial(parameters=_named(settings.goal, rank), objective=-gap))
+            if best is None or (rank, -gap) > (best[0], -best[1]):
+                best = rank, gap, rollout
+            more = experience.add(rollout, wanted=rank[0]) and not rank[0] and len(trials) < most
+            out_of_time = more and time.perf_counter() >= end
+            if not more or out_of_time:
+                break
+        single = len(trials) == 1
+        return Attack(
+            rollout=best[2],
+            trials=() if settings.tries == 1 else tuple(trials),
+            simulations=len(trials),
+            generation_s=policy.seconds if single else time.perf_counter() - begin,
+            out_of_time=out_of_time,
+        )
+
+    def _policy(self, case: Case, experience: Experience) -> Policy:
+        assert self._predictors is not None
+        who = case.partner_id, case.av_driver
+        return build_policy(self._settings, self._predictors, *who, experience)
+
+
+def _hit(rollout: Rollout, case: Case) -> _Rank:
+    return (rollout.first("av_opponent") is not None,)
+
+
+def _avoidable(rollout: Rollout, case: Case) -> _Rank:
+    hit = rollout.first("av_opponent") is not None
+    return hit and valid_collision.compute(Episode(rollout, case)) > 0, hit
+
+
+_REACHED: Final[dict[Goal, Callable[[Rollout, Case], _Rank]]] = {
+    "hit": _hit,
+    "avoidable": _avoidable,
+}
+
+
+def _named(goal: Goal, rank: _Rank) -> dict[str, float]:
+    names = ("hit",) if goal == "hit" else ("avoidable", "hit")
+    return {name: float(one) for name, one in zip(names, rank, strict=True)}
+
+
+def _gap_m(rollout: Rollout) -> float:
+    return np.inf if rollout.opponent_id is None else nearest_m(rollout)
 
 
 def build(settings: Settings, weights: str) -> DeepMF:

@@ -24,6 +24,7 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.deepmf import candidates, constraints, scoring
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.constraints import Constraint, Mask
+from deepmf_sumo.deepmf.experience import Experience
 from deepmf_sumo.deepmf.opponent import choose, highest
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
@@ -91,7 +92,9 @@ class DeepMF:
         predictors: Predictors,
         partner_id: AgentId | None = None,
         av_driver: AvDriver = "planner",
+        experience: Experience | None = None,
     ) -> None:
+        self._experience = experience or Experience()
         self._settings = settings
         self._predictors = predictors
         self._partner_id = partner_id
@@ -124,7 +127,7 @@ class DeepMF:
         if chosen is None:
             return None
         if settings.tried > 1 and self._scores:
-            tried = highest(self._scores, settings.opponent, settings.tried)
+            tried = self._not_given_up(self._scores)
             self._attack = self._most_promising(view, [self._new_attack(one) for one in tried])
         else:
             self._attack = self._new_attack(chosen)
@@ -140,6 +143,13 @@ class DeepMF:
             attack.last = self._plan(view, attack, self._predict_av(view, watch), watch)
         attack.ready = False
         return attack.last
+
+    def _not_given_up(self, scores: OpponentScores) -> list[AgentId]:
+        """The vehicles to make a first plan for; all again where each would repeat itself."""
+        settings, away = self._settings, self._experience.given_up
+        ranked = highest(scores, settings.opponent, settings.tried + len(away))
+        left = [one for one in ranked if one not in away]
+        return (left or ranked)[: settings.tried]
 
     def _new_attack(self, opponent_id: AgentId) -> _Attack:
         return _Attack(opponent_id=opponent_id, constraints=constraints.made(self._settings))
@@ -166,12 +176,16 @@ class DeepMF:
 
     def _plan(self, view: View, attack: _Attack, av: _Av, watch: Stopwatch) -> Plan:
         """The opponent's plan: generate, predict, collide, constrain, choose."""
+        unattacked = av.unattacked and self._experience.aimed_at(
+            view, attack.opponent_id, av.unattacked
+        )
         situation = Situation.of(
-            view, attack.opponent_id, self._settings.limits, av.unattacked, attack.last
+            view, attack.opponent_id, self._settings.limits, unattacked, attack.last
         )
         own = self._generate(situation, attack.constraints, watch)
-        reactions = self._reactions(av, own)
+        predicted = self._reactions(av, own)
         watch.lap("conditional")
+        reactions, counts = self._experience.informed(situation, own, predicted)
         pairs = candidates.pairs(
             situation,
             own,
@@ -179,6 +193,7 @@ class DeepMF:
             sectors="sector" in self._settings.constrained,
             severity=self._settings.aggressiveness is not None,
         )
+        pairs = pairs if counts is None else pairs.counting(counts)
         watch.lap("collision")
         choice, masks = self._choose(situation, attack, own, reactions, pairs, watch)
         watch.lap("select")
@@ -301,6 +316,10 @@ def build(
     predictors: Predictors,
     partner_id: AgentId | None = None,
     av_driver: AvDriver = "planner",
+    experience: Experience | None = None,
 ) -> DeepMF:
-    """The policy; ``partner_id`` is the opponent of ``opponent: labelled``."""
-    return DeepMF(settings, predictors, partner_id, av_driver)
+    """The policy.
+
+    ``partner_id`` is the opponent of ``opponent: labelled``; ``experience``: of earlier tries.
+    """
+    return DeepMF(settings, predictors, partner_id, av_driver, experience)

@@ -20,7 +20,7 @@ from typing import Final, Literal, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints
+from deepmf_sumo.datatypes import FUTURE_STEPS, Bools, Floats, Ints
 
 Rule = Literal["expected", "pair", "likeliest", "drawn"]
 
@@ -90,6 +90,12 @@ class Pairs:
             sector=None if self.sector is None else self.sector[rows],
             severity=None if self.severity is None else self.severity[rows],
         )
+
+    def counting(self, counts: Bools) -> "Pairs":
+        """Only collisions of some pairs (N1, N2)."""
+        collides = self.collides & counts
+        step = np.where(self.collides & ~counts, FUTURE_STEPS, self.collision_step)
+        return replace(self, collides=collides, collision_step=step)
 
     @property
     def mass(self) -> Floats:

@@ -23,6 +23,7 @@ from deepmf_sumo.spec import VERSIONS
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
 ]
+Goal = Literal["hit", "avoidable"]
 LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
 """Default limits on an opponent's accelerations, which all aimed methods share."""
 _RANKED = frozenset({"argmax", "partner"})
@@ -42,6 +43,8 @@ _PAPER: Final[dict[str, Any]] = {
     "fair": False,
     "lawful": False,
     "constraints": (),
+    "goal": "hit",
+    "tries": 1,
 }
 """Values of ``form: paper``: keys with other values contradict it."""
 _PAPER_RULES: Final = ("expected", "pair")
@@ -95,6 +98,11 @@ class Settings(plugins.Settings):
         lawful: only candidates that break no traffic rule (`deepmf.traffic_rules`); if none of
             them meets the AV, no attack.
         constraints: names of further constraints, see `deepmf.constraints`.
+        goal: what ends the tries: a ``hit``; or an ``avoidable`` one, with the metric
+            `valid_collision` 1, and only ``fair`` candidates.
+        tries: maximum number of episodes; each knows what the AV did in those before, see
+            `deepmf.experience`. The first that reaches the goal is the attack, without one the
+            best. Offline only.
     """
 
     form: Literal["paper", "extended"] = "extended"
@@ -120,11 +128,13 @@ class Settings(plugins.Settings):
     fair: bool = False
     lawful: bool = False
     constraints: tuple[str, ...] = Field(default=(), strict=False)
+    goal: Goal = "hit"
+    tries: int = Field(default=1, ge=1, le=1000)
 
     @property
     def takes_turns(self) -> bool:
-        """Whether several opponents can attack in turn in an episode: they are chosen by score."""
-        return self.opponent in SCORED
+        """Whether opponents can attack in turn in an episode: chosen by score, in one try."""
+        return self.opponent in SCORED and self.tries == 1
 
     @model_validator(mode="before")
     @classmethod
@@ -188,18 +198,18 @@ class Settings(plugins.Settings):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Results contain the form and further constraints only if they are not the defaults."""
+        """Results contain these keys only with values that are not the defaults."""
         values: dict[str, Any] = handler(self)
-        if not self.constraints:
-            del values["constraints"]
-        if self.form == "extended":
-            del values["form"]
+        for key in ("constraints", "form", "goal", "tries"):
+            if getattr(self, key) == type(self).model_fields[key].default:
+                del values[key]
         return values
 
     @property
     def constrained(self) -> frozenset[str]:
         """Names of the constraints on the choice."""
-        own = {"lawful": self.lawful, "fair": self.fair, "sector": self.sector is not None}
+        fair = self.fair or self.goal == "avoidable"
+        own = {"lawful": self.lawful, "fair": fair, "sector": self.sector is not None}
         return frozenset({*(name for name, wanted in own.items() if wanted), *self.constraints})
 
     @property

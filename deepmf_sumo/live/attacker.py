@@ -130,6 +130,11 @@ def policy_of(spec: Spec) -> Policy:
     settings = Settings.model_validate(spec.adversary.settings)
     if settings.opponent == "labelled":
         raise UsageError("adversary.opponent 'labelled': only recordings label an opponent.")
+    if settings.tries > 1:
+        raise UsageError(
+            f"adversary.tries {settings.tries}: a running simulation cannot be tried again;"
+            " leave it at 1."
+        )
     from deepmf_sumo.predictors import weights  # imports torch
     from deepmf_sumo.predictors.weights import one_thread
 

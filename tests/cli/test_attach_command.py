@@ -184,6 +184,7 @@ def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
         (["--set", "adversary=bbo"], "only deepmf attacks"),
         (["--set", "adversary.opponnt=x"], "Did you mean 'opponent'?"),
         (["--set", "adversary.opponent=labelled"], "only recordings label"),
+        (["--set", "adversary.tries=3"], "cannot be tried again"),
         (["--duration", "1"], "--duration"),
     ],
 )

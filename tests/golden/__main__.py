@@ -121,6 +121,8 @@ def _run_all(tree: Path, kept: Path, jobs: int) -> None:
     cases.write(work, work / "scenarios")
     for command in cases.COMMANDS:
         _command(tree, work, command, jobs)
+        if command[0] == "record":
+            _python(tree, work, ["late.py"])
     _python(tree, work, ["live.py"])
     work.rename(kept)
 

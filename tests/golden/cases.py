@@ -61,6 +61,7 @@ NETWORK_RUNS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
 """Name: (a spec of `scenarios/`, what differs from it). DeepMF keeps the spec's opponent unless the
 case names one."""
 
+LATER: Final = {"source": {"recording": "../../out/late", "scenes": {"first": 3}}}
 RECORDED_RUNS: Final[dict[str, dict[str, Any]]] = {
     "log-deepmf": {"planner": "idm", "adversary": {"name": "deepmf", "rule": "likeliest"}},
     "log-replay": {"planner": "replay", "adversary": "deepmf"},
@@ -68,6 +69,8 @@ RECORDED_RUNS: Final[dict[str, dict[str, Any]]] = {
         "planner": {"name": "idm", "perception": "corridor"},
         "adversary": {"name": "none"},
     },
+    "late-replay": {"planner": "replay", "adversary": "deepmf", **LATER},
+    "late-idm": {"planner": "idm", "adversary": {"name": "rule"}, **LATER},
     "log-sumo-traffic": {"planner": "idm", "adversary": "deepmf", "traffic": "sumo"},
 }
 """On scenes recorded from `sumo_nets/four_way`."""
@@ -85,6 +88,22 @@ methods:
   rule: {adversary: {name: rule}}
 tables: {baseline: DeepMF, compared: [none, rule]}
 """
+
+LATE: Final = """
+import json, pathlib, numpy
+
+for file in sorted(pathlib.Path("out/scenes").rglob("*.npz")):
+    arrays = dict(numpy.load(file))
+    scene = json.loads(bytes(arrays["description"]))
+    late = numpy.arange(len(arrays["tracks_valid"])) % 3 == 1
+    late[scene["ids"].index(scene["av_id"])] = False
+    arrays["tracks_valid"] = arrays["tracks_valid"].copy()
+    arrays["tracks_valid"][late, : scene["now"] + 13] = False
+    place = pathlib.Path("out/late") / file.name
+    place.parent.mkdir(exist_ok=True)
+    numpy.savez(place, **arrays)
+"""
+"""The recorded scenes with a third of the agents appearing between two plans, 1.3 s after now."""
 
 LIVE: Final = """
 import deepmf_sumo, libsumo
@@ -146,3 +165,4 @@ def write(folder: Path, scenarios: Path) -> None:
         (folder / "specs" / "log" / f"{name}.yaml").write_text(yaml.safe_dump(spec), "utf-8")
     (folder / "plan.yaml").write_text(PLAN, "utf-8")
     (folder / "live.py").write_text(LIVE, "utf-8")
+    (folder / "late.py").write_text(LATE, "utf-8")
