@@ -1,4 +1,4 @@
-"""Constraints on the choice: the side of the AV that is hit, fair attacks, lawful attacks.
+"""Constraints on the choice: the side of the AV that is hit, fair, lawful and clean attacks.
 
 A constraint is a mask of the candidates, or pairs of candidate and reaction, that it allows;
 `choose` narrows the choice to these, and reports if nothing is left. To add one, write a class here
@@ -22,9 +22,12 @@ from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
-from deepmf_sumo.geometry import polylines
+from deepmf_sumo.geometry import boxes, polylines
+from deepmf_sumo.geometry.ground import clear
+from deepmf_sumo.geometry.road import on_road
 
 Scope = Literal["driven", "attack", "preferred"]
+_EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other
 _REFUSALS = 12  # verifying a candidate takes some milliseconds
 
 
@@ -257,6 +260,53 @@ def _state(view: View, agent_id: AgentId) -> State:
     )
 
 
+class Clean(Constraint):
+    """Up to its collision the candidate does not leave the road, nor touch another agent.
+
+    A vehicle that is off the road now may come onto it. Agents that it touches at once do not
+    count.
+    """
+
+    name = "clean"
+    scope = "driven"
+
+    def __init__(self, settings: Settings) -> None:
+        pass
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        steps = np.arange(0, situation.horizon, _EVERY_STEPS)
+        before = steps <= pairs.collision_step.min(axis=1)[:, None]
+        spoilt = _off_road(situation, own, steps) | _touches_others(situation, own, steps)
+        return ~(spoilt & before).any(axis=1)
+
+
+def _off_road(situation: Situation, own: Candidates, steps: Ints) -> Bools:
+    """(N1, S) whether candidates are off the road at steps (S), after they were on it."""
+    position = own.forecast.futures.position_m[:, steps]
+    levels = situation.levels
+    z_m = None if levels is None else levels.opponent_z_m(position).reshape(-1)
+    inside = on_road(situation.view.road, position.reshape(-1, 2), z_m).reshape(position.shape[:2])
+    start = on_road(situation.view.road, situation.start.position_m[None])
+    return ~inside & (start | np.maximum.accumulate(inside, axis=1))
+
+
+def _touches_others(situation: Situation, own: Candidates, steps: Ints) -> Bools:
+    """(N1, S) whether candidates touch an agent other than the AV at steps (S)."""
+    others, futures = situation.others(), own.forecast.futures
+    position, heading = futures.position_m[:, steps], futures.heading_rad[:, steps]
+    touched = np.zeros(heading.shape, bool)
+    z_m = situation.view.history.z_m[situation.view.history.row(situation.opponent_id), -1]
+    for row in np.flatnonzero(~clear(others.z_m, z_m)):
+        theirs = others.position_m[row, steps], others.heading_rad[row, steps]
+        hit = boxes.touching(position, heading, situation.size_m, *theirs, others.size_m[row])
+        hit &= others.valid[row, steps]
+        if not hit[:, 0].all():
+            touched |= hit
+    return touched
+
+
 class Sector(Constraint):
     """The AV is first hit in the wanted sector."""
 
@@ -278,7 +328,7 @@ class Sector(Constraint):
         return pairs.sector == self._sector
 
 
-CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (Sector, Lawful, Fair)
+CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (Sector, Lawful, Clean, Fair)
 """All constraints; their candidates are added in this order."""
 
 

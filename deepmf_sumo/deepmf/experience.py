@@ -111,6 +111,11 @@ class Experience:
         self._tries.append(_Try(rollout, wanted))
         return new and opponent is not None
 
+    @property
+    def last(self) -> Rollout | None:
+        """The last try."""
+        return self._tries[-1].rollout if self._tries else None
+
     def aimed_at(self, view: View, opponent_id: AgentId, predicted: Forecast) -> Forecast:
         """Futures of the AV to aim at: the predicted ones and those of tries with the opponent."""
         answers = self._answers(view, opponent_id)

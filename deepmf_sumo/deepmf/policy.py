@@ -180,7 +180,12 @@ class DeepMF:
             view, attack.opponent_id, av.unattacked
         )
         situation = Situation.of(
-            view, attack.opponent_id, self._settings.limits, unattacked, attack.last
+            view,
+            attack.opponent_id,
+            self._settings.limits,
+            unattacked,
+            attack.last,
+            self._experience.last,
         )
         own = self._generate(situation, attack.constraints, watch)
         predicted = self._reactions(av, own)

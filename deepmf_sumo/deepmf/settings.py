@@ -99,7 +99,8 @@ class Settings(plugins.Settings):
             them meets the AV, no attack.
         constraints: names of further constraints, see `deepmf.constraints`.
         goal: what ends the tries: a ``hit``; or an ``avoidable`` one, with the metric
-            `valid_collision` 1, and only ``fair`` candidates.
+            `valid_collision` 1: candidates are then ``fair``, and ``clean`` (see
+            `deepmf.constraints`).
         tries: maximum number of episodes; each knows what the AV did in those before, see
             `deepmf.experience`. The first that reaches the goal is the attack, without one the
             best. Offline only.
@@ -208,9 +209,9 @@ class Settings(plugins.Settings):
     @property
     def constrained(self) -> frozenset[str]:
         """Names of the constraints on the choice."""
-        fair = self.fair or self.goal == "avoidable"
-        own = {"lawful": self.lawful, "fair": fair, "sector": self.sector is not None}
-        return frozenset({*(name for name, wanted in own.items() if wanted), *self.constraints})
+        own = {"lawful": self.lawful, "fair": self.fair, "sector": self.sector is not None}
+        goal = ("clean", "fair") if self.goal == "avoidable" else ()
+        return frozenset({*(name for name, on in own.items() if on), *goal, *self.constraints})
 
     @property
     def period_steps(self) -> int | None:

@@ -6,7 +6,17 @@ from typing import Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, AgentId, Bools, Floats, Forecast, Ints, Plan, View
+from deepmf_sumo.datatypes import (
+    FUTURE_STEPS,
+    AgentId,
+    Bools,
+    Floats,
+    Forecast,
+    Ints,
+    Plan,
+    Rollout,
+    View,
+)
 from deepmf_sumo.deepmf.tracking import Limits, Start
 from deepmf_sumo.geometry.ground import Ground, clear, ground_of
 
@@ -25,6 +35,7 @@ class Situation:
         levels: heights of the two, if the road passes over itself; else None.
         unattacked: the AV's futures without an attack; None if nothing needs them.
         last: the previous plan, if there is one.
+        seen: an earlier episode from the same moment, if there is one.
     """
 
     view: View
@@ -37,6 +48,7 @@ class Situation:
     levels: "Levels | None"
     unattacked: Forecast | None
     last: Plan | None
+    seen: Rollout | None = None
 
     @classmethod
     def of(
@@ -46,6 +58,7 @@ class Situation:
         limits: Limits,
         unattacked: Forecast | None = None,
         last: Plan | None = None,
+        seen: Rollout | None = None,
     ) -> Self:
         """The situation in a view. Raises KeyError if the opponent or the AV is not in it."""
         return cls(
@@ -59,12 +72,59 @@ class Situation:
             levels=Levels.of(view, opponent_id),
             unattacked=unattacked,
             last=last,
+            seen=seen,
         )
+
+    def others(self) -> "Others":
+        """All agents but the two: as in the earlier episode, else at their present velocity."""
+        return Others.of(self.view, {self.view.av_id, self.opponent_id}, self.seen)
 
 
 def footprint(view: View, agent_id: AgentId) -> Floats:
     """(2) length and width of an agent."""
     return view.history.size_m[view.history.row(agent_id), :2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Others:
+    """B agents in the F steps from the next one on.
+
+    Attributes:
+        position_m: (B, F, 2). heading_rad, valid: (B, F). size_m: (B, 2). z_m: (B) now.
+    """
+
+    position_m: Floats
+    heading_rad: Floats
+    valid: Bools
+    size_m: Floats
+    z_m: Floats
+
+    @classmethod
+    def of(cls, view: View, without: set[AgentId], seen: Rollout | None) -> "Others":
+        """Those in a view; ``seen``: an episode that tells where they drive."""
+        now = view.history
+        rows = np.array([row for row, name in enumerate(now.ids) if name not in without], int)
+        after = view.dt_s * np.arange(1, FUTURE_STEPS + 1)[:, None]
+        position = now.position_m[rows, -1, None] + now.velocity_mps[rows, -1, None] * after
+        heading = np.repeat(now.heading_rad[rows, -1, None], FUTURE_STEPS, axis=1)
+        valid = np.ones(heading.shape, bool)
+        if seen is not None:
+            tracks = seen.tracks
+            steps = slice(view.step + 1, view.step + 1 + FUTURE_STEPS)
+            known = max(min(steps.stop, tracks.steps) - steps.start, 0)
+            for mine, row in enumerate(rows):
+                if now.ids[row] in tracks.ids:
+                    theirs = tracks.row(now.ids[row])
+                    position[mine, :known] = tracks.position_m[theirs, steps]
+                    heading[mine, :known] = tracks.heading_rad[theirs, steps]
+                    valid[mine, :known] = tracks.valid[theirs, steps]
+        return cls(
+            position_m=position,
+            heading_rad=heading,
+            valid=valid,
+            size_m=now.size_m[rows, :2],
+            z_m=now.z_m[rows, -1],
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

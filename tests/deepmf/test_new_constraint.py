@@ -51,7 +51,8 @@ def test_a_new_constraint_narrows_the_choice_and_is_recorded(known):
 
 @pytest.mark.parametrize("name", sorted(one.name for one in constraints.CONSTRAINTS))
 def test_every_constraint_is_recorded_and_kept(name):
-    values = {"sector": {"sector": "rear"}}.get(name, {name: True})
+    wishes = {"sector": {"sector": "rear"}, "clean": {"constraints": ["clean"]}}
+    values = wishes.get(name, {name: True})
     reason = first_plan(opponent="near", **values).reason
     allowed = reason.allowed[name]
     of_pairs = constraint_of(name).scope == "preferred"

@@ -1,0 +1,74 @@
+"""`clean`: candidates stay on the road, and touch nobody before the AV."""
+
+import numpy as np
+import pytest
+
+from deepmf_sumo import plugins
+from deepmf_sumo.deepmf.policy import build
+from deepmf_sumo.deepmf.situation import Others
+
+from tests.support.predictor_doubles import Doubles, view_of
+from tests.support.rollout_doubles import rollout_of, straight
+
+AGENTS = {"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}
+HALF_M = 2.25
+"""Of a lane, and the tolerance of `geometry.road`."""
+
+
+def reason_of(agents, **values):
+    settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
+    made = build(settings, Doubles())
+    view = view_of(agents)
+    made.reset(view, np.random.default_rng(0))
+    return made.plan(view).reason
+
+
+def before_contact(reason):
+    steps = np.arange(80)
+    return steps <= reason.collision_step.min(axis=1)[:, None]
+
+
+def test_candidates_that_leave_the_road_before_the_contact_are_not_clean():
+    reason = reason_of(AGENTS, goal="avoidable")
+    clean = reason.allowed["clean"]
+    y = reason.candidates.futures.position_m[..., 1]
+    off = ((y > 3.5 + HALF_M) | (y < -HALF_M)) & before_contact(reason)
+    assert clean.any()
+    assert not clean.all()
+    assert not clean[off[:, ::3].any(axis=1)].any()
+    assert clean[~off.any(axis=1)].all()
+
+
+def test_candidates_that_touch_a_third_vehicle_are_not_clean():
+    free = reason_of(AGENTS, constraints=["clean"])
+    blocked = reason_of(AGENTS | {"c": (10, 3.5, 0, 0.0)}, constraints=["clean"])
+    assert blocked.allowed["clean"].sum() < free.allowed["clean"].sum()
+    position = blocked.candidates.futures.position_m
+    through = (np.hypot(*(position - [10, 3.5]).transpose(2, 0, 1)) < 1.5) & before_contact(blocked)
+    assert through.any()
+    assert not blocked.allowed["clean"][through[:, ::3].any(axis=1)].any()
+
+
+def test_a_vehicle_that_drives_off_the_lanes_may_come_onto_them():
+    reason = reason_of({"av": (0, 0, 0, 10.0), "b": (-8, 7.0, -0.2, 12.0)}, constraints=["clean"])
+    y = reason.candidates.futures.position_m[..., 1]
+    comes = (y[:, 0] > 3.5 + HALF_M) & (np.abs(y[:, 40] - 1.75) < 3.0)
+    assert comes.any()
+    assert reason.allowed["clean"][comes].any()
+
+
+def test_others_drive_on_or_as_in_an_earlier_episode():
+    view = view_of(AGENTS | {"c": (30, 3.5, 0, 9.0)})
+    on = Others.of(view, {"av", "b"}, None)
+    np.testing.assert_allclose(on.position_m[0, 9], [39.0, 3.5])
+    stops = straight(30, 3.5, 9, accel=-3)[:41]
+    paths = {"av": straight(0, 0, 10)[:41], "b": straight(-8, 3.5, 12)[:41], "c": stops}
+    seen = Others.of(view, {"av", "b"}, rollout_of(paths))
+    np.testing.assert_allclose(seen.position_m[0, :30], stops[11:, :2])
+    assert seen.valid.all()
+
+
+@pytest.mark.parametrize("values", [{"goal": "avoidable"}, {"constraints": ["clean"]}])
+def test_the_choice_is_clean_if_anything_is(values):
+    reason = reason_of(AGENTS, **values)
+    assert reason.allowed["clean"][reason.chosen]
