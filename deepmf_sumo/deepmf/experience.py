@@ -37,6 +37,8 @@ _BANDWIDTH_M: Final = 1.5
 _COMPARED_STEPS: Final = 30
 _AIMED_SHARE: Final = 0.5
 """Of the probability of the futures that candidates are aimed at: those of earlier tries."""
+_PATIENCE: Final = 5
+"""Tries of one opponent before others have theirs."""
 _LEAST: Final = 1e-3
 """Less resemblance counts as none: the try was at another place by now."""
 
@@ -92,7 +94,7 @@ class Experience:
     """The tries of one attack so far.
 
     Attributes:
-        given_up: opponents that would only repeat themselves.
+        given_up: opponents that others come before.
     """
 
     _tries: list[_Try] = field(default_factory=list)
@@ -101,15 +103,18 @@ class Experience:
     def add(self, rollout: Rollout, *, wanted: bool) -> bool:
         """Remember a try; False if nothing new can be tried any more.
 
-        An opponent that drove as in an earlier try is given up; if it does so again, there is no
-        other one.
+        An opponent that drove as in an earlier try, or that has tried `_PATIENCE` times, is given
+        up: others come first. If it drives the same again after that, there is no other one.
         """
-        opponent, new = rollout.opponent_id, True
-        if opponent is not None and any(_same(one.rollout, rollout) for one in self._tries):
-            new = opponent not in self.given_up
+        opponent = rollout.opponent_id
+        if opponent is None:
+            return False
+        own = [one.rollout for one in self._tries if one.rollout.opponent_id == opponent]
+        repeated, known = any(_same(one, rollout) for one in own), opponent in self.given_up
+        if repeated or len(own) + 1 >= _PATIENCE:
             self.given_up.add(opponent)
         self._tries.append(_Try(rollout, wanted))
-        return new and opponent is not None
+        return not (repeated and known)
 
     @property
     def last(self) -> Rollout | None:
@@ -164,8 +169,8 @@ class Experience:
 
 
 def _same(a: Rollout, b: Rollout) -> bool:
-    """Whether the same opponent drove the same."""
-    if a.opponent_id != b.opponent_id or a.tracks.steps != b.tracks.steps:
+    """Whether the opponent of both drove the same."""
+    if a.tracks.steps != b.tracks.steps:
         return False
     rows = (one.tracks.row(str(one.opponent_id)) for one in (a, b))
     mine, theirs = (one.tracks.position_m[row] for one, row in zip((a, b), rows, strict=True))

@@ -145,7 +145,7 @@ class DeepMF:
         return attack.last
 
     def _not_given_up(self, scores: OpponentScores) -> list[AgentId]:
-        """The vehicles to make a first plan for; all again where each would repeat itself."""
+        """The vehicles to make a first plan for; all again after each was given up."""
         settings, away = self._settings, self._experience.given_up
         ranked = highest(scores, settings.opponent, settings.tried + len(away))
         left = [one for one in ranked if one not in away]
