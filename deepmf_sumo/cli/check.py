@@ -17,7 +17,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.argument("out", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option(
     "--thresholds", "-t", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    required=True, help="Judge by this YAML file.",
+    help="Judge by this YAML file.  [default: no run may fail; what the baseline is compared by]",
 )  # fmt: skip
 @click.option(
     "--baseline", type=click.Path(exists=True, path_type=Path),
@@ -33,7 +33,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 def command(
     ctx: click.Context,
     out: Path,
-    thresholds: Path,
+    thresholds: Path | None,
     baseline: Path | None,
     form: str,
     junit: Path | None,
@@ -51,7 +51,10 @@ def command(
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.gate import verdict as written
 
-    verdict = gate.check(out, gate.load(thresholds), baseline, write_baseline)
+    if not (thresholds or baseline or write_baseline):
+        raise click.UsageError("Missing --thresholds or --baseline: nothing to judge by.")
+    wanted = gate.load(thresholds) if thresholds else gate.Thresholds(version=1)
+    verdict = gate.check(out, wanted, baseline, write_baseline)
     if form == "table":
         screen.show_verdict(verdict)
     elif form == "md":

@@ -19,8 +19,11 @@ from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.thresholds import UNFINISHED, Baseline, Judgement, Thresholds, judge
 from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
+from deepmf_sumo.results.quantities import COMPARABLE
 from deepmf_sumo.tables import to_markdown
 
+_NAMED: Final = 5
+"""Situations that a sentence names."""
 BROKEN = 1
 UNFIT = 3
 
@@ -133,9 +136,18 @@ def sentence(one: Judgement) -> str:
 
 
 def regression(one: Comparison) -> str:
-    """``all runs: av_collision_rate was 0.1 and is 0.4: +0.3 (+0.1 to +0.5; 40 pairs)``."""
+    """``all runs: av_collision_rate was 0.1 and is 0.4: +0.3 (+0.1 to +0.5; 40 pairs)``.
+
+    What is worse also names where, most first: ``; most in 'cut-in' (+0.7), ...``.
+    """
     change = f"was {_mean(one.found.old, one.unit)} and is {_mean(one.found.new, one.unit)}"
-    return f"{one.group}: {one.quantity} {change}: {difference(one.found)}"
+    where = ""
+    if one.state == "worse" and len(one.found.each) > 1:
+        sign = -1 if COMPARABLE[one.quantity].worse == "lower" else 1
+        most = sorted(one.found.each, key=lambda unit: -sign * unit[1])[:_NAMED]
+        worse = [f"'{name}' ({mean:+.3g})" for name, mean in most if sign * mean > one.tolerance]
+        where = f"; most in {', '.join(worse)}" if worse else ""
+    return f"{one.group}: {one.quantity} {change}: {difference(one.found)}{where}"
 
 
 def undecided_sentence(one: Comparison) -> str:

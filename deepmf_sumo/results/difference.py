@@ -143,6 +143,7 @@ class Matched:
         units: independent ones among them. fewest: units that an interval needs.
         specs: whether each unit is a separate spec; else units are scenes.
         old, new: means; None, like the difference, where there is nothing to compare.
+        each: name of each unit (spec or scene) and its mean difference; empty without pairs.
     """
 
     by: Literal["pairs", "scenes", "nothing"]
@@ -153,6 +154,7 @@ class Matched:
     old: float | None = None
     new: float | None = None
     difference: Difference | None = None
+    each: tuple[tuple[str, float], ...] = ()
 
 
 def match(name: str, new: Iterable[Sample], old: Iterable[Sample], confidence: float) -> Matched:
@@ -193,15 +195,19 @@ def _paired(
     for key in both:
         scene, value = ours[key]
         by_scene[scene].append(value - theirs[key][1])
+    specs = _of_specs(by_scene)
     return Matched(
         by=by,
         count=len(both),
         units=len(by_scene),
         fewest=fewest(confidence),
-        specs=_of_specs(by_scene),
+        specs=specs,
         old=fmean(theirs[key][1] for key in both),
         new=fmean(ours[key][1] for key in both),
         difference=paired(list(by_scene.values()), confidence),
+        each=tuple(
+            (spec if specs else scene, fmean(values)) for (spec, scene), values in by_scene.items()
+        ),
     )
 
 

@@ -67,3 +67,23 @@ def test_half_a_folder_is_no_verdict(tmp_path, capsys):
     (out / "manifest.json").unlink()
     assert check(tmp_path, out, "") == 2
     assert "is not a result folder" in capsys.readouterr().err
+
+
+def test_a_regression_names_the_situations_and_needs_no_thresholds(tmp_path, capsys):
+    def folder(name, hits):
+        runs = [gate_doubles.result("a", spec=f"spec {n}", hit=n < hits) for n in range(9)]
+        return gate_doubles.write_folder(tmp_path / name, runs)
+
+    old, new = folder("old", 0), folder("new", 7)
+    assert main._run(["check", str(new), "--baseline", str(old)]) == 1
+    shown = capsys.readouterr().out
+    named = shown.split("most in ")[1]
+    assert all(f"'spec {n}' (+" in named for n in range(5))  # the first five, all alike
+    assert "spec 7" not in named
+    assert main._run(["check", str(new), "--baseline", str(new)]) == 0
+    assert "most in" not in capsys.readouterr().out
+
+
+def test_nothing_to_judge_by_is_an_error(out, capsys):
+    assert main._run(["check", str(out)]) == 2
+    assert "--thresholds or --baseline" in capsys.readouterr().err
