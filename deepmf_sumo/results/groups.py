@@ -1,5 +1,6 @@
 """Failures in groups, the worst first."""
 
+import re
 from collections import defaultdict
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ _AVOIDABLE: Final[dict[str, Avoidable]] = {
     "C": "by a careful driver",
     "D": "by a careful driver",
 }
+_NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _UNKNOWN: Final = 99.0
 """Motion of which nothing is known is not ordinary."""
 
@@ -94,6 +96,7 @@ def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
 def _key(failure: Failure) -> Hashable:
     return (
         failure.kind,
+        _NUMBER.sub("#", failure.reason),  # the same error at another step
         failure.conflict,
         failure.side,
         failure.priority,

@@ -187,6 +187,15 @@ def test_groups_are_ranked_by_error_avoidability_severity_and_ordinary_motion():
     assert words.row(groups[3])[0] == "2 of 40"
 
 
+def test_an_error_at_another_step_is_the_same_and_another_error_is_not():
+    found = [
+        Failure(run=run(name), kind="planner crashed", reason=reason)
+        for name, reason in (("a", "bug at step 12"), ("b", "bug at step 3"), ("c", "other bug"))
+    ]
+    names = [[one.run.run_id for one in group.failures] for group in grouped(found, 3)]
+    assert names == [["a", "b"], ["c"]]
+
+
 def sentence(**more):
     return words.sentence(grouped([hit("a", **more)], 1)[0])
 
