@@ -5,6 +5,7 @@ the first step at which the AV may react. Third parties are the agents that an e
 must not hit instead.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -113,6 +114,17 @@ def _opponent_motion(rollout: Rollout, row: int, first: int, last: int) -> tuple
     return position[: last - first + 1], heading[: last - first + 1]
 
 
+class Expected(NamedTuple):
+    """Where the opponent would have been without the attack, at F steps from ``first_step`` on.
+
+    ``position_m``: (F, 2). ``known``: (F).
+    """
+
+    first_step: int
+    position_m: Floats
+    known: Bools
+
+
 def onset_step(rollout: Rollout, case: Case, opponent: int, first: int, contact: int) -> int:
     """First step of first..contact - 1 with a sign of the attack; ``first`` without a sign.
 
@@ -120,8 +132,15 @@ def onset_step(rollout: Rollout, case: Case, opponent: int, first: int, contact:
     recorded one; in SUMO's traffic the likeliest prediction of the first plan), or that the two
     would collide within 3 s at constant velocities.
     """
+    return onset_of(rollout, _expected(rollout, case, opponent), opponent, first, contact)
+
+
+def onset_of(
+    rollout: Rollout, expected: Expected | None, opponent: int, first: int, contact: int
+) -> int:
+    """As `onset_step`, where it is known already where the opponent would have been."""
     steps = np.arange(first, contact)
-    departed = _departure_m(rollout, case, opponent, steps) > DEPARTURE_M
+    departed = _departure_m(rollout, expected, opponent, steps) > DEPARTURE_M
     signs = np.flatnonzero(departed | _on_collision_course(rollout, opponent, steps))
     return int(steps[signs[0]]) if len(signs) else first
 
@@ -140,28 +159,41 @@ def _on_collision_course(rollout: Rollout, opponent: int, steps: Ints) -> Bools:
     return np.asarray(hits.any(axis=1))
 
 
-def _departure_m(rollout: Rollout, case: Case, opponent: int, steps: Ints) -> Floats:
-    """(K) distance to the opponent's position without the attack; 0 where that is unknown."""
-    distance = np.zeros(len(steps))
-    where = rollout.tracks.position_m[opponent, steps]
+def _expected(rollout: Rollout, case: Case, opponent: int) -> Expected | None:
     name = rollout.tracks.ids[opponent]
     if isinstance(case, RecordedCase) and name in case.scene.tracks.ids:
-        recorded = case.scene.tracks
-        row = recorded.row(name)
         # a rollout starts at the recording's first step, so that steps are the same in both
-        known = steps < recorded.steps
-        known[known] = recorded.valid[row, steps[known]]
-        expected = recorded.position_m[row, steps[known]]
-    else:
-        plan = rollout.plans[0] if rollout.plans else None
-        if plan is None or plan.reason is None:
-            return distance
-        origin = plan.reason.origin or ("mode",) * len(plan.reason.candidates.probability)
-        likeliest = origin.index("mode") if "mode" in origin else 0
-        mode = plan.reason.candidates.futures.position_m[likeliest]
-        known = (steps >= plan.first_step) & (steps < plan.first_step + len(mode))
-        expected = mode[steps[known] - plan.first_step]
-    distance[known] = np.hypot(*(where[known] - expected).T)
+        return recorded_motion(case.scene.tracks, name)
+    plan = rollout.plans[0] if rollout.plans else None
+    if plan is None or plan.reason is None:
+        return None
+    candidates = plan.reason.candidates
+    origin = plan.reason.origin or ("mode",) * len(candidates.probability)
+    return likeliest_motion(plan.first_step, candidates.futures.position_m, origin)
+
+
+def recorded_motion(recorded: Tracks, name: str) -> Expected:
+    """That of a recording."""
+    row = recorded.row(name)
+    return Expected(0, recorded.position_m[row], recorded.valid[row])
+
+
+def likeliest_motion(first_step: int, position_m: Floats, origin: Sequence[str]) -> Expected:
+    """The likeliest prediction of candidates (M, F, 2), most likely first, with origins (M)."""
+    mode = position_m[origin.index("mode") if "mode" in origin else 0]
+    return Expected(first_step, mode, np.ones(len(mode), bool))
+
+
+def _departure_m(rollout: Rollout, expected: Expected | None, opponent: int, steps: Ints) -> Floats:
+    """(K) distance to the opponent's position without the attack; 0 where that is unknown."""
+    distance = np.zeros(len(steps))
+    if expected is None:
+        return distance
+    at = steps - expected.first_step
+    known = (at >= 0) & (at < len(expected.known))
+    known[known] = expected.known[at[known]]
+    where = rollout.tracks.position_m[opponent, steps[known]]
+    distance[known] = np.hypot(*(where - expected.position_m[at[known]]).T)
     return distance
 
 

@@ -206,6 +206,21 @@ def show_results(found: SideBySide) -> None:
             console.print(escape(f"  {sentence}"), soft_wrap=True)
 
 
+def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int) -> None:
+    """The sentence and the cells of each group of failures; ``of``: number of runs."""
+    from deepmf_sumo.report.failures import HEADINGS
+    from deepmf_sumo.report.table import counted
+
+    if not rows:
+        click.echo(f"no failures in {counted(of, 'run')}")
+        return
+    console = wide()
+    console.print(_filled(HEADINGS, [cells for _, cells in rows]))
+    console.print()
+    for number, (sentence, _) in enumerate(rows, start=1):
+        console.print(f"{number}. {escape(sentence)}", soft_wrap=True)
+
+
 def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:
     """How many columns the terminal is wide enough for; at least one."""
     lines = [*other, *found.key, *found.more]

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from deepmf_sumo.cli._parameters import format_option
+from deepmf_sumo.errors import UsageError
 
 
 @click.command("show", short_help="Show results side by side.")
@@ -13,14 +14,21 @@ from deepmf_sumo.cli._parameters import format_option
     type=click.Path(exists=True, file_okay=False, path_type=Path),
 )  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="Show all metrics, not only the main ones.")
+@click.option(
+    "--failures", is_flag=True, help="Show what went wrong: failures in groups, the worst first."
+)
 @format_option
 @click.option(
     "--csv", "csv_file", type=click.Path(dir_okay=False, path_type=Path), hidden=True,
     help="Write the rows to this file.",
 )  # fmt: skip
-def command(folders: tuple[Path, ...], everything: bool, form: str, csv_file: Path | None) -> None:
+def command(
+    folders: tuple[Path, ...], everything: bool, failures: bool, form: str, csv_file: Path | None
+) -> None:
     """Show the result folders OUT... side by side, each spec of a folder separately.
 
+    With --failures: hits of the opponent and errors of the planner, grouped by conflict, by where
+    the opponent came from, who had priority, what the AV did and who could have avoided it.
     Rates have 95 % intervals. Means are of the runs that have a value; below the table it says why
     others have none.
     """
@@ -28,6 +36,11 @@ def command(folders: tuple[Path, ...], everything: bool, form: str, csv_file: Pa
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import comparison
 
+    if failures:
+        if everything or csv_file:
+            raise UsageError("--failures goes without --all and --csv: leave one of them out.")
+        _show_failures(folders, form)
+        return
     groups = comparison.groups(folders)
     if csv_file or form != "table":
         table = comparison.compare(groups)
@@ -39,3 +52,26 @@ def command(folders: tuple[Path, ...], everything: bool, form: str, csv_file: Pa
     else:
         rows = table.astype(object).where(table.notna(), None).to_dict("records")
         screen.emit(form, [{str(key): value for key, value in row.items()} for row in rows])
+
+
+def _show_failures(folders: tuple[Path, ...], form: str) -> None:
+    from deepmf_sumo.cli import _screen as screen
+    from deepmf_sumo.report import failures as words
+    from deepmf_sumo.results.failures import failures
+    from deepmf_sumo.results.groups import grouped
+    from deepmf_sumo.results.reader import Results
+
+    results = Results.open(*folders)
+    looked = list(failures(results))
+    for run, _, why in looked:
+        if why:
+            click.echo(f"deepmf-sumo: {run.run_id} cannot be described: {why}", err=True)
+    groups = grouped((one for _, one, _ in looked if one is not None), len(results.runs))
+    if form == "table":
+        rows = [(words.sentence(group), words.row(group)) for group in groups]
+        screen.show_failures(rows, len(results.runs))
+    else:
+        values = [{"sentence": words.sentence(group), **group.values()} for group in groups]
+        if form != "json":  # a cell is a text
+            values = [one | {"run_ids": " ".join(one["run_ids"])} for one in values]
+        screen.emit(form, values)

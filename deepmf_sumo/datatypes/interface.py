@@ -93,6 +93,8 @@ class _Situation:
         av_driver: ``human`` if the AV replays a recorded human driver.
         turns: opponents attack in sequence until the duration is over; None: one attacks, and its
             contact with the AV ends the episode.
+        only: road users beside the AV; None: all. Others are not there from the start on, nor in
+            the history.
     """
 
     name: str
@@ -103,6 +105,7 @@ class _Situation:
     partner_id: AgentId | None = None
     av_driver: AvDriver = "planner"
     turns: TurnRules | None = None
+    only: tuple[AgentId, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,7 +114,8 @@ class RecordedCase(_Situation):
 
     Attributes:
         traffic: what drives the other agents: the log, or SUMO from now on.
-        scene: the recording. net: the SUMO network made of its road.
+        scene: the recording, without the agents that ``only`` leaves out. net: the SUMO network
+            made of its road.
     """
 
     traffic: Traffic

@@ -1,5 +1,6 @@
 """A recorded scene: the road, its signals, and the motion of its agents."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Final, Literal
@@ -151,6 +152,15 @@ class Signals(Frozen):
                 states[lane_id] = SignalState(int(self.state[row, seen[-1]]))
         return states
 
+    def later(self, steps: int) -> "Signals":
+        """Without the first steps; what was seen last in them is seen at the first that is left."""
+        state, seen = self.state[:, steps:].copy(), self.seen[:, steps:].copy()
+        known = self.at(steps)
+        for row, lane_id in enumerate(self.lane_ids):
+            if lane_id in known and seen.shape[1]:
+                state[row, 0], seen[row, 0] = known[lane_id], True
+        return replace(self, state=state, seen=seen)
+
 
 DT_S: Final = 0.1
 HISTORY_STEPS: Final = 11
@@ -299,3 +309,18 @@ class Scene(Frozen):
         """The labelled agent that interacts with the AV, if the label names the AV."""
         others = [agent for agent in self.interest if agent != self.av_id]
         return others[0] if len(others) == 1 and self.av_id in self.interest else None
+
+    def later(self, steps: int) -> "Scene":
+        """The scene with its current step so many steps later, and as much history as before."""
+        return replace(
+            self,
+            timestamps_s=self.timestamps_s[steps:],
+            tracks=self.tracks.window(steps, self.tracks.steps),
+            signals=self.signals.later(steps),
+        )
+
+    def of_agents(self, ids: Collection[AgentId]) -> "Scene":
+        """The scene with the AV and these agents alone."""
+        tracks = self.tracks
+        kept = [row for row, one in enumerate(tracks.ids) if one in ids or one == self.av_id]
+        return replace(self, tracks=tracks.select(kept))

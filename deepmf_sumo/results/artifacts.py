@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo import files
+from deepmf_sumo.avoidability.encounter import Expected, likeliest_motion
 from deepmf_sumo.datatypes import (
     DT_S,
     Contact,
@@ -61,6 +62,20 @@ def read_scores(folder: Path) -> OpponentScores | None:
             logits=arrays["00/score_logits"],
             partner_logits=arrays["00/score_partner_logits"],
         )
+
+
+def read_likeliest(folder: Path) -> Expected | None:
+    """Where the opponent would have been by the first plan; None where it has no candidates."""
+    with stored.arrays(folder / PLANS) as arrays:
+        if "00/candidate_position_m" not in arrays:
+            return None
+        position = arrays["00/candidate_position_m"].astype(float)
+        origin = (
+            arrays["00/candidate_origin"].tolist()
+            if "00/candidate_origin" in arrays
+            else ["mode"] * len(position)
+        )
+        return likeliest_motion(int(arrays["00/first_step"]), position, origin)
 
 
 def _plan(plan: Plan) -> dict[str, NDArray[Any]]:

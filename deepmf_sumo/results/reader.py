@@ -18,7 +18,8 @@ from typing import Any, Final, Self
 import pandas as pd
 
 from deepmf_sumo import readers
-from deepmf_sumo.datatypes import Contact, RoadMap, Rollout
+from deepmf_sumo.avoidability.encounter import Expected, recorded_motion
+from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Scene
 from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry.impact import SECTORS
@@ -220,13 +221,28 @@ class Run:
         lost = ""
         if "recording" in source:
             try:
-                return _recorded_road(Path(source["recording"]), self.scene), ""
+                return _recorded(Path(source["recording"]), self.scene).road, ""
             except (ReaderError, UsageError) as error:
                 lost = f"{self.run_id}: road of the converted network, since {error}"
         net = stored.net_file(self.folder)
         if net is None:
             raise UsageError(f"{self.folder}/sumo holds no net.net.xml; run it again for figures.")
         return road_of_net(net), lost
+
+    def expected(self) -> Expected | None:
+        """Where the opponent would have been without the attack: as recorded, or as predicted.
+
+        None where that is not known. Raises `stored.DAMAGE`.
+        """
+        source, opponent = self.source, self.rollout.opponent_id
+        if "recording" not in source:
+            return artifacts.read_likeliest(self.folder)
+        try:
+            scene = _recorded(Path(source["recording"]), self.scene)
+        except (ReaderError, UsageError):
+            return None
+        tracks = scene.later(round(source.get("start_s", 0.0) / scene.dt_s)).tracks
+        return recorded_motion(tracks, opponent) if opponent in tracks.ids else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,6 +351,6 @@ def _text(file: Path) -> str:
 
 
 @lru_cache(maxsize=16)
-def _recorded_road(recording: Path, scene: str) -> RoadMap:
+def _recorded(recording: Path, scene: str) -> Scene:
     """Kept, since several figures show the same scene."""
-    return readers.scene(recording, scene, cache_folder()).road
+    return readers.scene(recording, scene, cache_folder())

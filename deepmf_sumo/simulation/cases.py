@@ -16,11 +16,12 @@ def network_case(
     name: str = "",
     sumo_options: tuple[str, ...] = (),
     turns: TurnRules | None = None,
+    only: tuple[AgentId, ...] | None = None,
 ) -> TrafficCase:
     """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
 
     ``sumo_options``: beside the configuration, as on SUMO's command line. ``turns``: opponents
-    attack in turn.
+    attack in turn. ``only``: road users beside the AV.
 
     Raises SimulationError if the configuration or its network is missing. Whether the vehicle is
     present at the start is known only in the simulation.
@@ -37,4 +38,5 @@ def network_case(
         net_file=configuration.net,
         sumo_options=sumo_options,
         turns=turns,
+        only=only,
     )

@@ -1,6 +1,6 @@
 """Poses and frames: the state of all agents after a step, as read from the simulation."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -107,6 +107,12 @@ class Frame:
 
     def without(self, agent: AgentId) -> "Frame":
         """This frame without an agent."""
-        rows = [row for row, one in enumerate(self.ids) if one != agent]
+        return self._of_rows([row for row, one in enumerate(self.ids) if one != agent])
+
+    def of_agents(self, agents: Collection[AgentId]) -> "Frame":
+        """This frame with the given agents alone."""
+        return self._of_rows([row for row, one in enumerate(self.ids) if one in agents])
+
+    def _of_rows(self, rows: list[int]) -> "Frame":
         kept = {name: getattr(self, name)[rows] for name in _ARRAYS}
         return Frame(ids=[self.ids[row] for row in rows], **kept)

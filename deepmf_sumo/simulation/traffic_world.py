@@ -1,6 +1,6 @@
 """The world of a SUMO configuration: SUMO's own traffic, up to the start and from there on."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -62,9 +62,13 @@ class TrafficWorld:
         self._note_step_length(configuration)
         _check_start(case, configuration)
         self._frames = self._run_to(case.start_s)
-        self._frame = self._frames[-1]
         if case.av_id not in api.vehicle.getIDList():
             raise SimulationError(_absent(api, case))
+        self._only = None if case.only is None else {case.av_id, *case.only}
+        if self._only is not None:
+            self._leave_out_others(self._only)
+            self._frames = [frame.of_agents(self._only) for frame in self._frames]
+        self._frame = self._frames[-1]
         if model is not None:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
@@ -95,6 +99,8 @@ class TrafficWorld:
         elif opponent is not None and self._opponent.placed() is not None:
             self._opponent.hand_back(self._step, opponent, self._occupancy())
         self._api.simulationStep()
+        if self._only is not None:
+            self._leave_out_others(self._only)
         if self.av.present:
             self.av.after_step()
         self._opponent.after_step(self._step)
@@ -147,6 +153,13 @@ class TrafficWorld:
             self._api.simulationStep()
             frames.append(self._reader.read())
         return frames[-HISTORY_STEPS:]
+
+    def _leave_out_others(self, only: Collection[AgentId]) -> None:
+        """Take everybody else off the road, before any of them has moved."""
+        for domain in (self._api.vehicle, self._api.person):
+            for agent in domain.getIDList():
+                if agent not in only:
+                    domain.remove(agent)
 
     def _note_step_length(self, configuration: Configuration) -> None:
         if abs(configuration.step_s - DT_S) > 1e-9:

@@ -92,6 +92,12 @@ class Av(Strict):
     vehicle: str = Field(min_length=1)
 
 
+Only = Annotated[
+    Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(strict=False)] | None,
+    Field(description="of all road users but the AV only these, from the start on"),
+]
+
+
 class FromNetwork(Strict):
     """A SUMO configuration with demand, run by SUMO until ``start_s``."""
 
@@ -101,6 +107,7 @@ class FromNetwork(Strict):
     sumo_options: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         default=(), description="beside the .sumocfg, as on SUMO's command line"
     )
+    only: Only = None
 
 
 class Moments(Strict):
@@ -137,17 +144,18 @@ class Moments(Strict):
 class FromMoments(FromNetwork):
     """A SUMO configuration of which vehicles and moments to attack are chosen.
 
-    Its runs have a `FromNetwork` each; ``start_s`` and ``av`` are no keys of it.
+    Its runs have a `FromNetwork` each; ``start_s``, ``av`` and ``only`` are no keys of it.
     """
 
     start_s: float = Field(default=0.0, exclude=True)
     av: Av = Field(default=Av(vehicle="chosen"), exclude=True)
+    only: Only = Field(default=None, exclude=True)
     moments: Moments
 
     @model_validator(mode="before")
     @classmethod
     def _chosen(cls, values: Any) -> Any:
-        for key in ("av", "start_s") if isinstance(values, dict) else ():
+        for key in ("av", "start_s", "only") if isinstance(values, dict) else ():
             if key in values:
                 raise _wrong(f"'{key}' does not go with 'moments'; leave one of them out", key)
         return values
@@ -187,6 +195,10 @@ class FromRecording(Strict):
 
     recording: ExistingPath
     scenes: Scenes = "all"
+    start_s: float = Field(
+        default=0.0, ge=0, description="seconds of the recording's future that the log drives alone"
+    )
+    only: Only = None
 
 
 def _source_kind(value: Any) -> str | None:
@@ -313,7 +325,13 @@ class Spec(Strict):
     def resolved(self) -> dict[str, Any]:
         """Plain values with absolute paths, as they are written to a result folder.
 
-        Keys of turns are left out for one opponent: such specs equal those of earlier versions.
+        Keys of turns are left out for one opponent, and keys of the source that leave everything as
+        it is: such specs equal those of earlier versions.
         """
         without = {"opponents", "turns"} if self.opponents == "one" else None
-        return self.model_dump(mode="json", exclude=without)
+        values = self.model_dump(mode="json", exclude=without)
+        if self.source.only is None:
+            values["source"].pop("only", None)
+        if isinstance(self.source, FromRecording) and not self.source.start_s:
+            values["source"].pop("start_s")
+        return values

@@ -27,7 +27,15 @@ from deepmf_sumo.datatypes import (
     SumoNet,
     TurnRules,
 )
-from deepmf_sumo.errors import DeepmfError, PlannerError, ReaderError, RunError, UsageError
+from deepmf_sumo.errors import (
+    DeepmfError,
+    PlannerError,
+    ReaderError,
+    RunError,
+    SpecError,
+    UsageError,
+    nearest,
+)
 from deepmf_sumo.metrics import measure
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
@@ -36,7 +44,7 @@ from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.results import artifacts, result
 from deepmf_sumo.results.result import Result, first_contact
 from deepmf_sumo.results.tracks import write_tracks
-from deepmf_sumo.spec import Expect, FromNetwork
+from deepmf_sumo.spec import Expect, FromNetwork, FromRecording
 from deepmf_sumo.sweep import fork
 from deepmf_sumo.sweep.fork import logged
 from deepmf_sumo.tasks import Task
@@ -210,9 +218,12 @@ def make_case(task: Task, cache: Path) -> Case:
             task.run_id,
             source.sumo_options,
             TurnRules(**spec.turns.model_dump()) if spec.opponents == "in_turn" else None,
+            source.only,
         )
     assert task.record is not None, "the plan finds the scenes of recordings"
     scene, net = _recorded(task.record, cache)
+    if isinstance(source, FromRecording):
+        scene = _part_of(scene, source)
     return RecordedCase(
         name=task.run_id,
         road=scene.road,
@@ -224,7 +235,33 @@ def make_case(task: Task, cache: Path) -> Case:
         net=net,
         partner_id=scene.partner_id,
         av_driver=getattr(plugins.load("planners", spec.planner.name), "DRIVER", "planner"),
+        only=source.only,
     )
+
+
+def _part_of(scene: Scene, source: FromRecording) -> Scene:
+    """The scene from the source's start on, with its road users alone.
+
+    Raises SpecError where the AV is not there at the start, or a road user never is.
+    """
+    steps = round(source.start_s / DT_S)
+    here = f"{source.recording}, scene '{scene.name}'"
+    if steps:
+        tracks, at = scene.tracks, scene.now + steps
+        there = at < tracks.steps and bool(tracks.valid[tracks.row(scene.av_id), at])
+        if not there:
+            raise SpecError(
+                f"key 'source.start_s': {source.start_s:g}: the AV '{scene.av_id}' is not there"
+                f" at that time ({here}); choose an earlier start."
+            )
+        scene = scene.later(steps)
+    if source.only is None:
+        return scene
+    for agent in source.only:
+        if agent not in scene.tracks.ids:
+            hint = nearest(agent, scene.tracks.ids)
+            raise SpecError(f"key 'source.only': '{agent}' is not in {here}.{hint}")
+    return scene.of_agents(source.only)
 
 
 @functools.lru_cache(maxsize=4)

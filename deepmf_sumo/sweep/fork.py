@@ -92,7 +92,7 @@ def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) 
             _copied(work)
             return True
         _unfit.add(what)  # not tried again: SUMO would simulate up to each moment twice
-    simulation.release()
+    _release()
     return False
 
 
@@ -108,13 +108,19 @@ def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
 
     False: nothing was done, since the process has threads, which copies lack.
     """
-    simulation.release()
+    _release()
     with contextlib.suppress(Exception), logged(Path(os.devnull)):  # the run itself reports it
         load()
     if not _alone():
         return False
     _copied(work)
     return True
+
+
+def _release() -> None:
+    """End the SUMO that is held; what it prints then (its statistics) belongs to no run."""
+    with logged(Path(os.devnull)):
+        simulation.release()
 
 
 def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:

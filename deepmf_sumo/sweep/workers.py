@@ -226,6 +226,17 @@ class Worker:
         with contextlib.suppress(BrokenPipeError):  # it died while idle: `look` notices
             self.connection.send((task,))
 
+    def do(self, task: object) -> Finished:
+        """Give it a task as soon as it is free, and wait for its end."""
+        given = False
+        while True:
+            if self.free and not given:
+                self.give(0, task)
+                given = True
+            _wait([self], float("inf"))
+            if finished := self.look():
+                return finished
+
     def look(self) -> Finished | None:
         """How its task ended; None while it runs."""
         try:

@@ -401,6 +401,45 @@ def test_a_browser_shows_table_and_replay(folder):
     assert "cannot be shown" not in text
 
 
+@pytest.mark.sumo
+def test_the_page_opens_with_groups_of_failures(folder):
+    metrics = {"avoidance_grade": 2.0, "opponent_rms_acceleration": 0.8}
+    folder.add("s1", metrics=metrics)
+    folder.add("s2", metrics=metrics)
+    folder.add("miss", hit=False)
+    written = page.write(folder.out)
+    [group] = Parsed(written).content["failures"]
+    text = written.read_text("utf-8")
+    assert (group["runs"], group["of"], group["replay"]) == ([0, 1], 3, True)
+    assert "careful driver" in group["sentence"]
+    assert ["avoidable", "by a careful driver"] in group["facts"]
+    assert text.index('id="failures-title"') < text.index('id="totals-title"')
+
+
+@pytest.mark.sumo
+def test_a_failure_that_cannot_be_described_keeps_its_replay(folder, monkeypatch):
+    def fail(*_):
+        raise ValueError("made up")
+
+    folder.add("s1")
+    monkeypatch.setattr("deepmf_sumo.report.page.runs.failure_of", fail)
+    found = Parsed(page.write(folder.out))
+    assert found.content["failures"] == []
+    assert "is in no group of failures: ValueError: made up" in found.rows[0]["note"]
+    assert "replay" in found.details(0)
+
+
+@pytest.mark.sumo
+def test_a_browser_shows_the_failures(folder):
+    if BROWSER is None:
+        pytest.skip("no Chromium")
+    folder.add("s1", metrics={"avoidance_grade": 2.0})
+    text = shown(f"file://{page.write(folder.out)}")
+    assert "a careful driver would have" in text
+    assert "1 of 1 run" in text
+    assert "Replay of 00-s1" in text
+
+
 TURNS = [
     {
         "opponent": name,

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from deepmf_sumo import files, risk
 from deepmf_sumo.errors import UsageError, WeightsError
+from deepmf_sumo.report import failures as words
 from deepmf_sumo.report.page import maps
 from deepmf_sumo.report.page.columns import RUN_COLUMNS, SPEED_CLASSES
 from deepmf_sumo.report.page.replay import packed
@@ -16,12 +17,13 @@ from deepmf_sumo.report.page.runs import RunPage, run_page
 from deepmf_sumo.report.palette import SCORES
 from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results import stored
+from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.risk import Network, Row
 
 _SCRIPTS: Final = (
     "packing", "statistics", "elements", "table", "runs", "totals", "groups", "camera", "scene",
-    "turns", "canvas", "charts", "layers", "moment", "player", "facts", "details", "places", "map",
-    "start",
+    "turns", "canvas", "charts", "layers", "moment", "player", "failures", "facts", "details",
+    "places", "map", "start",
 )  # fmt: skip
 """In the order in which they are joined."""
 
@@ -40,6 +42,7 @@ def write(out: Path) -> Path:
     content = {
         "title": out.resolve().name,
         "rows": [page.row for page in pages],
+        "failures": _failures(pages),
         "maps": [network.name for network in networks],
         "withoutMap": without_map,
         "missing": sum(bool(page.missing) for page in pages),
@@ -62,6 +65,23 @@ def map_page(network: Network, rows: Sequence[Row], title: str) -> str:
     """A page with a risk map alone. The same rows give the same page."""
     content = {"title": title, "maps": [network.name]}
     return _joined(content, {"map": [packed(maps.content(network, rows))]})
+
+
+def _failures(pages: Sequence[RunPage]) -> list[dict[str, Any]]:
+    """Groups of failures, the worst first, with the numbers of their runs, the example first."""
+    number = {page.failure.run.run_id: place for place, page in enumerate(pages) if page.failure}
+    found = [page.failure for page in pages if page.failure]
+    return [
+        {
+            "title": words.title(group.example),
+            "sentence": words.sentence(group),
+            "facts": words.facts(group),
+            "of": group.of,
+            "runs": [number[one.run.run_id] for one in group.failures],
+            "replay": group.example.kind == "hit",
+        }
+        for group in grouped(found, len(pages))
+    ]
 
 
 def _networks(out: Path, pages: Iterable[RunPage]) -> tuple[list[Network], str]:

@@ -14,6 +14,7 @@ from deepmf_sumo.report.page.replay import main_places, packed, reasons, replay
 from deepmf_sumo.report.page.roads import Roads, element
 from deepmf_sumo.report.table import OUTCOMES
 from deepmf_sumo.results import artifacts, stored
+from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result, attacked
 
@@ -37,6 +38,7 @@ class RunPage:
         weights: name of the weights that it used, if known.
         network: of SUMO, on which the run attacked a vehicle; empty where it did not.
         missing: why it cannot be replayed; empty where it can, or where it has no result at all.
+        failure: what went wrong in it; None where nothing did, or that is not known.
     """
 
     row: list[Any]
@@ -44,6 +46,7 @@ class RunPage:
     weights: str | None
     network: str
     missing: str
+    failure: Failure | None
 
 
 def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
@@ -51,12 +54,15 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     run = Run.of_row(out, table)
     result, missing = _result(run)
     shown: dict[str, Any] = {}
-    place = ""
+    place, failure = "", None
     if result and table["status"] == "ok":
         try:
-            shown, place = _shown(run, roads, result["turns"] or [])
+            shown, place, road = _shown(run, roads, result["turns"] or [])
+            failure, missing = _failure(run, road)
         except stored.DAMAGE as error:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
+    elif run.status != "ok":
+        failure = failure_of(run)
     note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
     return RunPage(
         row=run_row(table, result, place, note),
@@ -64,6 +70,7 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
         weights=result["weights"] if result else None,
         network=(result["network"] or "") if result and attacked(result) else "",
         missing=missing,
+        failure=failure,
     )
 
 
@@ -83,8 +90,8 @@ def _broken(result: Result | None) -> list[str]:
 
 def _shown(
     run: Run, roads: Roads, turns: Sequence[Mapping[str, Any]]
-) -> tuple[dict[str, Any], str]:
-    """What is drawn of a run, and the element of the road on which the AV was hit."""
+) -> tuple[dict[str, Any], str, RoadMap | None]:
+    """What is drawn of a run, the element of the road on which the AV was hit, and the road."""
     rollout = run.rollout
     places = main_places(rollout)
     number, road, note = roads.add(run, places)
@@ -96,7 +103,15 @@ def _shown(
         "road_note": note,
         "gui": run.opens_in_sumo,
     }
-    return shown, _element(run, road)
+    return shown, _element(run, road), road
+
+
+def _failure(run: Run, road: RoadMap | None) -> tuple[Failure | None, str]:
+    """What went wrong, or why that cannot be said."""
+    try:
+        return failure_of(run, road), ""
+    except stored.DAMAGE as error:
+        return None, f"is in no group of failures: {type(error).__name__}: {error}"
 
 
 def _element(run: Run, road: RoadMap | None) -> str:

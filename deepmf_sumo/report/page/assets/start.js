@@ -91,6 +91,8 @@ function start() {
   if (runs.all.length || !content.maps.length) {
     Object.assign(groupOrders, content.orders);
     showNotices(content);
+    failures.groups = content.failures ?? [];
+    showFailures();
     showTotalsChoice();
     showAll();
   }

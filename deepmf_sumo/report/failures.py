@@ -1,0 +1,134 @@
+"""Groups of failures in the words of an engineer."""
+
+from typing import Final
+
+from deepmf_sumo.results.failures import Conflict, Failure
+from deepmf_sumo.results.groups import Group, avoidable
+from deepmf_sumo.texts import shown
+
+HEADINGS: Final = (
+    "runs", "failure", "from", "priority", "AV", "avoidable", "from s before", "delta-v, m/s",
+    "example",
+)  # fmt: skip
+_CAREFUL: Final[dict[Conflict, str]] = {
+    "rear-end": "kept its distance",
+    "crossing": "braked in time",
+    "left turn across path": "braked in time",
+    "right turn across path": "braked in time",
+    "merging": "made room",
+    "cut-in / lane change": "made room",
+    "head-on": "braked in time",
+}
+"""What a careful driver would have done."""
+_WAITING: Final = {
+    "left turn across path",
+    "right turn across path",
+    "merging",
+    "cut-in / lane change",
+}
+"""Where it is the AV that turns, merges or changes lanes, a careful driver waits."""
+_DID: Final = {
+    "braked": "braked too late",
+    "accelerated": "accelerated",
+    "stood": "stood",
+    "held speed": "held its speed",
+    "steered": "steered",
+}
+
+
+def row(group: Group) -> tuple[str, ...]:
+    """A group in the order of `HEADINGS`."""
+    one = group.example
+    return (
+        f"{len(group.failures)} of {group.of}",
+        title(one),
+        one.side or "",
+        one.priority,
+        one.action or "",
+        group.avoidable,
+        "" if group.onset_s is None else f"{group.onset_s:.1f}",
+        "" if one.kind != "hit" else f"{group.delta_v_mps:.1f}",
+        one.run.run_id,
+    )
+
+
+def facts(group: Group) -> list[list[str]]:
+    """Names and values of what the failures of a group have in common."""
+    one = group.example
+    known = {
+        f"{one.opponent} from": one.side,
+        "priority": one.priority,
+        "AV": one.action,
+        "avoidable": group.avoidable,
+        "avoidable from": _seconds(group),
+        "delta-v": f"up to {group.delta_v_mps:.1f} m/s" if one.kind == "hit" else "",
+    }
+    return [[name, value] for name, value in known.items() if value]
+
+
+def _seconds(group: Group) -> str:
+    """Since when, where it is avoidable."""
+    if group.onset_s is None or group.avoidable in {"", "by nobody"}:
+        return ""
+    return f"{group.onset_s:.1f} s before the hit (median)"
+
+
+def title(failure: Failure) -> str:
+    """The name of its kind."""
+    return failure.conflict or failure.kind
+
+
+def sentence(group: Group) -> str:
+    """What an engineer would write about the group's example."""
+    one = group.example
+    if one.kind != "hit":
+        return f"The {one.kind}: {shown(' '.join(one.reason.split()))}"
+    return f"{_happened(one)}; {_advice(one)}."
+
+
+def _happened(one: Failure) -> str:
+    """What both did; ``away`` is the time from the first sign of it to the contact."""
+    assert one.conflict is not None
+    away = f"{one.onset_s:.1f} s away" if one.onset_s else "at once"
+    other, did = one.opponent, _DID[one.action or "held speed"]
+    turn = one.conflict.partition(" ")[0]
+    by_av: dict[str, str] = {
+        "rear-end": f"A {other} behind ran into the AV, which {did.removesuffix(' too late')}",
+        "turn": f"The AV turned {turn} in front of an oncoming {other} {away}",
+        "merging": f"The AV merged in front of a {other} from the {one.side} {away}",
+        "cut-in / lane change": f"The AV moved over in front of a {other} {_beside(one)} {away}",
+    }
+    by_other: dict[str, str] = {
+        "rear-end": f"The AV {did} and ran into the {other} ahead, a danger {away}",
+        "turn": f"An oncoming {other} turned {turn} in front of the AV {away}",
+        "merging": f"A {other} from the {one.side} merged in front of the AV {away}",
+        "cut-in / lane change": f"A {other} {_beside(one)} moved over in front of the AV {away}",
+        "head-on": f"An oncoming {other} came into the way of the AV {away}",
+        "crossing": f"A {other} from the {one.side}{_right_of_way(one)} crossed in front of the AV"
+        f" {away}",
+    }
+    name = "turn" if "turn across path" in one.conflict else one.conflict
+    if one.turned == "AV" and name in by_av:
+        return by_av[name]
+    return by_other[name] if name == "rear-end" else f"{by_other[name]}, and the AV {did}"
+
+
+def _beside(one: Failure) -> str:
+    return f"on the {one.side}" if one.side in {"left", "right"} else f"{one.side}"
+
+
+def _right_of_way(one: Failure) -> str:
+    if not one.priority:
+        return ""
+    return ", which had priority," if one.priority == "opponent" else " without priority"
+
+
+def _advice(one: Failure) -> str:
+    by = avoidable(one)
+    if by == "by a careful driver":
+        assert one.conflict is not None
+        waits = one.turned == "AV" and one.conflict in _WAITING
+        return f"a careful driver would have {'waited' if waits else _CAREFUL[one.conflict]}"
+    if by == "by braking or steering at once":
+        return "only braking or steering at once would have avoided it"
+    return "nobody could have avoided it" if by else "who could have avoided it is not known"

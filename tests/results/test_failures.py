@@ -1,0 +1,270 @@
+"""Failures: the words for a hit, errors of planners, and groups with the worst first."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepmf_sumo import files
+from deepmf_sumo.cli import main
+from deepmf_sumo.datatypes import Lane, RoadMap
+from deepmf_sumo.report import failures as words
+from deepmf_sumo.results import failures as module
+from deepmf_sumo.results.failures import Failure, failure_of
+from deepmf_sumo.results.groups import grouped
+from deepmf_sumo.results.reader import Results, Run
+
+from tests.support.result_folders import Folder
+from tests.support.rollout_doubles import contact_of, rollout_of, straight
+
+STEP = 50
+
+
+def turning(x, y, speed, heading, turn, steps=STEP + 1, begin=20):
+    """(T, 3) poses of a vehicle that begins to turn at a step, all of it within 2 s."""
+    angle = heading + turn * np.clip((np.arange(steps) - begin) / 20, 0, 1)
+    way = np.cumsum(0.1 * speed * np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)
+    return np.column_stack([way - way[0] + [x, y], angle])
+
+
+def ending(path, x, y):
+    """The path moved so that it ends at a place."""
+    return path - [path[-1, 0] - x, path[-1, 1] - y, 0.0]
+
+
+def shifting(x, y, speed, aside, steps=STEP + 1):
+    """A vehicle to the east that changes its lane in the last 2 s."""
+    path = straight(x, y, speed, steps=steps, now=steps - 1)
+    share = np.clip((np.arange(steps) - (steps - 21)) / 20, 0, 1)
+    path[:, 1] += aside * (share - 1)
+    return path
+
+
+EAST = straight(0, 0, 10, steps=STEP + 1, now=STEP)
+MET = {
+    "rear-end": (straight(4.7, 0, 5, steps=STEP + 1, now=STEP), "ahead"),
+    "rear-end behind": (straight(-4.7, 0, 14, steps=STEP + 1, now=STEP), "behind"),
+    "crossing": (straight(2, 2, 8, steps=STEP + 1, heading=-np.pi / 2, now=STEP), "left"),
+    "crossing right": (straight(2, -2, 8, steps=STEP + 1, heading=np.pi / 2, now=STEP), "right"),
+    "left turn across path": (
+        ending(turning(0, 0, 8, np.pi, np.pi / 2, begin=30), 3.0, 1.5),
+        "ahead",
+    ),
+    "right turn across path": (
+        ending(turning(0, 0, 8, np.pi, -np.pi / 2, begin=30), 3.0, -1.5),
+        "ahead",
+    ),
+    "merging": (ending(turning(0, 0, 8, np.pi / 2, -np.pi / 2, begin=29), 4.0, -1.0), "right"),
+    "cut-in / lane change": (shifting(4.5, 1.0, 8, -3.5), "left"),
+    "head-on": (straight(4.7, 0.3, 9, steps=STEP + 1, heading=np.pi, now=STEP), "ahead"),
+}
+
+
+def pair_of(other, av=EAST):
+    rollout = rollout_of({"av": av, "b": other})
+    poses = {"pose_first": av[-1], "pose_second": other[-1]}
+    rollout = replace(rollout, contacts=(replace(contact_of(step=STEP), **poses),))
+    return rollout, module._Pair.of(rollout.tracks, rollout.contacts[0])
+
+
+@pytest.mark.parametrize("name", MET)
+def test_the_conflict_and_where_the_opponent_came_from(name):
+    other, side = MET[name]
+    if name == "cut-in / lane change":
+        other = shifting(4.5, 1.0, 8, -2.5)
+    rollout, pair = pair_of(other)
+    conflict = pair.conflict(module.accident_type_of(rollout), joins=False)
+    assert conflict == name.removesuffix(" behind").removesuffix(" right")
+    assert pair.side(conflict, pair.first) == side
+
+
+def test_vehicles_of_roads_that_join_merge():
+    _, pair = pair_of(MET["cut-in / lane change"][0])
+    assert pair.conflict("cut_in", joins=True) == "merging"
+    assert pair.turned("merging") == "opponent"
+    line = {"centre_m": np.array([[-200.0, 0], [-10, 0]]), "z_m": np.zeros(2)}
+    main_road = Lane(id="main", kind="street", next=("on",), **line)
+    line["centre_m"] = np.array([[-200.0, 3.0], [-10, 3.0]])
+    ramp = Lane(id="ramp", kind="street", next=("on",), **line)
+    line["centre_m"] = np.array([[-10.0, 0], [200, 0]])
+    on = Lane(id="on", kind="street", **line)
+    road = RoadMap(lanes={one.id: one for one in (main_road, ramp, on)})
+    assert module._ahead(road, "main") == {"main", "on"}
+    assert module._joins(road, pair)
+    assert not module._joins(None, pair)
+
+
+@pytest.mark.parametrize(
+    ("path", "action"),
+    [
+        (straight(0, 0, 10, steps=51), "held speed"),
+        (straight(0, 0, 10, steps=51, accel=-2.0), "braked"),
+        (straight(0, 0, 10, steps=51, accel=2.0), "accelerated"),
+        (straight(0, 0, 0, steps=51), "stood"),
+        (shifting(40, 0, 10, -2.0), "steered"),
+    ],
+)
+def test_what_the_av_did(path, action):
+    line = np.array([[-50.0, 0.0], [200.0, 0.0]])
+    lane = Lane(id="a", kind="street", centre_m=line, z_m=np.zeros(2))
+    tracks = rollout_of({"av": path, "b": straight(20, 0, 5, steps=51)}).tracks
+    assert module._action(tracks, 0, 20, STEP, RoadMap(lanes={"a": lane})) == action
+
+
+def test_who_yields_by_the_map_has_no_priority():
+    other, _ = MET["crossing right"]
+    _, pair = pair_of(other)
+    east = Lane(id="east", kind="street", centre_m=np.array([[-60.0, 0], [60, 0]]), z_m=np.zeros(2))
+    north = Lane(
+        id="north",
+        kind="street",
+        centre_m=np.array([[2.0, -60], [2, 60]]),
+        z_m=np.zeros(2),
+        gives_way_to=("east",),
+    )
+    assert module._by_map(pair, RoadMap(lanes={"east": east, "north": north})) == "AV"
+    swapped = replace(east, gives_way_to=("north",)), replace(north, gives_way_to=())
+    assert module._by_map(pair, RoadMap(lanes={one.id: one for one in swapped})) == "opponent"
+    neither = RoadMap(lanes={"east": east, "north": replace(north, gives_way_to=())})
+    assert module._by_map(pair, neither) == ""
+
+
+def run(run_id, status="ok", error=""):
+    names = ("run_id", "method", "planner", "scene", "adversary", "version", "outcome")
+    values = dict.fromkeys(names, "") | {"run_id": run_id, "part": "main", "seed": 0}
+    return Run(folder=None, row={"error": error}, status=status, **values)
+
+
+@pytest.mark.parametrize(
+    ("status", "error", "kind"),
+    [
+        ("failed", "planner_error: ZeroDivisionError: a bug (see log.txt)", "planner crashed"),
+        ("failed", "planner_error: the planner ended its process (SIGSEGV; see log.txt).",
+         "planner crashed"),
+        ("failed", "planner_error: p.py ended with exit code 3 before it answered step 12.",
+         "planner crashed"),
+        ("failed", "planner_error: p.py did not answer step 12 within 1 s.", "planner hung"),
+        ("timeout", "longer than 600 s", "planner hung"),
+        ("failed", "planner_error: speed_mps at step 12 is nan, not a finite number.",
+         "planner answered nonsense"),
+        ("failed", "SUMO refused something", None),
+        ("skipped", "no such record", None),
+    ],
+)  # fmt: skip
+def test_errors_of_a_planner_are_failures_of_their_own(status, error, kind):
+    found = failure_of(run("a", status, error))
+    assert (found and found.kind) == kind
+    if found:
+        assert words.sentence(grouped([found], 4)[0]).startswith(f"The {kind}: ")
+
+
+def hit(name, grade="C", delta_v=5.0, ordinary=1.0, **more):
+    values = {
+        "conflict": "crossing", "side": "left", "action": "held speed", "onset_s": 2.0,
+        "grade": grade, "delta_v_mps": delta_v, "ordinary_mps2": ordinary,
+    }  # fmt: skip
+    return Failure(run=run(name), kind="hit", **values | more)
+
+
+def test_groups_are_ranked_by_error_avoidability_severity_and_ordinary_motion():
+    crash = Failure(run=run("crash"), kind="planner crashed", reason="a bug")
+    found = [
+        hit("fated", "A", 20.0),
+        hit("wild", "C", 5.0, 4.0, side="right"),
+        hit("calm", "C", 5.0, 0.5),
+        hit("same", "C", 3.0),
+        hit("fast", "C", 9.0, conflict="head-on"),
+        hit("all", "D", 1.0, conflict="rear-end"),
+        crash,
+    ]
+    groups = grouped(found, 40)
+    names = [[one.run.run_id for one in group.failures] for group in groups]
+    assert names == [["crash"], ["all"], ["fast"], ["calm", "same"], ["wild"], ["fated"]]
+    values = groups[3].values()
+    assert (values["runs"], values["of"], values["example"]) == (2, 40, "calm")
+    assert values["avoidable"] == "by a careful driver"
+    assert words.row(groups[3])[0] == "2 of 40"
+
+
+def test_an_error_at_another_step_is_the_same_and_another_error_is_not():
+    found = [
+        Failure(run=run(name), kind="planner crashed", reason=reason)
+        for name, reason in (("a", "bug at step 12"), ("b", "bug at step 3"), ("c", "other bug"))
+    ]
+    names = [[one.run.run_id for one in group.failures] for group in grouped(found, 3)]
+    assert names == [["a", "b"], ["c"]]
+
+
+def sentence(**more):
+    return words.sentence(grouped([hit("a", **more)], 1)[0])
+
+
+def test_the_sentence_is_that_of_an_engineer():
+    assert sentence(conflict="left turn across path", turned="AV", onset_s=2.1, side="ahead") == (
+        "The AV turned left in front of an oncoming car 2.1 s away; a careful driver would have"
+        " waited."
+    )
+    assert sentence(priority="AV", grade="B") == (
+        "A car from the left without priority crossed in front of the AV 2.0 s away, and the AV"
+        " held its speed; only braking or steering at once would have avoided it."
+    )
+    assert sentence(
+        conflict="rear-end", turned="AV", side="behind", action="braked", grade="A"
+    ) == ("A car behind ran into the AV, which braked; nobody could have avoided it.")
+
+
+@pytest.mark.parametrize("conflict", words._CAREFUL)
+@pytest.mark.parametrize("turned", ["AV", "opponent", ""])
+@pytest.mark.parametrize("grade", ["A", "B", "C", "D", None])
+def test_each_failure_has_a_sentence(conflict, turned, grade):
+    told = sentence(conflict=conflict, turned=turned, grade=grade)
+    assert told.endswith(".")
+    assert "None" not in told
+
+
+@pytest.fixture
+def folder(tmp_path, starts_sumo):  # recordings are read in a process of their own
+    made = Folder(tmp_path)
+    metrics = {"avoidance_grade": 2.0, "opponent_rms_acceleration": 0.8, "accident_type": 1.0}
+    for scene in ("one", "two"):
+        made.add(scene, metrics=metrics)
+    made.add("miss", hit=False)
+    made.fail("failed")
+    return made.out
+
+
+def test_failures_of_a_result_folder(folder):
+    found = list(module.failures(Results.open(folder)))
+    assert [one is not None for _, one, _ in found] == [True, True, False, False]
+    failure = found[0][1]
+    assert failure.grade == "C"
+    assert 0 < failure.onset_s <= 3.0
+    assert failure.conflict in words._CAREFUL
+
+
+def test_a_run_that_cannot_be_read_is_named(folder, capsys):
+    file = folder / "runs" / "00-one" / "tracks.csv.gz"
+    files.write(file, file.read_bytes()[:40])
+    assert main._run(["show", str(folder), "--failures"]) == 0
+    said = capsys.readouterr()
+    assert "00-one cannot be described" in said.err
+    assert "1 of 4" in said.out
+
+
+def test_the_groups_are_data(folder, capsys):
+    assert main._run(["show", str(folder), "--failures", "--format", "json"]) == 0
+    [group] = json.loads(capsys.readouterr().out)
+    assert group["run_ids"] == ["00-one", "01-two"]
+    assert (group["runs"], group["of"], group["kind"]) == (2, 4, "hit")
+    assert group["sentence"].endswith("would have kept its distance.") or group["sentence"]
+    assert main._run(["show", str(folder), "--failures", "--format", "csv"]) == 0
+    assert "00-one 01-two" in capsys.readouterr().out
+    assert main._run(["show", str(folder), "--failures", "--all"]) == 2
+
+
+def test_a_folder_without_failures_says_so(tmp_path, capsys):
+    made = Folder(tmp_path)
+    made.add("miss", hit=False)
+    assert main._run(["show", str(made.out), "--failures"]) == 0
+    assert capsys.readouterr().out.strip() == "no failures in 1 run"
