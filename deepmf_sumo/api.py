@@ -68,6 +68,7 @@ def attack(
     av: str | None = None,
     av_type: str | None = None,
     at_s: Sequence[float] = (),
+    from_s: float | None = None,
     until_s: float | None = None,
     encounters: bool = False,
     seed: int | None = None,
@@ -90,8 +91,11 @@ def attack(
         av: attack only this vehicle.
         av_type: attack only vehicles of this type.
         at_s: attack only at these times of the simulation, in seconds.
+        from_s: attack from this time on; None means once the number of vehicles has settled, or at
+            any time where ``av`` or ``at_s`` is given.
         until_s: look for moments up to this time only.
-        encounters: at each position, prefer moments before another vehicle crosses the AV's path.
+        encounters: first attack before another vehicle crosses the AV's path, wherever that is;
+            without it moments are spread, and such encounters come first at each place.
         seed: of all choices and of SUMO; None means the configuration's own.
         sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.
@@ -111,6 +115,7 @@ def attack(
         {} if seed is None else {"seed": seed},
         sets,
         sumo_options=sumo_options,
+        from_s=from_s,
         until_s=until_s,
         count=moments,
         av=av,

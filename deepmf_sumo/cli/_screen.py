@@ -285,15 +285,22 @@ def announce_moments(request: Request, found: Found) -> None:
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     further = "" if found.complete or wish.at_s else f" ({wish.later})"
     seen = counted(found.vehicles, "vehicle")
-    click.echo(shown(f"{name}: {seen} from {span}{further}"), err=True)
+    click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)
     moments = counted(len(found.moments), "moment")
     chosen = f"{moments} of {found.suitable} vehicle seconds"
-    if wish.prefer == "encounters":
+    if wish.prefer != "spread":
         before = sum(one.encounter_s is not None for one in found.moments)
         chosen += f", {before} of them before an encounter"
     if len(found.moments) < wish.count:
         chosen += f", not {wish.count}: {found.reason}"
-    click.echo(shown(chosen), err=True)
+    for line in (chosen, *found.notes):
+        click.echo(shown(line), err=True)
+
+
+def _attacked_from(found: Found) -> str:
+    if found.from_s is None:
+        return ""
+    return f"; attacked from {found.from_s:g} s on" + (f", {found.from_why}" * bool(found.from_why))
 
 
 _HEADINGS: Final = (

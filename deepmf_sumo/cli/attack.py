@@ -53,9 +53,15 @@ class _WithSumoOptions(click.Command):
     help="Attack the same vehicles at the same times as in that result folder, to compare.",
 )  # fmt: skip
 @click.option(
-    "--prefer", type=click.Choice(["spread", "encounters"]), default="spread", show_default=True,
-    help="Choose moments at any time, or first those before another vehicle crosses the AV's path"
-    " at a junction.",
+    "--prefer", type=click.Choice(["both", "spread", "encounters"]),
+    help="Spread moments over places and time (spread), choose first those before another vehicle"
+    " crosses the AV's path at a junction (encounters), or spread them and at each place begin with"
+    " such encounters.  [default: both]",
+)  # fmt: skip
+@click.option(
+    "--from", "from_s", metavar="S", type=FiniteRange(min=0),
+    help="Attack from this time on.  [default: once the number of vehicles has settled; any time"
+    " with --av]",
 )  # fmt: skip
 @click.option(
     "--until", "until_s", metavar="S", type=FiniteRange(min=1),
@@ -131,7 +137,7 @@ def command(
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
-_MOMENTS = ("count", "av", "av_type", "at_s", "of", "prefer", "until_s")
+_MOMENTS = ("count", "av", "av_type", "at_s", "of", "prefer", "from_s", "until_s")
 """Options that are keys of the spec, and of its moments."""
 
 

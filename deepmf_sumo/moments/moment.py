@@ -13,7 +13,7 @@ from deepmf_sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
 VehicleTime = tuple[AgentId, float]
 """A vehicle at a time of the simulation, in seconds to a tenth."""
 
-Preference = Literal["spread", "encounters"]
+Preference = Literal["both", "spread", "encounters"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +28,8 @@ class Wish:
         duration_s: of each attack.
         seed: of the choice.
         prefer: ``encounters`` first chooses vehicles that meet another one at a junction without
-            any attack.
+            any attack; ``both`` spreads over places and time, and does so within each place.
+        from_s: only from this time of the simulation on; ``settled``: see `warm_up`.
         by_option: whether messages name the options of ``attack`` or the keys of a spec.
     """
 
@@ -40,6 +41,7 @@ class Wish:
     duration_s: float = 8.0
     seed: int = 0
     prefer: Preference = "spread"
+    from_s: float | Literal["settled"] | None = None
     by_option: bool = True
 
     def named(self, key: str) -> str:
@@ -52,7 +54,9 @@ class Wish:
         return f"{self.named('until_s')}{' S' * self.by_option} looks further"
 
 
-_OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"}
+_OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"} | {
+    "from_s": "--from",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +98,8 @@ class Found:
         vehicles: in the traffic. begin_s, until_s: what was looked at.
         complete: nothing comes after it.
         reason: why there are fewer moments than asked for; empty if there are as many.
+        from_s, from_why: from when on they were chosen, and why; None: from the beginning.
+        notes: further sentences for the user.
     """
 
     moments: tuple[Moment, ...]
@@ -103,6 +109,9 @@ class Found:
     until_s: float
     complete: bool
     reason: str = ""
+    from_s: float | None = None
+    from_why: str = ""
+    notes: tuple[str, ...] = ()
 
 
 REACH_M: Final = 50.0
@@ -124,8 +133,12 @@ _NOT_ON_ROADS: Final = {
 """Of SUMO's vehicle classes those that are never an opponent."""
 
 
-def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
+def suitable(
+    sightings: Sightings, wish: Wish, from_s: float | None = None, from_why: str = ""
+) -> tuple[Ints, str]:
     """Rows that can be a moment, apart from the vehicles near; and why there is none, if so.
+
+    ``from_s``: only from this time on, for a reason.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
@@ -133,7 +146,10 @@ def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
         return np.zeros(0, np.int64), _no_vehicles(sightings, wish)
     _check(sightings, wish)
     kept = np.ones(len(sightings.time_s), bool)
-    for mask, reason in _conditions(sightings, wish):
+    conditions = _conditions(sightings, wish)
+    if from_s is not None:
+        conditions.insert(1, _late(sightings, wish, from_s, from_why))
+    for mask, reason in conditions:
         kept &= mask
         if not kept.any():
             return np.zeros(0, np.int64), reason
@@ -195,6 +211,15 @@ def _conditions(sightings: Sightings, wish: Wish) -> list[tuple[Bools, str]]:
         (~sightings.parked, f"{named} must not be parked, and all are"),
         (_moves(sightings, max(STAYS_S, wish.duration_s)), f"{named} must move, and none does"),
     ]
+
+
+def _late(sightings: Sightings, wish: Wish, from_s: float, why: str) -> tuple[Bools, str]:
+    """Whether (K) it is that late, and the reason if none is."""
+    named = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
+    because = f", {why}" if why else ""
+    earlier = f"{wish.named('from_s')}{' S' * wish.by_option} begins earlier"
+    reason = f"{named} is there{_when(sightings, wish)}, and none from {from_s:g} s on{because}"
+    return sightings.time_s >= from_s - _ROUNDING_S, f"{reason}; {earlier}"
 
 
 def _moves(sightings: Sightings, duration_s: float) -> Bools:

@@ -58,7 +58,7 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     again = read(asked.of, "--moments-of" if by_option else "source.moments.of") if asked.of else ()
     wish = Wish(
         count=asked.count or len(asked.at_s or again) or 10,
-        **asked.model_dump(include={"av", "av_type", "at_s", "prefer"}),
+        **asked.model_dump(include={"av", "av_type", "at_s", "prefer", "from_s"}),
         again=again,
         duration_s=spec.duration_s,
         seed=spec.seed,
@@ -71,6 +71,7 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
         sumo_options=source.sumo_options,
         seed=spec.seed,
         until_s=asked.until_s,
+        from_s=asked.from_s if isinstance(asked.from_s, float) else None,
     )
     return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish)
 
@@ -125,7 +126,7 @@ def _named(found: Found, net: NetFile) -> Found:
 
 def _found(answer: dict[str, Any]) -> Found:
     moments = tuple(Moment(**one) for one in answer.pop("moments"))
-    return Found(moments=moments, **answer)
+    return Found(moments=moments, notes=tuple(answer.pop("notes")), **answer)
 
 
 _LARGEST: Final = 2**26
@@ -164,6 +165,11 @@ def check(configuration: Configuration, wish: Wish) -> None:
     """
     end_s = configuration.end_s
     check_times(wish, configuration.begin_s, math.inf if end_s is None else end_s)
+    if isinstance(wish.from_s, float) and end_s is not None and wish.from_s >= end_s:
+        raise UsageError(
+            f"{wish.named('from_s')} {wish.from_s:g}: {configuration.file.name} ends at {end_s:g}"
+            " s; choose an earlier time."
+        )
     if wish.av is None and wish.av_type is None:
         return
     known = demand.read(configuration)
@@ -215,7 +221,7 @@ MET: Final = "met"
 """The adversary's ``opponent`` that is the vehicle that the AV is about to meet."""
 
 _OPTIONS: Final = {"count": "--moments", "av_type": "--av-type", "at_s": "--at"} | {
-    "until_s": "--until", "of": "--moments-of",
+    "from_s": "--from", "until_s": "--until", "of": "--moments-of",
 }  # fmt: skip
 
 
@@ -234,7 +240,8 @@ def documents(
         keys: of all specs; ``seed`` is the configuration's own where it is not given.
         sets: ``key=value`` over them.
         sumo_options: beside the configurations.
-        wanted: keys of `Moments`; None is not given.
+        wanted: keys of `Moments`; None is not given. Unlike in a spec, ``prefer`` is then ``both``,
+            and ``from_s`` ``settled`` unless vehicles or times are given.
 
     Raises SimulationError for a configuration that cannot be read, UsageError or SpecError.
     """
@@ -262,6 +269,10 @@ def _document(
         for key, value in wanted.items()
         if value not in (None, ())
     }
+    if "of" not in moments:
+        moments.setdefault("prefer", "both")
+        if not moments.keys() & {"at_s", "av"}:  # a vehicle that is named may leave before
+            moments.setdefault("from_s", "settled")
     source = {"network": str(config.absolute()), "moments": moments}
     if sumo_options:
         source["sumo_options"] = list(sumo_options)

@@ -22,6 +22,7 @@ Ints = NDArray[np.int64]
 EVERY_S: Final = 1.0
 MOST_VEHICLE_STEPS: Final = 1_000_000
 """Ten seconds of SUMO on a slow core; a count, so that every machine ends at the same time."""
+_BEFORE_S: Final = 10.0
 _EMPTY_STEP: Final = 20
 """Cost of a step without vehicles, in vehicles."""
 _COMPUTED: Final = "!"
@@ -40,6 +41,7 @@ class Scouting:
         at_s: times that must be among those of the survey.
         until_s: end of the survey, at most that of the configuration; None: that end, or the time
             at which `MOST_VEHICLE_STEPS` are reached.
+        from_s: beginning of the survey: up to then SUMO drives unseen; None: that of SUMO.
     """
 
     config: Path
@@ -47,6 +49,7 @@ class Scouting:
     seed: int
     at_s: tuple[float, ...] = ()
     until_s: float | None = None
+    from_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +106,7 @@ def scout(scouting: Scouting) -> Sightings:
 
 def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:
     notes = _Notes(api)
-    begin = now = float(api.simulation.getTime())
+    begin = now = _begun(api, scouting.from_s)
     ends = configuration.end_s if configuration.end_s is not None else math.inf
     until = min(ends, scouting.until_s if scouting.until_s is not None else math.inf)
     spent, complete, persons = 0, False, False
@@ -120,6 +123,16 @@ def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Si
             break
     waiting = len(api.simulation.getPendingVehicles())
     return notes.sightings(begin, now, complete=complete, persons=persons, waiting=waiting)
+
+
+def _begun(api: SumoApi, from_s: float | None) -> float:
+    """The time at which the survey begins; some seconds before ``from_s``, for what is there."""
+    now = float(api.simulation.getTime())
+    seconds = max(math.floor((from_s or now) - now - _BEFORE_S), 0)
+    if not seconds:
+        return now
+    api.simulationStep(now + seconds)
+    return float(api.simulation.getTime())
 
 
 def _moments(begin_s: float, at_s: tuple[float, ...]) -> Iterator[float]:
