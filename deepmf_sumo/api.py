@@ -71,6 +71,7 @@ def attack(
     from_s: float | None = None,
     until_s: float | None = None,
     encounters: bool = False,
+    all_conflicts: bool = False,
     seed: int | None = None,
     sets: Sequence[str] = (),
     sumo_options: Sequence[str] = (),
@@ -96,6 +97,7 @@ def attack(
         until_s: look for moments up to this time only.
         encounters: first attack before another vehicle crosses the AV's path, wherever that is;
             without it moments are spread, and such encounters come first at each place.
+        all_conflicts: opponents also drive into the AV from behind.
         seed: of all choices and of SUMO; None means the configuration's own.
         sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.
@@ -123,7 +125,7 @@ def attack(
         at_s=tuple(at_s),
         prefer="encounters" if encounters else None,
     )
-    specs = [moments_module.spec_of(one) for one in documents]
+    specs = [moments_module.spec_of(one, all_conflicts=all_conflicts) for one in documents]
     plans.run_specs(specs, _options(out, jobs, pictures, resume, overwrite), by_option=True)
     return Results.of(Path(out))
 

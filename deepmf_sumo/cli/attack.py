@@ -45,6 +45,18 @@ class _WithSumoOptions(click.Command):
 @click.option("--av", metavar="ID", help="Attack this vehicle.")
 @click.option("--av-type", metavar="TYPE", help="Attack vehicles of this type.")
 @click.option(
+    "--junction", "junctions", metavar="ID", multiple=True,
+    help="Attack only at this junction, or just before it; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--edge", "edges", metavar="ID", multiple=True,
+    help="Attack only on this edge; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--polygon", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Attack only within the polygons of FILE, GeoJSON or SUMO's <poly>.",
+)  # fmt: skip
+@click.option(
     "--at", "at_s", metavar="S", multiple=True, type=FiniteRange(min=0),
     help="Attack at this time of the simulation, in s; may be repeated.",
 )  # fmt: skip
@@ -75,6 +87,11 @@ class _WithSumoOptions(click.Command):
     "--opponents", type=click.Choice(["one", "in_turn"]),
     help="Attack with one opponent, or with one after another.  [default: one up to 15 s]",
 )  # fmt: skip
+@click.option(
+    "--all-conflicts", is_flag=True,
+    help="Let opponents drive into the AV from behind as well. Without it DeepMF does not: that can"
+    " be done anywhere, and says little about a road.",
+)  # fmt: skip
 @click.option("--planner", metavar="NAME", help="Let this planner drive the AV.  [default: idm]")
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True,
@@ -101,6 +118,7 @@ def command(
     configs: tuple[Path, ...],
     sets: tuple[str, ...],
     mapped: bool,
+    all_conflicts: bool,
     file: Path | None,
     **wanted: Any,
 ) -> None:
@@ -120,11 +138,11 @@ def command(
     if "planner" in keys:
         keys["planner"] = {"name": keys["planner"]}
     chosen = {key: wanted.pop(key) for key in _MOMENTS}
-    if chosen["of"]:
-        chosen["of"] = str(chosen["of"].absolute())
+    for key in ("of", "polygon"):
+        chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
     sweep = None if file else Sweep.begin(wanted, pictures=True)
     documents = moments.documents(configs, keys, sets, sumo_options=ctx.meta[_AFTER], **chosen)
-    specs = [moments.spec_of(one) for one in documents]
+    specs = [moments.spec_of(one, all_conflicts=all_conflicts) for one in documents]
     if sweep is None:
         _save(file, documents)
         return
@@ -137,7 +155,10 @@ def command(
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
-_MOMENTS = ("count", "av", "av_type", "at_s", "of", "prefer", "from_s", "until_s")
+_MOMENTS = (
+    "count", "av", "av_type", "at_s", "of", "prefer", "from_s", "until_s", "junctions", "edges",
+    "polygon",
+)  # fmt: skip
 """Options that are keys of the spec, and of its moments."""
 
 

@@ -41,6 +41,7 @@ _PAPER: Final[dict[str, Any]] = {
     "aggressiveness": None,
     "fair": False,
     "lawful": False,
+    "no_rear_end": False,
     "constraints": (),
 }
 """Values of ``form: paper``: keys with other values contradict it."""
@@ -94,6 +95,8 @@ class Settings(plugins.Settings):
             (`avoidability.grading`) at the time of the choice; if there are none, no attack.
         lawful: only candidates that break no traffic rule (`deepmf.traffic_rules`); if none of
             them meets the AV, no attack.
+        no_rear_end: only candidates that do not drive into the AV's rear end from behind; if none
+            of the others meets the AV, no attack. True by default in the command ``attack``.
         constraints: names of further constraints, see `deepmf.constraints`.
     """
 
@@ -119,6 +122,7 @@ class Settings(plugins.Settings):
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
     fair: bool = False
     lawful: bool = False
+    no_rear_end: bool = False
     constraints: tuple[str, ...] = Field(default=(), strict=False)
 
     @property
@@ -171,6 +175,12 @@ class Settings(plugins.Settings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _not_both_ways(self) -> Self:
+        if self.no_rear_end and self.wanted_sector == SECTORS.index("rear"):
+            raise ValueError("sector 'rear' and no_rear_end contradict each other; leave one out")
+        return self
+
     @field_validator("constraints")
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -188,8 +198,10 @@ class Settings(plugins.Settings):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Results contain the form and further constraints only if they are not the defaults."""
+        """Results contain the newer keys only if they are not the defaults."""
         values: dict[str, Any] = handler(self)
+        if not self.no_rear_end:
+            del values["no_rear_end"]
         if not self.constraints:
             del values["constraints"]
         if self.form == "extended":
@@ -199,7 +211,9 @@ class Settings(plugins.Settings):
     @property
     def constrained(self) -> frozenset[str]:
         """Names of the constraints on the choice."""
-        own = {"lawful": self.lawful, "fair": self.fair, "sector": self.sector is not None}
+        own = {"lawful": self.lawful, "fair": self.fair, "sector": self.sector is not None} | {
+            "no_rear_end": self.no_rear_end
+        }
         return frozenset({*(name for name, wanted in own.items() if wanted), *self.constraints})
 
     @property
@@ -216,7 +230,7 @@ class Settings(plugins.Settings):
     @property
     def most_candidates(self) -> int | None:
         """Maximum number of candidates to which the AV's reactions are predicted; None: all."""
-        return None if self.constrained else self.shortlist
+        return None if self.constrained - {"no_rear_end"} else self.shortlist
 
     @property
     def comfort(self) -> float:

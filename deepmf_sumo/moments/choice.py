@@ -9,6 +9,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
 from deepmf_sumo.moments import warm_up
+from deepmf_sumo.moments.area import gets_there
 from deepmf_sumo.moments.encounters import FROM_M, NONE, Encounters, nobody_met
 from deepmf_sumo.moments.moment import REACH_M, Found, Moment, Wish, around, opponents, suitable
 from deepmf_sumo.network.sumo_net import NetFile
@@ -22,15 +23,19 @@ LONG_S: Final = 15.0
 """An attack on one opponent is decided by then."""
 _CLOSER: Final = 1e-3
 """Weight of how close an encounter is: among equals alone."""
-_SLOWEST_MPS: Final = 3.0
-"""A vehicle that stands now may be at the junction soon."""
 
 Place = tuple[int, int]
 """An edge, and the next one if the vehicle gets there, else -1."""
 Turns = Mapping[tuple[str, str], str]
 
 
-def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | None = None) -> Found:
+def choose(
+    sightings: Sightings,
+    turns: Turns,
+    wish: Wish,
+    met: Encounters | None = None,
+    within: Bools | None = None,
+) -> Found:
     """Draw moments; the same for the same sightings, wish and seed.
 
     Args:
@@ -38,11 +43,13 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | Non
         turns: what it is to drive from an edge to another.
         wish: the moments that are asked for.
         met: encounters that attacks would begin with; None where no vehicles meet.
+        within: (K) whether it is in the area that is attacked; None: it is the whole network.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
     begin = warm_up.beginning(sightings, wish)
-    rows, none_at_all = suitable(sightings, wish, *(begin or ()))
+    from_s, why = begin or (None, "")
+    rows, none_at_all = suitable(sightings, wish, from_s, why, within)
     reason = none_at_all
     rows = _again(sightings, wish, rows) if wish.again else _staying(sightings, wish, rows)
     moments: list[Moment] = []
@@ -64,8 +71,8 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | Non
         until_s=sightings.until_s,
         complete=sightings.complete,
         reason=reason,
-        from_s=begin.time_s if begin else None,
-        from_why=begin.why if begin else "",
+        from_s=from_s,
+        from_why=why,
     )
 
 
@@ -117,7 +124,7 @@ class _Spread:
         self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, kind of encounter
         self._kind: dict[Place, int] = {}
         shuffled = rng.permutation(rows)
-        near = _gets_there(sightings, wish.duration_s)[shuffled]
+        near = gets_there(sightings, wish.duration_s)[shuffled]
         following = np.where(near, sightings.following[shuffled], -1)
         places = np.column_stack([sightings.edge[shuffled], following])
         found, group, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
@@ -252,13 +259,6 @@ def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
     share = (time_s - first) / max(last - first, 1.0)
     part: Ints = np.clip((share * wish.count).astype(np.int64), 0, wish.count - 1)
     return part
-
-
-def _gets_there(sightings: Sightings, duration_s: float) -> Bools:
-    """(K) whether it reaches the next junction within the attack, at its present speed."""
-    way_m = duration_s * np.maximum(sightings.speed_mps, _SLOWEST_MPS)
-    gets_there: Bools = sightings.to_end_m <= way_m
-    return gets_there
 
 
 def _again(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:

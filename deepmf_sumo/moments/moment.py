@@ -30,6 +30,7 @@ class Wish:
         prefer: ``encounters`` first chooses vehicles that meet another one at a junction without
             any attack; ``both`` spreads over places and time, and does so within each place.
         from_s: only from this time of the simulation on; ``settled``: see `warm_up`.
+        where: the area that is attacked, in words; empty: the whole network.
         by_option: whether messages name the options of ``attack`` or the keys of a spec.
     """
 
@@ -42,6 +43,7 @@ class Wish:
     seed: int = 0
     prefer: Preference = "spread"
     from_s: float | Literal["settled"] | None = None
+    where: str = ""
     by_option: bool = True
 
     def named(self, key: str) -> str:
@@ -55,7 +57,7 @@ class Wish:
 
 
 _OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"} | {
-    "from_s": "--from",
+    "from_s": "--from", "junctions": "--junction", "edges": "--edge", "polygon": "--polygon",
 }  # fmt: skip
 
 
@@ -134,11 +136,15 @@ _NOT_ON_ROADS: Final = {
 
 
 def suitable(
-    sightings: Sightings, wish: Wish, from_s: float | None = None, from_why: str = ""
+    sightings: Sightings,
+    wish: Wish,
+    from_s: float | None = None,
+    from_why: str = "",
+    within: Bools | None = None,
 ) -> tuple[Ints, str]:
     """Rows that can be a moment, apart from the vehicles near; and why there is none, if so.
 
-    ``from_s``: only from this time on, for a reason.
+    ``from_s``: only from this time on, for a reason. ``within``: (K) only these.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
@@ -149,6 +155,8 @@ def suitable(
     conditions = _conditions(sightings, wish)
     if from_s is not None:
         conditions.insert(1, _late(sightings, wish, from_s, from_why))
+    if within is not None:
+        conditions.insert(1, (within, f"no vehicle{_typed(wish)} comes to {wish.where}"))
     for mask, reason in conditions:
         kept &= mask
         if not kept.any():

@@ -15,6 +15,8 @@ from zlib import crc32
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
+from deepmf_sumo.geometry.impact import SECTORS
+from deepmf_sumo.moments.area import Area, area_of, inside
 from deepmf_sumo.moments.choice import LONG_S, choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
 from deepmf_sumo.moments.moment import Found, Moment, VehicleTime, Wish, check_times
@@ -34,6 +36,7 @@ from deepmf_sumo.texts import of_cell
 class _Search:
     scouting: Scouting
     wish: Wish
+    area: Area | None
     answer: Path
 
 
@@ -45,6 +48,7 @@ class Request:
     spec: Spec
     scouting: Scouting
     wish: Wish
+    area: Area | None = None
 
 
 def request(spec: Spec, *, by_option: bool = False) -> Request:
@@ -66,17 +70,23 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     )
     configuration = read_configuration(source.network, source.sumo_options)
     check(configuration, wish)
+    area = area_of(asked, configuration.net, wish.named)
+    if area is not None:
+        wish = replace(wish, where=str(area))
     scouting = Scouting(
         config=source.network,
         sumo_options=source.sumo_options,
         seed=spec.seed,
         until_s=asked.until_s,
         from_s=asked.from_s if isinstance(asked.from_s, float) else None,
+        corners=area.corners if area else (),
     )
-    return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish)
+    return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish, area=area)
 
 
-def find(scouting: Scouting, wish: Wish, timeout_s: float | None = None) -> Found:
+def find(
+    scouting: Scouting, wish: Wish, timeout_s: float | None = None, area: Area | None = None
+) -> Found:
     """Simulate the configuration once, and choose moments of it.
 
     Where the wish names times, nothing later than attacks at them is looked at, unless
@@ -90,7 +100,8 @@ def find(scouting: Scouting, wish: Wish, timeout_s: float | None = None) -> Foun
     if times and scouting.until_s is None:
         scouting = replace(scouting, until_s=max(times) + wish.duration_s + EVERY_S)
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
-        search = _Search(scouting=scouting, wish=wish, answer=Path(folder) / "found.json")
+        answer_file = Path(folder) / "found.json"
+        search = _Search(scouting=scouting, wish=wish, area=area, answer=answer_file)
         (ending,) = workers.run(_search, [search], jobs=1, timeout_s=timeout_s)
         if ending.status != "done":
             raise SimulationError(f"SUMO cannot run '{scouting.config}': {ending.reason}.")
@@ -110,7 +121,9 @@ def _search(search: _Search) -> None:
         sightings = scout(scouting)
         net = read_once(read_configuration(scouting.config, scouting.sumo_options).net)
         met = encounters(sightings, net, search.wish.duration_s)
-        found = choose(sightings, turns_of(net), search.wish, met)
+        area, duration_s = search.area, search.wish.duration_s
+        within = inside(area, sightings, net, duration_s) if area else None
+        found = choose(sightings, turns_of(net), search.wish, met, within)
         answer: dict[str, Any] = asdict(_named(found, net))
     except DeepmfError as error:
         answer = {"error": str(error), "usage": isinstance(error, UsageError)}
@@ -221,7 +234,8 @@ MET: Final = "met"
 """The adversary's ``opponent`` that is the vehicle that the AV is about to meet."""
 
 _OPTIONS: Final = {"count": "--moments", "av_type": "--av-type", "at_s": "--at"} | {
-    "from_s": "--from", "until_s": "--until", "of": "--moments-of",
+    "junctions": "--junction", "edges": "--edge", "from_s": "--from", "until_s": "--until",
+    "of": "--moments-of",
 }  # fmt: skip
 
 
@@ -291,14 +305,18 @@ def _document(
     return document
 
 
-def spec_of(document: Document) -> Spec:
+def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
     """The spec of one of `documents`.
 
+    DeepMF does not ram the AV from behind unless ``all_conflicts``, or another key says so.
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
     adversary looks for one attack, or its opponent is named. Raises SpecError as `spec.load`,
     WeightsError where weights are named that do not exist.
     """
     spec = of_document(document)
+    if not all_conflicts and _may_ram(spec):
+        document.values.setdefault("adversary", {"name": spec.adversary.name})[_NOT_BEHIND] = True
+        spec = of_document(document)
     if "weights" in document.values:
         from deepmf_sumo.predictors import weights  # brings torch along
 
@@ -308,6 +326,19 @@ def spec_of(document: Document) -> Spec:
         document.values["opponents"] = "in_turn"
         return spec.model_copy(update={"opponents": "in_turn"})
     return spec
+
+
+_NOT_BEHIND: Final = "no_rear_end"
+
+
+def _may_ram(spec: Spec) -> bool:
+    """Whether it may ram the AV from behind, and nothing in it says that it should."""
+    if spec.adversary.name != "deepmf":
+        return False
+    chosen = spec.adversary.settings
+    said = _NOT_BEHIND in chosen or _NOT_BEHIND in chosen.get("constraints", ())
+    wanted = chosen.get("sector") in {"rear", SECTORS.index("rear")}
+    return not (said or wanted or chosen.get("lawful") or chosen.get("form") == "paper")
 
 
 def tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:

@@ -70,7 +70,7 @@ def run_specs(
 
 
 def _found(request: Request, options: batch.Options, announce: Announce) -> Sequence[Moment]:
-    found = moments.find(request.scouting, request.wish, options.timeout_s)
+    found = moments.find(request.scouting, request.wish, options.timeout_s, request.area)
     announce(request, found)
     return found.moments
 

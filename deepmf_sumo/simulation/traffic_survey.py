@@ -5,7 +5,7 @@ import itertools
 import math
 from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -41,6 +41,7 @@ class Scouting:
         at_s: times that must be among those of the survey.
         until_s: end of the survey, at most that of the configuration; None: that end, or the time
             at which `MOST_VEHICLE_STEPS` are reached.
+        corners: longitudes and latitudes to project.
         from_s: beginning of the survey: up to then SUMO drives unseen; None: that of SUMO.
     """
 
@@ -50,6 +51,7 @@ class Scouting:
     at_s: tuple[float, ...] = ()
     until_s: float | None = None
     from_s: float | None = None
+    corners: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +77,7 @@ class Sightings:
         position_m: (K, 2) box centres. speed_mps: (K).
         to_end_m: (K) left of the edge; 0 inside the junction at its end, and there alone.
         parked: (K).
+        projected_m: the corners that were asked for, in the network's frame.
     """
 
     begin_s: float
@@ -92,6 +95,7 @@ class Sightings:
     to_end_m: Floats
     speed_mps: Floats
     parked: Bools
+    projected_m: tuple[tuple[float, float], ...] = ()
 
 
 def scout(scouting: Scouting) -> Sightings:
@@ -101,7 +105,9 @@ def scout(scouting: Scouting) -> Sightings:
     """
     configuration = read_configuration(scouting.config, scouting.sumo_options)
     with begun(Traffic(configuration=configuration, seed=scouting.seed)) as api:
-        return _scout(api, scouting, configuration)
+        corners = (api.simulation.convertGeo(*one, fromGeo=True) for one in scouting.corners)
+        projected = tuple((float(x), float(y)) for x, y in corners)
+        return replace(_scout(api, scouting, configuration), projected_m=projected)
 
 
 def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:

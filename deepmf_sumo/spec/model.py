@@ -122,6 +122,15 @@ class Moments(Strict):
     at_s: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(strict=False)] = Field(
         default=(), description="only at these times of the simulation"
     )
+    junctions: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        default=(), description="only at these junctions, or before them"
+    )
+    edges: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        default=(), description="only on these edges"
+    )
+    polygon: ExistingPath | None = Field(
+        default=None, description="only within the polygons of this GeoJSON or SUMO file"
+    )
     from_s: Annotated[float, Field(ge=0)] | Literal["settled"] | None = Field(
         default=None, description="attack from then on; settled: once the traffic has built up"
     )
@@ -132,7 +141,7 @@ class Moments(Strict):
 
     @model_validator(mode="after")
     def _of_says_all(self) -> "Moments":
-        for key in ("count", "av", "av_type", "at_s"):
+        for key in ("count", "av", "av_type", "at_s", "junctions", "edges", "polygon"):
             if self.of is not None and getattr(self, key):
                 raise _wrong("cannot be given with 'of' (--moments-of): leave one of them out", key)
         if self.of is not None and self.prefer != "spread":

@@ -93,6 +93,8 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
         (["--av", "laeder"], "--av laeder: no such vehicle is in the demand of", 2),
         (["--av-type", "bus"], "--av-type bus: no such type is in the demand of", 2),
         (["--at", "2.55"], "--at 2.55: the simulation goes in steps of 0.1 s", 2),
+        (["--junction", "c"], "--junction c: no such junction is in the network; there are", 2),
+        (["--edge", "aab"], "--edge aab: no such edge is in the network; there are ab.", 2),
         (["--from", "60", "--", "--end", "60"], "--from 60: tiny.sumocfg ends at 60 s", 2),
         (["--from", "9", "--until", "9"], "must be earlier than until_s, which is 9", 2),
         (["--from", "9", "--at", "12"], "cannot be given with 'at_s' (--at)", 2),
