@@ -73,7 +73,25 @@ def choose(
         reason=reason,
         from_s=from_s,
         from_why=why,
+        notes=_notes(sightings, wish, rows, met) if moments and met else (),
     )
+
+
+def _notes(sightings: Sightings, wish: Wish, rows: Ints, met: Encounters) -> tuple[str, ...]:
+    """What a user should know before anything is attacked."""
+    if not met.junctions:
+        return ("no two edges meet at any junction of the network: no moment has an encounter",)
+    if wish.prefer == "spread":
+        return ()
+    meeting = len(np.unique(sightings.vehicle[rows[met.kind[rows] != NONE]]))
+    if meeting >= wish.count:
+        return ()
+    have = f"{meeting} vehicles have" if meeting > 1 else f"{meeting or 'no'} vehicle has"
+    sentence = (
+        f"{have} an encounter at a junction then, fewer than the {wish.count} moments that are"
+        " asked for; the others are attacked without one"
+    )
+    return (sentence,)
 
 
 def turns_of(net: NetFile) -> dict[tuple[str, str], str]:

@@ -55,6 +55,11 @@ class Wish:
         """How to look for moments in more of the simulation."""
         return f"{self.named('until_s')}{' S' * self.by_option} looks further"
 
+    @property
+    def earlier(self) -> str:
+        """How to attack sooner."""
+        return f"{self.named('from_s')}{' S' * self.by_option} begins earlier"
+
 
 _OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"} | {
     "from_s": "--from", "junctions": "--junction", "edges": "--edge", "polygon": "--polygon",
@@ -187,6 +192,8 @@ def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
         return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
     others = ", only persons" if sightings.persons else ""
     later = "" if sightings.complete else f"; {wish.later}"
+    if isinstance(wish.from_s, float) and wish.from_s > 0:
+        later += f"; {wish.earlier}"
     return f"there is no vehicle from {span}{others}{later}"
 
 
@@ -225,9 +232,8 @@ def _late(sightings: Sightings, wish: Wish, from_s: float, why: str) -> tuple[Bo
     """Whether (K) it is that late, and the reason if none is."""
     named = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
     because = f", {why}" if why else ""
-    earlier = f"{wish.named('from_s')}{' S' * wish.by_option} begins earlier"
     reason = f"{named} is there{_when(sightings, wish)}, and none from {from_s:g} s on{because}"
-    return sightings.time_s >= from_s - _ROUNDING_S, f"{reason}; {earlier}"
+    return sightings.time_s >= from_s - _ROUNDING_S, f"{reason}; {wish.earlier}"
 
 
 def _moves(sightings: Sightings, duration_s: float) -> Bools:

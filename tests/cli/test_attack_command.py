@@ -70,12 +70,12 @@ def test_attacks_begin_once_the_traffic_has_settled_or_when_asked(tiny, tmp_path
     assert attack(tiny, tmp_path / "b", "--moments", 2, "--duration", 1, "--from", 4) == 0
     assert "2 vehicles from 0 to" in (shown := capsys.readouterr().err)
     assert "; attacked from 4 s on\n" in shown
+    assert "no two edges meet at any junction of the network: no moment has an encounter" in shown
     with (tmp_path / "b" / "moments.csv").open() as table:
         assert min(float(one["start_s"]) for one in csv.DictReader(table)) >= 4.0
     assert attack(tiny, tmp_path / "c", "--from", 900) == 0
-    assert "no vehicle to attack in tiny.sumocfg: there is no vehicle from" in (
-        capsys.readouterr().out
-    )
+    line = "no vehicle to attack in tiny.sumocfg: there is no vehicle from 890 to 891 s; --from S "
+    assert line in capsys.readouterr().out
 
 
 def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_path, capsys):
