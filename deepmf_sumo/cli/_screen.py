@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from deepmf_sumo.report.tables.layouts import Row as MethodRow
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.risk.comparison import Compared
+    from deepmf_sumo.risk.coverage import TypeRow
     from deepmf_sumo.risk.table import Row as PlaceRow
     from deepmf_sumo.sweep.batch import Progress
 
@@ -307,12 +308,17 @@ _HEADINGS: Final = (
     "where attacks were decided", "attacks", "hits", "avoidable hits", "least TTC",
     "mean delta-v", "risk of a hit (90 % interval)",
 )  # fmt: skip
+_KIND_HEADINGS: Final = (
+    "kind of conflict", "attacks", "hits", "avoidable hits", "least TTC", "least PET",
+    "mean delta-v",
+)  # fmt: skip
 _MOST: Final = 30
 
 
 def show_risk(written: Sequence[Written], top: int) -> None:
     """One table for each network: movements and edges, by the lower end of the risk of a hit."""
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.risk.coverage import by_type
     from deepmf_sumo.risk.table import worst
 
     console = wide()
@@ -325,7 +331,11 @@ def show_risk(written: Sequence[Written], top: int) -> None:
         head = f"{network.name}: {counted(len(network.attacks), 'attack')}{left}"
         console.print(escape(head), soft_wrap=True)
         console.print(_filled(_HEADINGS, [_cells(row) for row in worst(one.rows)[:top]]))
-        console.print(escape(f"{one.folder}/risk.html, risk.csv, risk.sumocfg"), soft_wrap=True)
+        console.print(
+            _filled(_KIND_HEADINGS, [_kind_cells(row) for row in by_type(network.attacks)])
+        )
+        files = f"{one.folder}/risk.html, risk.csv, types.csv, coverage.csv, risk.sumocfg"
+        console.print(escape(files), soft_wrap=True)
 
 
 def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
@@ -364,6 +374,13 @@ def _cells(row: PlaceRow) -> tuple[str, ...]:
         speed or "-",
         f"{100 * risk.rate:.0f} % ({100 * risk.low:.0f} to {100 * risk.high:.0f} %)",
     )
+
+
+def _kind_cells(row: TypeRow) -> tuple[str, ...]:
+    seconds = ("-" if one is None else f"{one:.1f} s" for one in (row.least_ttc_s, row.least_pet_s))
+    speed = "-" if row.delta_v_mps is None else f"{row.delta_v_mps:.1f} m/s"
+    avoidable = f"{row.avoidable} of {row.judged}"
+    return row.kind, str(row.attacks), str(row.hits), avoidable, *seconds, speed
 
 
 _ENDS: Final = {

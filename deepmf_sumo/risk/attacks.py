@@ -23,6 +23,7 @@ from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk import places as places_module
+from deepmf_sumo.risk.conflict_types import ConflictType, Pose, conflict_type
 from deepmf_sumo.risk.criticality import criticality
 from deepmf_sumo.risk.places import Places, Spot
 from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
@@ -44,6 +45,9 @@ class Attacked:
         avoidable: whether a reference driver would have avoided the hit; None without one.
         ttc_s: least; None off a collision course. gap_m: least. delta_v_mps: of the hit.
         criticality: see there; None in results of versions that did not measure it.
+        kind: of conflict that it is, or would have been; None where the opponent was not there.
+        pet_s: least time between the two at a common place; None without one.
+        speed_mps: of the AV when the attack began.
     """
 
     folder: str
@@ -62,6 +66,9 @@ class Attacked:
     delta_v_mps: float | None
     against: Spot = OFF
     criticality: float | None = None
+    kind: ConflictType | None = None
+    pet_s: float | None = None
+    speed_mps: float = 0.0
 
 
 class _Part(NamedTuple):
@@ -134,13 +141,18 @@ def _attacked(
     step = next(iter((*hits, *others, first if nearest is None else nearest)))
     place_m: Floats = found.tracks.position_m[found.tracks.row(found.av_id), step]
     avoidable = part.metrics.get("avoidable")
+    decided, against = spots.at(step), opponent.at(step) if opponent else OFF
+    kind = None
+    if part.opponent in found.tracks.ids:
+        poses = _pose(found, found.av_id, step), _pose(found, part.opponent, step)
+        kind = conflict_type(spots.places, (decided, against), poses)
     return Attacked(
         folder=folder,
         run_id=result["run_id"],
         turn=part.turn,
         scene=result["scene"],
         seed=result["seed"],
-        decided=spots.at(step),
+        decided=decided,
         began=spots.began(first),
         place_m=(float(place_m[0]), float(place_m[1])),
         hit=bool(hits),
@@ -149,9 +161,20 @@ def _attacked(
         ttc_s=part.metrics.get("ttc_min"),
         gap_m=part.metrics.get("min_gap"),
         delta_v_mps=part.metrics.get("delta_v"),
-        against=opponent.at(step) if opponent else OFF,
+        against=against,
         criticality=criticality(part.metrics[_SPARE]) if _SPARE in part.metrics else None,
+        kind=kind,
+        pet_s=part.metrics.get("pet"),
+        speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
     )
+
+
+def _pose(found: RecordedTracks, agent_id: str, step: int) -> Pose:
+    """A step before, where two boxes touch; the next one that is known where it is not."""
+    tracks, row = found.tracks, found.tracks.row(agent_id)
+    known = tracks.valid[row].nonzero()[0]
+    at = int(known[abs(known - max(step - 1, 0)).argmin()])
+    return tracks.position_m[row, at], float(tracks.heading_rad[row, at]), tracks.size_m[row, :2]
 
 
 def _contacts(result: Result, kind: str, first: int, last: int, opponent: str = "") -> list[int]:

@@ -33,6 +33,13 @@ _EVENTS: Final[Mapping[Event, tuple[Callable[[Attacked], bool], str]]] = {
     ),
 }  # fmt: skip
 EVENTS: Final[tuple[Event, ...]] = tuple(_EVENTS)
+
+
+def happened(one: Attacked, event: Event) -> bool:
+    """Whether an attack was such an event."""
+    return _EVENTS[event][0](one)
+
+
 DEFINITIONS: Final[Mapping[Event, str]] = {name: what for name, (_, what) in _EVENTS.items()}
 
 

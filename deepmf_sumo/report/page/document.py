@@ -20,8 +20,8 @@ from deepmf_sumo.risk import Network, Row
 
 _SCRIPTS: Final = (
     "packing", "statistics", "elements", "table", "runs", "totals", "groups", "camera", "scene",
-    "turns", "canvas", "charts", "layers", "moment", "player", "facts", "details", "places", "map",
-    "start",
+    "turns", "canvas", "charts", "layers", "moment", "player", "facts", "details", "places",
+    "kinds", "map", "start",
 )  # fmt: skip
 """In the order in which they are joined."""
 

@@ -1,6 +1,7 @@
 """A network with attacks -> the risk map on a page: roads, places, attacks."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import shapely
@@ -11,11 +12,14 @@ from deepmf_sumo.report.page.columns import Column, short
 from deepmf_sumo.report.palette import RISK_CLASSES
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.risk.attacks import Attacked, Network
+from deepmf_sumo.risk.coverage import MEANINGS, Covered, TypeRow, by_type, coverage
 from deepmf_sumo.risk.criticality import CONFIDENCE
 from deepmf_sumo.risk.places import KINDS
 from deepmf_sumo.risk.table import COUNTED, DEFINITIONS, Row, columns
 
 _TOLERANCE_M: Final = 0.1
+_MOST_NEVER: Final = 50
+"""Longest list on the page; `coverage.csv` has all."""
 _SIDEWALKS: Final = {"crossing", "walkingarea"}
 _RISK: Final = f"({100 * CONFIDENCE:.0f} % interval)"
 
@@ -68,9 +72,31 @@ def content(network: Network, rows: Sequence[Row]) -> dict[str, Any]:
         "places": {kind: network.places.count(kind) for kind in KINDS},
         "off": {counted: _off(network, counted) for counted in COUNTED},
         "definitions": dict(DEFINITIONS),
+        "types": [_type(row) for row in by_type(network.attacks)],
+        "covered": _covered(network),
         "confidence": round(100 * CONFIDENCE),
         "classes": RISK_CLASSES,
     }
+
+
+def _type(row: TypeRow) -> list[Any]:
+    """The cells of a kind of conflict, numbers as they are; its definition first."""
+    return [MEANINGS[row.kind], *(short(value) for value in asdict(row).values())]
+
+
+def _covered(network: Network) -> list[list[Any]]:
+    """Of each subject how many of its values were attacked, of how many, and which never were."""
+    subjects: dict[str, list[Covered]] = {}
+    for one in coverage(network):
+        subjects.setdefault(one.of, []).append(one)
+    return [
+        [of, sum(one.attacks > 0 for one in found), len(found), _never(found)]
+        for of, found in subjects.items()
+    ]
+
+
+def _never(found: Sequence[Covered]) -> list[str]:
+    return [one.title for one in found if not one.attacks][:_MOST_NEVER]
 
 
 def lanes_of(network: Network, row: Row) -> list[NetLane]:
