@@ -97,6 +97,22 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Flow:
+    """Vehicles on an edge, or on it and going on to another.
+
+    Attributes:
+        following: the next edge; empty: all vehicles on the edge.
+        vehicles: that were seen there, each once. near: those of them that had another vehicle
+            within `REACH_M` meanwhile, which can attack them.
+    """
+
+    edge: str
+    following: str
+    vehicles: int
+    near: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
     """Moments in the order of time, and where they come from.
 
@@ -107,6 +123,7 @@ class Found:
         reason: why there are fewer moments than asked for; empty if there are as many.
         from_s, from_why: from when on they were chosen, and why; None: from the beginning.
         notes: further sentences for the user.
+        flows: vehicles at each place from then on.
     """
 
     moments: tuple[Moment, ...]
@@ -119,6 +136,13 @@ class Found:
     from_s: float | None = None
     from_why: str = ""
     notes: tuple[str, ...] = ()
+    flows: tuple[Flow, ...] = ()
+
+    @property
+    def hours(self) -> float:
+        """The time that flows are of."""
+        begin = self.begin_s if self.from_s is None else max(self.from_s, self.begin_s)
+        return max(self.until_s - begin, 0.0) / 3600
 
 
 REACH_M: Final = 50.0

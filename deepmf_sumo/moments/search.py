@@ -19,7 +19,8 @@ from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.moments.area import Area, area_of, inside
 from deepmf_sumo.moments.choice import LONG_S, choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
-from deepmf_sumo.moments.moment import Found, Moment, VehicleTime, Wish, check_times
+from deepmf_sumo.moments.flow import flows
+from deepmf_sumo.moments.moment import Flow, Found, Moment, VehicleTime, Wish, check_times
 from deepmf_sumo.network.sumo_net import NetFile, read_once
 from deepmf_sumo.results.stored import MOMENTS
 from deepmf_sumo.simulation import demand
@@ -124,6 +125,7 @@ def _search(search: _Search) -> None:
         area, duration_s = search.area, search.wish.duration_s
         within = inside(area, sightings, net, duration_s) if area else None
         found = choose(sightings, turns_of(net), search.wish, met, within)
+        found = replace(found, flows=flows(sightings, found.from_s))
         answer: dict[str, Any] = asdict(_named(found, net))
     except DeepmfError as error:
         answer = {"error": str(error), "usage": isinstance(error, UsageError)}
@@ -139,7 +141,8 @@ def _named(found: Found, net: NetFile) -> Found:
 
 def _found(answer: dict[str, Any]) -> Found:
     moments = tuple(Moment(**one) for one in answer.pop("moments"))
-    return Found(moments=moments, notes=tuple(answer.pop("notes")), **answer)
+    notes, passing = tuple(answer.pop("notes")), tuple(Flow(**one) for one in answer.pop("flows"))
+    return Found(moments=moments, notes=notes, flows=passing, **answer)
 
 
 _LARGEST: Final = 2**26
@@ -391,3 +394,20 @@ def table(chosen: Iterable[tuple[str, Moment]]) -> str:
     rows = [{"run_id": run_id, **asdict(moment)} for run_id, moment in chosen]
     names = ["run_id", *(field.name for field in fields(Moment))]
     return tables.to_csv(rows, names, cell=tables.exact)
+
+
+def flow_table(found: Iterable[tuple[Spec, Found]]) -> str:
+    """``flow.csv``, from specs and what was found: vehicles at each place, and hours."""
+    rows = [
+        {"spec": spec.name, "network": _network(spec), **asdict(flow), "hours": round(one.hours, 5)}
+        for spec, one in found
+        for flow in one.flows
+    ]
+    names = ["spec", "network", *(field.name for field in fields(Flow)), "hours"]
+    return tables.to_csv(rows, names, cell=tables.exact)
+
+
+def _network(spec: Spec) -> str:
+    """As runs name it."""
+    assert isinstance(spec.source, FromMoments)
+    return spec.source.network.stem

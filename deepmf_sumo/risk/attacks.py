@@ -11,7 +11,7 @@ opponents attack in turn, each turn is an attack.
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -22,9 +22,11 @@ from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.results.tracks import RecordedTracks
+from deepmf_sumo.risk import passing
 from deepmf_sumo.risk import places as places_module
 from deepmf_sumo.risk.conflict_types import ConflictType, Pose, conflict_type
 from deepmf_sumo.risk.criticality import criticality
+from deepmf_sumo.risk.passing import Traffic
 from deepmf_sumo.risk.places import Places, Spot
 from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
 
@@ -198,6 +200,7 @@ class Network:
     Attributes:
         name: of the .sumocfg, without suffix. net_file: a copy in one of the runs' folders.
         left_out: runs that are not counted, by reason.
+        traffic: vehicles that pass without an attack; empty where no moments were chosen.
     """
 
     name: str
@@ -205,6 +208,7 @@ class Network:
     places: Places
     attacks: tuple[Attacked, ...]
     left_out: Mapping[str, int]
+    traffic: Traffic = field(default_factory=dict)
 
 
 @dataclass(slots=True, eq=False)
@@ -217,6 +221,16 @@ class _Filling:
     road: RoadMap
     attacks: list[Attacked]
     left_out: Counter[str]
+    traffic: Traffic = field(default_factory=dict)
+    specs: set[tuple[Path, str]] = field(default_factory=set)
+
+    def pass_by(self, out: Path, result: Result, flows: Sequence[Mapping[str, str]]) -> None:
+        """Note the traffic of a run's spec, once."""
+        rows = passing.of_result(flows, result)
+        key = out, rows[0]["spec"] if rows else ""
+        if rows and key not in self.specs:
+            self.specs.add(key)
+            passing.add(self.traffic, rows, self.places)
 
 
 def read(folders: Sequence[Path]) -> list[Network]:
@@ -252,13 +266,14 @@ def read(folders: Sequence[Path]) -> list[Network]:
             places=one.places,
             attacks=tuple(one.attacks),
             left_out=dict(one.left_out),
+            traffic=one.traffic,
         )
         for one in found
     ]
 
 
 def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counter[str]) -> None:
-    moments = stored.moments_of(out)
+    moments, flows = stored.moments_of(out), stored.flows_of(out)
     for run_id, result in planned(out).items():
         if result is None:
             left_out["without a result"] += 1
@@ -270,6 +285,7 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
             left_out["with no vehicle to attack"] += 1
         else:
             network = _network(out / "runs" / run_id, result["network"], networks)
+            network.pass_by(out, result, flows)
             moment = moments.get(run_id, {})
             try:
                 network.attacks += of_run(out, result, moment, network.places, network.road)

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf
 from statistics import fmean, median
@@ -10,6 +10,8 @@ from typing import Final, Literal
 
 from deepmf_sumo.risk.attacks import Attacked, Network
 from deepmf_sumo.risk.conflict_types import DEFINITIONS, TYPES
+from deepmf_sumo.risk.passing import Passing, hours
+from deepmf_sumo.risk.places import SITES
 from deepmf_sumo.risk.table import happened
 
 _KMH: Final = 3.6
@@ -90,6 +92,7 @@ class Covered:
     Attributes:
         name: its id, or a word. title: a readable name.
         attacks: of movements and edges those that began there.
+        vehicles_per_hour: that pass it without an attack; None where that is not known.
     """
 
     of: Of
@@ -97,14 +100,22 @@ class Covered:
     title: str
     attacks: int
     hits: int
+    vehicles_per_hour: float | None = None
 
 
 def coverage(network: Network) -> list[Covered]:
     """What was attacked how often: movements, edges, turns, rights of way, conflicts, speeds.
 
-    All movements and edges of the network that vehicles may use are there.
+    All movements and edges of the network that vehicles may use are there, with their flows.
     """
-    return list(_rows(network))
+    return [_with_flow(network, one) for one in _rows(network)]
+
+
+def _with_flow(network: Network, one: Covered) -> Covered:
+    if one.of not in SITES or not network.traffic:
+        return one
+    passing = network.traffic.get((one.of, one.name), Passing(0, 0, hours(network.traffic)))
+    return replace(one, vehicles_per_hour=passing.per_hour)
 
 
 def _rows(network: Network) -> Iterator[Covered]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import risk
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.risk import places as places_module
 from deepmf_sumo.risk.conflict_types import conflict_type
 from deepmf_sumo.risk.coverage import NO_CONFLICT
@@ -105,3 +106,46 @@ def test_what_was_never_attacked_is_there(network):
     assert found["conflict", "rear-end"].hits == 1
     assert found["speed", "30 to 50 km/h"].attacks == 4
     assert sum(one.attacks for one in found.values() if one.of == "speed") == 4
+
+
+FLOWS = """spec,network,edge,following,vehicles,near,hours
+city,four_way,w_approach,,100,50,0.5
+city,four_way,w_in,,60,60,0.5
+city,four_way,w_in,n_out,20,10,0.5
+city,four_way,gone,,7,7,0.5
+other,four_way,w_in,,999,999,0.5
+"""
+
+
+def test_flows_make_hits_per_passing_vehicle(tmp_path):
+    out = Attacks(tmp_path / "out")
+    out.add("a", av=eastward(x=-130.0), opponent=eastward(x=-136.0), hit=80)
+    (tmp_path / "out" / "flow.csv").write_text(FLOWS)
+    [network] = risk.read([tmp_path / "out"])
+    table = [risk.columns(row) for row in risk.rows(network)]
+    edge = {one["place"]: one for one in table if one["kind"] == "edge"}
+    began, decided = edge["w_approach"], edge["w_in"]
+    assert (began["counted"], began["vehicles_per_hour"], began["near_share"]) == (
+        "began",
+        200.0,
+        0.5,
+    )
+    assert began["hits_per_1000_vehicles"] == pytest.approx(500.0 * began["risk_hit"])
+    assert (decided["counted"], decided["vehicles_per_hour"]) == ("decided", 120.0)
+    assert decided["hits_per_1000_vehicles"] is None
+    found = {(one.of, one.name): one for one in risk.coverage(network)}
+    left = network.places.movement(*LEFT_IN).id
+    assert found["movement", left].vehicles_per_hour == 40.0
+    assert found["edge", "s_in"].vehicles_per_hour == 0.0
+    assert found["turn", "left"].vehicles_per_hour is None
+
+
+@pytest.mark.parametrize(
+    "table", ["a,b\n1,2\n", FLOWS.replace("100,50", "many,50"), FLOWS.rstrip("\n")]
+)
+def test_a_damaged_table_of_flows_is_one_sentence(tmp_path, table):
+    out = Attacks(tmp_path / "out")
+    out.add("a", av=eastward(x=-130.0), opponent=eastward(x=-136.0), hit=80)
+    (tmp_path / "out" / "flow.csv").write_text(table)
+    with pytest.raises(UsageError, match=r"flow\.csv .*run it again, or remove it"):
+        risk.read([tmp_path / "out"])

@@ -53,6 +53,8 @@ PLACE_COLUMNS: Final = (
     _number("delta_v_mps", f"mean {BY_NAME['delta_v_mps'].heading}", 1),
     _number("delta_v_most_mps", f"greatest {BY_NAME['delta_v_mps'].heading}", 1, optional=True),
     _number("criticality", f"criticality {_RISK}", 2, optional=True),
+    _number("vehicles_per_hour", "vehicles per hour", optional=True),
+    _number("hits_per_1000_vehicles", "hits per 1000 passing vehicles", 1, optional=True),
 )
 """``rank`` and ``risk`` are those of the event that the reader chooses."""
 
@@ -96,7 +98,16 @@ def _covered(network: Network) -> list[list[Any]]:
 
 
 def _never(found: Sequence[Covered]) -> list[str]:
-    return [one.title for one in found if not one.attacks][:_MOST_NEVER]
+    """The busiest first, with their flow where it is known."""
+    never = [one for one in found if not one.attacks]
+    if any(one.vehicles_per_hour for one in never):
+        never.sort(key=lambda one: -(one.vehicles_per_hour or 0.0))
+    return [
+        one.title
+        if one.vehicles_per_hour is None
+        else f"{one.title}: {one.vehicles_per_hour:.0f} vehicles per hour"
+        for one in never[:_MOST_NEVER]
+    ]
 
 
 def lanes_of(network: Network, row: Row) -> list[NetLane]:
