@@ -285,3 +285,11 @@ def test_a_browser_shows_kinds_and_what_was_never_attacked(made):
     shown = browsed(made)
     assert re.search(r"rear-end</span></td><td [^>]*>[12]</td>", shown)
     assert re.search(r"\d of \d turns attacked", shown)
+
+
+@pytest.mark.sumo
+def test_a_pick_lists_the_attacks_there_with_their_kind(made):
+    """A page without runs says where their replays are."""
+    shown = browsed(made, "document.querySelector('td.name button').click();")
+    assert re.search(r"<li>[^<]*: hit, [a-z -]+; opponent at ", shown)
+    assert "Replays are in report.html" in shown.split('id="place"')[1]

@@ -146,7 +146,7 @@ def _corners(line_m: Floats) -> list[list[float]]:
 
 
 def _attack(one: Attacked, network: Network) -> list[Any]:
-    """Run, turn, position, whether it hit, the places as the rows name them, the opponent's."""
+    """Run, turn, position, whether it hit, the places by kind, the opponent's, conflict."""
     return [
         one.run_id,
         one.turn,
@@ -154,6 +154,7 @@ def _attack(one: Attacked, network: Network) -> list[Any]:
         int(one.hit),
         {counted: {kind: getattr(one, counted).of(kind) for kind in KINDS} for counted in COUNTED},
         network.places.site(one.against),
+        one.kind,
     ]
 
 
