@@ -68,6 +68,9 @@ def attack(
     av: str | None = None,
     av_type: str | None = None,
     at_s: Sequence[float] = (),
+    junctions: Sequence[str] = (),
+    edges: Sequence[str] = (),
+    polygon: str | Path | None = None,
     from_s: float | None = None,
     until_s: float | None = None,
     encounters: bool = False,
@@ -92,6 +95,9 @@ def attack(
         av: attack only this vehicle.
         av_type: attack only vehicles of this type.
         at_s: attack only at these times of the simulation, in seconds.
+        junctions: attack only at these junctions, or just before them.
+        edges: attack only on these edges; with junctions or a polygon at any of these places.
+        polygon: attack only within the polygons of this file, GeoJSON or SUMO's ``<poly>``.
         from_s: attack from this time on; None means once the number of vehicles has settled, or at
             any time where ``av`` or ``at_s`` is given.
         until_s: look for moments up to this time only.
@@ -123,6 +129,9 @@ def attack(
         av=av,
         av_type=av_type,
         at_s=tuple(at_s),
+        junctions=tuple(junctions),
+        edges=tuple(edges),
+        polygon=None if polygon is None else str(Path(polygon).absolute()),
         prefer="encounters" if encounters else None,
     )
     specs = [moments_module.spec_of(one, all_conflicts=all_conflicts) for one in documents]
