@@ -68,8 +68,13 @@ def attack(
     av: str | None = None,
     av_type: str | None = None,
     at_s: Sequence[float] = (),
+    junctions: Sequence[str] = (),
+    edges: Sequence[str] = (),
+    polygon: str | Path | None = None,
+    from_s: float | None = None,
     until_s: float | None = None,
     encounters: bool = False,
+    all_conflicts: bool = False,
     seed: int | None = None,
     sets: Sequence[str] = (),
     sumo_options: Sequence[str] = (),
@@ -90,8 +95,15 @@ def attack(
         av: attack only this vehicle.
         av_type: attack only vehicles of this type.
         at_s: attack only at these times of the simulation, in seconds.
+        junctions: attack only at these junctions, or just before them.
+        edges: attack only on these edges; with junctions or a polygon at any of these places.
+        polygon: attack only within the polygons of this file, GeoJSON or SUMO's ``<poly>``.
+        from_s: attack from this time on; None means once the number of vehicles has settled, or at
+            any time where ``av`` or ``at_s`` is given.
         until_s: look for moments up to this time only.
-        encounters: at each position, prefer moments before another vehicle crosses the AV's path.
+        encounters: first attack before another vehicle crosses the AV's path, wherever that is;
+            without it moments are spread, and such encounters come first at each place.
+        all_conflicts: opponents also drive into the AV from behind.
         seed: of all choices and of SUMO; None means the configuration's own.
         sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.
@@ -111,14 +123,18 @@ def attack(
         {} if seed is None else {"seed": seed},
         sets,
         sumo_options=sumo_options,
+        from_s=from_s,
         until_s=until_s,
         count=moments,
         av=av,
         av_type=av_type,
         at_s=tuple(at_s),
+        junctions=tuple(junctions),
+        edges=tuple(edges),
+        polygon=None if polygon is None else str(Path(polygon).absolute()),
         prefer="encounters" if encounters else None,
     )
-    specs = [moments_module.spec_of(one) for one in documents]
+    specs = [moments_module.spec_of(one, all_conflicts=all_conflicts) for one in documents]
     plans.run_specs(specs, _options(out, jobs, pictures, resume, overwrite), by_option=True)
     return Results.of(Path(out))
 

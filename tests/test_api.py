@@ -109,6 +109,8 @@ def test_attack_refuses_before_it_simulates(tiny, tmp_path):
     for wrong, told in (
         ({"moments": 0}, "should be greater than or equal to 1"),
         ({"at_s": [float("nan")]}, "should be a finite number"),
+        ({"junctions": ["c"]}, "--junction c: no such junction is in the network"),
+        ({"polygon": tiny / "gone.xml"}, "no such file or folder"),
         ({"until_s": -1.0}, "should be greater than or equal to 0"),
     ):
         with pytest.raises(UsageError, match=told):

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from deepmf_sumo.report.tables.layouts import Row as MethodRow
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.risk.comparison import Compared
+    from deepmf_sumo.risk.coverage import TypeRow
     from deepmf_sumo.risk.table import Row as PlaceRow
     from deepmf_sumo.sweep.batch import Progress
 
@@ -300,20 +301,31 @@ def announce_moments(request: Request, found: Found) -> None:
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     further = "" if found.complete or wish.at_s else f" ({wish.later})"
     seen = counted(found.vehicles, "vehicle")
-    click.echo(shown(f"{name}: {seen} from {span}{further}"), err=True)
+    click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)
     moments = counted(len(found.moments), "moment")
     chosen = f"{moments} of {found.suitable} vehicle seconds"
-    if wish.prefer == "encounters":
+    if wish.prefer != "spread":
         before = sum(one.encounter_s is not None for one in found.moments)
         chosen += f", {before} of them before an encounter"
     if len(found.moments) < wish.count:
         chosen += f", not {wish.count}: {found.reason}"
-    click.echo(shown(chosen), err=True)
+    for line in (chosen, *found.notes):
+        click.echo(shown(line), err=True)
+
+
+def _attacked_from(found: Found) -> str:
+    if found.from_s is None:
+        return ""
+    return f"; attacked from {found.from_s:g} s on" + (f", {found.from_why}" * bool(found.from_why))
 
 
 _HEADINGS: Final = (
     "where attacks were decided", "attacks", "hits", "avoidable hits", "least TTC",
     "mean delta-v", "risk of a hit (90 % interval)",
+)  # fmt: skip
+_KIND_HEADINGS: Final = (
+    "kind of conflict", "attacks", "hits", "avoidable hits", "least TTC", "least PET",
+    "mean delta-v",
 )  # fmt: skip
 _MOST: Final = 30
 
@@ -321,6 +333,7 @@ _MOST: Final = 30
 def show_risk(written: Sequence[Written], top: int) -> None:
     """One table for each network: movements and edges, by the lower end of the risk of a hit."""
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.risk.coverage import by_type
     from deepmf_sumo.risk.table import worst
 
     console = wide()
@@ -333,7 +346,11 @@ def show_risk(written: Sequence[Written], top: int) -> None:
         head = f"{network.name}: {counted(len(network.attacks), 'attack')}{left}"
         console.print(escape(head), soft_wrap=True)
         console.print(_filled(_HEADINGS, [_cells(row) for row in worst(one.rows)[:top]]))
-        console.print(escape(f"{one.folder}/risk.html, risk.csv, risk.sumocfg"), soft_wrap=True)
+        console.print(
+            _filled(_KIND_HEADINGS, [_kind_cells(row) for row in by_type(network.attacks)])
+        )
+        files = f"{one.folder}/risk.html, risk.csv, types.csv, coverage.csv, risk.sumocfg"
+        console.print(escape(files), soft_wrap=True)
 
 
 def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
@@ -372,6 +389,13 @@ def _cells(row: PlaceRow) -> tuple[str, ...]:
         speed or "-",
         f"{100 * risk.rate:.0f} % ({100 * risk.low:.0f} to {100 * risk.high:.0f} %)",
     )
+
+
+def _kind_cells(row: TypeRow) -> tuple[str, ...]:
+    seconds = ("-" if one is None else f"{one:.1f} s" for one in (row.least_ttc_s, row.least_pet_s))
+    speed = "-" if row.delta_v_mps is None else f"{row.delta_v_mps:.1f} m/s"
+    avoidable = f"{row.avoidable} of {row.judged}"
+    return row.kind, str(row.attacks), str(row.hits), avoidable, *seconds, speed
 
 
 _ENDS: Final = {

@@ -45,6 +45,18 @@ class _WithSumoOptions(click.Command):
 @click.option("--av", metavar="ID", help="Attack this vehicle.")
 @click.option("--av-type", metavar="TYPE", help="Attack vehicles of this type.")
 @click.option(
+    "--junction", "junctions", metavar="ID", multiple=True,
+    help="Attack only at this junction, or just before it; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--edge", "edges", metavar="ID", multiple=True,
+    help="Attack only on this edge; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--polygon", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Attack only within the polygons of FILE, GeoJSON or SUMO's <poly>.",
+)  # fmt: skip
+@click.option(
     "--at", "at_s", metavar="S", multiple=True, type=FiniteRange(min=0),
     help="Attack at this time of the simulation, in s; may be repeated.",
 )  # fmt: skip
@@ -53,9 +65,15 @@ class _WithSumoOptions(click.Command):
     help="Attack the same vehicles at the same times as in that result folder, to compare.",
 )  # fmt: skip
 @click.option(
-    "--prefer", type=click.Choice(["spread", "encounters"]), default="spread", show_default=True,
-    help="Choose moments at any time, or first those before another vehicle crosses the AV's path"
-    " at a junction.",
+    "--prefer", type=click.Choice(["both", "spread", "encounters"]),
+    help="Spread moments over places and time (spread), choose first those before another vehicle"
+    " crosses the AV's path at a junction (encounters), or spread them and at each place begin with"
+    " such encounters.  [default: both]",
+)  # fmt: skip
+@click.option(
+    "--from", "from_s", metavar="S", type=FiniteRange(min=0),
+    help="Attack from this time on.  [default: once the number of vehicles has settled; any time"
+    " with --av]",
 )  # fmt: skip
 @click.option(
     "--until", "until_s", metavar="S", type=FiniteRange(min=1),
@@ -68,6 +86,11 @@ class _WithSumoOptions(click.Command):
 @click.option(
     "--opponents", type=click.Choice(["one", "in_turn"]),
     help="Attack with one opponent, or with one after another.  [default: one up to 15 s]",
+)  # fmt: skip
+@click.option(
+    "--all-conflicts", is_flag=True,
+    help="Let opponents drive into the AV from behind as well. Without it DeepMF does not: that can"
+    " be done anywhere, and says little about a road.",
 )  # fmt: skip
 @click.option("--planner", metavar="NAME", help="Let this planner drive the AV.  [default: idm]")
 @click.option(
@@ -95,6 +118,7 @@ def command(
     configs: tuple[Path, ...],
     sets: tuple[str, ...],
     mapped: bool,
+    all_conflicts: bool,
     file: Path | None,
     **wanted: Any,
 ) -> None:
@@ -114,11 +138,11 @@ def command(
     if "planner" in keys:
         keys["planner"] = {"name": keys["planner"]}
     chosen = {key: wanted.pop(key) for key in _MOMENTS}
-    if chosen["of"]:
-        chosen["of"] = str(chosen["of"].absolute())
+    for key in ("of", "polygon"):
+        chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
     sweep = None if file else Sweep.begin(wanted, pictures=True)
     documents = moments.documents(configs, keys, sets, sumo_options=ctx.meta[_AFTER], **chosen)
-    specs = [moments.spec_of(one) for one in documents]
+    specs = [moments.spec_of(one, all_conflicts=all_conflicts) for one in documents]
     if sweep is None:
         _save(file, documents)
         return
@@ -131,7 +155,10 @@ def command(
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
-_MOMENTS = ("count", "av", "av_type", "at_s", "of", "prefer", "until_s")
+_MOMENTS = (
+    "count", "av", "av_type", "at_s", "of", "prefer", "from_s", "until_s", "junctions", "edges",
+    "polygon",
+)  # fmt: skip
 """Options that are keys of the spec, and of its moments."""
 
 

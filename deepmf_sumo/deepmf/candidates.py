@@ -225,6 +225,38 @@ def impact_sectors(
     return found
 
 
+def rear_ends(
+    candidates: Futures,
+    reactions: Sequence[Forecast],
+    opponent_size_m: Floats,
+    av_size_m: Floats,
+    collision_step: Floats,
+) -> Bools:
+    """(N1, N2) whether the candidate hits the AV's rear end from behind, in the same direction.
+
+    A step before they first overlap the candidate is farther behind the AV than beside it, as in
+    the metric `accident_type`, and headings differ by less than 45 degrees.
+    """
+    found = np.zeros(collision_step.shape, bool)
+    row, mode = np.nonzero(collision_step < candidates.position_m.shape[1])
+    step = np.maximum(collision_step[row, mode].astype(int) - 1, 0)
+    heading = _stacked([each.futures.heading_rad for each in reactions])[row, mode, step]
+    apart = (
+        candidates.position_m[row, step]
+        - (_stacked([each.futures.position_m for each in reactions])[row, mode, step])
+    )
+    turn = frames.difference(candidates.heading_rad[row, step], heading)
+    forward = frames.unit(heading)
+    ahead = (apart * forward).sum(axis=1)
+    left = forward[:, 0] * apart[:, 1] - forward[:, 1] * apart[:, 0]
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    (length, width), (av_length, av_width) = opponent_size_m, av_size_m
+    along = np.abs(ahead) - (av_length + length * cos + width * sin) / 2
+    across = np.abs(left) - (av_width + length * sin + width * cos) / 2
+    found[row, mode] = (ahead < 0) & (along >= across) & (np.abs(turn) < np.pi / 4)
+    return found
+
+
 def delta_v(
     candidates: Futures,
     reactions: Sequence[Forecast],
@@ -269,11 +301,21 @@ def pairs(
     )
 
 
-def shortlisted(situation: Situation, own: Candidates, count: int) -> Candidates:
-    """At most ``count``: those most likely to meet the unattacked AV, then the likeliest."""
+def shortlisted(
+    situation: Situation, own: Candidates, count: int, *, rear_end: bool = True
+) -> Candidates:
+    """At most ``count``: those most likely to meet the unattacked AV, then the likeliest.
+
+    Without ``rear_end`` those that meet it from behind do not count as meeting it.
+    """
     alone = situation.unattacked
     if alone is None or len(own.origin) <= count:
         return own
-    met = pairs(situation, own, [alone] * len(own.origin))
-    mass = met.collides @ alone.probability
+    alike = [alone] * len(own.origin)
+    met = pairs(situation, own, alike)
+    counted = met.collides
+    if not rear_end:
+        sizes = situation.size_m, situation.av_size_m
+        counted = counted & ~rear_ends(own.forecast.futures, alike, *sizes, met.collision_step)
+    mass = counted @ alone.probability
     return own.take(np.sort(np.argsort(-mass, kind="stable")[:count]))

@@ -1,4 +1,4 @@
-"""Constraints on the choice: the side of the AV that is hit, fair, lawful and clean attacks.
+"""Constraints on the choice: the side of the AV that is hit, fair, lawful, clean, not from behind.
 
 A constraint is a mask of the candidates, or pairs of candidate and reaction, that it allows;
 `choose` narrows the choice to these, and reports if nothing is left. To add one, write a class here
@@ -16,7 +16,7 @@ from deepmf_sumo.avoidability.av_path import State
 from deepmf_sumo.avoidability.grading import avoidable
 from deepmf_sumo.datatypes import AgentId, Bools, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
-from deepmf_sumo.deepmf.candidates import Candidates, References
+from deepmf_sumo.deepmf.candidates import Candidates, References, rear_ends
 from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
@@ -29,6 +29,7 @@ from deepmf_sumo.geometry.road import on_road
 Scope = Literal["driven", "attack", "preferred"]
 _EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other
 _REFUSALS = 12  # verifying a candidate takes some milliseconds
+_BEHIND_SHARE = 0.1  # of a candidate's collision mass; some AVs may brake in any case
 
 
 class Constraint(Protocol):
@@ -307,6 +308,27 @@ def _touches_others(situation: Situation, own: Candidates, steps: Ints) -> Bools
     return touched
 
 
+class NoRearEnd(Constraint):
+    """The candidate does not drive into the AV's rear end from behind.
+
+    A vehicle that follows can do so anywhere, so that it says little about the road.
+    """
+
+    name = "no_rear_end"
+    scope = "attack"
+
+    def __init__(self, settings: Settings) -> None: ...
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        sizes = situation.size_m, situation.av_size_m
+        behind = rear_ends(own.forecast.futures, reactions, *sizes, pairs.collision_step)
+        mass = (pairs.reaction_probability * behind).sum(axis=1)
+        allowed: Bools = mass <= _BEHIND_SHARE * pairs.mass
+        return allowed
+
+
 class Sector(Constraint):
     """The AV is first hit in the wanted sector."""
 
@@ -328,7 +350,7 @@ class Sector(Constraint):
         return pairs.sector == self._sector
 
 
-CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (Sector, Lawful, Clean, Fair)
+CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (Sector, Lawful, Clean, Fair, NoRearEnd)
 """All constraints; their candidates are added in this order."""
 
 

@@ -234,7 +234,10 @@ class DeepMF:
             probability = candidates.comfortable(probability, *speeds, dt_s, settings.comfort)
         own = candidates.ranked(references, tracked, probability, modes)
         if settings.most_candidates is not None:
-            own = candidates.shortlisted(situation, own, settings.most_candidates)
+            rear_end = "no_rear_end" not in settings.constrained
+            own = candidates.shortlisted(
+                situation, own, settings.most_candidates, rear_end=rear_end
+            )
         watch.lap("collision")
         return own
 

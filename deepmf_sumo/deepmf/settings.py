@@ -42,6 +42,7 @@ _PAPER: Final[dict[str, Any]] = {
     "aggressiveness": None,
     "fair": False,
     "lawful": False,
+    "no_rear_end": False,
     "constraints": (),
     "goal": "hit",
     "tries": 1,
@@ -97,6 +98,8 @@ class Settings(plugins.Settings):
             (`avoidability.grading`) at the time of the choice; if there are none, no attack.
         lawful: only candidates that break no traffic rule (`deepmf.traffic_rules`); if none of
             them meets the AV, no attack.
+        no_rear_end: only candidates that do not drive into the AV's rear end from behind; if none
+            of the others meets the AV, no attack. True by default in the command ``attack``.
         constraints: names of further constraints, see `deepmf.constraints`.
         goal: what ends the tries: a ``hit``; or an ``avoidable`` one, with the metric
             `valid_collision` 1: candidates are then ``fair``, and ``clean`` (see
@@ -128,6 +131,7 @@ class Settings(plugins.Settings):
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
     fair: bool = False
     lawful: bool = False
+    no_rear_end: bool = False
     constraints: tuple[str, ...] = Field(default=(), strict=False)
     goal: Goal = "hit"
     tries: int = Field(default=1, ge=1, le=1000)
@@ -182,6 +186,12 @@ class Settings(plugins.Settings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _not_both_ways(self) -> Self:
+        if self.no_rear_end and self.wanted_sector == SECTORS.index("rear"):
+            raise ValueError("sector 'rear' and no_rear_end contradict each other; leave one out")
+        return self
+
     @field_validator("constraints")
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -201,7 +211,7 @@ class Settings(plugins.Settings):
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Results contain these keys only with values that are not the defaults."""
         values: dict[str, Any] = handler(self)
-        for key in ("constraints", "form", "goal", "tries"):
+        for key in ("constraints", "form", "goal", "no_rear_end", "tries"):
             if getattr(self, key) == type(self).model_fields[key].default:
                 del values[key]
         return values
@@ -209,7 +219,12 @@ class Settings(plugins.Settings):
     @property
     def constrained(self) -> frozenset[str]:
         """Names of the constraints on the choice."""
-        own = {"lawful": self.lawful, "fair": self.fair, "sector": self.sector is not None}
+        own = {
+            "lawful": self.lawful,
+            "fair": self.fair,
+            "no_rear_end": self.no_rear_end,
+            "sector": self.sector is not None,
+        }
         goal = ("clean", "fair") if self.goal == "avoidable" else ()
         return frozenset({*(name for name, on in own.items() if on), *goal, *self.constraints})
 
@@ -227,7 +242,7 @@ class Settings(plugins.Settings):
     @property
     def most_candidates(self) -> int | None:
         """Maximum number of candidates to which the AV's reactions are predicted; None: all."""
-        return None if self.constrained else self.shortlist
+        return None if self.constrained - {"no_rear_end"} else self.shortlist
 
     @property
     def comfort(self) -> float:

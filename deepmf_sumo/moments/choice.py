@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
+from deepmf_sumo.moments import warm_up
+from deepmf_sumo.moments.area import gets_there
 from deepmf_sumo.moments.encounters import FROM_M, NONE, Encounters, nobody_met
 from deepmf_sumo.moments.moment import REACH_M, Found, Moment, Wish, around, opponents, suitable
 from deepmf_sumo.network.sumo_net import NetFile
@@ -19,15 +21,21 @@ _TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "
 }
 LONG_S: Final = 15.0
 """An attack on one opponent is decided by then."""
-_SLOWEST_MPS: Final = 3.0
-"""A vehicle that stands now may be at the junction soon."""
+_CLOSER: Final = 1e-3
+"""Weight of how close an encounter is: among equals alone."""
 
 Place = tuple[int, int]
 """An edge, and the next one if the vehicle gets there, else -1."""
 Turns = Mapping[tuple[str, str], str]
 
 
-def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | None = None) -> Found:
+def choose(
+    sightings: Sightings,
+    turns: Turns,
+    wish: Wish,
+    met: Encounters | None = None,
+    within: Bools | None = None,
+) -> Found:
     """Draw moments; the same for the same sightings, wish and seed.
 
     Args:
@@ -35,10 +43,13 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | Non
         turns: what it is to drive from an edge to another.
         wish: the moments that are asked for.
         met: encounters that attacks would begin with; None where no vehicles meet.
+        within: (K) whether it is in the area that is attacked; None: it is the whole network.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
-    rows, none_at_all = suitable(sightings, wish)
+    begin = warm_up.beginning(sightings, wish)
+    from_s, why = begin or (None, "")
+    rows, none_at_all = suitable(sightings, wish, from_s, why, within)
     reason = none_at_all
     rows = _again(sightings, wish, rows) if wish.again else _staying(sightings, wish, rows)
     moments: list[Moment] = []
@@ -60,7 +71,27 @@ def choose(sightings: Sightings, turns: Turns, wish: Wish, met: Encounters | Non
         until_s=sightings.until_s,
         complete=sightings.complete,
         reason=reason,
+        from_s=from_s,
+        from_why=why,
+        notes=_notes(sightings, wish, rows, met) if moments and met else (),
     )
+
+
+def _notes(sightings: Sightings, wish: Wish, rows: Ints, met: Encounters) -> tuple[str, ...]:
+    """What a user should know before anything is attacked."""
+    if not met.junctions:
+        return ("no two edges meet at any junction of the network: no moment has an encounter",)
+    if wish.prefer == "spread":
+        return ()
+    meeting = len(np.unique(sightings.vehicle[rows[met.kind[rows] != NONE]]))
+    if meeting >= wish.count:
+        return ()
+    have = f"{meeting} vehicles have" if meeting > 1 else f"{meeting or 'no'} vehicle has"
+    sentence = (
+        f"{have} an encounter at a junction then, fewer than the {wish.count} moments that are"
+        " asked for; the others are attacked without one"
+    )
+    return (sentence,)
 
 
 def turns_of(net: NetFile) -> dict[tuple[str, str], str]:
@@ -86,8 +117,13 @@ class _Used:
 class _Spread:
     """The edge that was chosen least often is next, and of its places one at a rare time.
 
-    Where encounters are preferred, the junction that was chosen least often comes first, there
-    places with encounters, and at each place the closest encounter; edges of no junction are last.
+    With ``both``, junctions that were chosen least often come after edges, and then the place and
+    the moment with the least sum of how often that time was chosen and what its encounter lacks: 0
+    where it comes when it suits, 1 at another time of the attack, 2 without any.
+
+    Where encounters alone are preferred, the junction that was chosen least often comes first,
+    there places with encounters, and at each place the closest encounter; edges of no junction are
+    last.
     """
 
     def __init__(
@@ -95,7 +131,7 @@ class _Spread:
     ) -> None:
         rng = np.random.default_rng([wish.seed, 0x5EED])
         self._sightings, self._turns, self._wish = sightings, turns, wish
-        self._met, self._prefers = met, wish.prefer == "encounters"
+        self._met, self._prefer = met, wish.prefer
         self._able = opponents(sightings)
         self._used = _Used()
         self._span = _spans(sightings, wish, rows)
@@ -103,9 +139,10 @@ class _Spread:
         self._leaves = _leave(sightings, wish.duration_s)
         self._left: dict[Place, Ints] = {}
         self._spans: dict[Place, Ints] = {}
+        self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, kind of encounter
         self._kind: dict[Place, int] = {}
         shuffled = rng.permutation(rows)
-        near = _gets_there(sightings, wish.duration_s)[shuffled]
+        near = gets_there(sightings, wish.duration_s)[shuffled]
         following = np.where(near, sightings.following[shuffled], -1)
         places = np.column_stack([sightings.edge[shuffled], following])
         found, group, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
@@ -116,6 +153,7 @@ class _Spread:
             self._left[int(edge), int(after)] = mine
             self._spans[int(edge), int(after)] = np.unique(self._span[mine])
             self._kind[int(edge), int(after)] = int(met.kind[mine].min())
+            self._note_chances((int(edge), int(after)))
 
     def draw(self) -> list[Moment]:
         """As many moments as are asked for, or all."""
@@ -131,8 +169,13 @@ class _Spread:
         used = self._used
         rarest = int(self._taken[self._spans[place]].min())
         spread = used.edges[place[0]], rarest, used.turns[self._turn(place)], used.places[place]
-        if not self._prefers:
+        if self._prefer == "spread":
             return spread
+        if self._prefer == "both":
+            span, chance = self._chances[place]
+            least = int((self._taken[span] + chance).min())
+            junction = used.junctions[self._junction(place)]
+            return used.edges[place[0]], junction, least, *spread[2:]
         edge, kind = self._sightings.edges[place[0]], self._kind[place]
         says_nothing = kind == NONE and edge not in self._met.junctions
         return says_nothing, used.junctions[self._junction(place)], kind, *spread
@@ -143,14 +186,17 @@ class _Spread:
         vehicle = self._sightings.vehicle[rows]
         cost = self._taken[self._span[rows]] + self._leaves[rows].astype(float)
         cost += [len(self._used.vehicles.get(int(one), ())) for one in vehicle]
-        if self._prefers:
-            rank = self._met.rank[rows]
+        rank = self._met.rank[rows]
+        if self._prefer == "both":
+            cost += self._met.kind[rows] + _CLOSER * rank
+        if self._prefer == "encounters":
             cost[rank > rank.min()] = np.inf
         best = int(cost.argmin())
         row = int(rows[best])
         self._left[place] = np.delete(rows, best)
         if len(rows) > 1:
             self._kind[place] = int(self._met.kind[self._left[place]].min())
+            self._note_chances(place)
         else:
             del self._left[place]
         if self._too_soon(row):
@@ -161,6 +207,13 @@ class _Spread:
         self._note(row, place)
         return self._moment(row, place, count)
 
+    def _note_chances(self, place: Place) -> None:
+        """At which times what kind of encounter is left at a place."""
+        if self._prefer == "both":
+            rows = self._left[place]
+            pairs = np.unique(np.column_stack([self._span[rows], self._met.kind[rows]]), axis=0)
+            self._chances[place] = pairs[:, 0], pairs[:, 1]
+
     def _too_soon(self, row: int) -> bool:
         """Whether the same vehicle is under attack at that time already."""
         starts = self._used.vehicles.get(int(self._sightings.vehicle[row]), ())
@@ -170,7 +223,7 @@ class _Spread:
     def _comes_near(self, row: int) -> bool:
         """Whether a vehicle farther away gets near, because the AV soon meets another one."""
         return (
-            self._prefers
+            self._prefer != "spread"
             and bool(self._met.kind[row] != NONE)
             and around(self._sightings, self._able, row, FROM_M) > 0
         )
@@ -224,13 +277,6 @@ def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
     share = (time_s - first) / max(last - first, 1.0)
     part: Ints = np.clip((share * wish.count).astype(np.int64), 0, wish.count - 1)
     return part
-
-
-def _gets_there(sightings: Sightings, duration_s: float) -> Bools:
-    """(K) whether it reaches the next junction within the attack, at its present speed."""
-    way_m = duration_s * np.maximum(sightings.speed_mps, _SLOWEST_MPS)
-    gets_there: Bools = sightings.to_end_m <= way_m
-    return gets_there
 
 
 def _again(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:

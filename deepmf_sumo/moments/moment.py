@@ -13,7 +13,7 @@ from deepmf_sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
 VehicleTime = tuple[AgentId, float]
 """A vehicle at a time of the simulation, in seconds to a tenth."""
 
-Preference = Literal["spread", "encounters"]
+Preference = Literal["both", "spread", "encounters"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +28,9 @@ class Wish:
         duration_s: of each attack.
         seed: of the choice.
         prefer: ``encounters`` first chooses vehicles that meet another one at a junction without
-            any attack.
+            any attack; ``both`` spreads over places and time, and does so within each place.
+        from_s: only from this time of the simulation on; ``settled``: see `warm_up`.
+        where: the area that is attacked, in words; empty: the whole network.
         by_option: whether messages name the options of ``attack`` or the keys of a spec.
     """
 
@@ -40,6 +42,8 @@ class Wish:
     duration_s: float = 8.0
     seed: int = 0
     prefer: Preference = "spread"
+    from_s: float | Literal["settled"] | None = None
+    where: str = ""
     by_option: bool = True
 
     def named(self, key: str) -> str:
@@ -51,8 +55,15 @@ class Wish:
         """How to look for moments in more of the simulation."""
         return f"{self.named('until_s')}{' S' * self.by_option} looks further"
 
+    @property
+    def earlier(self) -> str:
+        """How to attack sooner."""
+        return f"{self.named('from_s')}{' S' * self.by_option} begins earlier"
 
-_OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"}
+
+_OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"} | {
+    "from_s": "--from", "junctions": "--junction", "edges": "--edge", "polygon": "--polygon",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +97,22 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Flow:
+    """Vehicles on an edge, or on it and going on to another.
+
+    Attributes:
+        following: the next edge; empty: all vehicles on the edge.
+        vehicles: that were seen there, each once. near: those of them that had another vehicle
+            within `REACH_M` meanwhile, which can attack them.
+    """
+
+    edge: str
+    following: str
+    vehicles: int
+    near: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
     """Moments in the order of time, and where they come from.
 
@@ -94,6 +121,9 @@ class Found:
         vehicles: in the traffic. begin_s, until_s: what was looked at.
         complete: nothing comes after it.
         reason: why there are fewer moments than asked for; empty if there are as many.
+        from_s, from_why: from when on they were chosen, and why; None: from the beginning.
+        notes: further sentences for the user.
+        flows: vehicles at each place from then on.
     """
 
     moments: tuple[Moment, ...]
@@ -103,6 +133,16 @@ class Found:
     until_s: float
     complete: bool
     reason: str = ""
+    from_s: float | None = None
+    from_why: str = ""
+    notes: tuple[str, ...] = ()
+    flows: tuple[Flow, ...] = ()
+
+    @property
+    def hours(self) -> float:
+        """The time that flows are of."""
+        begin = self.begin_s if self.from_s is None else max(self.from_s, self.begin_s)
+        return max(self.until_s - begin, 0.0) / 3600
 
 
 REACH_M: Final = 50.0
@@ -124,8 +164,16 @@ _NOT_ON_ROADS: Final = {
 """Of SUMO's vehicle classes those that are never an opponent."""
 
 
-def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
+def suitable(
+    sightings: Sightings,
+    wish: Wish,
+    from_s: float | None = None,
+    from_why: str = "",
+    within: Bools | None = None,
+) -> tuple[Ints, str]:
     """Rows that can be a moment, apart from the vehicles near; and why there is none, if so.
+
+    ``from_s``: only from this time on, for a reason. ``within``: (K) only these.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
@@ -133,7 +181,12 @@ def suitable(sightings: Sightings, wish: Wish) -> tuple[Ints, str]:
         return np.zeros(0, np.int64), _no_vehicles(sightings, wish)
     _check(sightings, wish)
     kept = np.ones(len(sightings.time_s), bool)
-    for mask, reason in _conditions(sightings, wish):
+    conditions = _conditions(sightings, wish)
+    if from_s is not None:
+        conditions.insert(1, _late(sightings, wish, from_s, from_why))
+    if within is not None:
+        conditions.insert(1, (within, f"no vehicle{_typed(wish)} comes to {wish.where}"))
+    for mask, reason in conditions:
         kept &= mask
         if not kept.any():
             return np.zeros(0, np.int64), reason
@@ -163,6 +216,8 @@ def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
         return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
     others = ", only persons" if sightings.persons else ""
     later = "" if sightings.complete else f"; {wish.later}"
+    if isinstance(wish.from_s, float) and wish.from_s > 0:
+        later += f"; {wish.earlier}"
     return f"there is no vehicle from {span}{others}{later}"
 
 
@@ -195,6 +250,14 @@ def _conditions(sightings: Sightings, wish: Wish) -> list[tuple[Bools, str]]:
         (~sightings.parked, f"{named} must not be parked, and all are"),
         (_moves(sightings, max(STAYS_S, wish.duration_s)), f"{named} must move, and none does"),
     ]
+
+
+def _late(sightings: Sightings, wish: Wish, from_s: float, why: str) -> tuple[Bools, str]:
+    """Whether (K) it is that late, and the reason if none is."""
+    named = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
+    because = f", {why}" if why else ""
+    reason = f"{named} is there{_when(sightings, wish)}, and none from {from_s:g} s on{because}"
+    return sightings.time_s >= from_s - _ROUNDING_S, f"{reason}; {wish.earlier}"
 
 
 def _moves(sightings: Sightings, duration_s: float) -> Bools:

@@ -15,9 +15,12 @@ from zlib import crc32
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
+from deepmf_sumo.geometry.impact import SECTORS
+from deepmf_sumo.moments.area import Area, area_of, inside
 from deepmf_sumo.moments.choice import LONG_S, choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
-from deepmf_sumo.moments.moment import Found, Moment, VehicleTime, Wish, check_times
+from deepmf_sumo.moments.flow import flows
+from deepmf_sumo.moments.moment import Flow, Found, Moment, VehicleTime, Wish, check_times
 from deepmf_sumo.network.sumo_net import NetFile, read_once
 from deepmf_sumo.results.stored import MOMENTS
 from deepmf_sumo.simulation import demand
@@ -34,6 +37,7 @@ from deepmf_sumo.texts import of_cell
 class _Search:
     scouting: Scouting
     wish: Wish
+    area: Area | None
     answer: Path
 
 
@@ -45,6 +49,7 @@ class Request:
     spec: Spec
     scouting: Scouting
     wish: Wish
+    area: Area | None = None
 
 
 def request(spec: Spec, *, by_option: bool = False) -> Request:
@@ -58,7 +63,7 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     again = read(asked.of, "--moments-of" if by_option else "source.moments.of") if asked.of else ()
     wish = Wish(
         count=asked.count or len(asked.at_s or again) or 10,
-        **asked.model_dump(include={"av", "av_type", "at_s", "prefer"}),
+        **asked.model_dump(include={"av", "av_type", "at_s", "prefer", "from_s"}),
         again=again,
         duration_s=spec.duration_s,
         seed=spec.seed,
@@ -66,16 +71,23 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     )
     configuration = read_configuration(source.network, source.sumo_options)
     check(configuration, wish)
+    area = area_of(asked, configuration.net, wish.named)
+    if area is not None:
+        wish = replace(wish, where=str(area))
     scouting = Scouting(
         config=source.network,
         sumo_options=source.sumo_options,
         seed=spec.seed,
         until_s=asked.until_s,
+        from_s=asked.from_s if isinstance(asked.from_s, float) else None,
+        corners=area.corners if area else (),
     )
-    return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish)
+    return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish, area=area)
 
 
-def find(scouting: Scouting, wish: Wish, timeout_s: float | None = None) -> Found:
+def find(
+    scouting: Scouting, wish: Wish, timeout_s: float | None = None, area: Area | None = None
+) -> Found:
     """Simulate the configuration once, and choose moments of it.
 
     Where the wish names times, nothing later than attacks at them is looked at, unless
@@ -89,7 +101,8 @@ def find(scouting: Scouting, wish: Wish, timeout_s: float | None = None) -> Foun
     if times and scouting.until_s is None:
         scouting = replace(scouting, until_s=max(times) + wish.duration_s + EVERY_S)
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
-        search = _Search(scouting=scouting, wish=wish, answer=Path(folder) / "found.json")
+        answer_file = Path(folder) / "found.json"
+        search = _Search(scouting=scouting, wish=wish, area=area, answer=answer_file)
         (ending,) = workers.run(_search, [search], jobs=1, timeout_s=timeout_s)
         if ending.status != "done":
             raise SimulationError(f"SUMO cannot run '{scouting.config}': {ending.reason}.")
@@ -109,7 +122,10 @@ def _search(search: _Search) -> None:
         sightings = scout(scouting)
         net = read_once(read_configuration(scouting.config, scouting.sumo_options).net)
         met = encounters(sightings, net, search.wish.duration_s)
-        found = choose(sightings, turns_of(net), search.wish, met)
+        area, duration_s = search.area, search.wish.duration_s
+        within = inside(area, sightings, net, duration_s) if area else None
+        found = choose(sightings, turns_of(net), search.wish, met, within)
+        found = replace(found, flows=flows(sightings, found.from_s))
         answer: dict[str, Any] = asdict(_named(found, net))
     except DeepmfError as error:
         answer = {"error": str(error), "usage": isinstance(error, UsageError)}
@@ -125,7 +141,8 @@ def _named(found: Found, net: NetFile) -> Found:
 
 def _found(answer: dict[str, Any]) -> Found:
     moments = tuple(Moment(**one) for one in answer.pop("moments"))
-    return Found(moments=moments, **answer)
+    notes, passing = tuple(answer.pop("notes")), tuple(Flow(**one) for one in answer.pop("flows"))
+    return Found(moments=moments, notes=notes, flows=passing, **answer)
 
 
 _LARGEST: Final = 2**26
@@ -164,6 +181,11 @@ def check(configuration: Configuration, wish: Wish) -> None:
     """
     end_s = configuration.end_s
     check_times(wish, configuration.begin_s, math.inf if end_s is None else end_s)
+    if isinstance(wish.from_s, float) and end_s is not None and wish.from_s >= end_s:
+        raise UsageError(
+            f"{wish.named('from_s')} {wish.from_s:g}: {configuration.file.name} ends at {end_s:g}"
+            " s; choose an earlier time."
+        )
     if wish.av is None and wish.av_type is None:
         return
     known = demand.read(configuration)
@@ -215,7 +237,8 @@ MET: Final = "met"
 """The adversary's ``opponent`` that is the vehicle that the AV is about to meet."""
 
 _OPTIONS: Final = {"count": "--moments", "av_type": "--av-type", "at_s": "--at"} | {
-    "until_s": "--until", "of": "--moments-of",
+    "junctions": "--junction", "edges": "--edge", "from_s": "--from", "until_s": "--until",
+    "of": "--moments-of",
 }  # fmt: skip
 
 
@@ -234,7 +257,8 @@ def documents(
         keys: of all specs; ``seed`` is the configuration's own where it is not given.
         sets: ``key=value`` over them.
         sumo_options: beside the configurations.
-        wanted: keys of `Moments`; None is not given.
+        wanted: keys of `Moments`; None is not given. Unlike in a spec, ``prefer`` is then ``both``,
+            and ``from_s`` ``settled`` unless vehicles or times are given.
 
     Raises SimulationError for a configuration that cannot be read, UsageError or SpecError.
     """
@@ -262,6 +286,10 @@ def _document(
         for key, value in wanted.items()
         if value not in (None, ())
     }
+    if "of" not in moments:
+        moments.setdefault("prefer", "both")
+        if not moments.keys() & {"at_s", "av"}:  # a vehicle that is named may leave before
+            moments.setdefault("from_s", "settled")
     source = {"network": str(config.absolute()), "moments": moments}
     if sumo_options:
         source["sumo_options"] = list(sumo_options)
@@ -280,14 +308,18 @@ def _document(
     return document
 
 
-def spec_of(document: Document) -> Spec:
+def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
     """The spec of one of `documents`.
 
+    DeepMF does not ram the AV from behind unless ``all_conflicts``, or another key says so.
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
     adversary looks for one attack, or its opponent is named. Raises SpecError as `spec.load`,
     WeightsError where weights are named that do not exist.
     """
     spec = of_document(document)
+    if not all_conflicts and _may_ram(spec):
+        document.values.setdefault("adversary", {"name": spec.adversary.name})[_NOT_BEHIND] = True
+        spec = of_document(document)
     if "weights" in document.values:
         from deepmf_sumo.predictors import weights  # brings torch along
 
@@ -297,6 +329,19 @@ def spec_of(document: Document) -> Spec:
         document.values["opponents"] = "in_turn"
         return spec.model_copy(update={"opponents": "in_turn"})
     return spec
+
+
+_NOT_BEHIND: Final = "no_rear_end"
+
+
+def _may_ram(spec: Spec) -> bool:
+    """Whether it may ram the AV from behind, and nothing in it says that it should."""
+    if spec.adversary.name != "deepmf":
+        return False
+    chosen = spec.adversary.settings
+    said = _NOT_BEHIND in chosen or _NOT_BEHIND in chosen.get("constraints", ())
+    wanted = chosen.get("sector") in {"rear", SECTORS.index("rear")}
+    return not (said or wanted or chosen.get("lawful") or chosen.get("form") == "paper")
 
 
 def tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:
@@ -349,3 +394,20 @@ def table(chosen: Iterable[tuple[str, Moment]]) -> str:
     rows = [{"run_id": run_id, **asdict(moment)} for run_id, moment in chosen]
     names = ["run_id", *(field.name for field in fields(Moment))]
     return tables.to_csv(rows, names, cell=tables.exact)
+
+
+def flow_table(found: Iterable[tuple[Spec, Found]]) -> str:
+    """``flow.csv``, from specs and what was found: vehicles at each place, and hours."""
+    rows = [
+        {"spec": spec.name, "network": _network(spec), **asdict(flow), "hours": round(one.hours, 5)}
+        for spec, one in found
+        for flow in one.flows
+    ]
+    names = ["spec", "network", *(field.name for field in fields(Flow)), "hours"]
+    return tables.to_csv(rows, names, cell=tables.exact)
+
+
+def _network(spec: Spec) -> str:
+    """As runs name it."""
+    assert isinstance(spec.source, FromMoments)
+    return spec.source.network.stem

@@ -59,31 +59,39 @@ def run_specs(
         folder.check(options.out, resume=options.resume, overwrite=options.overwrite)
     chosen: dict[int, list[Task]] = {}
     found: dict[str, Moment] = {}
+    traffic: list[tuple[Spec, Found]] = []
     for index, request in wanted.items():
-        moments_of = _found(request, options, announce)
+        traffic.append((request.spec, _found(request, options, announce)))
+        moments_of = traffic[-1][1].moments
         chosen[index] = moments.tasks(request.spec, moments_of)
         found |= zip((task.run_id for task in chosen[index]), moments_of, strict=True)
     planned = tasks.plan(specs, cache_folder(), options.name_filter, chosen)
     if wanted:
-        report = _noting([(one.run_id, found.get(one.run_id)) for one in planned], options, report)
+        chosen_moments = [(one.run_id, found.get(one.run_id)) for one in planned]
+        report = _noting(chosen_moments, traffic, options, report)
     return batch.run_tasks(planned, options, report)
 
 
-def _found(request: Request, options: batch.Options, announce: Announce) -> Sequence[Moment]:
-    found = moments.find(request.scouting, request.wish, options.timeout_s)
+def _found(request: Request, options: batch.Options, announce: Announce) -> Found:
+    found = moments.find(request.scouting, request.wish, options.timeout_s, request.area)
     announce(request, found)
-    return found.moments
+    return found
 
 
 def _noting(
-    chosen: Iterable[tuple[str, Moment | None]], options: batch.Options, report: Report
+    chosen: Iterable[tuple[str, Moment | None]],
+    traffic: Iterable[tuple[Spec, Found]],
+    options: batch.Options,
+    report: Report,
 ) -> Report:
-    """The report, which also writes moments.csv as soon as the folder is there, and empty."""
+    """The report, which also writes moments and flows as soon as the folder is there, and empty."""
     table = moments.table((run_id, one) for run_id, one in chosen if one)
+    flow = moments.flow_table(traffic)
 
     def tell(progress: Progress) -> None:
         if progress.last is None:
             files.write(options.out / stored.MOMENTS, table)
+            files.write(options.out / stored.FLOW, flow)
         report(progress)
 
     return tell
@@ -104,8 +112,11 @@ def run(
     """
     plan, shard = loaded.plan, options.shard
 
+    traffic: list[tuple[Spec, Found]] = []
+
     def look(spec: Spec) -> Sequence[Moment]:
-        return _found(moments.request(spec), options, announce)
+        traffic.append((spec, _found(moments.request(spec), options, announce)))
+        return traffic[-1][1].moments
 
     rows = entries.entries_of(loaded, cache_folder(), look)
     planned, read = fingerprinted(entries.tasks_of(rows, plan.seeds))
@@ -115,7 +126,8 @@ def run(
     chosen = shard.choose(planned) if shard else planned
     places = {place.scene: place.moment for entry in rows for place in entry.situations}
     if any(places.values()):
-        report = _noting([(one.run_id, places[one.scene]) for one in planned], options, report)
+        chosen_moments = [(one.run_id, places[one.scene]) for one in planned]
+        report = _noting(chosen_moments, traffic, options, report)
     with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
         changed = batch.begin(store, chosen, options, read)
         note(options.out, None)
@@ -172,8 +184,9 @@ def merge(
     with shards.joining(out, folders, plan.runs, found, overwrite=overwrite) as store:
         results = shards.copied(store, folders, plan.runs, found)
         plan.write(out)
-        if (folders[0] / stored.MOMENTS).is_file():  # those of all shards
-            files.write(out / stored.MOMENTS, (folders[0] / stored.MOMENTS).read_bytes())
+        for name in (stored.MOMENTS, stored.FLOW):  # those of all shards
+            if (folders[0] / name).is_file():
+                files.write(out / name, (folders[0] / name).read_bytes())
         store.finish(
             results,
             junit_too=any((folder / "junit.xml").is_file() for folder in folders),

@@ -42,6 +42,7 @@ FORMAT_VERSION: Final = 1
 RUNS: Final = "runs.csv"
 MANIFEST: Final = "manifest.json"
 MOMENTS: Final = "moments.csv"
+FLOW: Final = "flow.csv"
 
 NEEDED: Final = (
     "run_id", "status", "spec", "scene", "planner", "perception", "adversary", "version", "seed",
@@ -50,6 +51,7 @@ NEEDED: Final = (
 """Columns of ``runs.csv`` in all versions."""
 
 _WITHOUT: Final = "run it again, or remove it: places then come from the tracks alone"
+_NO_FLOW: Final = "run it again, or remove it: the map is then without flows"
 _AGAIN: Final = "remove the run's folder and go on with --resume"
 
 
@@ -310,6 +312,20 @@ def moments_of(out: Path) -> dict[str, dict[str, str]]:
     if rows and "run_id" not in rows[0]:
         raise UsageError(f"{file} is not a table of moments (column run_id); {_WITHOUT}.")
     return {row["run_id"]: row for row in rows}
+
+
+def flows_of(out: Path) -> list[dict[str, str]]:
+    """Vehicles at each place of the traffic: ``flow.csv``; empty where no moments were chosen.
+
+    Raises UsageError where it is damaged.
+    """
+    file = out / FLOW
+    if not file.is_file():
+        return []
+    rows = read_csv(file, _NO_FLOW)
+    if rows and not {"spec", "edge", "following", "vehicles", "near", "hours"} <= rows[0].keys():
+        raise UsageError(f"{file} is not a table of flows; {_NO_FLOW}.")
+    return rows
 
 
 def result_folders(folder: Path) -> list[Path]:

@@ -7,6 +7,7 @@
 """
 
 from deepmf_sumo.risk.attacks import Attacked, Conflict, Network, conflicts, read
+from deepmf_sumo.risk.coverage import by_type, coverage
 from deepmf_sumo.risk.table import Row, columns, rows, worst
 
 __all__ = [
@@ -14,8 +15,10 @@ __all__ = [
     "Conflict",
     "Network",
     "Row",
+    "by_type",
     "columns",
     "conflicts",
+    "coverage",
     "read",
     "rows",
     "worst",

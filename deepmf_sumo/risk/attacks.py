@@ -11,7 +11,7 @@ opponents attack in turn, each turn is an attack.
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -22,8 +22,11 @@ from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.results.tracks import RecordedTracks
+from deepmf_sumo.risk import passing
 from deepmf_sumo.risk import places as places_module
+from deepmf_sumo.risk.conflict_types import ConflictType, Pose, conflict_type
 from deepmf_sumo.risk.criticality import criticality
+from deepmf_sumo.risk.passing import Traffic
 from deepmf_sumo.risk.places import Places, Spot
 from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
 
@@ -44,6 +47,9 @@ class Attacked:
         avoidable: whether a reference driver would have avoided the hit; None without one.
         ttc_s: least; None off a collision course. gap_m: least. delta_v_mps: of the hit.
         criticality: see there; None in results of versions that did not measure it.
+        kind: of conflict that it is, or would have been; None where the opponent was not there.
+        pet_s: least time between the two at a common place; None without one.
+        speed_mps: of the AV when the attack began.
     """
 
     folder: str
@@ -62,6 +68,9 @@ class Attacked:
     delta_v_mps: float | None
     against: Spot = OFF
     criticality: float | None = None
+    kind: ConflictType | None = None
+    pet_s: float | None = None
+    speed_mps: float = 0.0
 
 
 class _Part(NamedTuple):
@@ -134,13 +143,18 @@ def _attacked(
     step = next(iter((*hits, *others, first if nearest is None else nearest)))
     place_m: Floats = found.tracks.position_m[found.tracks.row(found.av_id), step]
     avoidable = part.metrics.get("avoidable")
+    decided, against = spots.at(step), opponent.at(step) if opponent else OFF
+    kind = None
+    if part.opponent in found.tracks.ids:
+        poses = _pose(found, found.av_id, step), _pose(found, part.opponent, step)
+        kind = conflict_type(spots.places, (decided, against), poses)
     return Attacked(
         folder=folder,
         run_id=result["run_id"],
         turn=part.turn,
         scene=result["scene"],
         seed=result["seed"],
-        decided=spots.at(step),
+        decided=decided,
         began=spots.began(first),
         place_m=(float(place_m[0]), float(place_m[1])),
         hit=bool(hits),
@@ -149,9 +163,20 @@ def _attacked(
         ttc_s=part.metrics.get("ttc_min"),
         gap_m=part.metrics.get("min_gap"),
         delta_v_mps=part.metrics.get("delta_v"),
-        against=opponent.at(step) if opponent else OFF,
+        against=against,
         criticality=criticality(part.metrics[_SPARE]) if _SPARE in part.metrics else None,
+        kind=kind,
+        pet_s=part.metrics.get("pet"),
+        speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
     )
+
+
+def _pose(found: RecordedTracks, agent_id: str, step: int) -> Pose:
+    """A step before, where two boxes touch; the next one that is known where it is not."""
+    tracks, row = found.tracks, found.tracks.row(agent_id)
+    known = tracks.valid[row].nonzero()[0]
+    at = int(known[abs(known - max(step - 1, 0)).argmin()])
+    return tracks.position_m[row, at], float(tracks.heading_rad[row, at]), tracks.size_m[row, :2]
 
 
 def _contacts(result: Result, kind: str, first: int, last: int, opponent: str = "") -> list[int]:
@@ -175,6 +200,7 @@ class Network:
     Attributes:
         name: of the .sumocfg, without suffix. net_file: a copy in one of the runs' folders.
         left_out: runs that are not counted, by reason.
+        traffic: vehicles that pass without an attack; empty where no moments were chosen.
     """
 
     name: str
@@ -182,6 +208,7 @@ class Network:
     places: Places
     attacks: tuple[Attacked, ...]
     left_out: Mapping[str, int]
+    traffic: Traffic = field(default_factory=dict)
 
 
 @dataclass(slots=True, eq=False)
@@ -194,6 +221,16 @@ class _Filling:
     road: RoadMap
     attacks: list[Attacked]
     left_out: Counter[str]
+    traffic: Traffic = field(default_factory=dict)
+    specs: set[tuple[Path, str]] = field(default_factory=set)
+
+    def pass_by(self, out: Path, result: Result, flows: Sequence[Mapping[str, str]]) -> None:
+        """Note the traffic of a run's spec, once."""
+        rows = passing.of_result(flows, result)
+        key = out, rows[0]["spec"] if rows else ""
+        if rows and key not in self.specs:
+            self.specs.add(key)
+            passing.add(self.traffic, rows, self.places)
 
 
 def read(folders: Sequence[Path]) -> list[Network]:
@@ -229,13 +266,14 @@ def read(folders: Sequence[Path]) -> list[Network]:
             places=one.places,
             attacks=tuple(one.attacks),
             left_out=dict(one.left_out),
+            traffic=one.traffic,
         )
         for one in found
     ]
 
 
 def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counter[str]) -> None:
-    moments = stored.moments_of(out)
+    moments, flows = stored.moments_of(out), stored.flows_of(out)
     for run_id, result in planned(out).items():
         if result is None:
             left_out["without a result"] += 1
@@ -247,6 +285,7 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
             left_out["with no vehicle to attack"] += 1
         else:
             network = _network(out / "runs" / run_id, result["network"], networks)
+            network.pass_by(out, result, flows)
             moment = moments.get(run_id, {})
             try:
                 network.attacks += of_run(out, result, moment, network.places, network.road)

@@ -39,7 +39,8 @@ class Origin:
         value: the place's title, or the kind; a sector is a number.
         hits: of A and of B. runs: attacked, of A and of B.
         found: the difference of the shares, B minus A.
-        state: of that difference, beyond chance.
+        state: of that difference, beyond chance. needed: about how many scenes would decide, where
+            these do not.
     """
 
     dimension: Dimension
@@ -48,6 +49,7 @@ class Origin:
     runs: tuple[int, int]
     found: Matched
     state: Literal["more", "fewer", "same", "cannot tell"]
+    needed: int | None = None
 
 
 def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str, Tags]:
@@ -107,6 +109,7 @@ def _origin(
 ) -> Origin:
     sides = [_marked(side, dimension, value) for side in (old, new)]
     found = match(_PART, sides[1], sides[0], confidence)
+    state, needed = _state(found)
     hits = [round(sum(row.values[_PART] for row in side)) for side in sides]
     return Origin(
         dimension=dimension,
@@ -114,7 +117,8 @@ def _origin(
         hits=(hits[0], hits[1]),
         runs=(len(old), len(new)),
         found=found,
-        state=_state(found),
+        state=state,
+        needed=needed,
     )
 
 
@@ -129,7 +133,9 @@ def _shift(origin: Origin) -> float:
     return origin.found.difference.mean if origin.found.difference else 0.0
 
 
-def _state(found: Matched) -> Literal["more", "fewer", "same", "cannot tell"]:
-    """``same`` is a difference of 0: no difference of a share is negligible."""
-    state, _ = two_sided(found, 0.0)
-    return "fewer" if state == "less" else state
+def _state(
+    found: Matched,
+) -> tuple[Literal["more", "fewer", "same", "cannot tell"], int | None]:
+    """``same`` is a difference of 0 in all pairs: no difference of a share is negligible."""
+    state, needed = two_sided(found, 0.0)
+    return ("fewer" if state == "less" else state), needed

@@ -225,6 +225,15 @@ class Places:
         x, y = far - near
         return _WINDS[round(float(np.arctan2(y, x)) / (np.pi / 4)) % 8]
 
+    def heading_rad(self, edge: str) -> float:
+        """In which direction an edge comes to the junction at its end, over its last 30 m."""
+        line = shapely.LineString(self.net.edges[edge].lanes[0].shape_m[::-1, :2])
+        near, far = shapely.get_coordinates(
+            shapely.line_interpolate_point(line, [0.0, min(_WAY_M, line.length)])
+        )
+        x, y = near - far
+        return float(np.arctan2(y, x))
+
 
 def read(net_file: Path) -> Places:
     """The places of a .net.xml. Raises SimulationError where it is not one."""

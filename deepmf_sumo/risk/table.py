@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.risk.attacks import Attacked, Network
 from deepmf_sumo.risk.criticality import Drawn, Prior, Shrunk, drawn, prior, ranks, shrink
+from deepmf_sumo.risk.passing import Passing
 from deepmf_sumo.risk.places import KINDS, SITES, Kind
 
 SEVERE_MPS: Final = 5.0
@@ -33,6 +34,13 @@ _EVENTS: Final[Mapping[Event, tuple[Callable[[Attacked], bool], str]]] = {
     ),
 }  # fmt: skip
 EVENTS: Final[tuple[Event, ...]] = tuple(_EVENTS)
+
+
+def happened(one: Attacked, event: Event) -> bool:
+    """Whether an attack was such an event."""
+    return _EVENTS[event][0](one)
+
+
 DEFINITIONS: Final[Mapping[Event, str]] = {name: what for name, (_, what) in _EVENTS.items()}
 
 
@@ -52,6 +60,7 @@ class Row:
         criticality: mean of the attacks here, see `criticality`; None where it was not measured.
         rank_criticality: among the places of its kind, by how far its interval is above the
             typical place.
+        passing: vehicles at a movement or an edge without an attack; None where that is not known.
     """
 
     kind: Kind
@@ -70,6 +79,17 @@ class Row:
     rank: Mapping[Event, int]
     criticality: Drawn | None
     rank_criticality: float | None
+    passing: Passing | None = None
+
+    @property
+    def hits_per_1000(self) -> float | None:
+        """Hits of 1000 passing vehicles, if each was attacked that had another one near.
+
+        The share of these times the risk of a hit; of attacks that began here.
+        """
+        if self.passing is None or self.counted != "began":
+            return None
+        return 1000 * self.passing.near_share * self.risk["hit"].rate
 
 
 def rows(network: Network) -> list[Row]:
@@ -140,6 +160,9 @@ def columns(row: Row) -> dict[str, Any]:
         "criticality_lo": row.criticality and row.criticality.low,
         "criticality_hi": row.criticality and row.criticality.high,
         "rank_criticality": row.rank_criticality,
+        "vehicles_per_hour": row.passing and row.passing.per_hour,
+        "near_share": row.passing and row.passing.near_share,
+        "hits_per_1000_vehicles": row.hits_per_1000,
         **risks,
     }
 
@@ -198,6 +221,7 @@ def _of_kind(
             rank={event: rank[event][place] for event in EVENTS},
             criticality=means[place] if means[place].attacks else None,
             rank_criticality=critical.get(place),
+            passing=network.traffic.get((kind, place)),
         )
         for place in order
     ]

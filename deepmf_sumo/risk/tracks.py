@@ -81,7 +81,7 @@ class Spots:
         self._position_m, self._valid = driven.position_m[row], driven.valid[row]
         heading, z_m = driven.heading_rad[row], driven.z_m[row]
         matched = matching.match(road, self._position_m, heading, self._valid, z_m)
-        self._lanes, self._places, self._now = matched.lane_ids, every, found.now
+        self._lanes, self.places, self._now = matched.lane_ids, every, found.now
         route = moment.get("edge", ""), moment.get("following", "")
         self._next = every.movement(*route)
         self._turns = self._next is not None and moment.get("turn") != _ALONG
@@ -93,9 +93,9 @@ class Spots:
         lane = self._lanes[step]
         place_m: Floats = self._position_m[step]
         if lane is None:
-            junction = self._places.within(place_m)
-            return self._places.in_junction(junction, self._passed(step)) if junction else OFF
-        return self._on_route(self._places.spot(lane), place_m)
+            junction = self.places.within(place_m)
+            return self.places.in_junction(junction, self._passed(step)) if junction else OFF
+        return self._on_route(self.places.spot(lane), place_m)
 
     def began(self, step: int) -> Spot:
         """Where it was at a step, and the next movement on its path."""
@@ -110,30 +110,30 @@ class Spots:
 
     def _passed(self, step: int) -> Movement | None:
         """Where a network has no lanes in junctions: by the edges before and behind."""
-        edges = [self._places.spot(lane).edge if lane else "" for lane in self._lanes]
+        edges = [self.places.spot(lane).edge if lane else "" for lane in self._lanes]
         before = next((edge for edge in reversed(edges[:step]) if edge), "")
         behind = next((edge for edge in edges[step:] if edge), "")
-        known = self._places.movement(before, behind)
+        known = self.places.movement(before, behind)
         return self._next if known is None else known
 
     def _driven_next(self, begin: int) -> Movement | None:
         """The first movement that the AV came to by itself."""
         for lane in self._lanes[begin:]:
-            name = self._places.spot(lane).movement if lane else ""
+            name = self.places.spot(lane).movement if lane else ""
             if name:
-                return self._places.movements[name]
+                return self.places.movements[name]
         return None
 
     def _on_route(self, spot: Spot, place_m: Floats) -> Spot:
         """Lanes inside a junction lie over each other: of those at hand, the route's is meant."""
-        known, planned = self._places.movements.get(spot.movement), self._next
+        known, planned = self.places.movements.get(spot.movement), self._next
         if known is None or planned is None or known.origin != planned.origin:
             return spot
         if known.id == planned.id:
             return spot
         for lane in planned.lanes:
-            if _distance_m(self._places.lanes[lane].shape_m[:, :2], place_m) <= _SAME_PLACE_M:
-                return self._places.spot(lane)
+            if _distance_m(self.places.lanes[lane].shape_m[:, :2], place_m) <= _SAME_PLACE_M:
+                return self.places.spot(lane)
         return spot
 
 

@@ -5,7 +5,7 @@ import itertools
 import math
 from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +22,7 @@ Ints = NDArray[np.int64]
 EVERY_S: Final = 1.0
 MOST_VEHICLE_STEPS: Final = 1_000_000
 """Ten seconds of SUMO on a slow core; a count, so that every machine ends at the same time."""
+_BEFORE_S: Final = 10.0
 _EMPTY_STEP: Final = 20
 """Cost of a step without vehicles, in vehicles."""
 _COMPUTED: Final = "!"
@@ -40,6 +41,8 @@ class Scouting:
         at_s: times that must be among those of the survey.
         until_s: end of the survey, at most that of the configuration; None: that end, or the time
             at which `MOST_VEHICLE_STEPS` are reached.
+        corners: longitudes and latitudes to project.
+        from_s: beginning of the survey: up to then SUMO drives unseen; None: that of SUMO.
     """
 
     config: Path
@@ -47,6 +50,8 @@ class Scouting:
     seed: int
     at_s: tuple[float, ...] = ()
     until_s: float | None = None
+    from_s: float | None = None
+    corners: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +77,7 @@ class Sightings:
         position_m: (K, 2) box centres. speed_mps: (K).
         to_end_m: (K) left of the edge; 0 inside the junction at its end, and there alone.
         parked: (K).
+        projected_m: the corners that were asked for, in the network's frame.
     """
 
     begin_s: float
@@ -89,6 +95,7 @@ class Sightings:
     to_end_m: Floats
     speed_mps: Floats
     parked: Bools
+    projected_m: tuple[tuple[float, float], ...] = ()
 
 
 def scout(scouting: Scouting) -> Sightings:
@@ -98,12 +105,14 @@ def scout(scouting: Scouting) -> Sightings:
     """
     configuration = read_configuration(scouting.config, scouting.sumo_options)
     with begun(Traffic(configuration=configuration, seed=scouting.seed)) as api:
-        return _scout(api, scouting, configuration)
+        corners = (api.simulation.convertGeo(*one, fromGeo=True) for one in scouting.corners)
+        projected = tuple((float(x), float(y)) for x, y in corners)
+        return replace(_scout(api, scouting, configuration), projected_m=projected)
 
 
 def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:
     notes = _Notes(api)
-    begin = now = float(api.simulation.getTime())
+    begin = now = _begun(api, scouting.from_s)
     ends = configuration.end_s if configuration.end_s is not None else math.inf
     until = min(ends, scouting.until_s if scouting.until_s is not None else math.inf)
     spent, complete, persons = 0, False, False
@@ -120,6 +129,16 @@ def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Si
             break
     waiting = len(api.simulation.getPendingVehicles())
     return notes.sightings(begin, now, complete=complete, persons=persons, waiting=waiting)
+
+
+def _begun(api: SumoApi, from_s: float | None) -> float:
+    """The time at which the survey begins; some seconds before ``from_s``, for what is there."""
+    now = float(api.simulation.getTime())
+    seconds = max(math.floor((from_s or now) - now - _BEFORE_S), 0)
+    if not seconds:
+        return now
+    api.simulationStep(now + seconds)
+    return float(api.simulation.getTime())
 
 
 def _moments(begin_s: float, at_s: tuple[float, ...]) -> Iterator[float]:

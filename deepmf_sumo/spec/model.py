@@ -1,5 +1,6 @@
 """What a spec may hold, key by key."""
 
+import math
 import stat
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -119,11 +120,26 @@ class Moments(Strict):
     count: int | None = Field(
         default=None, ge=1, le=100_000, description="attacks; 10 by default, or one for each time"
     )
-    prefer: Literal["spread", "encounters"] = "spread"
+    prefer: Literal["both", "spread", "encounters"] = Field(
+        default="spread",
+        description="both: spread over places and time, at each place encounters first",
+    )
     av: str | None = Field(default=None, min_length=1, description="only this vehicle")
     av_type: str | None = Field(default=None, min_length=1, description="only this type")
     at_s: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(strict=False)] = Field(
         default=(), description="only at these times of the simulation"
+    )
+    junctions: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        default=(), description="only at these junctions, or before them"
+    )
+    edges: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        default=(), description="only on these edges"
+    )
+    polygon: ExistingPath | None = Field(
+        default=None, description="only within the polygons of this GeoJSON or SUMO file"
+    )
+    from_s: Annotated[float, Field(ge=0)] | Literal["settled"] | None = Field(
+        default=None, description="attack from then on; settled: once the traffic has built up"
     )
     until_s: float | None = Field(default=None, ge=0, description="look for moments up to then")
     of: Annotated[Path, BeforeValidator(_anywhere), WithJsonSchema({"type": "string"})] | None = (
@@ -132,12 +148,23 @@ class Moments(Strict):
 
     @model_validator(mode="after")
     def _of_says_all(self) -> "Moments":
-        for key in ("count", "av", "av_type", "at_s"):
+        for key in ("count", "av", "av_type", "at_s", "junctions", "edges", "polygon"):
             if self.of is not None and getattr(self, key):
                 raise _wrong("cannot be given with 'of' (--moments-of): leave one of them out", key)
         if self.of is not None and self.prefer != "spread":
-            rule = "encounters cannot be given with 'of' (--moments-of): leave one of them out"
+            rule = f"{self.prefer} cannot be given with 'of' (--moments-of): leave one of them out"
             raise _wrong(rule, "prefer")
+        return self
+
+    @model_validator(mode="after")
+    def _from_goes_with(self) -> "Moments":
+        if self.from_s is None:
+            return self
+        if self.of is not None or self.at_s:
+            other = "'of' (--moments-of)" if self.of is not None else "'at_s' (--at)"
+            raise _wrong(f"cannot be given with {other}: leave one of them out", "from_s")
+        if isinstance(self.from_s, float) and self.from_s >= (self.until_s or math.inf):
+            raise _wrong(f"must be earlier than until_s, which is {self.until_s:g}", "from_s")
         return self
 
 

@@ -22,7 +22,7 @@ from deepmf_sumo.tasks import Task
 
 FILE: Final = "shard.json"
 _WAYS: Final = "--overwrite deletes them, another folder for OUT keeps them"
-_WHOLE: Final = (stored.MOMENTS,)
+_WHOLE: Final = (stored.MOMENTS, stored.FLOW)
 """Tables that are complete in every part."""
 
 

@@ -27,7 +27,7 @@ WISHES: Final = {
     "reactions": "4",
 }
 """Of the adversary: a lawful opponent, and little effort for each attack."""
-WHEN: Final = ("--until", "164", "--duration", "16", "--opponents", "one")
+WHEN: Final = ("--from", "0", "--until", "164", "--duration", "16", "--opponents", "one")
 """Attacks end with the traffic."""
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -12,6 +13,7 @@ from deepmf_sumo.moments import search
 from deepmf_sumo.moments.search import names_of
 from deepmf_sumo.simulation import demand
 from deepmf_sumo.simulation.sumo_config import read_configuration
+from deepmf_sumo.simulation.traffic_survey import Scouting, scout
 from deepmf_sumo.tasks import slug
 
 from tests.support import crossing_network, tiny_network
@@ -52,6 +54,30 @@ def test_times_are_kept_and_nothing_later_is_looked_at(tiny, tmp_path, capsys):
     assert (out / "runs" / "tiny--leader-2-5s--23423" / "tracks.csv.gz").exists()
 
 
+def test_a_late_survey_lets_sumo_drive_unseen_first(tiny):
+    scouting = Scouting(config=tiny / "tiny.sumocfg", sumo_options=(), seed=1)
+    whole, late = scout(scouting), scout(replace(scouting, from_s=12.0))
+    assert late.begin_s == 2.0
+    assert late.time_s.min() == 3.0
+    same = whole.time_s >= 3.0
+    assert (late.position_m == whole.position_m[same]).all()
+
+
+def test_attacks_begin_once_the_traffic_has_settled_or_when_asked(tiny, tmp_path, capsys):
+    assert attack(tiny, tmp_path / "a", "--moments", 2, "--duration", 1) == 0
+    shown = capsys.readouterr().err
+    assert "attacked from 1 s on, when the number of vehicles has settled at about 2" in shown
+    assert attack(tiny, tmp_path / "b", "--moments", 2, "--duration", 1, "--from", 4) == 0
+    assert "2 vehicles from 0 to" in (shown := capsys.readouterr().err)
+    assert "; attacked from 4 s on\n" in shown
+    assert "no two edges meet at any junction of the network: no moment has an encounter" in shown
+    with (tmp_path / "b" / "moments.csv").open() as table:
+        assert min(float(one["start_s"]) for one in csv.DictReader(table)) >= 4.0
+    assert attack(tiny, tmp_path / "c", "--from", 900) == 0
+    line = "no vehicle to attack in tiny.sumocfg: there is no vehicle from 890 to 891 s; --from S "
+    assert line in capsys.readouterr().out
+
+
 def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_path, capsys):
     out = tmp_path / "out"
     assert attack(tiny, out, "--", "--end", "0.5") == 0
@@ -67,6 +93,11 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
         (["--av", "laeder"], "--av laeder: no such vehicle is in the demand of", 2),
         (["--av-type", "bus"], "--av-type bus: no such type is in the demand of", 2),
         (["--at", "2.55"], "--at 2.55: the simulation goes in steps of 0.1 s", 2),
+        (["--junction", "c"], "--junction c: no such junction is in the network; there are", 2),
+        (["--edge", "aab"], "--edge aab: no such edge is in the network; there are ab.", 2),
+        (["--from", "60", "--", "--end", "60"], "--from 60: tiny.sumocfg ends at 60 s", 2),
+        (["--from", "9", "--until", "9"], "must be earlier than until_s, which is 9", 2),
+        (["--from", "9", "--at", "12"], "cannot be given with 'at_s' (--at)", 2),
         (["--at", "70", "--", "--end", "60"], "--at 70: there is traffic from 0 to 60 s only", 2),
         (["--", "-r", "none.rou.xml"], "none.rou.xml', which does not exist.", 3),
         (["--", "--nonsense", "1"], "No option with the name 'nonsense' exists", 3),
@@ -240,4 +271,4 @@ def test_encounters_are_attacked_first_where_they_are_preferred(tmp_path, capsys
     assert moment["av"] in {"over1", "up1"}
     assert float(moment["encounter_s"]) < 2.0
     assert main._run(["attack", str(config), "--prefer", "crashes"]) == 2
-    assert "'crashes' is not one of 'spread', 'encounters'" in capsys.readouterr().err
+    assert "'crashes' is not one of 'both', 'spread', 'encounters'" in capsys.readouterr().err

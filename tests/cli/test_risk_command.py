@@ -1,3 +1,4 @@
+import csv
 import json
 
 import pytest
@@ -31,6 +32,9 @@ def test_two_results_side_by_side(out, tmp_path, capsys):
     assert "+0 (1 pair)" in told
     assert "cannot tell; at least 9 scenes would" in told
     assert "same" not in told.replace("same moment", "")
+    assert told.count("cannot tell; at least 6") == 4, "where hits come from as well"
+    with (tmp_path / "both" / "origins.csv").open() as lines:
+        assert {row["units_needed"] for row in csv.DictReader(lines)} == {"6"}
     text = (tmp_path / "both" / "comparison.md").read_text()
     assert "| place: w_in (w_pocket to centre) | 1 of 1 | 1 of 1 |" in text
     assert (tmp_path / "both" / "differences.csv").read_text().startswith("quantity,unit,a,b,")

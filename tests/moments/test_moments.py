@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.moments import search
+from deepmf_sumo.moments import search, warm_up
 from deepmf_sumo.moments.choice import choose
 from deepmf_sumo.moments.moment import Moment, Wish
 from deepmf_sumo.simulation.traffic_survey import Body, Sightings
@@ -128,6 +128,39 @@ def test_nobody_to_attack_has_a_reason(sightings, wish, reason):
 def test_what_is_not_in_the_traffic_is_the_users_mistake(wish, message):
     with pytest.raises(UsageError, match=message):
         choose(traffic(), TURNS, Wish(count=1, **wish))
+
+
+def test_moments_before_the_beginning_are_left_out_and_why_is_said():
+    found = choose(traffic(), TURNS, Wish(count=8, from_s=45.0))
+    assert min(one.start_s for one in found.moments) >= 45.0
+    assert (found.from_s, found.from_why) == (45.0, "")
+    late = choose(traffic(), TURNS, Wish(count=8, from_s=61.0))
+    assert not late.moments
+    assert late.reason == (
+        "a vehicle is there from 1 to 60 s, and none from 61 s on; --from S begins earlier"
+    )
+    at_once = choose(traffic(), TURNS, Wish(count=8, from_s="settled"))
+    assert at_once.from_s == 1.0
+    assert "settled at about 12" in at_once.from_why
+
+
+@pytest.mark.parametrize(
+    ("number", "begins", "why"),
+    [
+        ([*range(60), *[60] * 180], 43.0, "settled at about 60"),
+        ([*range(240)], 120.0, "not settled .150 in the third quarter, 210 in the last."),
+        ([40] * 240, 0.0, "settled at about 40"),
+        ([*range(60), *[60] * 120, *range(60, 0, -1)], 44.0, "settled at about 60"),
+        ([0, 1, 1, 2], 1.0, "settled at about 2"),
+        ([0, 1], 1.0, "settled at about 1"),
+    ],
+)
+def test_traffic_has_settled_at_nine_tenths_of_its_level(number, begins, why):
+    """Of a minute's mean; a number that still grows is attacked from its middle."""
+    found = warm_up.settled(np.arange(float(len(number))), np.array(number, float))
+    assert found.time_s == pytest.approx(begins, abs=2.0)
+    assert re.search(why, found.why)
+    assert warm_up.settled(np.zeros(0), np.zeros(0)) is None
 
 
 def test_the_moments_of_another_attack_are_taken_again():

@@ -204,6 +204,35 @@ def test_encounters_come_first_where_they_are_preferred(net):
     assert choose(seen, {}, replace(wish, seed=3), met) != found
 
 
+def test_both_spreads_over_edges_and_time_and_takes_encounters_there(net):
+    seen = crossings()
+    met = encounters(seen, net, 8.0)
+    found, plain = (
+        choose(seen, {}, Wish(count=12, seed=2, prefer=one), met).moments
+        for one in ("both", "spread")
+    )
+    at = {edge: [one for one in found if one.edge == edge] for edge in EDGES}
+    assert {len(one) for one in at.values()} <= {2, 3}
+    before = [one.encounter_s is not None for one in (*at["west"], *at["south"])]
+    assert all(before)
+    assert not all(one.encounter_s is not None for one in plain if one.edge in {"west", "south"})
+    assert len({one.start_s // 15 for one in found}) >= 3
+
+
+def test_fewer_encounters_than_moments_are_said_before_anything_is_attacked(net):
+    seen = crossings(many=2)
+    met = encounters(seen, net, 8.0)
+    (line,) = choose(seen, {}, Wish(count=9, prefer="both"), met).notes
+    assert line == (
+        "4 vehicles have an encounter at a junction then, fewer than the 9 moments that are asked"
+        " for; the others are attacked without one"
+    )
+    for wish in (Wish(count=2, prefer="both"), Wish(count=9)):
+        assert choose(seen, {}, wish, met).notes == ()
+    alone = replace(met, junctions={})
+    assert "no two edges meet at any junction" in choose(seen, {}, Wish(count=2), alone).notes[0]
+
+
 def test_without_the_wish_nothing_changes_but_the_column(net):
     seen = crossings()
     met = encounters(seen, net, 8.0)

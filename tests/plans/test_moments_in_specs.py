@@ -41,7 +41,7 @@ def test_attack_is_short_for_a_spec_with_moments(tiny, tmp_path, capsys):
     assert call(*attack, "--save-spec", file, "--out", tmp_path / "no", "--", "--scale", 1) == 0
     assert not (tmp_path / "no").exists()
     written = yaml.safe_load(file.read_text())
-    assert written["source"]["moments"] == {"count": 2, "prefer": "spread"}
+    assert written["source"]["moments"] == {"count": 2, "from_s": "settled", "prefer": "both"}
     assert (written["seed"], written["duration_s"]) == (23423, 1.0)
     capsys.readouterr()
     assert call("run", file, "--no-pictures", "--out", tmp_path / "b") == 0

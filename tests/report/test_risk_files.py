@@ -267,3 +267,29 @@ def dumped(address):
         capture_output=True, text=True, check=True, timeout=120,
     )  # fmt: skip
     return re.sub(r"<script.*?</script>", "", done.stdout, flags=re.DOTALL)
+
+
+def test_kinds_and_coverage_have_tables(made):
+    for name, first in (("types.csv", "kind"), ("coverage.csv", "of")):
+        with (made.folder / name).open() as lines:
+            table = list(csv.DictReader(lines))
+        assert next(iter(table[0])) == first
+    page = (made.folder / "risk.html").read_text("utf-8")
+    content = json.loads(zlib.decompress(base64.b64decode(_text(page, "map-0"))))
+    assert sum(row[2] for row in content["types"]) == 3
+    assert {of: all_ for of, _, all_, _ in content["covered"]}["speed"] == 6
+
+
+@pytest.mark.sumo
+def test_a_browser_shows_kinds_and_what_was_never_attacked(made):
+    shown = browsed(made)
+    assert re.search(r"rear-end</span></td><td [^>]*>[12]</td>", shown)
+    assert re.search(r"\d of \d turns attacked", shown)
+
+
+@pytest.mark.sumo
+def test_a_pick_lists_the_attacks_there_with_their_kind(made):
+    """A page without runs says where their replays are."""
+    shown = browsed(made, "document.querySelector('td.name button').click();")
+    assert re.search(r"<li>[^<]*: hit, [a-z -]+; opponent at ", shown)
+    assert "Replays are in report.html" in shown.split('id="place"')[1]

@@ -89,7 +89,7 @@ def test_a_wide_interval_is_never_called_the_same():
         "tiny": "same within 0.05 m",
         "none": "same within 0.05 m",
     }
-    assert files._state(leaning) == "no difference"
+    assert files._state(leaning) == "equal in these runs"
 
 
 def test_too_few_pairs_are_told_with_how_many_are_needed():

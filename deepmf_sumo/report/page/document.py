@@ -23,7 +23,7 @@ from deepmf_sumo.risk import Network, Row
 _SCRIPTS: Final = (
     "packing", "statistics", "elements", "table", "runs", "totals", "groups", "camera", "scene",
     "turns", "canvas", "charts", "layers", "moment", "player", "failures", "facts", "details",
-    "places", "map", "start",
+    "places", "kinds", "map", "start",
 )  # fmt: skip
 """In the order in which they are joined."""
 

@@ -1,6 +1,7 @@
 """A network with attacks -> the risk map on a page: roads, places, attacks."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import shapely
@@ -11,11 +12,14 @@ from deepmf_sumo.report.page.columns import Column, short
 from deepmf_sumo.report.palette import RISK_CLASSES
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.risk.attacks import Attacked, Network
+from deepmf_sumo.risk.coverage import MEANINGS, Covered, TypeRow, by_type, coverage
 from deepmf_sumo.risk.criticality import CONFIDENCE
 from deepmf_sumo.risk.places import KINDS
 from deepmf_sumo.risk.table import COUNTED, DEFINITIONS, Row, columns
 
 _TOLERANCE_M: Final = 0.1
+_MOST_NEVER: Final = 50
+"""Longest list on the page; `coverage.csv` has all."""
 _SIDEWALKS: Final = {"crossing", "walkingarea"}
 _RISK: Final = f"({100 * CONFIDENCE:.0f} % interval)"
 
@@ -49,6 +53,8 @@ PLACE_COLUMNS: Final = (
     _number("delta_v_mps", f"mean {BY_NAME['delta_v_mps'].heading}", 1),
     _number("delta_v_most_mps", f"greatest {BY_NAME['delta_v_mps'].heading}", 1, optional=True),
     _number("criticality", f"criticality {_RISK}", 2, optional=True),
+    _number("vehicles_per_hour", "vehicles per hour", optional=True),
+    _number("hits_per_1000_vehicles", "hits per 1000 passing vehicles", 1, optional=True),
 )
 """``rank`` and ``risk`` are those of the event that the reader chooses."""
 
@@ -68,9 +74,40 @@ def content(network: Network, rows: Sequence[Row]) -> dict[str, Any]:
         "places": {kind: network.places.count(kind) for kind in KINDS},
         "off": {counted: _off(network, counted) for counted in COUNTED},
         "definitions": dict(DEFINITIONS),
+        "types": [_type(row) for row in by_type(network.attacks)],
+        "covered": _covered(network),
         "confidence": round(100 * CONFIDENCE),
         "classes": RISK_CLASSES,
     }
+
+
+def _type(row: TypeRow) -> list[Any]:
+    """The cells of a kind of conflict, numbers as they are; its definition first."""
+    return [MEANINGS[row.kind], *(short(value) for value in asdict(row).values())]
+
+
+def _covered(network: Network) -> list[list[Any]]:
+    """Of each subject how many of its values were attacked, of how many, and which never were."""
+    subjects: dict[str, list[Covered]] = {}
+    for one in coverage(network):
+        subjects.setdefault(one.of, []).append(one)
+    return [
+        [of, sum(one.attacks > 0 for one in found), len(found), _never(found)]
+        for of, found in subjects.items()
+    ]
+
+
+def _never(found: Sequence[Covered]) -> list[str]:
+    """The busiest first, with their flow where it is known."""
+    never = [one for one in found if not one.attacks]
+    if any(one.vehicles_per_hour for one in never):
+        never.sort(key=lambda one: -(one.vehicles_per_hour or 0.0))
+    return [
+        one.title
+        if one.vehicles_per_hour is None
+        else f"{one.title}: {one.vehicles_per_hour:.0f} vehicles per hour"
+        for one in never[:_MOST_NEVER]
+    ]
 
 
 def lanes_of(network: Network, row: Row) -> list[NetLane]:
@@ -109,7 +146,7 @@ def _corners(line_m: Floats) -> list[list[float]]:
 
 
 def _attack(one: Attacked, network: Network) -> list[Any]:
-    """Run, turn, position, whether it hit, the places as the rows name them, the opponent's."""
+    """Run, turn, position, whether it hit, the places by kind, the opponent's, conflict."""
     return [
         one.run_id,
         one.turn,
@@ -117,6 +154,7 @@ def _attack(one: Attacked, network: Network) -> list[Any]:
         int(one.hit),
         {counted: {kind: getattr(one, counted).of(kind) for kind in KINDS} for counted in COUNTED},
         network.places.site(one.against),
+        one.kind,
     ]
 
 

@@ -74,11 +74,16 @@ def _state(one: Change) -> str:
     """What the interval says: ``same`` with the margin that it lies in, or how many would tell."""
     if one.state == "same":
         size = figure(one.same_within, one.unit)
-        return f"same within {size}" if one.same_within else "no difference"
-    if one.state == "cannot tell" and one.needed:
-        least = "at least" if one.found.units < one.found.fewest else "about"
-        return f"cannot tell; {least} {units(one.found, one.needed)} would"
-    return one.state
+        return f"same within {size}" if one.same_within else "equal in these runs"
+    return _undecided(one) if one.state == "cannot tell" else one.state
+
+
+def _undecided(one: Change | Origin) -> str:
+    """With about how many attacks would decide, where that can be told."""
+    if not one.needed:
+        return "cannot tell"
+    least = "at least" if one.found.units < one.found.fewest else "about"
+    return f"cannot tell; {least} {units(one.found, one.needed)} would"
 
 
 def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
@@ -88,10 +93,16 @@ def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
             f"{one.dimension}: {_value(one)}",
             *(f"{hits} of {runs}" for hits, runs in zip(one.hits, one.runs, strict=True)),
             _shift(one.found),
-            "no difference" if one.state == "same" else one.state,
+            _origin_state(one),
         )
         for one in table
     ]
+
+
+def _origin_state(one: Origin) -> str:
+    if one.state == "same":
+        return "equal in these runs"
+    return _undecided(one) if one.state == "cannot tell" else one.state
 
 
 def _value(one: Origin) -> str:
@@ -140,6 +151,8 @@ def _origin_rows(compared: Compared) -> list[dict[str, Any]]:
             "b_runs": one.runs[1],
             **_interval(one.found),
             "state": one.state,
+            "units": one.found.units,
+            "units_needed": one.needed,
         }
         for one in compared.origins
     ]

@@ -13,8 +13,10 @@ from deepmf_sumo.risk import Network, Row
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
 POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
+TYPES, COVERAGE = "types.csv", "coverage.csv"
 _MADE: Final = {
-    TABLE, PAGE, EDGES, MOVEMENTS, POLYGONS, CONFIG, CONFLICTS, "net.net.xml", "net.net.xml.gz",
+    TABLE, PAGE, EDGES, MOVEMENTS, POLYGONS, CONFIG, CONFLICTS, TYPES, COVERAGE,
+    "net.net.xml", "net.net.xml.gz",
 }  # fmt: skip
 
 
@@ -55,6 +57,10 @@ def _write(folder: Path, network: Network, title: str) -> Written:
     files.write(folder / net, network.net_file.read_bytes())
     files.write(folder / TABLE, tables.to_csv([risk.columns(row) for row in rows]))
     files.write(folder / CONFLICTS, tables.to_csv([asdict(one) for one in risk.conflicts(network)]))
+    by_type = [asdict(one) for one in risk.by_type(network.attacks)]
+    files.write(folder / TYPES, tables.to_csv(by_type))
+    covered = [asdict(one) for one in risk.coverage(network)]
+    files.write(folder / COVERAGE, tables.to_csv(covered))
     files.write(folder / EDGES, sumo_files.edges(network, rows))
     files.write(folder / MOVEMENTS, sumo_files.movements(network, rows))
     files.write(folder / POLYGONS, sumo_files.additional(network, rows))

@@ -290,6 +290,8 @@ async function openMap(number, content) {
   if (!mapCamera) steerMap();
   const attacks = counted(risk.content.attacks.length, "attack");
   byId("map-origin").textContent = `network ${risk.content.network} · ${attacks}`;
+  showKinds();
+  showCovered();
   shapeMap();
   fitAttacked();
   showMapChoices(content);

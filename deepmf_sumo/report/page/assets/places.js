@@ -17,6 +17,9 @@ const KIND_NAMES = {
 };
 const COUNTED_NAMES = { decided: "was decided", began: "began" };
 
+const WITHOUT_REPLAYS =
+  "Replays are in report.html, which deepmf-sumo report OUT writes: its map links to them.";
+
 /** What is shown of the open map: a row per place, what is chosen, the place that is picked. */
 const risk = {
   content: null,
@@ -122,12 +125,13 @@ function showAttacks() {
   byId("place").replaceChildren(
     make("p", {}, `${row.title}: ${counted(here.length, "attack")} ${what}`),
     make("ul", {}, ...here.map(attackItem)),
+    ...(runs.all.length ? [] : [make("p", { class: "hint" }, WITHOUT_REPLAYS)]),
   );
 }
 
-function attackItem([run, turn, , hit, , against]) {
+function attackItem([run, turn, , hit, , against, kind]) {
   const shown = runs.all.find((row) => row.run === run);
-  const outcome = `: ${hit ? "hit" : "no hit"}${against ? `; opponent at ${against}` : ""}`;
+  const outcome = `: ${hit ? "hit" : "no hit"}${kind ? `, ${kind}` : ""}${against ? `; opponent at ${against}` : ""}`;
   return make(
     "li",
     {},

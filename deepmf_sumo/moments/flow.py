@@ -1,0 +1,55 @@
+"""How many vehicles pass each place of a network without an attack, as the survey saw it."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from deepmf_sumo.datatypes import Bools
+from deepmf_sumo.moments.moment import REACH_M, Flow, opponents
+from deepmf_sumo.simulation.traffic_survey import Sightings
+
+_APART_M = 10.0 * REACH_M
+"""Between sightings of one time and the next: farther than any vehicle looks."""
+
+
+def flows(sightings: Sightings, from_s: float | None = None) -> tuple[Flow, ...]:
+    """Of all edges and pairs of edges on which vehicles on roads were, by name."""
+    able = opponents(sightings)
+    rows = np.flatnonzero(able & (sightings.time_s >= (from_s or -np.inf)))
+    if not len(rows):
+        return ()
+    near = accompanied(sightings)[rows]
+    edge, following = sightings.edge[rows], sightings.following[rows]
+    vehicle = sightings.vehicle[rows]
+    found: list[Flow] = []
+    goes_on = following >= 0
+    for after, kept in ((np.full(len(rows), -1), np.ones(len(rows), bool)), (following, goes_on)):
+        keys = np.column_stack([edge, after, vehicle])[kept]
+        each, index = np.unique(keys, axis=0, return_inverse=True)
+        met = np.zeros(len(each), bool)
+        np.logical_or.at(met, index.ravel(), near[kept])
+        places, group = np.unique(each[:, :2], axis=0, return_inverse=True)
+        many = np.bincount(group.ravel(), minlength=len(places))
+        many_met = np.bincount(group.ravel(), weights=met, minlength=len(places))
+        found += [
+            Flow(
+                edge=sightings.edges[before],
+                following=sightings.edges[then] if then >= 0 else "",
+                vehicles=int(vehicles),
+                near=int(those),
+            )
+            for (before, then), vehicles, those in zip(places, many, many_met, strict=True)
+        ]
+    return tuple(sorted(found, key=lambda one: (one.edge, one.following)))
+
+
+def accompanied(sightings: Sightings) -> Bools:
+    """(K) whether another vehicle that can attack it is within `REACH_M` at that time."""
+    able = opponents(sightings)
+    _, moment = np.unique(sightings.time_s, return_inverse=True)
+    points = np.column_stack([sightings.position_m, _APART_M * moment.ravel()])
+    found = np.zeros(len(points), bool)
+    if able.sum() < 2:  # nobody else
+        return found
+    away, _ = cKDTree(points[able]).query(points[able], k=2, distance_upper_bound=REACH_M)
+    found[able] = np.isfinite(away[:, 1])
+    return found

@@ -1,0 +1,151 @@
+"""Kinds of conflict, and what was never attacked."""
+
+import numpy as np
+import pytest
+
+from deepmf_sumo import risk
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.risk import places as places_module
+from deepmf_sumo.risk.conflict_types import conflict_type
+from deepmf_sumo.risk.coverage import NO_CONFLICT
+from deepmf_sumo.risk.places import Spot
+from deepmf_sumo.risk.tracks import OFF
+
+from tests.support.risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
+
+CAR_M = np.array([4.8, 2.0])
+
+
+@pytest.fixture(scope="module")
+def places():
+    return places_module.read(NET)
+
+
+def over(places, origin, target):
+    movement = places.movement(origin, target)
+    return Spot(junction=movement.junction, movement=movement.id)
+
+
+def pose(x=0.0, y=0.0, heading=0.0):
+    return np.array([x, y]), heading, CAR_M
+
+
+@pytest.mark.parametrize(
+    ("av", "opponent", "expected"),
+    [
+        (("w_in", "n_out"), ("e_in", "w_out"), "left turn across path"),
+        (("e_in", "w_out"), ("w_in", "n_out"), "left turn across path"),
+        (("w_in", "e_out"), ("s_in", "n_out"), "crossing"),
+        (("w_in", "n_out"), ("n_in", "s_out"), "crossing"),
+        (("w_in", "e_out"), ("s_in", "e_out"), "merging"),
+    ],
+)
+def test_two_movements_over_a_junction_have_a_kind(places, av, opponent, expected):
+    """However the two stand to each other at that moment."""
+    spots = over(places, *av), over(places, *opponent)
+    for other in (pose(-6.0), pose(3.0, 3.0, 1.5), pose(5.0, 0.0, 3.1)):
+        assert conflict_type(places, spots, (pose(), other)) == expected
+
+
+@pytest.mark.parametrize(
+    ("opponent", "expected"),
+    [
+        (pose(-5.2), "rear-end"),
+        (pose(5.2, 0.5, 0.1), "rear-end"),
+        (pose(1.0, 2.3, -0.1), "sideswipe or lane change"),
+        (pose(5.0, 0.3, 3.0), "head-on"),
+        (pose(3.0, -4.0, 1.6), "crossing"),
+    ],
+)
+def test_elsewhere_the_poses_decide(places, opponent, expected):
+    one = over(places, "w_in", "e_out")
+    for spots in ((OFF, OFF), (one, one), (one, OFF)):
+        assert conflict_type(places, spots, (pose(), opponent)) == expected
+
+
+def test_an_edge_has_a_direction_at_its_end(places):
+    assert places.heading_rad("w_in") == pytest.approx(0.0, abs=0.1)
+    assert places.heading_rad("s_in") == pytest.approx(np.pi / 2, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    out = Attacks(tmp_path_factory.mktemp("covered") / "out")
+    measured = {"pet": 0.0, "ttc_min": 0.0}
+    out.add("a", av=eastward(x=-130.0), opponent=eastward(x=-136.0), hit=80, metrics=measured)
+    near = {"ttc_min": 1.2, "pet": 0.8}
+    out.add("b", av=eastward(x=-130.0), opponent=eastward(x=-139.0), metrics=near)
+    out.add("c", av=eastward(x=-130.0), opponent=straight((-60.0, -12.0), 0.0, 0.0))
+    left = straight((-60.0, -1.6), 10.0, 0.0, steps=51)
+    out.add("d", av=left, opponent=eastward(), moment=(*LEFT_IN, "left"))
+    [network] = risk.read([out.out])
+    return network
+
+
+def test_conflicts_have_a_row_a_kind(network):
+    rows = {row.kind: row for row in risk.by_type(network.attacks)}
+    behind = rows["rear-end"]
+    assert (behind.attacks, behind.hits, behind.avoidable, behind.judged) == (2, 1, 1, 1)
+    assert (behind.least_ttc_s, behind.median_ttc_s) == (0.0, pytest.approx(0.6))
+    assert (behind.least_pet_s, behind.median_pet_s) == (0.0, pytest.approx(0.4))
+    assert behind.delta_v_mps == behind.delta_v_most_mps == 6.0
+    assert (rows[NO_CONFLICT].attacks, rows[NO_CONFLICT].hits) == (2, 0)
+    assert rows["head-on"].attacks == 0
+    assert rows["head-on"].least_ttc_s is None
+
+
+def test_what_was_never_attacked_is_there(network):
+    found = {(one.of, one.name): one for one in risk.coverage(network)}
+    left = network.places.movement(*LEFT_IN).id
+    assert found["movement", left].attacks == 1
+    movements = [one for one in found.values() if one.of == "movement"]
+    assert len(movements) == network.places.count("movement")
+    assert sum(one.attacks > 0 for one in movements) < len(movements)
+    assert found["turn", "left"].attacks >= 1
+    assert found["edge", "s_in"].attacks == 0
+    assert found["conflict", "rear-end"].hits == 1
+    assert found["speed", "30 to 50 km/h"].attacks == 4
+    assert sum(one.attacks for one in found.values() if one.of == "speed") == 4
+
+
+FLOWS = """spec,network,edge,following,vehicles,near,hours
+city,four_way,w_approach,,100,50,0.5
+city,four_way,w_in,,60,60,0.5
+city,four_way,w_in,n_out,20,10,0.5
+city,four_way,gone,,7,7,0.5
+other,four_way,w_in,,999,999,0.5
+"""
+
+
+def test_flows_make_hits_per_passing_vehicle(tmp_path):
+    out = Attacks(tmp_path / "out")
+    out.add("a", av=eastward(x=-130.0), opponent=eastward(x=-136.0), hit=80)
+    (tmp_path / "out" / "flow.csv").write_text(FLOWS)
+    [network] = risk.read([tmp_path / "out"])
+    table = [risk.columns(row) for row in risk.rows(network)]
+    edge = {one["place"]: one for one in table if one["kind"] == "edge"}
+    began, decided = edge["w_approach"], edge["w_in"]
+    assert (began["counted"], began["vehicles_per_hour"], began["near_share"]) == (
+        "began",
+        200.0,
+        0.5,
+    )
+    assert began["hits_per_1000_vehicles"] == pytest.approx(500.0 * began["risk_hit"])
+    assert (decided["counted"], decided["vehicles_per_hour"]) == ("decided", 120.0)
+    assert decided["hits_per_1000_vehicles"] is None
+    found = {(one.of, one.name): one for one in risk.coverage(network)}
+    left = network.places.movement(*LEFT_IN).id
+    assert found["movement", left].vehicles_per_hour == 40.0
+    assert found["edge", "s_in"].vehicles_per_hour == 0.0
+    assert found["turn", "left"].vehicles_per_hour is None
+
+
+@pytest.mark.parametrize(
+    "table", ["a,b\n1,2\n", FLOWS.replace("100,50", "many,50"), FLOWS.rstrip("\n")]
+)
+def test_a_damaged_table_of_flows_is_one_sentence(tmp_path, table):
+    out = Attacks(tmp_path / "out")
+    out.add("a", av=eastward(x=-130.0), opponent=eastward(x=-136.0), hit=80)
+    (tmp_path / "out" / "flow.csv").write_text(table)
+    with pytest.raises(UsageError, match=r"flow\.csv .*run it again, or remove it"):
+        risk.read([tmp_path / "out"])
