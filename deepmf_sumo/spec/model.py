@@ -12,9 +12,11 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    SerializerFunctionWrapHandler,
     Tag,
     ValidationInfo,
     WithJsonSchema,
+    model_serializer,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -99,7 +101,23 @@ Only = Annotated[
 ]
 
 
-class FromNetwork(Strict):
+class _Source(Strict):
+    """What all sources have; written without keys that leave everything as it is.
+
+    So equal specs are written as by earlier versions, which do not know these keys.
+    """
+
+    only: Only = None
+
+    @model_serializer(mode="wrap")
+    def _written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = write(self)
+        if self.only is None:
+            values.pop("only", None)
+        return values
+
+
+class FromNetwork(_Source):
     """A SUMO configuration with demand, run by SUMO until ``start_s``."""
 
     network: ExistingPath = Field(description="a .sumocfg")
@@ -108,7 +126,6 @@ class FromNetwork(Strict):
     sumo_options: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         default=(), description="beside the .sumocfg, as on SUMO's command line"
     )
-    only: Only = None
 
 
 class Moments(Strict):
@@ -217,7 +234,7 @@ Scenes = Annotated[
 ]
 
 
-class FromRecording(Strict):
+class FromRecording(_Source):
     """A recorded file, or a folder of them; the format is found by the content."""
 
     recording: ExistingPath
@@ -225,7 +242,13 @@ class FromRecording(Strict):
     start_s: float = Field(
         default=0.0, ge=0, description="seconds of the recording's future that the log drives alone"
     )
-    only: Only = None
+
+    @model_serializer(mode="wrap")
+    def _written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values = super()._written(write)
+        if not self.start_s:
+            values.pop("start_s", None)
+        return values
 
 
 def _source_kind(value: Any) -> str | None:
@@ -352,13 +375,7 @@ class Spec(Strict):
     def resolved(self) -> dict[str, Any]:
         """Plain values with absolute paths, as they are written to a result folder.
 
-        Keys of turns are left out for one opponent, and keys of the source that leave everything as
-        it is: such specs equal those of earlier versions.
+        Keys of turns are left out for one opponent: such specs equal those of earlier versions.
         """
         without = {"opponents", "turns"} if self.opponents == "one" else None
-        values = self.model_dump(mode="json", exclude=without)
-        if self.source.only is None:
-            values["source"].pop("only", None)
-        if isinstance(self.source, FromRecording) and not self.source.start_s:
-            values["source"].pop("start_s")
-        return values
+        return self.model_dump(mode="json", exclude=without)
