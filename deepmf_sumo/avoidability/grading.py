@@ -14,7 +14,7 @@ velocities of standing vehicles exceed).
 """
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -124,6 +124,18 @@ def evasive_manoeuvres(encounter: Encounter, rollout: Rollout, case: Case) -> Bo
     return free
 
 
+class Past(NamedTuple):
+    """(H, 3) poses x, y, heading of the AV and of the opponent in the steps before now."""
+
+    av: Floats
+    opponent: Floats
+
+    @classmethod
+    def none(cls) -> "Past":
+        """No steps."""
+        return cls(np.empty((0, 3)), np.empty((0, 3)))
+
+
 def avoidable(
     av_start: State,
     av_size_m: Floats,
@@ -135,6 +147,7 @@ def avoidable(
     dt_s: float,
     by: By = "any",
     av_along_m: Floats | None = None,
+    past: Past | None = None,
 ) -> Bools:
     """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
 
@@ -151,16 +164,22 @@ def avoidable(
             or ``all``.
         av_along_m: (K + 1) the AV's arc lengths now and at the opponent's steps until the driver
             reacts, if it does not keep its speed.
+        past: what both did before; the driver takes over at its first step, not now.
     """
-    path = AvPath.through(av_start.position_m[None], np.array([av_start.heading_rad]), av_path_m)
+    past = past or Past.none()
+    av_m = np.concatenate([past.av[:, :2], [av_start.position_m]])
+    path = AvPath.through(av_m, np.append(past.av[:, 2], av_start.heading_rad), av_path_m)
     futures, steps = np.shape(opponent_heading_rad)
-    before = np.broadcast_to(opponent_now.position_m, (futures, 1, 2))
-    position = np.concatenate([before, opponent_position_m], axis=1)
-    before_rad = np.full((futures, 1), opponent_now.heading_rad)
-    heading = np.concatenate([before_rad, opponent_heading_rad], axis=1)
+    now = np.append(opponent_now.position_m, opponent_now.heading_rad)
+    before = np.concatenate([past.opponent, [now]])
+    before = np.broadcast_to(before, (futures, *before.shape))
+    position = np.concatenate([before[..., :2], opponent_position_m], axis=1)
+    heading = np.concatenate([before[..., 2], opponent_heading_rad], axis=1)
     approach = Approach.of(path, position, heading, opponent_size_m, av_size_m, dt_s)
     steady_m = av_start.speed_mps * dt_s * np.arange(steps + 1)
-    driven_m = steady_m if av_along_m is None else av_along_m
+    ahead_m = steady_m if av_along_m is None else av_along_m
+    past_m = np.append(0.0, np.hypot(*np.diff(av_m, axis=0).T).cumsum())
+    driven_m = np.concatenate([past_m[:-1], past_m[-1] + ahead_m])
     models = list(MODELS.values()) if by in ("any", "all") else [MODELS[by]]
     avoided = reference_drivers.outcome(models, path, approach, driven_m).avoided
     return np.all(avoided, axis=0) if by == "all" else np.any(avoided, axis=0)

@@ -13,7 +13,7 @@ from typing import ClassVar, Final, Literal, Protocol
 import numpy as np
 
 from deepmf_sumo.avoidability.av_path import State
-from deepmf_sumo.avoidability.grading import avoidable
+from deepmf_sumo.avoidability.grading import Past, avoidable
 from deepmf_sumo.datatypes import AgentId, Bools, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
 from deepmf_sumo.deepmf.candidates import Candidates, References, rear_ends
@@ -22,7 +22,7 @@ from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
-from deepmf_sumo.geometry import boxes, polylines
+from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.geometry.road import on_road
 
@@ -191,28 +191,32 @@ class Lawful(Constraint):
 class Fair(Constraint):
     """A competent driver in the AV's place could avoid the candidate (`avoidability.grading`).
 
-    What was avoidable when the attack started remains so until it ends.
+    During an attack that driver took over when the attack began, as in the judgement of the result:
+    what both have driven since is part of what it had to avoid. Before, it takes over now.
     """
 
     name = "fair"
     scope = "attack"
+    keeps_plan = True
 
     def __init__(self, settings: Settings) -> None:
-        self.keeps_plan = False
+        self._driven = _Driven()
 
     def allowed(
         self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
     ) -> Bools:
         assert situation.unattacked is not None
-        futures = own.forecast.futures
-        return self._kept(own) | fair_candidates(situation, futures, situation.unattacked)
+        self._driven.note(situation)
+        return fair_candidates(
+            situation, own.forecast.futures, situation.unattacked, self._driven.past
+        )
 
     def confirmed(
         self, situation: Situation, own: Candidates, reaction: Forecast, pairs: Pairs, row: int
     ) -> bool:
         """Whether it is fair also if the AV follows the likeliest colliding reaction."""
         hits = pairs.collides[row]
-        if self._kept(own)[row] or not hits.any():
+        if not hits.any():
             return True
         futures = own.forecast.futures
         one = Futures(
@@ -221,20 +225,58 @@ class Fair(Constraint):
             heading_rad=futures.heading_rad[row : row + 1],
         )
         hit = Forecast(futures=reaction.futures, probability=reaction.probability * hits)
-        return bool(fair_candidates(situation, one, hit)[0])
+        return bool(fair_candidates(situation, one, hit, self._driven.past)[0])
 
     def decided(self, attacks: bool) -> None:
-        self.keeps_plan = attacks
-
-    def _kept(self, own: Candidates) -> Bools:
-        """(N1) candidates that continue a fair attack."""
-        return np.array([origin == "tail" for origin in own.origin]) & self.keeps_plan
+        self._driven.decided(attacks)
 
 
-def fair_candidates(situation: Situation, futures: Futures, av: Forecast) -> Bools:
-    """(N1) futures of the opponent that a reference driver in the AV's place can avoid from now on.
+class _Driven:
+    """Poses of AV and opponent since an attack began: (T, 2, 3) at the steps up to the last plan.
 
-    Until that driver reacts, the AV follows the likeliest of its predicted futures ``av``.
+    A view contains the last second; between plans that are farther apart poses are interpolated.
+    """
+
+    def __init__(self) -> None:
+        self._poses = np.empty((0, 2, 3))
+        self._step = 0
+        self._attacks = False
+
+    def note(self, situation: Situation) -> None:
+        """Add the steps since the last plan."""
+        view = situation.view
+        rows = [view.history.row(one) for one in (view.av_id, situation.opponent_id)]
+        poses = np.concatenate(
+            [view.history.position_m[rows], view.history.heading_rad[rows][..., None]], axis=-1
+        ).swapaxes(0, 1)
+        if self._attacks and view.step > self._step:
+            seen = min(view.step - self._step, len(poses))
+            gap = np.linspace(0, 1, view.step - self._step - seen + 2)[1:-1, None, None]
+            before, after = self._poses[-1], poses[-seen]
+            moved = after - before
+            moved[:, 2] = frames.difference(after[:, 2], before[:, 2])
+            self._poses = np.concatenate([self._poses, before + gap * moved, poses[-seen:]])
+        else:
+            self._poses = poses[-1:]
+        self._step = view.step
+
+    def decided(self, attacks: bool) -> None:
+        """What begins with this plan, or ends."""
+        self._attacks = attacks
+
+    @property
+    def past(self) -> Past:
+        """Without the present."""
+        return Past(self._poses[:-1, 0], self._poses[:-1, 1])
+
+
+def fair_candidates(
+    situation: Situation, futures: Futures, av: Forecast, past: Past | None = None
+) -> Bools:
+    """(N1) futures of the opponent that a reference driver in the AV's place can avoid.
+
+    It takes over at the first step of ``past``, or now. Until it reacts, the AV drives as in the
+    past and then follows the likeliest of its predicted futures ``av``.
     """
     view = situation.view
     now = _state(view, view.av_id)
@@ -249,6 +291,7 @@ def fair_candidates(situation: Situation, futures: Futures, av: Forecast) -> Boo
         futures.heading_rad,
         view.dt_s,
         av_along_m=polylines.arc_lengths(np.concatenate([now.position_m[None], ahead])),
+        past=past,
     )
 
 

@@ -1,7 +1,12 @@
 """Which candidates a competent driver could avoid, from what the AV is predicted to do."""
 
-import numpy as np
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
+from deepmf_sumo.avoidability.av_path import State
+from deepmf_sumo.avoidability.grading import Past, avoidable
 from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.situation import Situation
@@ -44,3 +49,37 @@ def test_a_follower_that_an_av_meets_because_it_brakes_is_not_avoidable():
     brakes = forecast(straight("av", 0, 0, np.maximum(12.0 - 3.0 * STEPS, 0.0)))
     assert fair(view, behind, keeps)[0]
     assert not fair(view, behind, brakes)[0]
+
+
+def test_a_driver_that_took_over_when_the_attack_began_has_had_time():
+    """A car stands 15 m ahead of the AV at 10 m/s: too late now, but not 2 s ago."""
+    steps = np.arange(1, 81)
+    standing = np.zeros((1, 80, 2)), np.zeros((1, 80))
+    av, car = State(np.array([-15.0, 0.0]), 0.0, 10.0), State(np.zeros(2), 0.0, 0.0)
+    size = np.array([4.8, 2.0])
+    ahead = np.stack([-15.0 + steps * 1.0, np.zeros(80)], -1)
+    known = av, size, ahead, car, size, *standing, 0.1
+    assert not avoidable(*known)[0]
+    before = np.arange(20) - 20.0
+    driven = np.stack([-15.0 + before, np.zeros(20), np.zeros(20)], -1)
+    assert avoidable(*known, past=Past(driven, np.zeros((20, 3))))[0]
+
+
+@pytest.mark.parametrize("steps", [1, 10, 40])
+def test_what_was_driven_since_the_attack_began_is_kept(steps):
+    def situation(step):
+        x = 1.0 * (step - 10)
+        view = view_of({"av": (x, 0, 0, 10.0), "b": (x / 2, 3.5, 0, 5.0)}, step=step)
+        return SimpleNamespace(view=view, opponent_id="b")
+
+    driven = constraints._Driven()
+    driven.note(situation(10))
+    assert len(driven.past.av) == 0
+    driven.decided(True)
+    driven.note(situation(10 + steps))
+    expected = np.arange(steps)[:, None] * [[1.0, 0.0, 0.0]]
+    np.testing.assert_allclose(driven.past.av, expected, atol=1e-9)
+    np.testing.assert_allclose(driven.past.opponent, expected / 2 + [[0, 3.5, 0]], atol=1e-9)
+    driven.decided(False)
+    driven.note(situation(20 + steps))
+    assert len(driven.past.av) == 0
