@@ -252,7 +252,7 @@ def test_the_road_of_a_lost_recording_is_that_of_the_network(folder, tmp_path):
     assert len(run.road()[0].lanes) == 2
     assert run.road()[1] == ""
     (tmp_path / "one.npz").unlink()
-    reader._recorded_road.cache_clear()
+    reader._recorded.cache_clear()
     with pytest.raises(UsageError, match=r"holds no net\.net\.xml"):
         run.road()
     (run.folder / "sumo").mkdir()
