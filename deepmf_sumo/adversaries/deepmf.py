@@ -48,7 +48,8 @@ class DeepMF:
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._predictors = cached_predictors(self._weights)
-        settings, experience = self._settings, Experience()
+        settings = self._settings
+        experience = Experience(one_opponent=settings.tried == 1)
         begin, end = time.perf_counter(), deadline(budget)
         most = min(settings.tries, budget.simulations or settings.tries)
         best: tuple[_Rank, float, Rollout] | None = None

@@ -94,8 +94,11 @@ class Experience:
     """The tries of one attack so far.
 
     Attributes:
+        one_opponent: there is no other opponent than the first.
         given_up: opponents that others come before.
     """
+
+    one_opponent: bool = False
 
     _tries: list[_Try] = field(default_factory=list)
     given_up: set[AgentId] = field(default_factory=set)
@@ -104,7 +107,8 @@ class Experience:
         """Remember a try; False if nothing new can be tried any more.
 
         An opponent that drove as in an earlier try, or that has tried `_PATIENCE` times, is given
-        up: others come first. If it drives the same again after that, there is no other one.
+        up: others come first. If it drives the same again after that, or is the only one, nothing
+        new can be tried.
         """
         opponent = rollout.opponent_id
         if opponent is None:
@@ -114,7 +118,7 @@ class Experience:
         if repeated or len(own) + 1 >= _PATIENCE:
             self.given_up.add(opponent)
         self._tries.append(_Try(rollout, wanted))
-        return not (repeated and known)
+        return not (repeated and (known or self.one_opponent))
 
     @property
     def last(self) -> Rollout | None:

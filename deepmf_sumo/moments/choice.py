@@ -86,10 +86,12 @@ def _notes(sightings: Sightings, wish: Wish, rows: Ints, met: Encounters) -> tup
     meeting = len(np.unique(sightings.vehicle[rows[met.kind[rows] != NONE]]))
     if meeting >= wish.count:
         return ()
-    have = f"{meeting} vehicles have" if meeting > 1 else f"{meeting or 'no'} vehicle has"
+    if not meeting:
+        return ("no vehicle meets another at a junction: all moments are without an encounter",)
+    have = "1 vehicle meets" if meeting == 1 else f"{meeting} vehicles meet"
     sentence = (
-        f"{have} an encounter at a junction then, fewer than the {wish.count} moments that are"
-        " asked for; the others are attacked without one"
+        f"{have} another at a junction: at most {meeting} of the {wish.count} moments are before"
+        " an encounter"
     )
     return (sentence,)
 

@@ -46,7 +46,7 @@ def row(group: Group) -> tuple[str, ...]:
         one.priority,
         one.action or "",
         group.avoidable,
-        "" if group.onset_s is None else f"{group.onset_s:.1f}",
+        f"{group.onset_s:.1f}" if _seconds(group) else "",
         "" if one.kind != "hit" else f"{group.delta_v_mps:.1f}",
         one.run.run_id,
     )

@@ -43,7 +43,7 @@ def path_of(candidate: Candidate, failure: Failure, undisturbed: Floats | None) 
 
     ``undisturbed``: (N, 3) from the run's start on; None where it is not known.
     """
-    poses = failure.path(candidate.plans)[: candidate.last + 1]
+    poses = _continued(failure.path(candidate.plans), candidate.last + 1)
     if undisturbed is None:
         return poses[candidate.begin + 1 :]
     calm = _continued(undisturbed, len(poses))
@@ -103,7 +103,7 @@ def changes_of_plan(candidate: Candidate, failure: Failure) -> int:
 
 
 def _continued(poses: Floats, steps: int) -> Floats:
-    """So many of the poses (N, 3); after them straight on at the last speed."""
+    """The first ``steps`` of the poses (N, 3); after them straight on at the last speed."""
     missing = np.arange(1, steps - len(poses) + 1)[:, None]
     moved = poses[-1] - poses[-2] if len(poses) > 1 else np.zeros(3)
     rest = poses[-1] + missing * np.array([moved[0], moved[1], 0.0])

@@ -15,9 +15,11 @@ from deepmf_sumo.spec import Spec
 
 
 def check(file: Path) -> None:
-    """Raise OutputError for a file that cannot be written, before anything is simulated."""
+    """Raise OutputError for a file that is there or cannot be written, before any simulation."""
+    if file.exists():
+        raise OutputError(f"{file} exists; move it away, or give another --out.")
     if not file.absolute().parent.is_dir():
-        raise OutputError(f"{file.parent} is no folder; make it first, or give another --out.")
+        raise OutputError(f"{file.parent} is not a folder; make it first, or give another --out.")
 
 
 def write(found: Shrunk, file: Path) -> None:
@@ -46,7 +48,8 @@ def summary(found: Shrunk) -> str:
     time = f"hit after {failure.contact * DT_S:.1f} s -> {best.steps * DT_S:.1f} s"
     plans = f"changes of plan {before} -> {after}"
     motion = f"hardest acceleration {first.hardest_mps2:.1f} -> {best.hardest_mps2:.1f} m/s2"
-    return f"{users}, {time}, {plans}, {motion}"
+    speed = f"contact at {first.contact_mps:.1f} -> {best.contact_mps:.1f} m/s"
+    return f"{users}, {time}, {plans}, {motion}, {speed}"
 
 
 def _head(found: Shrunk) -> str:

@@ -23,6 +23,8 @@ _LEAST_STEPS: Final = 10
 _FINE_STEPS: Final = 2
 _MILDER_MPS2: Final = 0.1
 _ROUNDED_MPS2: Final = 0.05
+_FASTER_MPS: Final = 0.5
+"""A contact may be faster than the first by at most this."""
 """What rounding of poses may add to an acceleration."""
 _AVERAGED: Final = (10, 5, 2)
 _SCALES: Final = (0.5, 0.7, 0.85, 0.95)
@@ -163,7 +165,6 @@ class _Search:
     def _simulated(self, candidate: Candidate) -> Trial:
         self._tried.add(candidate)
         path = path_of(candidate, self._failure, self._calm)
-        candidate = replace(candidate, last=min(candidate.last, candidate.begin + len(path)))
         values = spec_values(candidate, self._failure, path)
         return trial(self._simulator, self._failure, candidate, values)
 
@@ -195,6 +196,7 @@ class _Search:
             and (found.grade or 0.0) >= (first.grade or 0.0)
             and found.feasible >= first.feasible
             and found.hardest_mps2 <= first.hardest_mps2 + _ROUNDED_MPS2
+            and found.contact_mps <= first.contact_mps + _FASTER_MPS
         )
 
     def _later(self) -> bool:

@@ -41,6 +41,7 @@ class Trial:
         road_users: that were there up to the contact, with the AV.
         accident, grade: metrics ``accident_type`` and ``avoidance_grade``.
         feasible: the opponent drove within the limits of a car.
+        contact_mps: relative speed at the contact.
         hardest_mps2: largest acceleration of the opponent from the begin to the contact.
         digest: of ``tracks.csv.gz``.
     """
@@ -53,6 +54,7 @@ class Trial:
     accident: float | None = None
     grade: float | None = None
     feasible: bool = False
+    contact_mps: float = np.inf
     hardest_mps2: float = np.inf
     digest: str = ""
 
@@ -164,6 +166,7 @@ def _judged(blank: Trial, failure: Failure, result: Result, folder: Path) -> Tri
         accident=metrics.get("accident_type"),
         grade=metrics.get("avoidance_grade"),
         feasible=bool(metrics.get("feasible")),
+        contact_mps=float(hit["relative_mps"]),
         hardest_mps2=_hardest(found, failure.opponent, hit["step"]),
         digest=hashlib.sha256(file.read_bytes()).hexdigest(),
     )

@@ -59,6 +59,8 @@ def _one_opponent(spec: Spec) -> str:
     named = spec.adversary.settings.get("opponent")
     if spec.adversary.name in _DEEPMF and named is not None:
         return f"adversary.opponent is '{named}'"
+    if spec.adversary.settings.get("tries", 1) != 1:
+        return "several tries (adversary.tries) are for one opponent"
     return f"{spec.adversary.name} looks for one attack"
 
 

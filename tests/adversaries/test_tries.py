@@ -167,3 +167,10 @@ def test_the_published_form_has_one_try_and_one_goal(values):
 def test_opponents_in_turn_are_for_one_try():
     assert plugins.settings("adversaries", "deepmf", {}).takes_turns
     assert not plugins.settings("adversaries", "deepmf", {"tries": 2}).takes_turns
+
+
+def test_an_only_opponent_that_repeats_itself_ends_the_tries():
+    experience = Experience(one_opponent=True)
+    rollout = rollout_of({"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)})
+    assert experience.add(rollout, wanted=False)
+    assert not experience.add(rollout, wanted=False)

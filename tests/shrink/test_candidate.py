@@ -105,3 +105,11 @@ def test_a_later_begin_starts_where_and_as_fast_as_the_undisturbed_vehicle(whole
 
 def test_an_undisturbed_motion_that_ends_early_goes_straight_on():
     np.testing.assert_allclose(module._continued(along(6.0)[:11], 31), along(6.0, 30))
+
+
+def test_a_path_goes_on_straight_after_its_plans_end():
+    found = failure()
+    long = Candidate(last=400, contact=50, only=None, plans=len(found.plans))
+    path = path_of(long, found, None)
+    assert len(path) == 400
+    np.testing.assert_allclose(np.diff(path[-50:], axis=0), np.tile(path[-1] - path[-2], (49, 1)))

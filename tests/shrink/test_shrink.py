@@ -164,7 +164,7 @@ def test_what_cannot_be_shrunk_is_refused_in_one_sentence(hit, tmp_path, capsys)
     with pytest.raises(UsageError, match=r"has no run '00-ones'\. Did you mean '00-one'"):
         shrink.run_of(folder.out, "00-ones")
     assert main._run(["shrink", str(hit), "--out", str(tmp_path / "no" / "x.yaml")]) == 2
-    assert "is no folder" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
     copy = shutil.copytree(hit, tmp_path / "copy")
     text = (hit / "spec.yaml").read_text()
     (copy / "spec.yaml").write_text(text.replace("constant_velocity", "no_such:Planner"))
