@@ -121,6 +121,13 @@ def _pooled(done: Sequence[Result]) -> Row:
 CONFIDENCE: Final = 0.95
 
 
+_DIFFERENCE: Final = (
+    "planner", "quantity", "unit", "method", "baseline", "pairs", "method_mean", "baseline_mean",
+    "difference", "difference_lo", "difference_hi", "method_only", "baseline_only",
+)  # fmt: skip
+"""Columns: a plan of one method has no rows."""
+
+
 def differences(
     methods: Mapping[str, Sequence[Result]], baseline: str, planner: str
 ) -> list[dict[str, Any]]:
@@ -197,7 +204,7 @@ def write(folder: Path) -> None:
     plan = layout.read_layout(folder)
     runs = _grouped(results_of(folder))
     files.write(folder / MAIN, tables.to_csv(main_rows(plan, runs)))
-    files.write(folder / DIFFERENCES, tables.to_csv(_differences(plan, runs)))
+    files.write(folder / DIFFERENCES, tables.to_csv(_differences(plan, runs), _DIFFERENCE))
     files.write(folder / ACCIDENTS, tables.to_csv(_accidents(plan, runs)))
     for name, part, rows_of in (
         (EQUAL_SECONDS, plan.equal_seconds, _equal_seconds),

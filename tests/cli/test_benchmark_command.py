@@ -37,6 +37,16 @@ def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
     assert "4 not begun: --resume does them" in done.output
 
 
+def test_a_plan_of_one_method_has_tables_too(tiny, tmp_path):
+    done = call(
+        COMMANDS["benchmark"], tiny_plan.write(tiny), "--out", tmp_path / "one", "--no-figures",
+        "--set", "methods={none: none}", "--set", "tables={}",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "one" / "table.md").is_file()
+    assert len((tmp_path / "one" / "differences.csv").read_text().splitlines()) == 1
+
+
 def test_wrong_calls_run_nothing(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "run", None)
     plan = tiny_plan.write(tiny)
