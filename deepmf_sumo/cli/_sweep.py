@@ -162,7 +162,7 @@ def _judged() -> tuple[Callable[..., Any], ...]:
         ),
         click.option(
             "--baseline", metavar="RESULTS", type=_GIVEN,
-            help="Compare with these earlier results as well, where --thresholds is given.",
+            help="Compare with these earlier results, as `deepmf-sumo check` does.",
         ),
     )  # fmt: skip
 
@@ -199,7 +199,7 @@ def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
         unlocked = "its file system has no locks: do not let two sweeps write into it at a time"
         click.echo(f"deepmf-sumo: {out}: {unlocked}", err=True)
     endings = batch.endings(results)
-    verdict = judge(sweep) if sweep.thresholds else None
+    verdict = judge(sweep) if sweep.thresholds or sweep.baseline else None
     if missing:
         return exit_code("interrupted")
     if verdict is None or "wrong" in endings:
@@ -237,10 +237,6 @@ def check(sweep: Sweep) -> None:
     """Raise UsageError for files that no result could be judged by."""
     from deepmf_sumo import gate
 
-    if sweep.thresholds is None:
-        if sweep.baseline:
-            raise UsageError(f"--baseline {sweep.baseline}: give --thresholds as well.")
-        return
     named = gate.load(sweep.thresholds).baseline.results
     place = sweep.baseline or (Path(named) if named else None)
     if place:
@@ -258,7 +254,6 @@ def judge(sweep: Sweep) -> int:
     from deepmf_sumo.cli._screen import show_verdict
     from deepmf_sumo.gate.verdict import write_junit
 
-    assert sweep.thresholds is not None
     verdict = gate.check(sweep.options.out, gate.load(sweep.thresholds), sweep.baseline)
     show_verdict(verdict)
     if sweep.options.junit:

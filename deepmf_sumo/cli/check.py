@@ -53,8 +53,7 @@ def command(
 
     if not (thresholds or baseline or write_baseline):
         raise click.UsageError("Missing --thresholds or --baseline: nothing to judge by.")
-    wanted = gate.load(thresholds) if thresholds else gate.Thresholds(version=1)
-    verdict = gate.check(out, wanted, baseline, write_baseline)
+    verdict = gate.check(out, gate.load(thresholds), baseline, write_baseline)
     if form == "table":
         screen.show_verdict(verdict)
     elif form == "md":

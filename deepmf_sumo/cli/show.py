@@ -38,7 +38,7 @@ def command(
 
     if failures:
         if everything or csv_file:
-            raise UsageError("--failures goes without --all and --csv: leave one of them out.")
+            raise UsageError("--failures goes without --all; its data: --format csv or json.")
         _show_failures(folders, form)
         return
     groups = comparison.groups(folders)

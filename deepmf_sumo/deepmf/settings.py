@@ -171,6 +171,12 @@ class Settings(plugins.Settings):
         return self
 
     @model_validator(mode="after")
+    def _one_goal(self) -> Self:
+        if self.goal == "avoidable" and "fair" in self.model_fields_set and not self.fair:
+            raise ValueError("goal 'avoidable' drives fair candidates alone; leave fair: false out")
+        return self
+
+    @model_validator(mode="after")
     def _one_rule(self) -> Self:
         other = {"rule", "likelihood_weight"} & self.model_fields_set
         if self.aggressiveness is not None and other:

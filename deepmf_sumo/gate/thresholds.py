@@ -106,8 +106,10 @@ class Thresholds(Limits):
     baseline: Annotated[Baseline, BeforeValidator(_named)] = Baseline()
 
 
-def load(file: Path) -> Thresholds:
-    """The thresholds in a file. Raises SpecError with file, line and key."""
+def load(file: Path | None) -> Thresholds:
+    """The thresholds in a file, or the defaults. Raises SpecError with file, line and key."""
+    if file is None:
+        return Thresholds(version=1)
     document = read(file)
     found: Thresholds = checked(Thresholds, document.values, (), document)
     results = found.baseline.results

@@ -207,12 +207,12 @@ def _notes(wanted: Baseline, new: Results, old: Results, compared: int) -> Itera
     changed, names = comparison.attack_changed(new, old)
     if changed:
         yield (
-            f"the attack is set up differently in {changed} pairs ({', '.join(names)}):"
+            f"the attack is set up differently in {changed} pair{_s(changed)} ({', '.join(names)}):"
             " differences may be the attack's, not the AV's"
         )
     alone = len(new.rows.keys() - old.rows.keys()), len(old.rows.keys() - new.rows.keys())
     if any(alone):
-        yield f"{alone[0]} runs are new, {alone[1]} of the baseline are gone"
+        yield f"new runs: {alone[0]}; runs of the baseline that are gone: {alone[1]}"
     yield (
         f"judged: {', '.join(wanted.quantities)}; the judged intervals ({compared}) hold together"
         f" with {100 * wanted.confidence:g} % at each end"
@@ -267,7 +267,7 @@ def counts(rows: Sequence[Row]) -> str:
     parts += [f"{unattacked} with no vehicle to attack"] if unattacked else []
     parts += [f"{skipped} skipped"] if skipped else []
     parts += [f"{unfinished} failed or missing"] if unfinished else []
-    return f"{len(rows)} runs: {', '.join(parts)}"
+    return f"{len(rows)} run{_s(len(rows))}: {', '.join(parts)}"
 
 
 def thresholds(verdict: Verdict) -> Iterator[tuple[str, ...]]:

@@ -185,7 +185,8 @@ def suitable(
     if from_s is not None:
         conditions.insert(1, _late(sightings, wish, from_s, from_why))
     if within is not None:
-        conditions.insert(1, (within, f"no vehicle{_typed(wish)} comes to {wish.where}"))
+        who = f"vehicle '{wish.av}' never" if wish.av else f"no vehicle{_typed(wish)}"
+        conditions.insert(1, (within, f"{who} comes to {wish.where}"))
     for mask, reason in conditions:
         kept &= mask
         if not kept.any():

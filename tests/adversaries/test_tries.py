@@ -174,3 +174,8 @@ def test_an_only_opponent_that_repeats_itself_ends_the_tries():
     rollout = rollout_of({"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)})
     assert experience.add(rollout, wanted=False)
     assert not experience.add(rollout, wanted=False)
+
+
+def test_the_goal_avoidable_contradicts_unfair():
+    with pytest.raises(PluginError, match="leave fair: false out"):
+        plugins.settings("adversaries", "deepmf", {"goal": "avoidable", "fair": False})

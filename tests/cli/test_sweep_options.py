@@ -193,7 +193,7 @@ def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, c
     for wrong, told in {
         ("--thresholds", bad): "Did you mean 'max_collision_rate'?",
         ("--thresholds", good, "--baseline", old): "was made by version 0.0.1",
-        ("--baseline", old): "give --thresholds as well",
+        ("--baseline", old): "was made by version 0.0.1",
         ("--executor", "rays"): "must be local, ray, or ray://HOST:PORT",
         ("--executor", "ray", "--gui"): "--gui shows runs on this machine",
         ("--shard", "3/2"): "must be i/n with 1 <= i <= n",

@@ -214,7 +214,7 @@ def test_another_attack_is_told(tmp_path, out):
     new = gate_doubles.write_folder(tmp_path / "new", runs)
     verdict = gate.check(new, thresholds(tmp_path, "baseline: b.json"))
     assert "set up differently in 3 pairs (weights): differences may be" in verdict.notes[0]
-    assert "0 runs are new, 3 of the baseline are gone" in verdict.notes[1]
+    assert "new runs: 0; runs of the baseline that are gone: 3" in verdict.notes[1]
 
 
 def test_summary(tmp_path, out):

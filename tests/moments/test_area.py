@@ -79,7 +79,7 @@ def test_attacks_are_in_the_area_alone(config, tmp_path):
     area.write_text('<additional><poly id="a" shape="0,145 90,145 90,155 0,155"/></additional>')
     assert {one.edge for one in found(config, polygon=str(area)).moments} == {"west"}
     nothing = found(config, edges=("north",), av="over2")
-    assert nothing.reason == "no vehicle comes to edge north"
+    assert nothing.reason == "vehicle 'over2' never comes to edge north"
     area.write_text('<additional><poly id="a" shape="900,0 990,0 990,9"/></additional>')
     away = found(config, polygon=str(area))
     assert away.reason == "no vehicle comes to the polygon"
