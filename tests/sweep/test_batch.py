@@ -103,19 +103,25 @@ def test_interrupt_keeps_what_is_finished_and_resumes(tiny, tmp_path):
 
 
 def test_a_run_that_ends_as_the_interrupt_comes_is_kept(tiny, tmp_path):
-    specs = [spec.load(tiny_network.spec(tiny, f"run {number}")) for number in range(3)]
+    specs = [spec.load(tiny_network.spec(tiny, f"run {number}")) for number in range(6)]
     options = batch.Options(out=tmp_path / "out", jobs=2)
+    runs = tmp_path / "out" / "runs"
+    kept = []
 
     def interrupt(progress):
-        while progress.done == 1:
-            if len(list((tmp_path / "out").glob("runs/[!.]*/result.json"))) == 2:
-                raise KeyboardInterrupt
-            time.sleep(0.01)
+        busy = list(runs.glob(".*.partial"))
+        if busy:  # else the other worker has not begun yet: at the next run's end
+            while any(one.exists() for one in busy):
+                time.sleep(0.01)
+            kept.append((progress.done, len(list(runs.glob("[!.]*/result.json")))))
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         batch.run(specs, options, interrupt)
+    ((told, there),) = kept
+    assert there == told + 1
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert (summary["runs"], summary["interrupted"]) == (2, True)
+    assert (summary["runs"], summary["interrupted"]) == (there, True)
 
 
 def test_other_settings_are_not_resumed(tiny, tmp_path):
