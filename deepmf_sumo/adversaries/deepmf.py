@@ -68,7 +68,7 @@ class DeepMF:
         single = len(trials) == 1
         return Attack(
             rollout=best[2],
-            trials=() if settings.tries == 1 else tuple(trials),
+            trials=() if settings.tries == 1 or best[2].opponent_id is None else tuple(trials),
             simulations=len(trials),
             generation_s=policy.seconds if single else time.perf_counter() - begin,
             out_of_time=out_of_time,

@@ -311,7 +311,7 @@ class Scene(Frozen):
         return others[0] if len(others) == 1 and self.av_id in self.interest else None
 
     def later(self, steps: int) -> "Scene":
-        """The scene with its current step so many steps later, and as much history as before."""
+        """The scene with its current step ``steps`` later, and as much history as before."""
         return replace(
             self,
             timestamps_s=self.timestamps_s[steps:],

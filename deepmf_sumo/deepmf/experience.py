@@ -94,7 +94,7 @@ class Experience:
     """The tries of one attack so far.
 
     Attributes:
-        one_opponent: there is no other opponent than the first.
+        one_opponent: only the first opponent can attack.
         given_up: opponents that others come before.
     """
 

@@ -48,7 +48,7 @@ def accompanied(sightings: Sightings) -> Bools:
     _, moment = np.unique(sightings.time_s, return_inverse=True)
     points = np.column_stack([sightings.position_m, _APART_M * moment.ravel()])
     found = np.zeros(len(points), bool)
-    if able.sum() < 2:  # nobody else
+    if able.sum() < 2:  # no other vehicle
         return found
     away, _ = cKDTree(points[able]).query(points[able], k=2, distance_upper_bound=REACH_M)
     found[able] = np.isfinite(away[:, 1])

@@ -55,11 +55,11 @@ class Failure:
     Attributes:
         reason: what the planner did wrong.
         side: where the opponent came from, seen from the AV.
-        priority: who had it; empty where that is not known.
-        turned: who turned, changed lanes, or drove ahead of the other; empty where nobody did.
+        priority: which of the two had it; empty where that is not known.
+        turned: which of the two turned, changed lanes, or drove ahead; empty where neither did.
         action: of the AV, from the onset to the contact.
         onset_s: from the first step at which the AV may react to the contact.
-        grade: who could have avoided it from there on, see `avoidability.grading`; None: not known.
+        grade: whether it could be avoided from there on (`avoidability.grading`); None: not known.
         delta_v_mps: severity.
         ordinary_mps2: rms acceleration of the opponent; None where it is not known.
         opponent: "car" or "truck or bus".
@@ -277,7 +277,7 @@ def _steers(tracks: Tracks, row: int, first: int, last: int, road: RoadMap) -> b
 
 
 def _priority(run: Run, pair: _Pair, conflict: Conflict, turned: Who, road: RoadMap | None) -> Who:
-    """Who had priority: who does not turn, change lanes or follow; at junctions as the map says."""
+    """Which had priority: the one that does not turn, change lanes or follow; else by the map."""
     if run.metric("red_light"):
         return "AV"
     if conflict == "rear-end":

@@ -81,7 +81,7 @@ def avoidable(failure: Failure) -> Avoidable:
 
 
 def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
-    """Groups of failures among so many runs, the worst first.
+    """Groups of the failures of a number of runs, the worst first.
 
     Errors of the planner come first, then hits by avoidability, delta-v, and how ordinary the
     opponent's motion is.

@@ -37,7 +37,7 @@ def of_result(flows: Sequence[Mapping[str, str]], result: Result) -> list[Mappin
 
 
 def add(traffic: Traffic, rows: Iterable[Mapping[str, str]], places: Places) -> None:
-    """Add the vehicles of rows to what is known. Raises UsageError for what is no number."""
+    """Add the vehicles of rows to what is known. Raises UsageError for what is not a number."""
     known = {edge.id for edge in places.net.edges.values() if not edge.function}
     for row in rows:
         kind: Kind = "movement" if row["following"] else "edge"

@@ -50,7 +50,7 @@ class Failure:
         return self.task.spec
 
     def path(self, plans: int) -> Floats:
-        """(K, 3) the opponent from the start on, had it made so many plans and no further one.
+        """(K, 3) the opponent from the start on, had it made only the first ``plans`` plans.
 
         As driven where it was not driven by a plan. The last plan counts up to its end, beyond the
         contact.

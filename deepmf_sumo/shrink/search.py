@@ -69,7 +69,7 @@ def shrink(
 ) -> Shrunk:
     """Find the smallest reproducer of a failure, and check it in a new process.
 
-    ``simulations``: at most so many, at least 3. ``report`` hears of each step that helped.
+    ``simulations``: maximum number, at least 3. ``report`` hears of each step that helped.
 
     Raises RunError where the run does not fail again with the recorded path, or a reproducer does
     not repeat byte for byte.

@@ -36,7 +36,7 @@ class Trial:
 
     Attributes:
         candidate: what was tried. values: its spec.
-        why: why it is no hit of the opponent; empty where it is one.
+        why: why the opponent did not hit the AV; empty where it did.
         contact: step of the contact, counted from the run's start.
         road_users: that were there up to the contact, with the AV.
         accident, grade: metrics ``accident_type`` and ``avoidance_grade``.

@@ -188,7 +188,7 @@ class Moments(Strict):
 class FromMoments(FromNetwork):
     """A SUMO configuration of which vehicles and moments to attack are chosen.
 
-    Its runs have a `FromNetwork` each; ``start_s``, ``av`` and ``only`` are no keys of it.
+    Its runs have a `FromNetwork` each; it has no keys ``start_s``, ``av`` and ``only``.
     """
 
     start_s: float = Field(default=0.0, exclude=True)

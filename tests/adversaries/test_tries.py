@@ -179,3 +179,9 @@ def test_an_only_opponent_that_repeats_itself_ends_the_tries():
 def test_the_goal_avoidable_contradicts_unfair():
     with pytest.raises(PluginError, match="leave fair: false out"):
         plugins.settings("adversaries", "deepmf", {"goal": "avoidable", "fair": False})
+
+
+def test_a_case_without_an_opponent_has_no_trials():
+    alone = rollout_of({"av": straight(0, 0, 10)}, opponent_id=None)
+    found = attack(lambda policy: alone, tries=5)
+    assert (found.simulations, found.trials) == (1, ())  # their objective would be infinite
