@@ -306,7 +306,7 @@ def attack_in_rounds(
         spending.check_time()  # aiming stops at the same time
         rollout = spending.simulate(Planned(aimed.plan))
         attacks.append(rollout)
-        trials.append(Trial(parameters=aimed.parameters, objective=0.0 - nearest_m(rollout)))
+        trials.append(Trial(values=aimed.parameters, objective=0.0 - nearest_m(rollout)))
         if rollout.first("av_opponent") or spending.over:
             break
         answers.append(motion_of(rollout, case.av_id, case.duration_steps))

@@ -258,5 +258,5 @@ class _Best:
         if rank < self._rank:
             self._rank, self.rollout = rank, rollout
         parameters = dict(zip(self._names, point.tolist(), strict=True))
-        self.trials.append(Trial(parameters=parameters, objective=-cost))
+        self.trials.append(Trial(values=parameters, objective=-cost))
         return cost

@@ -58,7 +58,7 @@ class DeepMF:
             policy = self._policy(case, experience)
             rollout = simulate(policy)
             rank, gap = _REACHED[settings.goal](rollout, case), _gap_m(rollout)
-            trials.append(Trial(parameters=_named(settings.goal, rank), objective=0.0 - gap))
+            trials.append(Trial(values=_named(settings.goal, rank), objective=0.0 - gap))
             if best is None or (rank, -gap) > (best[0], -best[1]):
                 best = rank, gap, rollout
             more = experience.add(rollout, wanted=rank[0]) and not rank[0] and len(trials) < most

@@ -166,7 +166,7 @@ class _Stages:
         if saved is None:
             return []
         best = max(trial.objective for trial in attack.trials)
-        return [Trial(parameters={"solvable": float(saved)}, objective=best)]
+        return [Trial(values={"solvable": float(saved)}, objective=best)]
 
     def _begin(self, scouted: Scouted) -> None:
         from deepmf_sumo.adversaries import _strive as strive

@@ -1,11 +1,15 @@
 """``deepmf-sumo show``: the results of folders, side by side."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from deepmf_sumo.cli._parameters import format_option
 from deepmf_sumo.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepmf_sumo.results.groups import Group
 
 
 @click.command("show", short_help="Show results side by side.")
@@ -28,7 +32,8 @@ def command(
     """Show the result folders OUT... side by side, each spec of a folder separately.
 
     With --failures: hits of the opponent and errors of the planner, grouped by conflict, by where
-    the opponent came from, who had priority, what the AV did and who could have avoided it.
+    the opponent came from, which of the two had priority, what the AV did and what would have
+    avoided the hit.
     Rates have 95 % intervals. Means are of the runs that have a value; below the table it says why
     others have none.
     """
@@ -68,10 +73,18 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
             click.echo(f"deepmf-sumo: {run.run_id} cannot be described: {why}", err=True)
     groups = grouped((one for _, one, _ in looked if one is not None), len(results.runs))
     if form == "table":
-        rows = [(words.sentence(group), words.row(group)) for group in groups]
+        rows = [(_named(group, folders), words.row(group)) for group in groups]
         screen.show_failures(rows, len(results.runs))
     else:
         values = [{"sentence": words.sentence(group), **group.values()} for group in groups]
         if form != "json":  # a cell is a text
             values = [one | {"run_ids": " ".join(one["run_ids"])} for one in values]
         screen.emit(form, values)
+
+
+def _named(group: "Group", folders: tuple[Path, ...]) -> str:
+    """Its sentence; of several folders with that of the example."""
+    from deepmf_sumo.report import failures as words
+
+    said = words.sentence(group)
+    return said if len(folders) == 1 else f"{said} ({group.example.run.folder})"

@@ -160,9 +160,14 @@ class Budget:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One attack of a search: its parameters and objective (higher is worse for the AV)."""
+    """One attack of a search.
 
-    parameters: dict[str, float]
+    Attributes:
+        values: by name, what the search varied, and what it found (``hit``, ``solvable``, ...: 1 or
+            0). objective: higher is worse for the AV.
+    """
+
+    values: dict[str, float]
     objective: float
 
 

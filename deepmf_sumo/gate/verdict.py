@@ -131,7 +131,8 @@ def sentence(one: Judgement) -> str:
     word = "at least" if one.limit.startswith("min_") else "at most"
     bound = figure(one.bound, one.unit)
     return (
-        f"{one.group}: {one.limit} is {value} ({interval}{one.runs} runs), allowed {word} {bound}"
+        f"{one.group}: {one.limit} is {value} ({interval}{one.runs} run{_s(one.runs)}), allowed"
+        f" {word} {bound}"
     )
 
 

@@ -314,9 +314,15 @@ def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
     DeepMF does not ram the AV from behind unless ``all_conflicts``, or another key says so.
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
     adversary looks for one attack, or its opponent is named. Raises SpecError as `spec.load`,
-    WeightsError where weights are named that do not exist.
+    UsageError where ``all_conflicts`` contradicts a key, WeightsError where weights are named that
+    do not exist.
     """
     spec = of_document(document)
+    if all_conflicts and _never_rams(spec):
+        raise UsageError(
+            "--all-conflicts allows rams from behind, and adversary.no_rear_end forbids them: leave"
+            " one of them out."
+        )
     if not all_conflicts and _may_ram(spec):
         document.values.setdefault("adversary", {"name": spec.adversary.name})[_NOT_BEHIND] = True
         spec = of_document(document)
@@ -332,6 +338,12 @@ def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
 
 
 _NOT_BEHIND: Final = "no_rear_end"
+
+
+def _never_rams(spec: Spec) -> bool:
+    """Whether the spec itself says that it does not ram the AV from behind."""
+    chosen = spec.adversary.settings
+    return bool(chosen.get(_NOT_BEHIND)) or _NOT_BEHIND in chosen.get("constraints", ())
 
 
 def _may_ram(spec: Spec) -> bool:

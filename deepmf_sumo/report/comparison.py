@@ -258,6 +258,10 @@ def _key(groups: Sequence[Group]) -> tuple[Line, ...]:
             lambda one: _of_runs(one.ok, "generation_s", 2),
         ),
     ]
+    if any(episodes > 1 for group in groups for episodes in _column(group.ok, "simulations")):
+        lines.append(
+            ("simulated episodes, mean", "episodes", lambda one: _of_runs(one.ok, "simulations", 1))
+        )
     return tuple(
         Line(label=label, short=short, cells=tuple(cell(group) for group in groups))
         for label, short, cell in lines

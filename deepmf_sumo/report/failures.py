@@ -3,12 +3,12 @@
 from typing import Final
 
 from deepmf_sumo.results.failures import Conflict, Failure
-from deepmf_sumo.results.groups import Group, avoidable
+from deepmf_sumo.results.groups import Group, avoided_by
 from deepmf_sumo.texts import shown
 
 HEADINGS: Final = (
-    "runs", "failure", "from", "priority", "AV", "avoidable", "from s before", "delta-v, m/s",
-    "example",
+    "runs", "failure", "opponent from", "priority", "AV", "avoided by", "onset, s before the hit",
+    "delta-v, m/s", "example",
 )  # fmt: skip
 _CAREFUL: Final[dict[Conflict, str]] = {
     "rear-end": "kept its distance",
@@ -45,7 +45,7 @@ def row(group: Group) -> tuple[str, ...]:
         one.side or "",
         one.priority,
         one.action or "",
-        group.avoidable,
+        group.avoided_by,
         f"{group.onset_s:.1f}" if _seconds(group) else "",
         "" if one.kind != "hit" else f"{group.delta_v_mps:.1f}",
         one.run.run_id,
@@ -59,8 +59,8 @@ def facts(group: Group) -> list[list[str]]:
         f"{one.opponent} from": one.side,
         "priority": one.priority,
         "AV": one.action,
-        "avoidable": group.avoidable,
-        "avoidable from": _seconds(group),
+        "avoided by": group.avoided_by,
+        "onset": _seconds(group),
         "delta-v": f"up to {group.delta_v_mps:.1f} m/s" if one.kind == "hit" else "",
     }
     return [[name, value] for name, value in known.items() if value]
@@ -68,7 +68,7 @@ def facts(group: Group) -> list[list[str]]:
 
 def _seconds(group: Group) -> str:
     """Since when, where it is avoidable."""
-    if group.onset_s is None or group.avoidable in {"", "by nobody"}:
+    if group.onset_s is None or group.avoided_by in {"", "no driver"}:
         return ""
     return f"{group.onset_s:.1f} s before the hit (median)"
 
@@ -124,11 +124,11 @@ def _right_of_way(one: Failure) -> str:
 
 
 def _advice(one: Failure) -> str:
-    by = avoidable(one)
-    if by == "by a careful driver":
+    by = avoided_by(one)
+    if by == "careful driver":
         assert one.conflict is not None
         waits = one.turned == "AV" and one.conflict in _WAITING
         return f"a careful driver would have {'waited' if waits else _CAREFUL[one.conflict]}"
-    if by == "by braking or steering at once":
+    if by == "emergency manoeuvre":
         return "only braking or steering at once would have avoided it"
-    return "nobody could have avoided it" if by else "who could have avoided it is not known"
+    return "no driver could have avoided it" if by else "it is not known whether it was avoidable"

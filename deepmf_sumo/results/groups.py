@@ -10,12 +10,12 @@ from typing import Any, Final, Literal
 from deepmf_sumo.avoidability.grading import GRADES
 from deepmf_sumo.results.failures import Failure
 
-Avoidable = Literal["by a careful driver", "by braking or steering at once", "by nobody", ""]
-_AVOIDABLE: Final[dict[str, Avoidable]] = {
-    "A": "by nobody",
-    "B": "by braking or steering at once",
-    "C": "by a careful driver",
-    "D": "by a careful driver",
+AvoidedBy = Literal["careful driver", "emergency manoeuvre", "no driver", ""]
+_AVOIDED_BY: Final[dict[str, AvoidedBy]] = {
+    "A": "no driver",
+    "B": "emergency manoeuvre",
+    "C": "careful driver",
+    "D": "careful driver",
 }
 _NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _UNKNOWN: Final = 99.0
@@ -39,9 +39,9 @@ class Group:
         return self.failures[0]
 
     @property
-    def avoidable(self) -> Avoidable:
-        """By whom, from the onset on; empty where that is not known."""
-        return avoidable(self.example)
+    def avoided_by(self) -> AvoidedBy:
+        """What would have avoided it from the onset on; empty where that is not known."""
+        return avoided_by(self.example)
 
     @property
     def onset_s(self) -> float | None:
@@ -63,21 +63,22 @@ class Group:
             "from": example.side,
             "priority": example.priority or None,
             "av": example.action,
-            "avoidable": self.avoidable or None,
+            "avoided_by": self.avoided_by or None,
             "onset_s": self.onset_s,
             "delta_v_mps": round(self.delta_v_mps, 3) if hit else None,
             "opponent_rms_mps2": example.ordinary_mps2,
             "runs": len(self.failures),
             "of": self.of,
             "example": example.run.run_id,
+            "folder": str(example.run.folder),
             "reason": example.reason or None,
             "run_ids": [one.run.run_id for one in self.failures],
         }
 
 
-def avoidable(failure: Failure) -> Avoidable:
-    """By whom a failure could have been avoided."""
-    return _AVOIDABLE[failure.grade] if failure.grade else ""
+def avoided_by(failure: Failure) -> AvoidedBy:
+    """What would have avoided a failure: the mildest that is enough."""
+    return _AVOIDED_BY[failure.grade] if failure.grade else ""
 
 
 def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
@@ -102,7 +103,7 @@ def _key(failure: Failure) -> Hashable:
         failure.priority,
         failure.turned,
         failure.action,
-        avoidable(failure),
+        avoided_by(failure),
     )
 
 

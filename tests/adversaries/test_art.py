@@ -89,7 +89,7 @@ def test_without_a_limit_in_seconds_the_clock_ends_nothing(monkeypatch):
     assert calm.trials == same.trials
     limited = attack(World(), {"seconds": 1e-9})
     assert limited.out_of_time
-    assert limited.trials[0].parameters["iterations"] == 1
+    assert limited.trials[0].values["iterations"] == 1
 
 
 class TestDescent:
@@ -270,8 +270,8 @@ class TestFuture:
         found = attack(World(), {"reach_m": 8.0})
         assert found.rollout.first("av_opponent") is not None
         (trial,) = found.trials
-        assert trial.parameters["predicted_gap_m"] == 0.0
-        assert 0.0 < trial.parameters["mean_move_m"] < 8.0
+        assert trial.values["predicted_gap_m"] == 0.0
+        assert 0.0 < trial.values["mean_move_m"] < 8.0
         accel, brake, lateral = driven_limits(found.rollout)
         assert accel <= 3.0 + 1e-6
         assert brake <= 4.0 + 1e-6
@@ -292,7 +292,7 @@ class TestFuture:
 
     def test_seconds_end_it(self):
         found = attack(World(), budget=Budget(seconds=0.0))
-        assert found.trials[0].parameters["iterations"] == 1.0
+        assert found.trials[0].values["iterations"] == 1.0
         assert found.simulations == 2
 
     def test_its_own_seconds_end_the_rounds_too(self):

@@ -51,7 +51,7 @@ def test_it_meets_an_av_that_does_not_react():
     found = attack(world)
     assert found.rollout.first("av_opponent") is not None
     assert (found.simulations, len(world.policies)) == (2, 2)
-    assert found.trials[0].parameters == {"meeting_s": 6.0}
+    assert found.trials[0].values == {"meeting_s": 6.0}
     assert found.trials[0].objective == 0.0
     plan = found.rollout.plans[0]
     assert (plan.agent_id, plan.first_step, len(plan.position_m)) == ("b", NOW + 1, 80)

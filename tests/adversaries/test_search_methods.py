@@ -64,7 +64,7 @@ def test_the_budget_is_kept_and_told(name):
     found, world = attack(name, budget=Budget(simulations=7))
     assert (found.simulations, world.episodes, len(found.trials)) == (7, 7, 6)
     assert found.generation_s > 0
-    assert set(found.trials[0].parameters) == {
+    assert set(found.trials[0].values) == {
         f"{control}_{knot}" for control in ("accel", "steer") for knot in range(5)
     }
 

@@ -160,8 +160,8 @@ def test_the_adversary_spends_what_it_may_and_says_so(case):
     )
     assert found.rollout.opponent_id == "b"
     assert found.simulations == len(simulate.policies) <= 3
-    assert found.trials[-1].parameters["solvable"] in {0.0, 1.0}
-    assert found.trials[0].parameters["match_error_m"] >= 0
+    assert found.trials[-1].values["solvable"] in {0.0, 1.0}
+    assert found.trials[0].values["match_error_m"] >= 0
     assert found.generation_s > 0
 
 

@@ -57,7 +57,7 @@ def test_a_hit_ends_the_tries():
     found = attack(simulate, tries=5)
     assert found.simulations == len(simulate.plans) == 3
     assert found.rollout.first("av_opponent") is not None
-    assert [trial.parameters["hit"] for trial in found.trials] == [0.0, 0.0, 1.0]
+    assert [trial.values["hit"] for trial in found.trials] == [0.0, 0.0, 1.0]
 
 
 def test_one_try_leaves_no_trials():
@@ -136,7 +136,7 @@ def test_the_goal_ends_the_tries(monkeypatch):
     monkeypatch.setattr("deepmf_sumo.adversaries.deepmf.valid_collision", never)
     simulate = Simulation(hit=1)
     found = attack(simulate, tries=2, goal="avoidable", opponent="b")
-    assert [trial.parameters for trial in found.trials] == [
+    assert [trial.values for trial in found.trials] == [
         {"avoidable": 0.0, "hit": 1.0},
         {"avoidable": 0.0, "hit": 0.0},
     ]

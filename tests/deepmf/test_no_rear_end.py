@@ -7,10 +7,12 @@ import pytest
 from pydantic import ValidationError
 
 from deepmf_sumo import plugins
+from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.deepmf.candidates import collisions, rear_ends
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.settings import Settings
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.moments import search
 
 from tests.support.predictor_doubles import Doubles, view_of
@@ -110,5 +112,17 @@ def test_attack_asks_for_it_unless_something_else_is_said(sets, expected):
     if expected:
         assert document.values["adversary"]["no_rear_end"] is True
     [plain] = search.documents([SUMO_CONFIG], {}, sets)
+    if sets and "constraints" in sets[0]:
+        with pytest.raises(UsageError, match="leave one of them out"):
+            search.spec_of(plain, all_conflicts=True)
+        return
     allowed = search.spec_of(plain, all_conflicts=True).adversary.settings.get("no_rear_end")
     assert allowed is (False if expected is False else None)
+
+
+def test_all_conflicts_and_no_rear_end_contradict_each_other(tmp_path, capsys):
+    arguments = ["--all-conflicts", "--set", "adversary.no_rear_end=true"]
+    out = ["--out", str(tmp_path / "out")]
+    assert main._run(["attack", str(SUMO_CONFIG), *arguments, *out]) == 2
+    assert "leave one of them out" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

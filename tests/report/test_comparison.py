@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from deepmf_sumo.cli import main
@@ -149,3 +150,15 @@ def test_the_table_is_readable_however_many_results(tmp_path, capsys, folders):
     assert (tmp_path / "table.csv").read_text().count("\n") == folders + 1
     assert main._run(["table", "--all", *map(str, made)]) == 0
     assert capsys.readouterr().out.count("1 rear end") == folders
+
+
+def test_simulated_episodes_are_shown_where_a_run_made_more_than_one(tmp_path):
+    made = folder(tmp_path, [("ok", "none", 1.0)] * 2)
+    assert "episodes" not in _short(made)
+    frame = pd.read_csv(made / "runs.csv", dtype=str).assign(simulations=["1", "5"])
+    frame.to_csv(made / "runs.csv", index=False)
+    assert _short(made)["episodes"] == ("3.0",)
+
+
+def _short(made):
+    return {line.short: line.cells for line in side_by_side(groups([made])).key}

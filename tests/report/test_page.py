@@ -412,7 +412,7 @@ def test_the_page_opens_with_groups_of_failures(folder):
     text = written.read_text("utf-8")
     assert (group["runs"], group["of"], group["replay"]) == ([0, 1], 3, True)
     assert "careful driver" in group["sentence"]
-    assert ["avoidable", "by a careful driver"] in group["facts"]
+    assert ["avoided by", "careful driver"] in group["facts"]
     assert text.index('id="failures-title"') < text.index('id="totals-title"')
 
 

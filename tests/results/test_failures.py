@@ -183,7 +183,7 @@ def test_groups_are_ranked_by_error_avoidability_severity_and_ordinary_motion():
     assert names == [["crash"], ["all"], ["fast"], ["calm", "same"], ["wild"], ["fated"]]
     values = groups[3].values()
     assert (values["runs"], values["of"], values["example"]) == (2, 40, "calm")
-    assert values["avoidable"] == "by a careful driver"
+    assert values["avoided_by"] == "careful driver"
     assert words.row(groups[3])[0] == "2 of 40"
 
 
@@ -211,7 +211,7 @@ def test_the_sentence_is_that_of_an_engineer():
     )
     assert sentence(
         conflict="rear-end", turned="AV", side="behind", action="braked", grade="A"
-    ) == ("A car behind ran into the AV, which braked; nobody could have avoided it.")
+    ) == ("A car behind ran into the AV, which braked; no driver could have avoided it.")
 
 
 @pytest.mark.parametrize("conflict", words._CAREFUL)
@@ -257,7 +257,8 @@ def test_the_groups_are_data(folder, capsys):
     [group] = json.loads(capsys.readouterr().out)
     assert group["run_ids"] == ["00-one", "01-two"]
     assert (group["runs"], group["of"], group["kind"]) == (2, 4, "hit")
-    assert group["sentence"].endswith("would have kept its distance.") or group["sentence"]
+    assert group["sentence"].endswith("; a careful driver would have made room.")
+    assert group["folder"] == str(folder / "runs" / "00-one")
     assert main._run(["show", str(folder), "--failures", "--format", "csv"]) == 0
     assert "00-one 01-two" in capsys.readouterr().out
     assert main._run(["show", str(folder), "--failures", "--all"]) == 2
@@ -268,3 +269,12 @@ def test_a_folder_without_failures_says_so(tmp_path, capsys):
     made.add("miss", hit=False)
     assert main._run(["show", str(made.out), "--failures"]) == 0
     assert capsys.readouterr().out.strip() == "no failures in 1 run"
+
+
+def test_groups_of_several_folders_name_the_folder_of_their_example(folder, capsys):
+    assert main._run(["show", str(folder), "--failures"]) == 0
+    assert str(folder) not in capsys.readouterr().out
+    assert main._run(["show", str(folder), str(folder), "--failures"]) == 0
+    said = capsys.readouterr().out
+    assert str(folder / "runs" / "00-one") in said.replace("\n", "")
+    assert "4 of 8" in said

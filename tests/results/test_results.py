@@ -83,7 +83,7 @@ METRICS = [
 
 @pytest.fixture
 def found(task, rollout):
-    trials = (Trial(parameters={"a": 1.0}, objective=2.0),)
+    trials = (Trial(values={"a": 1.0}, objective=2.0),)
     attack = Attack(rollout=rollout, generation_s=0.25, trials=trials)
     one = result.finished(task, case_of(), attack, METRICS, wall_s=1.5)
     one["expectations_broken"] = []
