@@ -284,13 +284,17 @@ class OpponentChoice:
         self._weights = weights
         self._predictor: OpponentPredictor | None = None
 
-    def of(self, case: Case) -> Choose:
-        """The choice in a case. Loads the network if it is needed, which takes a while."""
+    def load(self) -> None:
+        """Load the network if it is needed, which takes a while."""
         if self._predictor is None and self._how in SCORED:
             # Imports torch, which a check of a spec's settings must not do.
             from deepmf_sumo.predictors.weights import cached_predictors
 
             self._predictor = cached_predictors(self._weights).opponent
+
+    def of(self, case: Case) -> Choose:
+        """The choice in a case."""
+        self.load()
 
         def choose(view: View, rng: np.random.Generator) -> AgentId | None:
             return choose_opponent(view, self._how, self._predictor, case.partner_id, rng)[0]

@@ -344,6 +344,10 @@ class Rounds:
         self._opponent = OpponentChoice(settings.opponent, weights)
         self._aim = aim
 
+    def load(self) -> None:
+        """Load the network that chooses opponents."""
+        self._opponent.load()
+
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:

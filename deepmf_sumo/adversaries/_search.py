@@ -182,6 +182,10 @@ class Search:
         self._choice = OpponentChoice(settings.opponent, weights)
         self._make = make
 
+    def load(self) -> None:
+        """Load the network that chooses opponents."""
+        self._choice.load()
+
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:

@@ -81,19 +81,23 @@ class ART:
         self._weights = weights
         self._opponent = OpponentChoice(settings.opponent, weights)
 
+    def load(self) -> None:
+        """Load torch and the networks."""
+        from deepmf_sumo.adversaries import _art_descent  # noqa: F401
+
+        if self._settings.form == "history":
+            from deepmf_sumo.adversaries import _art_history  # noqa: F401
+            from deepmf_sumo.predictors.weights import cached_predictors
+
+            cached_predictors(self._weights)
+        self._opponent.load()
+
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
         """The attack; trials are the rounds."""
         chosen = self._settings
-        # Torch and the networks are loaded here, before the time counts.
-        from deepmf_sumo.adversaries import _art_descent  # noqa: F401
-
-        if chosen.form == "history":
-            from deepmf_sumo.adversaries import _art_history  # noqa: F401
-            from deepmf_sumo.predictors.weights import cached_predictors
-
-            cached_predictors(self._weights)
+        self.load()  # before the time counts
         choose = self._opponent.of(case)
         budget = limited(budget, 1 + chosen.rounds, chosen.seconds)
         until = deadline(budget)

@@ -29,3 +29,15 @@ class Checkable(Protocol):
     def check(self) -> None:
         """Raise WeightsError or PluginError if that is missing; called before hours of work."""
         ...
+
+
+@runtime_checkable
+class Loading(Protocol):
+    """An adversary that reads weights."""
+
+    def load(self) -> None:
+        """Read what all attacks need, once: the copies of a worker then share it.
+
+        Raises WeightsError.
+        """
+        ...

@@ -68,16 +68,22 @@ class CAT:
         self._opponent = OpponentChoice(settings.opponent, weights)
         self._marginal: MarginalPredictor | None = None
 
+    def load(self) -> None:
+        """Load the networks."""
+        # Imports torch, which a check of a spec's settings must not do.
+        from deepmf_sumo.predictors.weights import cached_predictors
+
+        if self._marginal is None:
+            self._marginal = cached_predictors(self._weights).marginal
+        self._opponent.load()
+
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
         """The attack; trials are the rounds."""
-        if self._marginal is None:
-            # Imports torch, which a check of a spec's settings must not do.
-            from deepmf_sumo.predictors.weights import cached_predictors
-
-            self._marginal = cached_predictors(self._weights).marginal
+        self.load()
         marginal = self._marginal
+        assert marginal is not None
 
         def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
             return self._aim(scouted, rollouts, marginal)

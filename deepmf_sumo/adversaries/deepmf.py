@@ -30,6 +30,14 @@ class DeepMF:
         self._weights = weights
         self._predictors: Predictors | None = None
 
+    def load(self) -> None:
+        """Load the predictors."""
+        if self._predictors is None:
+            # Imports torch, which a check of a spec's settings must not do.
+            from deepmf_sumo.predictors.weights import cached_predictors
+
+            self._predictors = cached_predictors(self._weights)
+
     def attack(
         self,
         case: Case,
@@ -43,11 +51,7 @@ class DeepMF:
         ``generation_s`` of one try is the policy's time, without loading the predictors; of several
         all time until the last ended, since each depends on those before.
         """
-        if self._predictors is None:
-            # Imports torch, which a check of a spec's settings must not do.
-            from deepmf_sumo.predictors.weights import cached_predictors
-
-            self._predictors = cached_predictors(self._weights)
+        self.load()
         settings = self._settings
         experience = Experience(one_opponent=settings.tried == 1)
         begin, end = time.perf_counter(), deadline(budget)

@@ -88,15 +88,23 @@ class STRIVE:
 
         cached_motion_prior(self._weights)
 
+    def load(self) -> None:
+        """Load torch and the networks. Raises WeightsError if the set has no prior."""
+        # Imports torch, which a check of a spec's settings must not do.
+        from deepmf_sumo.adversaries import _strive as strive  # noqa: F401
+
+        self.check()
+        if self._opponent is not None:
+            self._opponent.load()
+
     def attack(
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
         """The attack; trials are the rounds. Raises WeightsError if the set has no prior."""
-        # Imports torch, which a check of a spec's settings must not do; loading is not timed.
-        from deepmf_sumo.adversaries import _strive as strive  # noqa: F401
         from deepmf_sumo.predictors.weights import cached_motion_prior
 
         chosen = self._settings
+        self.load()  # not timed
         net = cached_motion_prior(self._weights)
         choose = nearest_vehicle if self._opponent is None else self._opponent.of(case)
         limit = limited(budget, chosen.rounds + 1, chosen.seconds)

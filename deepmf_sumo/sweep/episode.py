@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 
 from deepmf_sumo import files, network, plugins, readers, simulation
+from deepmf_sumo.adversaries.base import Loading
 from deepmf_sumo.datatypes import (
     DT_S,
     Attack,
@@ -113,15 +114,19 @@ class Episode:
             finish(self.runs, task, result.unfinished(task, "failed", str(error), wall_s))
 
     def _do(self, task: Task) -> None:
-        run = functools.partial(self._run, task)
-        case = functools.partial(make_case, task, self.cache)
+        work = self._work_of(task)
+        load = functools.partial(_load, task, self.cache)
         if self.gui:
-            run()
-        elif not fork.branch(task, case, run) and not (
-            _foreign(task) and fork.apart(functools.partial(_load, task, self.cache), run)
+            work.run()
+        elif not fork.pass_on(task, self._work_of, load) and not (
+            _foreign(task) and fork.apart(load, work.run)
         ):
             with _as_before():
-                run()
+                work.run()
+
+    def _work_of(self, task: Task) -> fork.Work:
+        case = functools.partial(make_case, task, self.cache)
+        return fork.Work(case=case, run=functools.partial(self._run, task))
 
     def _run(self, task: Task) -> None:
         folder = working_folder(self.runs, task)
@@ -186,9 +191,10 @@ def _load(task: Task, cache: Path) -> None:
     """What the runs that follow need, too, and the code of others, which may import a lot."""
     plugins.load("planners", task.spec.planner.name)
     if plugins.own("adversaries", task.spec.adversary.name):
-        _adversary_of(task)
-    if not isinstance(task.spec.source, FromNetwork):
-        make_case(task, cache)
+        adversary = _adversary_of(task)
+        if isinstance(adversary, Loading):
+            adversary.load()
+    make_case(task, cache)
 
 
 @contextmanager

@@ -1,23 +1,30 @@
-"""A run as a copy of a worker.
+"""Runs in copies of a worker.
 
-A worker that does the runs of one network in the order of their moments need not restart SUMO for
-each: `simulation.hold` advances SUMO to the moment, and a copy of the process does the run. Runs
-with a planner or an adversary from outside this package are done in copies, too: their changes to
-the process do not reach the next run. The worker repeats how the copy ended: it raises what the
-copy raised, and dies as the copy died, unless a planner caused it. All processes that a copy leaves
-behind are ended.
+SUMO is started in copies alone, never in the worker itself: a second SUMO of one process need not
+move vehicles as the first did, since some of its decisions depend on the order of memory addresses
+(seen with SUMO 1.28 on a real network). The runs of one passage through a network's traffic are
+done by one copy, the passage's process. It need not restart SUMO for each: `simulation.hold`
+advances SUMO to the moment, and a copy of that process does the run. Runs with a planner or an
+adversary from outside this package are done in copies, too: their changes to the process do not
+reach the next run. Each process repeats how its copy ended: it raises what the copy raised, and
+dies as the copy died, unless a planner caused it. All processes that a copy leaves behind are
+ended.
 """
 
 import contextlib
 import gc
+import math
+import multiprocessing
 import os
 import pickle
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, NoReturn
 
 from deepmf_sumo import simulation
 from deepmf_sumo.datatypes import Case, TrafficCase, VehicleModel
@@ -51,8 +58,15 @@ def _flush() -> None:
         stream.flush()
 
 
-_DONE: Final = b"done"
-_before: tuple[Any, float] | None = None  # the passage and the start of this process's last run
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Work:
+    """What is done for a task: its case, and the run."""
+
+    case: Callable[[], Case]
+    run: Callable[[], None]
+
+
+WorkOf = Callable[[Task], Work]
 _models: dict[Any, VehicleModel | None] = {}  # of passages: what their planner asks SUMO for
 _unfit: set[Any] = set()  # passages on which SUMO cannot be held, or not be copied
 
@@ -77,23 +91,40 @@ def in_order(tasks: Sequence[Task]) -> list[Task]:
     return [tasks[number] for _, _, number in sorted(keys)]
 
 
-def branch(task: Task, make_case: Callable[[], Case], work: Callable[[], None]) -> bool:
-    """Do a task's work in a copy of this process, if SUMO can be held at its moment.
+def pass_on(task: Task, work_of: WorkOf, load: Callable[[], object]) -> bool:
+    """Do a task's work in the process of its passage; ``load`` loads what all copies share.
 
-    False: nothing was done, and the work is to be done here. So is that of the first run of a
-    passage: the later copies share what it loads.
+    False: nothing was done, since the task is not on a network, or this process has threads, which
+    copies lack.
     """
-    global _before  # noqa: PLW0603
-    what, source, before = passage(task), task.spec.source, _before
-    _before = (what, source.start_s) if isinstance(source, FromNetwork) else None
-    follows = before and _before and before[0] == what and before[1] <= _before[1]
-    if follows and what in _models and what not in _unfit and _alone():
-        if _held(make_case, _models[what]):
-            _copied(work)
-            return True
-        _unfit.add(what)  # not tried again: SUMO would simulate up to each moment twice
-    _release()
-    return False
+    global _passage  # noqa: PLW0603
+    what, source = passage(task), task.spec.source
+    if what is None or not isinstance(source, FromNetwork) or not _alone():
+        end_passage()
+        return False
+    if _passage is None or _passage.what != what or _passage.start_s > source.start_s:
+        end_passage()
+        _quietly(load)
+        if not _alone():
+            return False
+        _passage = _Passage(what, work_of)
+    _passage.start_s = source.start_s
+    _passage.do(task)
+    return True
+
+
+def end_passage() -> None:
+    """End the process of the last passage, if there is one."""
+    global _passage  # noqa: PLW0603
+    if _passage is not None:
+        _passage.end()
+    _passage = None
+
+
+def _quietly(load: Callable[[], object]) -> None:
+    """Load something; where that fails, the run itself reports it."""
+    with contextlib.suppress(Exception), logged(Path(os.devnull)):
+        load()
 
 
 def note_model(task: Task, model: VehicleModel | None) -> None:
@@ -108,13 +139,88 @@ def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
 
     False: nothing was done, since the process has threads, which copies lack.
     """
-    _release()
-    with contextlib.suppress(Exception), logged(Path(os.devnull)):  # the run itself reports it
-        load()
+    end_passage()
+    _quietly(load)
     if not _alone():
         return False
     _copied(work)
     return True
+
+
+class _Passage:
+    """The process that does the runs of one passage, seen from the worker.
+
+    Attributes:
+        start_s: moment of the last run; earlier ones need another process.
+    """
+
+    def __init__(self, what: object, work_of: WorkOf) -> None:
+        self.what, self.start_s = what, -math.inf
+        self._pipe, theirs = multiprocessing.Pipe()
+        here = os.getpid()
+        with _frozen():
+            self._pid = os.fork()
+            if self._pid == 0:
+                self._pipe.close()
+                _serve(theirs, work_of, here)
+        theirs.close()
+
+    def do(self, task: Task) -> None:
+        """Raises what the run raised; dies as the process died."""
+        try:
+            with _leaving_none():
+                self._pipe.send(task)
+                said = self._pipe.recv()
+        except (EOFError, OSError):
+            _, status = os.waitpid(self._pid, 0)
+            self.end()
+            _die(os.waitstatus_to_exitcode(status))
+        if said is not None:
+            raise said
+
+    def end(self) -> None:
+        """End the process; it ends SUMO first, whose files are deleted."""
+        self._pipe.close()
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(self._pid, 0)
+        reaper.end_all(self._pid)
+
+
+_passage: _Passage | None = None  # of this worker: at most one at a time
+
+
+def _serve(pipe: Connection, work_of: WorkOf, parent: int) -> NoReturn:
+    """The life of a passage's process: does tasks until the worker hangs up."""
+    _begin_life(parent)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            task = pipe.recv()
+            said = None
+            try:
+                _in_passage(task, work_of(task))
+            except Exception as error:  # noqa: BLE001 - raised again in the worker
+                said = error
+            pipe.send(said)
+    _release()
+    os._exit(0)
+
+
+def _in_passage(task: Task, work: Work) -> None:
+    """Do a run in a copy of this process: SUMO is at its moment, or is started by the copy.
+
+    A first run tells what vehicle model its planner asks SUMO for.
+    """
+    what = passage(task)
+    if what in _models and what not in _unfit and _alone():
+        if _held(work.case, _models[what]):
+            _copied(work.run)
+            return
+        _unfit.add(what)  # not tried again: SUMO would simulate up to each moment twice
+    _release()
+    if _alone():
+        _copied(work.run)
+    else:
+        work.run()
 
 
 def _release() -> None:
@@ -146,15 +252,13 @@ def _copied(work: Callable[[], None]) -> None:
     """Do the work in a copy; returns when it is done, raises what it raised, dies as it died."""
     ours, theirs = os.pipe()
     here = os.getpid()
-    gc.freeze()  # else the copy's first collection touches, and so copies, all memory
-    with _leaving_none():
+    with _leaving_none(), _frozen():
         pid = os.fork()
         if pid == 0:
             os.close(ours)
             _work(work, theirs, here)
         _, status = os.waitpid(pid, 0)
         reaper.end_all(pid)
-    gc.unfreeze()
     os.close(theirs)
     os.set_blocking(ours, False)  # its descendants may still have the pipe open
     try:
@@ -167,8 +271,20 @@ def _copied(work: Callable[[], None]) -> None:
         raise PlannerError(f"the planner ended its process ({_ending(status)}; see log.txt).")
     if not said:
         _die(os.waitstatus_to_exitcode(status))
-    if said != _DONE:
-        raise pickle.loads(said)  # noqa: S301 - its own copy said it
+    found = pickle.loads(said)  # noqa: S301 - its own copy said it
+    if isinstance(found, Exception):
+        raise found
+    _models.update(found)
+
+
+@contextlib.contextmanager
+def _frozen() -> Iterator[None]:
+    """Else the first garbage collection of a copy touches, and so copies, all memory."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextlib.contextmanager
@@ -197,15 +313,11 @@ def _ending(status: int) -> str:
 
 def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
     """What the copy does; it ends the process."""
-    os.setpgid(0, 0)  # its own group, so that all of it can be ended at once
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    workers.end_with_parent()
-    if os.getppid() != parent:
-        os._exit(1)
+    _begin_life(parent)
     code, said = 1, b""
     try:
         work()
-        code, said = 0, _DONE
+        code, said = 0, pickle.dumps(_models)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 1
     except Exception as error:  # noqa: BLE001 - raised again in the waiting worker
@@ -214,6 +326,15 @@ def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
         with contextlib.suppress(OSError):  # a hostile planner may have closed it
             os.write(pipe, said)
         os._exit(code)
+
+
+def _begin_life(parent: int) -> None:
+    """As a copy begins: in a group of its own, so that all of it can be ended at once."""
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    workers.end_with_parent()
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def _die(code: int) -> NoReturn:

@@ -59,17 +59,19 @@ from deepmf_sumo import spec
 from deepmf_sumo import tasks
 from deepmf_sumo.sweep import episode, fork
 
-runs, copies, copied = Path(sys.argv[1]), [], fork._copied
-fork._copied = lambda work: (copies.append(1), copied(work))
-if "many threads" in sys.argv:  # as if SUMO had brought them
-    sys.argv.remove("many threads")
-    held, tries = fork._held, []
-    fork._held = lambda *of: (tries.append(1), held(*of)) and False
+def count(word):  # by whichever process
+    with (runs.parent / "noted.txt").open("a") as file: file.write(word + " ")
+
+runs, copied, held = Path(sys.argv[1]), fork._copied, fork._held
+runs.parent.mkdir(exist_ok=True)
+fork._copied = lambda work: (count("copy"), copied(work))
+many = "many threads" in sys.argv  # as if SUMO had brought them
+if many: sys.argv.remove("many threads")
+fork._held = lambda *of: (count("hold"), held(*of))[1] and not many
 planned = tasks.plan([spec.load(Path(name)) for name in sys.argv[2:]], runs)
 work = episode.Episode(runs=runs, cache=runs / "cache")
 for task in planned:
     work(task)
-print(len(copies) if copies or "tries" not in globals() else -len(tries))
 """
 
 STARTS = (2.0, 3.0, 4.5)
@@ -93,20 +95,22 @@ def paths(tiny):
 
 
 def done(runs, paths, folder):
-    """How many runs were done in copies, in a process of its own."""
+    """Numbers of runs in copies, and of SUMO held for one, in a process of its own."""
     command = [sys.executable, "-c", COUNTED, str(runs), *map(str, paths)]
     env = {**os.environ, **workers.SINGLE_THREAD}  # as a worker has it
     found = subprocess.run(
         command, cwd=folder, env=env, capture_output=True, text=True, check=False
     )
     assert found.returncode == 0, found.stderr
-    return int(found.stdout)
+    noted = runs.parent / "noted.txt"
+    words = noted.read_text().split() if noted.exists() else []
+    return words.count("copy"), words.count("hold")
 
 
 def test_copies_do_what_a_simulation_of_ones_own_does(tiny, paths, tmp_path):
-    forward, backward = tmp_path / "forward", tmp_path / "backward"
-    assert done(forward, paths(), tiny) == 2
-    assert done(backward, paths()[::-1], tiny) == 0
+    forward, backward = tmp_path / "forward" / "runs", tmp_path / "backward" / "runs"
+    assert done(forward, paths(), tiny) == (3, 2)
+    assert done(backward, paths()[::-1], tiny) == (3, 0)
     assert len(list(forward.glob("at-*"))) == 3
     assert same_bytes.same(forward, backward)
 
@@ -161,18 +165,19 @@ def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_
 
 
 def test_somebody_elses_planner_drives_in_copies_alone(tiny, paths, tmp_path):
-    assert done(tmp_path / "fine", paths("late_planners:Fine"), tiny) == 3
+    assert done(tmp_path / "fine" / "runs", paths("late_planners:Fine"), tiny) == (3, 2)
 
 
 def test_a_planner_with_threads_is_not_copied(tiny, paths, tmp_path):
     thread = "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
     (tiny / "threaded_planners.py").write_text(f"{PLANNERS}\n{thread}\n")
-    assert done(tmp_path / "threads", paths("threaded_planners:Fine"), tiny) == 0
+    assert done(tmp_path / "threads" / "runs", paths("threaded_planners:Fine"), tiny) == (0, 0)
 
 
 def test_sumo_that_cannot_be_copied_is_held_once_alone(tiny, paths, tmp_path):
-    assert done(tmp_path / "threads", ["many threads", *paths()], tiny) == -1
-    assert len(list((tmp_path / "threads").glob("at-*"))) == 3
+    runs = tmp_path / "threads" / "runs"
+    assert done(runs, ["many threads", *paths()], tiny) == (3, 1)
+    assert len(list(runs.glob("at-*"))) == 3
 
 
 def test_traffic_that_breaks_off_is_said_by_the_run(tiny, tmp_path):
@@ -187,8 +192,9 @@ def test_traffic_that_breaks_off_is_said_by_the_run(tiny, tmp_path):
         tiny_network.spec(tiny, f"at {start}", source=source.format(start))
         for start in (2.0, 500.0)
     ]
-    assert done(tmp_path, paths, tiny) == 0
-    error = json.loads(next(tmp_path.glob("at-500*/result.json")).read_text())["error"]
+    runs = tmp_path / "broken" / "runs"
+    assert done(runs, paths, tiny) == (2, 0)
+    error = json.loads(next(runs.glob("at-500*/result.json")).read_text())["error"]
     assert "SUMO refused" in error
     assert "nowhere" in error
 
@@ -198,7 +204,7 @@ def test_traffic_that_breaks_off_is_said_by_the_run(tiny, tmp_path):
     [
         ("Crash", "planner_error: the planner ended its process (SIGSEGV;"),
         ("Leave", "planner_error: the planner ended its process (exit code 0;"),
-        ("Hang", "longer than 10 s"),
+        ("Hang", "longer than 20 s"),
         ("Hungry", "more than 1500 MB of memory"),
     ],
 )
@@ -206,7 +212,7 @@ def test_what_goes_wrong_in_a_copy_costs_its_run_alone(
     tiny, paths, tmp_path, monkeypatch, planner, said
 ):
     monkeypatch.syspath_prepend(tiny)
-    wanted = batch.Options(out=tmp_path / "out", jobs=1, timeout_s=10.0, memory_mb=1500.0)
+    wanted = batch.Options(out=tmp_path / "out", jobs=1, timeout_s=20.0, memory_mb=1500.0)
     specs = paths(f"late_planners:{planner}")
     results = batch.run([spec.load(path) for path in specs], wanted)
     assert [one["status"] for one in results][::2] == ["ok", "ok"]
@@ -245,3 +251,30 @@ def test_the_order_is_that_of_the_moments_within_a_passage(tiny, tmp_path):
 
     planned = [task("a", 5), task("b", 4, "sumo"), task("c", 3), task("d", 1, "sumo")]
     assert [one.spec.name for one in fork.in_order(planned)] == ["c", "a", "d", "b"]
+
+
+def test_sumo_is_started_in_copies_alone(tiny, tmp_path):
+    """A second SUMO of one process need not move vehicles as the first did."""
+    started = tmp_path / "started"
+    watched = COUNTED.replace(
+        "planned =",
+        "import os\nfrom deepmf_sumo.simulation import sumo_config\nrunning = sumo_config.running\n"
+        "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
+        f"    runs_already or open({str(started)!r}, 'a').write(f'{{os.getpid()}} ')\n"
+        "    return running(arguments, backend, runs_already=runs_already)\n"
+        "sumo_config.running = noted\nprint(os.getpid())\nplanned =",
+    )
+    source = "{{network: tiny.sumocfg, start_s: {}, av: {{vehicle: av}}}}"
+    specs = [  # each is a passage of its own, for time does not go back
+        tiny_network.spec(
+            tiny, f"{planner} {start}", source=source.format(start), planner=planner,
+            adversary="none",
+        )
+        for planner, start in (("idm", 3.0), ("idm", 2.0), ("sumo", 3.0), ("idm", 3.5))
+    ]  # fmt: skip
+    command = [sys.executable, "-c", watched, str(tmp_path / "out" / "runs"), *map(str, specs)]
+    env = {**os.environ, **workers.SINGLE_THREAD}
+    worker = subprocess.run(command, cwd=tiny, env=env, stdout=subprocess.PIPE, check=True).stdout
+    processes = started.read_text().split()
+    assert len(processes) == len(set(processes)) == 4  # one SUMO each
+    assert worker.decode().strip() not in processes
