@@ -70,6 +70,7 @@ class Scout:
     with the AV.
     """
 
+    KEPT: tuple[str, ...] = ("view", "chosen")
     period_steps: int | None = None
 
     def __init__(self, choose: Choose) -> None:

@@ -339,6 +339,8 @@ class Rounds:
         aim: aims at the rollouts.
     """
 
+    several = True
+
     def __init__(self, settings: AimedSettings, weights: str, aim: Aim) -> None:
         self._settings = settings
         self._opponent = OpponentChoice(settings.opponent, weights)

@@ -177,6 +177,8 @@ MakeOptimiser = Callable[[int, np.random.Generator], Optimiser]
 class Search:
     """An adversary that searches with an optimiser."""
 
+    several = True
+
     def __init__(self, settings: SearchSettings, weights: str, make: MakeOptimiser) -> None:
         self._settings = settings
         self._choice = OpponentChoice(settings.opponent, weights)

@@ -76,6 +76,8 @@ class Settings(AimedSettings):
 class ART:
     """Attacks by bounded perturbation."""
 
+    several = True
+
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
         self._weights = weights

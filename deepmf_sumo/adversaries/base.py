@@ -41,3 +41,17 @@ class Loading(Protocol):
         Raises WeightsError.
         """
         ...
+
+
+@runtime_checkable
+class Several(Protocol):
+    """An adversary that makes several episodes.
+
+    Each may be simulated in another process: of its policies it reads only what their ``KEPT``
+    names, see `policies.base.Policy`.
+    """
+
+    @property
+    def several(self) -> bool:
+        """Whether it may make more than one."""
+        ...

@@ -62,6 +62,8 @@ class Settings(AimedSettings):
 class CAT:
     """Attacks with a likely candidate that meets the AV's rollouts."""
 
+    several = True
+
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
         self._weights = weights

@@ -30,6 +30,11 @@ class DeepMF:
         self._weights = weights
         self._predictors: Predictors | None = None
 
+    @property
+    def several(self) -> bool:
+        """With several tries."""
+        return self._settings.tries > 1
+
     def load(self) -> None:
         """Load the predictors."""
         if self._predictors is None:

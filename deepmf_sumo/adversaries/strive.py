@@ -75,6 +75,8 @@ class Settings(OpponentSettings):
 class STRIVE:
     """Attacks through latents; the first attack loads the prior."""
 
+    several = True
+
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
         self._weights = weights

@@ -86,6 +86,8 @@ class _Av:
 class DeepMF:
     """The policy. ``seconds`` is the wall time of all resets and plans so far."""
 
+    KEPT: tuple[str, ...] = ("seconds",)
+
     def __init__(
         self,
         settings: Settings,

@@ -8,7 +8,11 @@ from deepmf_sumo.datatypes import AgentId, Plan, View
 
 
 class Policy(Protocol):
-    """Drives an opponent from views alone."""
+    """Drives an opponent from views alone.
+
+    An adversary that makes `several` episodes may find its policy unchanged after one, for that may
+    be simulated in another process; the attributes that ``KEPT`` names come back.
+    """
 
     @property
     def period_steps(self) -> int | None:

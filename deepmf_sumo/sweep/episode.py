@@ -7,7 +7,7 @@ import shutil
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from deepmf_sumo import files, network, plugins, readers, simulation
-from deepmf_sumo.adversaries.base import Loading
+from deepmf_sumo.adversaries.base import Loading, Several
 from deepmf_sumo.datatypes import (
     DT_S,
     Attack,
@@ -26,6 +26,7 @@ from deepmf_sumo.datatypes import (
     Rollout,
     Scene,
     SumoNet,
+    TrafficCase,
     TurnRules,
 )
 from deepmf_sumo.errors import (
@@ -292,10 +293,28 @@ def attack_case(
         fork.note_model(task, driver.model)
         return rollout
 
+    def one_of_several(policy: Policy | None) -> Rollout:
+        assert isinstance(case, TrafficCase)
+        kept: tuple[str, ...] = getattr(policy, "KEPT", ())
+
+        def episode() -> tuple[Rollout, list[Any]]:
+            return simulate(policy), [getattr(policy, name) for name in kept]
+
+        rollout, values = fork.tried(task, episode, case)
+        for name, value in zip(kept, values, strict=True):
+            setattr(policy, name, value)
+        return rollout
+
     rng = np.random.default_rng(task.entropy())
     spent = task.spec.budget
     budget = Budget(simulations=spent.simulations, seconds=spent.seconds)
-    attack: Attack = _adversary_of(task).attack(case, simulate, budget, rng)
+    adversary = _adversary_of(task)
+    alone = planner is not None or gui or not isinstance(case, TrafficCase)
+    several = not alone and isinstance(adversary, Several) and adversary.several
+    with fork.tries() if several else nullcontext():
+        attack: Attack = adversary.attack(
+            case, one_of_several if several else simulate, budget, rng
+        )
     return attack
 
 

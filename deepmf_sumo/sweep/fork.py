@@ -13,18 +13,20 @@ ended.
 
 import contextlib
 import gc
+import io
 import math
 import multiprocessing
 import os
 import pickle
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn, TypeVar
 
 from deepmf_sumo import simulation
 from deepmf_sumo.datatypes import Case, TrafficCase, VehicleModel
@@ -67,6 +69,8 @@ class Work:
 
 
 WorkOf = Callable[[Task], Work]
+T = TypeVar("T")
+_is_copy = False
 _models: dict[Any, VehicleModel | None] = {}  # of passages: what their planner asks SUMO for
 _unfit: set[Any] = set()  # passages on which SUMO cannot be held, or not be copied
 
@@ -248,33 +252,80 @@ def _alone() -> bool:
     return known and sum(1 for _ in Path("/proc/self/task").iterdir()) == len(threads)
 
 
-def _copied(work: Callable[[], None]) -> None:
-    """Do the work in a copy; returns when it is done, raises what it raised, dies as it died."""
-    ours, theirs = os.pipe()
-    here = os.getpid()
-    with _leaving_none(), _frozen():
-        pid = os.fork()
-        if pid == 0:
-            os.close(ours)
-            _work(work, theirs, here)
-        _, status = os.waitpid(pid, 0)
-        reaper.end_all(pid)
-    os.close(theirs)
-    os.set_blocking(ours, False)  # its descendants may still have the pipe open
+def tried(task: Task, simulate: Callable[[], T], case: TrafficCase) -> T:
+    """What an episode returns, one of several of a run: in a copy with SUMO at the moment.
+
+    So SUMO gets there once for all of them. The road of ``case`` is shared, not copied. Where this
+    process is no copy itself, or has threads, the episode is simulated here.
+    """
+    if not _is_copy or not _alone():
+        return simulate()
+    what = passage(task)
+    if what in _models and not _held(lambda: case, _models[what]):
+        _release()
+    return _copied(simulate, case.road) if _alone() else simulate()
+
+
+@contextlib.contextmanager
+def tries() -> Iterator[None]:
+    """While episodes are `tried`; the SUMO that is held for them ends with it."""
     try:
-        said = os.read(ours, 1 << 16)
-    except BlockingIOError:
-        said = b""
-    os.close(ours)
+        yield
+    finally:
+        if _is_copy:
+            _release()
+
+
+def _copied(work: Callable[[], T], shared: object = None) -> T:
+    """Do the work in a copy; returns what it returns, raises what it raised, dies as it died.
+
+    ``shared``: an object that both have already.
+    """
+    here = os.getpid()
+    with tempfile.TemporaryFile() as answer:
+        with _leaving_none(), _frozen():
+            pid = os.fork()
+            if pid == 0:
+                _work(work, answer, here, shared)
+            _, status = os.waitpid(pid, 0)
+            reaper.end_all(pid)
+        answer.seek(0)
+        said = answer.read()
     blamed = _checked.at_work()
     if not said and blamed:
         raise PlannerError(f"the planner ended its process ({_ending(status)}; see log.txt).")
     if not said:
         _die(os.waitstatus_to_exitcode(status))
-    found = pickle.loads(said)  # noqa: S301 - its own copy said it
-    if isinstance(found, Exception):
-        raise found
-    _models.update(found)
+    ended = _Answer(io.BytesIO(said), shared).load()  # its own copy said it
+    if isinstance(ended, Exception):
+        raise ended
+    models, found = ended
+    _models.update(models)
+    return found
+
+
+class _Question(pickle.Pickler):
+    """Pickles an answer, but not what both processes have."""
+
+    def __init__(self, file: IO[bytes], shared: object) -> None:
+        super().__init__(file, pickle.HIGHEST_PROTOCOL)
+        self._shared = shared
+
+    def persistent_id(self, one: object) -> str | None:
+        """A name for the shared object."""
+        return "shared" if one is self._shared and one is not None else None
+
+
+class _Answer(pickle.Unpickler):
+    """The other side of `_Question`."""
+
+    def __init__(self, file: IO[bytes], shared: object) -> None:
+        super().__init__(file)
+        self._shared = shared
+
+    def persistent_load(self, name: object) -> object:  # noqa: ARG002 - there is one
+        """The shared object."""
+        return self._shared
 
 
 @contextlib.contextmanager
@@ -311,25 +362,34 @@ def _ending(status: int) -> str:
     return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
-def _work(work: Callable[[], None], pipe: int, parent: int) -> NoReturn:
+def _work(work: Callable[[], object], answer: IO[bytes], parent: int, shared: object) -> NoReturn:
     """What the copy does; it ends the process."""
     _begin_life(parent)
     code, said = 1, b""
     try:
-        work()
-        code, said = 0, pickle.dumps(_models)
+        found = work()
+        code, said = 0, _pickled((_models, found), shared)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 1
     except Exception as error:  # noqa: BLE001 - raised again in the waiting worker
-        said = pickle.dumps(error)
+        said = _pickled(error, shared)
     finally:
-        with contextlib.suppress(OSError):  # a hostile planner may have closed it
-            os.write(pipe, said)
+        with contextlib.suppress(OSError, ValueError):  # a hostile planner may have closed it
+            answer.write(said)
+            answer.flush()
         os._exit(code)
+
+
+def _pickled(one: object, shared: object) -> bytes:
+    file = io.BytesIO()
+    _Question(file, shared).dump(one)
+    return file.getvalue()
 
 
 def _begin_life(parent: int) -> None:
     """As a copy begins: in a group of its own, so that all of it can be ended at once."""
+    global _is_copy  # noqa: PLW0603
+    _is_copy = True
     os.setpgid(0, 0)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     workers.end_with_parent()

@@ -64,7 +64,7 @@ def count(word):  # by whichever process
 
 runs, copied, held = Path(sys.argv[1]), fork._copied, fork._held
 runs.parent.mkdir(exist_ok=True)
-fork._copied = lambda work: (count("copy"), copied(work))
+fork._copied = lambda *of: (count("copy"), copied(*of))[1]
 many = "many threads" in sys.argv  # as if SUMO had brought them
 if many: sys.argv.remove("many threads")
 fork._held = lambda *of: (count("hold"), held(*of))[1] and not many
@@ -278,3 +278,35 @@ def test_sumo_is_started_in_copies_alone(tiny, tmp_path):
     processes = started.read_text().split()
     assert len(processes) == len(set(processes)) == 4  # one SUMO each
     assert worker.decode().strip() not in processes
+
+
+def test_episodes_of_one_run_begin_from_one_sumo_and_do_what_others_do(tiny, tmp_path):
+    """SUMO gets to the moment once for all of them."""
+    source = "{{network: tiny.sumocfg, start_s: {}, av: {{vehicle: av}}}}"
+    specs = [
+        tiny_network.spec(
+            tiny, f"search {start}", source=source.format(start), planner="idm",
+            adversary="{name: bga, opponent: leader}", budget="{simulations: 5}",
+        )
+        for start in (2.0, 3.0)
+    ]  # fmt: skip
+    started = tmp_path / "started"
+    watched = COUNTED.replace(
+        "planned =",
+        "from deepmf_sumo.simulation import sumo_config\nrunning = sumo_config.running\n"
+        "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
+        f"    open({str(started)!r}, 'a').write('held ' if runs_already else 'anew ')\n"
+        "    return running(arguments, backend, runs_already=runs_already)\n"
+        "sumo_config.running = noted\nplanned =",
+    )
+    here = COUNTED.replace(
+        "planned =", "fork.tried = lambda task, simulate, case: simulate()\nplanned ="
+    )
+    env = {**os.environ, **workers.SINGLE_THREAD}
+    for program, name in ((watched, "copies"), (here, "one process")):
+        out = tmp_path / name / "runs"
+        command = [sys.executable, "-c", program, str(out), *map(str, specs)]
+        subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
+    # the first episode of all tells the vehicle model; then SUMO is held
+    assert started.read_text().split() == ["anew", "anew", *["held"] * 4, "anew", *["held"] * 5]
+    assert same_bytes.same(tmp_path / "copies" / "runs", tmp_path / "one process" / "runs")
