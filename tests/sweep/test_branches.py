@@ -64,10 +64,11 @@ def count(word):  # by whichever process
 
 runs, copied, held = Path(sys.argv[1]), fork._copied, fork._held
 runs.parent.mkdir(exist_ok=True)
-fork._copied = lambda *of: (count("copy"), copied(*of))[1]
+fork._copied = lambda *of: (len(of) == 1 and count("copy"), copied(*of))[1]  # runs, not episodes
 many = "many threads" in sys.argv  # as if SUMO had brought them
 if many: sys.argv.remove("many threads")
-fork._held = lambda *of: (count("hold"), held(*of))[1] and not many
+in_passage = lambda: sys._getframe(2).f_code.co_name == "_in_passage"
+fork._held = lambda *of: (in_passage() and count("hold"), held(*of))[1] and not many
 planned = tasks.plan([spec.load(Path(name)) for name in sys.argv[2:]], runs)
 work = episode.Episode(runs=runs, cache=runs / "cache")
 for task in planned:
