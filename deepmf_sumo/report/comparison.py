@@ -151,7 +151,7 @@ def _middle(
 
 def _column(runs: Sequence[Run], name: str) -> list[float]:
     """Numbers of a column of ``runs.csv``, of the runs that have one."""
-    return [float(run.row[name]) for run in runs if run.row[name]]
+    return [value for run in runs if (value := run.number(name)) is not None]
 
 
 NONE: Final = "-"

@@ -109,6 +109,21 @@ class Run:
         """Whether the tracks are there."""
         return (self.folder / tracks.FILE).is_file()
 
+    def number(self, name: str) -> float | None:
+        """A number of ``runs.csv``; None where the cell is empty.
+
+        Raises UsageError where it is not a number.
+        """
+        text = self.row[name]
+        try:
+            return float(text) if text else None
+        except ValueError:
+            file = self.folder.parents[1] / stored.RUNS
+            raise UsageError(
+                f"{file} is damaged: {name} of {self.run_id} is {text!r:.80}; write it again with"
+                " --resume."
+            ) from None
+
     @property
     def hit(self) -> bool:
         """Whether the opponent hit the AV."""

@@ -20,7 +20,6 @@ import os
 import pickle
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -256,7 +255,7 @@ def tried(task: Task, simulate: Callable[[], T], case: TrafficCase) -> T:
     """What an episode returns, one of several of a run: in a copy with SUMO at the moment.
 
     So SUMO gets there once for all of them. The road of ``case`` is shared, not copied. Where this
-    process is no copy itself, or has threads, the episode is simulated here.
+    process is not a copy itself, or has threads, the episode is simulated here.
     """
     if not _is_copy or not _alone():
         return simulate()
@@ -282,7 +281,7 @@ def _copied(work: Callable[[], T], shared: object = None) -> T:
     ``shared``: an object that both have already.
     """
     here = os.getpid()
-    with tempfile.TemporaryFile() as answer:
+    with os.fdopen(os.memfd_create("answer"), "w+b") as answer:  # on no disk that may be full
         with _leaving_none(), _frozen():
             pid = os.fork()
             if pid == 0:

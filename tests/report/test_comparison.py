@@ -160,5 +160,16 @@ def test_simulated_episodes_are_shown_where_a_run_made_more_than_one(tmp_path):
     assert _short(made)["episodes"] == ("3.0",)
 
 
+@pytest.mark.parametrize("cell", ["\n", "fast"])
+def test_a_cell_that_is_not_a_number_is_named(tmp_path, capsys, cell):
+    made = folder(tmp_path, [("ok", "none", 1.0)])
+    frame = pd.read_csv(made / "runs.csv", dtype=str).assign(generation_s=cell)
+    frame.to_csv(made / "runs.csv", index=False)
+    assert main._run(["show", str(made)]) == 2
+    said = capsys.readouterr().err
+    assert "runs.csv is damaged: generation_s of run0 is" in said
+    assert "unexpected" not in said
+
+
 def _short(made):
     return {line.short: line.cells for line in side_by_side(groups([made])).key}
