@@ -109,11 +109,14 @@ def test_a_run_that_ends_as_the_interrupt_comes_is_kept(tiny, tmp_path):
     kept = []
 
     def interrupt(progress):
-        busy = list(runs.glob(".*.partial"))
-        if busy:  # else the other worker has not begun yet: at the next run's end
-            while any(one.exists() for one in busy):
-                time.sleep(0.01)
-            kept.append((progress.done, len(list(runs.glob("[!.]*/result.json")))))
+        def there():
+            return len(list(runs.glob("[!.]*/result.json")))
+
+        end = time.monotonic() + 5.0  # the other worker may not have begun yet
+        while 0 < progress.done == there() and time.monotonic() < end:
+            time.sleep(0.01)
+        if there() > progress.done:
+            kept.append((progress.done, there()))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
