@@ -74,7 +74,7 @@ open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
 
 SCENES ?= $(WOMD)/val
 WEIGHTS ?= womd
-# An AV under attack in recorded scenes, each run as a scene: what planners do when somebody comes at them.
+# An AV under attack in recorded scenes, each run as a scene: what planners do when a vehicle approaches them.
 # Attacks as they are made, and, cheaply, candidates of all kinds (`drawn`): what happens if they are tried.
 REACT = $(RUN) run studies/reactions.yaml --set source.recording=$(abspath $(SCENES)) --set weights=$(WEIGHTS) \
     --scenes --jobs 2 --no-pictures --resume

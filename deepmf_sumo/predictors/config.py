@@ -36,7 +36,7 @@ class Preset:
         condition_channels: channels of that future; 80 is one a step.
         dropout: of the heads.
         raster, vectors: False leaves the VGG16 or the VectorNet branch out (ablations).
-        reactive: a conditional network is told what a driver who follows cars would do, and for
+        reactive: a conditional network is told what a car-following driver would do, and for
             how long a planner has driven.
         profiles: speed profiles a path that are fitted on data; a conditional network has those of
             `anchors.BRAKING` in addition. At least 7: `evaluate` asks for 32 modes, and a vehicle

@@ -1,7 +1,7 @@
 """What went wrong in a run, in the words of traffic safety; and what is wrong with a planner.
 
 A failure is a hit of the opponent, or an error of the planner: one that crashed, hung, or answered
-nonsense. A hit is described by its conflict, by where the opponent came from, who had priority,
+nonsense. A hit is described by its conflict, by where the opponent came from, by priority,
 what the AV did, and when the AV could first have reacted. The conflict's type is taken from the
 directions in which both came, and from the metric ``accident_type``.
 """
@@ -229,7 +229,7 @@ class _Pair:
         return "ahead" if ahead > 0 else "behind"
 
     def turned(self, conflict: Conflict) -> Who:
-        """Who turned across, changed lanes, or drove ahead."""
+        """Which vehicle turned across, changed lanes, or drove ahead."""
         if conflict == "rear-end":
             return "opponent" if self.local(self.contact)[0] > 0 else "AV"
         if conflict in {"cut-in / lane change", "merging"}:

@@ -82,7 +82,7 @@ def spec_values(candidate: Candidate, failure: Failure, path: Floats) -> dict[st
 
 
 def undisturbed_values(failure: Failure) -> dict[str, Any]:
-    """The spec of the run in which nobody attacks, and SUMO or the log drives everybody."""
+    """The spec of the run without an attack, in which SUMO or the log drives every vehicle."""
     spec, network = failure.spec, isinstance(failure.spec.source, FromNetwork)
     return {
         "version": 1,

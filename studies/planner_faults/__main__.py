@@ -36,14 +36,17 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("measure", help="which faults the gate reports for one method")
     run.add_argument("--method", default="deepmf", help="an adversary as in a spec, in YAML")
     run.add_argument("--budget", type=int, help="simulations of an attack")
+    run.add_argument("--moments", type=int, help="of each spec that chooses moments")
     run.add_argument("--jobs", type=int, default=1)
-    run.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    run.add_argument("--seeds", type=int, nargs="+", default=[1])
     run.add_argument(
         "--false-alarms", type=int, nargs="+", default=[101, 102, 103], metavar="SEED",
-        help="seeds of the careful planner's other runs, compared with the first",
+        help="of the careful planner's other runs; each is compared with the first",
     )  # fmt: skip
     run.add_argument("--faults", nargs="+", choices=tuple(FAULTS), help="default: the open half")
-    run.add_argument("--specs", type=Path, nargs="+", help="default: all packaged scenarios")
+    run.add_argument(
+        "--specs", type=Path, nargs="+", help="default: moments of the packaged networks"
+    )
     run.add_argument("--thresholds", type=Path, help="default: those of `check`")
     run.add_argument("--out", type=Path, required=True, help="folder of all results; resumed")
     return parser

@@ -189,7 +189,7 @@ class Careful:
         return np.where(ahead.there & (sight.speed_mps > WAITING_MPS), answer, 0.0)
 
     def _yielding(self, sight: _Sight, ahead: "_Ahead") -> Floats:
-        """The least deceleration with which nobody is met in a conflict area; mild for trusted."""
+        """The least deceleration that avoids all in conflict areas; mild for trusted vehicles."""
         met = _meetings(sight, ahead, self._settings)  # (B, M) first time, inf: never
         free = np.isinf(met)
         first = free.argmax(axis=0)
@@ -287,7 +287,7 @@ class _Ahead:
 
 
 def _cutting_in(sight: _Sight, occupancy: Occupancy, settings: Settings) -> tuple[Bools, Floats]:
-    """(N) who is beside the corridor, ahead, and moves into it; (N) the path's direction there."""
+    """(N) True beside the corridor, ahead, and moving into it; (N) the path's direction there."""
     now, agents = sight.now, len(sight.ids)
     beside = (occupancy.clearance_m[:agents, 0] > 0) & (
         occupancy.clearance_m[:agents, 0] < _BESIDE_M
@@ -331,7 +331,7 @@ def _with_cut_ins(occupancy: Occupancy, sight: _Sight, cuts: Bools) -> Occupancy
 def _relevant(
     occupancy: Occupancy, sight: _Sight, leads: Bools, settings: Settings
 ) -> tuple[Bools, Bools]:
-    """(M, T) who is inside the corridor, and (M) whom of them the AV has to avoid by yielding."""
+    """(M, T) which are inside the corridor, (M) which of them the AV avoids by yielding."""
     half = sight.size_m[0] / 2
     beside = (occupancy.rear_m[:, 0] < half) & (occupancy.front_m[:, 0] > -half)
     # one that is beside already needs no margin: nothing that the AV does would give it one

@@ -135,7 +135,7 @@ def _crossing(seen: Others) -> Bools:
 
 
 def _cutting_in(seen: Others) -> Bools:
-    """Who drives along and is in the corridor in part, or beside it within a lane."""
+    """Vehicles that drive along, partly in the corridor or beside it within a lane."""
     along = (seen.turn_rad < np.pi / 4) & (seen.speed_mps > WAITING_MPS)
     return along & (seen.clearance_m > -seen.width_m) & (seen.clearance_m < 3.5)
 

@@ -5,6 +5,7 @@ other seeds are compared with it as well: what the gate reports there is a false
 """
 
 import argparse
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +16,15 @@ import yaml
 from deepmf_sumo import gate
 from deepmf_sumo import spec as specs
 from deepmf_sumo.gate.verdict import regression
-from deepmf_sumo.spec import Spec
+from deepmf_sumo.plans import run_specs
+from deepmf_sumo.results.reader import Results
+from deepmf_sumo.spec import FromMoments, Spec
 from deepmf_sumo.sweep import batch
 from studies.planner_faults.faults import FAULTS
 from studies.planner_faults.halves import halves
 
-SCENARIOS: Final = Path(__file__).resolve().parents[2] / "scenarios"
+SUITE: Final = Path(__file__).resolve().parent / "suite"
+"""Moments of the packaged networks' traffic: each is a situation of its own for the gate."""
 FAULTY: Final = "studies.planner_faults.faults:Faulty"
 
 
@@ -31,12 +35,14 @@ class Asked:
     Attributes:
         method: an adversary as in a spec, YAML; its ``opponent`` stays that of each spec.
         budget: simulations of an attack; None is the method's own.
+        moments: in place of the number in specs that choose moments; None keeps it.
         other_seeds: of the runs for false alarms.
         thresholds: a file of `check`; None compares what `check` compares by itself.
     """
 
     method: str
     budget: int | None
+    moments: int | None
     jobs: int
     seeds: tuple[int, ...]
     other_seeds: tuple[int, ...]
@@ -52,23 +58,30 @@ class Asked:
         return cls(
             method=given.method,
             budget=given.budget,
+            moments=given.moments,
             jobs=given.jobs,
             seeds=tuple(given.seeds),
             other_seeds=tuple(given.false_alarms),
             faults=tuple(given.faults or (name for name in FAULTS if half[name] == "open")),
-            specs=tuple(given.specs or sorted(SCENARIOS.glob("*.yaml"))),
+            specs=tuple(given.specs or sorted(SUITE.glob("*.yaml"))),
             thresholds=given.thresholds,
             out=given.out,
         )
 
 
 class Found(NamedTuple):
-    """A planner, its runs, and what the gate says of them against the careful planner."""
+    """A planner, its runs, and what the gate says of them against the careful planner.
+
+    ``episodes``: simulated ones, all tries counted. ``reported``: a judged quantity is worse.
+    """
 
     planner: str
     runs: int
+    episodes: int
     hits: int
     avoidable: int
+    valid: int
+    reported: bool
     verdict: str
 
 
@@ -76,21 +89,31 @@ def measured(asked: Asked) -> Iterator[Found]:
     """The careful planner, its other seeds, and each faulty copy. Raises DeepmfError."""
     thresholds = gate.load(asked.thresholds) if asked.thresholds else _default()
     baseline = _run(asked, "none", "careful", asked.seeds)
-    yield _found("careful", baseline, "baseline")
-    again = _run(asked, "none", "careful_again", asked.other_seeds)
-    yield _found("careful, other seeds", again, _verdict(again, thresholds, baseline))
+    yield _found("careful", baseline, (False, "baseline"))
+    for seed in asked.other_seeds:
+        again = _run(asked, "none", f"careful_{seed}", [seed])
+        yield _found(f"careful, seed {seed}", again, _verdict(again, thresholds, baseline))
     for name in asked.faults:
-        out = _run(asked, name, name, asked.seeds)
+        out = _run(asked, name, name, asked.seeds, baseline)
         yield _found(name, out, _verdict(out, thresholds, baseline))
 
 
 def table(found: Iterator[Found]) -> str:
-    """A line a planner."""
-    lines = [f"{'planner':22} {'runs':>5} {'hits':>5} {'avoidable':>9}  the gate's verdict"]
+    """A line a planner, and how many of each kind the gate reports."""
+    rows = list(found)
+    columns = Found._fields[1:6]
+    lines = [
+        f"{'planner':22}" + "".join(f"{name:>10}" for name in columns) + "  the gate's verdict"
+    ]
     lines.extend(
-        f"{one.planner:22} {one.runs:5} {one.hits:5} {one.avoidable:9}  {one.verdict}"
-        for one in found
-    )
+        f"{one.planner:22}" + "".join(f"{getattr(one, name):10}" for name in columns)
+        + f"  {one.verdict}"
+        for one in rows
+    )  # fmt: skip
+    half = halves(FAULTS)
+    for title, kind in (("careful, other seeds", ""), ("open", "open"), ("held out", "held out")):
+        of = [one for one in rows[1:] if half.get(one.planner, "") == kind]
+        lines.append(f"{title}: {sum(one.reported for one in of)} of {len(of)} reported")
     return "\n".join(lines)
 
 
@@ -98,16 +121,18 @@ def _default() -> gate.Thresholds:
     return gate.Thresholds.model_validate({"version": 1})
 
 
-def _run(asked: Asked, fault: str, folder: str, seeds: Sequence[int]) -> Path:
+def _run(
+    asked: Asked, fault: str, folder: str, seeds: Sequence[int], like: Path | None = None
+) -> Path:
+    """The result folder of a planner; with ``like`` at the moments of that folder's runs."""
     out = asked.out / folder
-    loaded = [spec_of(file, asked, fault) for file in asked.specs]
+    loaded = [spec_of(file, asked, fault, like) for file in asked.specs]
     each = [one.model_copy(update={"seed": seed}) for one in loaded for seed in seeds]
-    options = batch.Options(out=out, jobs=asked.jobs, resume=out.exists())
-    batch.run(each, options)
+    run_specs(each, batch.Options(out=out, jobs=asked.jobs, resume=out.exists()))
     return out
 
 
-def spec_of(file: Path, asked: Asked, fault: str) -> Spec:
+def spec_of(file: Path, asked: Asked, fault: str, like: Path | None = None) -> Spec:
     """A spec with the method and the faulty copy in place of its own."""
     before = specs.load(file).adversary.settings
     method: Any = yaml.safe_load(asked.method)
@@ -121,10 +146,17 @@ def spec_of(file: Path, asked: Asked, fault: str) -> Spec:
     ]
     if asked.budget is not None:
         sets.append(f"budget={{simulations: {asked.budget}}}")
+    spec = specs.load(file, sets)
+    if not isinstance(spec.source, FromMoments):
+        return spec
+    if like is not None:
+        sets.append(f"source.moments={{of: {json.dumps(str(like.resolve()))}}}")
+    elif asked.moments is not None:
+        sets.append(f"source.moments.count={asked.moments}")
     return specs.load(file, sets)
 
 
-def _verdict(out: Path, thresholds: gate.Thresholds, baseline: Path) -> str:
+def _verdict(out: Path, thresholds: gate.Thresholds, baseline: Path) -> tuple[bool, str]:
     """What is worse than the baseline and by how much; else the state of each judged quantity."""
     judged = [
         one
@@ -132,11 +164,14 @@ def _verdict(out: Path, thresholds: gate.Thresholds, baseline: Path) -> str:
         if one.state != "not judged"
     ]
     worse = [f"REPORTED: {regression(one)}" for one in judged if one.state == "worse"]
-    return "; ".join(worse or [f"{one.quantity}: {one.state}" for one in judged])
+    states = [f"{one.quantity}: {one.state}" for one in judged]
+    return bool(worse), "; ".join(worse or states)
 
 
-def _found(name: str, out: Path, verdict: str) -> Found:
-    rows = list(gate.read(out).rows.values())
-    hits = sum(row.values.get("collision_rate", 0.0) for row in rows)
-    avoidable = sum(row.values.get("avoidable_rate", 0.0) for row in rows)
-    return Found(name, len(rows), round(hits), round(avoidable), verdict)
+def _found(name: str, out: Path, verdict: tuple[bool, str]) -> Found:
+    done = Results.of(out).done
+    metrics = [
+        sum(run.metric(one) == 1 for run in done) for one in ("avoidable", "valid_collision")
+    ]
+    episodes = sum(int(run.result["search"]["simulations"]) for run in done)
+    return Found(name, len(done), episodes, sum(run.hit for run in done), *metrics, *verdict)

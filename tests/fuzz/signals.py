@@ -64,7 +64,10 @@ class Sweep:
         )
 
     def end(self, rng: random.Random, number: signal.Signals) -> str:
-        """Signal a sweep at a moment; what it was doing: ``ended`` is before the signal."""
+        """Signal a sweep at a moment; what it was doing.
+
+        ``ended`` is before the signal; ``went on`` had all its runs in spite of it.
+        """
         process = self.begin(self.out)
         time.sleep(rng.uniform(0.0, self.whole_s))
         everybody = rng.random() < 0.5  # as Ctrl-C does; workers are in groups of their own
@@ -74,6 +77,8 @@ class Sweep:
         self._look(process, f"{number.name} {self.out.name}")
         now = finished(self.out)
         state = "ended" if ended else "running" if now else "starting"
+        if not ended and process.returncode == 0:  # it had no run left to do, or took no notice
+            state = "went on"
         if not self.finished.items() <= now.items():
             self.wrong.append(f"{number.name}: a finished run of {self.out.name} is lost or again")
         self.finished = now
@@ -121,6 +126,8 @@ class Sweep:
 def run(folder: Path, count: int, seed: int, minutes: float | None = None) -> tuple[Counter, list]:
     """How many signals of each kind came when, and what did not hold."""
     rng = random.Random(seed)
+    # a shell's background job ignores SIGINT, and so would all that it starts
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sweep = Sweep(folder, command(folder))
     begin = time.monotonic()
     process = sweep.begin(sweep.whole)

@@ -152,6 +152,17 @@ def test_who_is_met_is_known_once_it_is_there_and_near(net):
         assert met.other[at[0, 30.0]] == -1
 
 
+def test_a_moment_whose_only_other_vehicle_is_far_is_taken_again(net):
+    """It meets that vehicle, so it was worth an attack: `prefer: both` chose it as well."""
+    seen = drive([(OVER, 18.3), (UP, 20.3)])  # 61 m apart at 14 s
+    at_14 = (("v0", 14.0),)
+    met = encounters(seen, net, 16.0)
+    for wish in (Wish(count=1, again=at_14), Wish(count=1, prefer="both", again=at_14)):
+        (moment,) = choose(seen, {}, wish, met).moments
+        assert (moment.av, moment.start_s, moment.around, moment.meets) == ("v0", 14.0, 0, "v1")
+    assert not choose(seen, {}, Wish(count=1, at_s=(14.0,)), met).moments
+
+
 def test_followers_and_those_who_cannot_attack_are_no_encounters(net):
     follow = drive([(OVER, 18.3), (OVER, 19.3)])
     bicycles = drive([(OVER, 18.3), (UP, 19.3)], permission="bicycle")

@@ -56,7 +56,8 @@ class Ready(Message):
 class CommandAnswer(Message):
     """Answer to `ViewMessage`; its kind says which numbers it has.
 
-    ``step``: of the view that it answers. ``leader_id``: whom the planner reacts to, if any.
+    ``step``: of the view that it answers. ``leader_id``: the vehicle that
+    the planner reacts to, if any.
     """
 
     type: Literal["command"]
