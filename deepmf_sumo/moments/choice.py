@@ -225,7 +225,7 @@ class _Spread:
     def _comes_near(self, row: int) -> bool:
         """Whether a vehicle farther away gets near, because the AV soon meets another one."""
         return (
-            (self._prefer != "spread" or self._wish.again)
+            (self._prefer != "spread" or bool(self._wish.again))
             and bool(self._met.kind[row] != NONE)
             and around(self._sightings, self._able, row, FROM_M) > 0
         )
