@@ -194,6 +194,34 @@ def test_without_a_file_the_rule_is_likeliest(tmp_path):
     assert settings_of(paper).rule == "expected"
 
 
+SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))
+STUDIES = sorted(
+    file for file in (ROOT / "studies").glob("*.yaml") if not file.stem.startswith("ablation")
+)
+
+
+@pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
+def test_scenarios_are_of_version_2_and_take_its_rule(file):
+    loaded = spec.load(file)
+    assert loaded.version == 2
+    assert not {"rule", "likelihood_weight"} & set(yaml.safe_load(file.read_text())["adversary"])
+    assert settings_of(loaded).rule == "likeliest"
+
+
+@pytest.mark.parametrize("file", STUDIES, ids=lambda file: file.stem)
+def test_studies_of_version_2_say_their_rule(file):
+    values = yaml.safe_load(file.read_text())
+    if file.stem == "recorded":  # its rule is that of the command line or of an ablation
+        assert values["version"] == 1
+        return
+    assert values["version"] == 2
+    methods = values.get("methods", {"spec": values}).values()
+    chosen = [one["adversary"] for one in methods if isinstance(one, dict)]
+    ours = [one for one in chosen if isinstance(one, dict) and one["name"] == "deepmf"]
+    assert ours or file.stem == "no_attack"
+    assert all("rule" in one or one.get("form") == "paper" for one in ours)
+
+
 def test_the_schema_knows_both_versions_and_the_default_of_each():
     schema = spec.schema()
     assert schema["properties"]["version"]["enum"] == [1, 2]

@@ -29,7 +29,8 @@ class Asked:
     """What is measured.
 
     Attributes:
-        method: an adversary as in a spec, YAML; its ``opponent`` stays that of each spec.
+        method: an adversary as in a spec, YAML; its ``opponent`` stays that of each spec
+            that names one.
         budget: simulations of an attack; None is the method's own.
         other_seeds: of the runs for false alarms.
         thresholds: a file of `check`; None compares what `check` compares by itself.
