@@ -190,6 +190,9 @@ def test_without_a_file_the_rule_is_likeliest(tmp_path):
     attacked = search.spec_of(document)
     assert (attacked.version, settings_of(attacked).rule) == (2, "likeliest")
     assert settings_of(attacked).no_rear_end
+    saved = tmp_path / "saved.yaml"
+    saved.write_text(yaml.safe_dump(document.values))
+    assert spec.load(saved) == attacked
     paper = attacker.spec_of(attacker.Wish(av="ego", sets=("adversary.form=paper",)))
     assert settings_of(paper).rule == "expected"
 
