@@ -89,7 +89,7 @@ reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=, PARTS=) to l
 	@test -n "$(OUT)" || { echo "Say where to: make reactions SCENES=FOLDER/train OUT=FOLDER WEIGHTS=open"; exit 2; }
 	$(REACT) $(call seen,corridor) $(call part,1) --out $(OUT)/corridor $(some)
 	$(REACT) $(call seen,lane) $(call part,2) --out $(OUT)/lane \
-	    --set "adversary={name: deepmf, version: S1, opponent: sample, likelihood_weight: 0.1, $(plain)}" $(some)
+	    --set "adversary={name: deepmf, version: S1, opponent: sample, rule: expected, likelihood_weight: 0.1, $(plain)}" $(some)
 	$(REACT) $(call seen,corridor) $(call drawn,1,argmax) $(call part,3) --out $(OUT)/drawn-1 $(some)
 	$(REACT) $(call seen,lane) $(call drawn,2,sample) $(call part,4) --out $(OUT)/drawn-2 $(some)
 	$(REACT) $(call seen,corridor) $(call drawn,3,sample) $(call part,1) --out $(OUT)/drawn-3 $(some)

@@ -68,7 +68,8 @@ class Settings(plugins.Settings):
             one whose best candidate has at least 95 % of the largest collision mass attacks: a
             vehicle that interacts with the AV need not be able to reach it. 1 as published; more
             only with ``argmax`` and ``partner``. Null: 3 with these, else 1.
-        rule: see `deepmf.scoring`.
+        rule: see `deepmf.scoring`. Specs of version 2 that say nothing have ``likeliest`` in the
+            form ``extended``; these settings know of no versions.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
         comfort_weight: P(OV) falls with the mean square acceleration, see
             `deepmf.candidates`, s4/m2. Null: 1 for the choices of the likeliest (``likeliest``,

@@ -99,7 +99,7 @@ def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
 def spec_of(wish: Wish) -> Spec:
     """The settings as a spec would have them. Raises SpecError or UsageError."""
     values: dict[str, Any] = {
-        "version": 1,
+        "version": 2,
         "name": "live",
         # not used: the simulation runs already
         "source": {"network": ".", "av": {"vehicle": wish.av}},

@@ -295,7 +295,7 @@ def _document(
         source["sumo_options"] = list(sumo_options)
     if "seed" not in keys:  # a seed that cannot be used is refused only where it would be used
         keys = {**keys, "seed": read_configuration(config, tuple(sumo_options)).seed}
-    values = {"version": 1, "name": name, "source": source, **keys}
+    values = {"version": 2, "name": name, "source": source, **keys}
     places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in keys}
     places |= {("source", "moments", key): _OPTIONS.get(key, f"--{key}") for key in moments}
     document = Document(file=Path("deepmf-sumo attack"), values=values, places=places)

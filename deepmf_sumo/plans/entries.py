@@ -226,7 +226,7 @@ def _checked(loaded: Loaded, method: str, planner: str, source: int) -> Spec:
     if plan.methods[method].weights is None:
         places["weights"] = ("weights",)
     spelled: dict[str, Any] = {
-        "version": 1,
+        "version": plan.version,
         "name": _name(method, planner),
         "duration_s": plan.duration_s,
         "seed": plan.seeds[0],

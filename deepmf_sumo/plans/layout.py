@@ -14,6 +14,7 @@ from deepmf_sumo.plans.entries import Entry, count
 from deepmf_sumo.plans.plan import Plan, Subset
 from deepmf_sumo.results import stored
 from deepmf_sumo.spec import SearchBudget
+from deepmf_sumo.spec.model import Version
 from deepmf_sumo.tasks import Task
 
 FILE: Final = "study.json"
@@ -133,6 +134,7 @@ class _Method(BaseModel):
 class _Planned(BaseModel):
     """What `Layout.planned` and the tables need of the plan as written."""
 
+    version: Version
     methods: dict[str, _Method]
     seeds: list[int]
 

@@ -20,7 +20,7 @@ from deepmf_sumo.errors import SpecError, UsageError, nearest
 from deepmf_sumo.spec import FromMoments, SearchBudget
 from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
-from deepmf_sumo.spec.model import First, Source, Strict
+from deepmf_sumo.spec.model import First, Source, Strict, Version
 from deepmf_sumo.tasks import slug
 
 
@@ -115,7 +115,7 @@ def _method(value: Any) -> Any:
 class Plan(Strict):
     """What is compared on what."""
 
-    version: Literal[1]
+    version: Version
     name: str = Field(min_length=1, max_length=200)
     source: Annotated[
         tuple[Source, ...], Field(strict=False, min_length=1), BeforeValidator(_listed)

@@ -69,7 +69,7 @@ def spec_values(candidate: Candidate, failure: Failure, path: Floats) -> dict[st
         for x, y, heading in path.tolist()
     ]
     return {
-        "version": 1,
+        "version": 2,
         "name": f"{failure.run_id[:180]} shrunk",
         "source": source,
         "duration_s": round((candidate.last - candidate.begin) * DT_S, 3),
@@ -85,7 +85,7 @@ def undisturbed_values(failure: Failure) -> dict[str, Any]:
     """The spec of the run without an attack, in which SUMO or the log drives every vehicle."""
     spec, network = failure.spec, isinstance(failure.spec.source, FromNetwork)
     return {
-        "version": 1,
+        "version": 2,
         "name": "undisturbed",
         "source": failure.task.resolved()["source"],
         "duration_s": max((failure.contact + AFTER_STEPS) * DT_S, DT_S),

@@ -6,6 +6,7 @@ nearest name. Paths are relative to the spec. `schema` describes specs to editor
 
 from deepmf_sumo.spec.loading import VERSIONS, load, of_document, takes_turns
 from deepmf_sumo.spec.model import (
+    DEFAULT_RULES,
     Av,
     Bound,
     Expect,
@@ -21,6 +22,7 @@ from deepmf_sumo.spec.model import (
 from deepmf_sumo.spec.schema import schema
 
 __all__ = [
+    "DEFAULT_RULES",
     "VERSIONS",
     "Av",
     "Bound",

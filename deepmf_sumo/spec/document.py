@@ -73,7 +73,7 @@ def read(file: Path) -> Document:
     places: dict[KeyPath, str] = {}
     values = _Loader(text, str(file), places, ()).read()
     if not isinstance(values, dict):
-        raise SpecError(f"{file}:1: a spec or a plan is a mapping that begins with 'version: 1'.")
+        raise SpecError(f"{file}:1: must be a mapping; specs and plans begin with 'version: 2'.")
     return Document(file=file, values=values, places=places)
 
 

@@ -3,7 +3,7 @@
 import math
 import stat
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -23,6 +23,9 @@ from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import nearest
 
+DEFAULT_RULES: Final = {1: "expected", 2: "likeliest"}
+"""The rule of DeepMF in its form ``extended`` where none is said, by version of the spec."""
+
 
 def unknown_key(key: str, model: type[BaseModel]) -> str:
     """The rule that an unknown key breaks, with the nearest name."""
@@ -33,6 +36,22 @@ def unknown_key(key: str, model: type[BaseModel]) -> str:
 def _wrong(rule: str, key: str = "") -> PydanticCustomError:
     """``key`` is of the model's own, where not the whole value breaks the rule."""
     return PydanticCustomError("rule", "{rule}", {"rule": rule, "key": key})
+
+
+def _a_version(value: Any) -> Any:
+    if type(value) is not int or value not in DEFAULT_RULES:
+        raise _wrong(
+            "must be 1 or 2, a number without quotes; a later version needs a newer deepmf-sumo"
+        )
+    return value
+
+
+Version = Annotated[
+    Literal[1, 2],
+    BeforeValidator(_a_version),
+    Field(description="2; 1 differs in DeepMF's default rule, expected in place of likeliest"),
+]
+"""Of specs and plans."""
 
 
 class Strict(BaseModel):
@@ -329,10 +348,23 @@ def _weights(value: str, info: ValidationInfo) -> str:
     return str(_existing(value, info)) if "/" in value else value
 
 
+def _takes_default_rule(adversary: dict[str, Any]) -> bool:
+    """Whether an adversary has a rule that its settings leave open.
+
+    A plug-in that derives from DeepMF's settings has another name, and keeps its own defaults.
+    """
+    return (
+        adversary.get("name") == "deepmf"
+        and adversary.get("form") != "paper"
+        and adversary.get("aggressiveness") is None
+        and "rule" not in adversary
+    )
+
+
 class Spec(Strict):
     """One spec: a source of situations, the planner under test, and its adversary."""
 
-    version: Literal[1]
+    version: Version
     name: str = Field(min_length=1, max_length=200)
     source: Source
     duration_s: float = Field(default=8.0, ge=0.1, le=3600)
@@ -356,6 +388,24 @@ class Spec(Strict):
             kind = _source_kind(values.get("source"))
             return {**values, "traffic": "log" if kind == "(recording)" else "sumo"}
         return values
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_rule(cls, values: Any) -> Any:
+        """In version 2 the rule is part of the spec, so that every record of a run names it."""
+        if not isinstance(values, dict) or values.get("version") != 2:
+            return values
+        choice = values.get("adversary", {"name": "deepmf"})
+        settings = choice.model_dump() if isinstance(choice, Plugin) else choice
+        if not isinstance(settings, dict) or not _takes_default_rule(settings):
+            return values
+        if "likelihood_weight" in settings:
+            rule = (
+                "is for the rules expected and pair, and in version 2 the rule is likeliest where"
+                " none is said; add rule: expected, or leave likelihood_weight out"
+            )
+            raise _wrong(rule, "adversary.likelihood_weight")
+        return {**values, "adversary": {**settings, "rule": DEFAULT_RULES[2]}}
 
     @model_validator(mode="after")
     def _only_recordings_have_a_log(self) -> "Spec":

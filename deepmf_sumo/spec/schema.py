@@ -6,7 +6,7 @@ from pydantic import BaseModel
 
 from deepmf_sumo import plugins
 from deepmf_sumo.spec.loading import VERSIONS
-from deepmf_sumo.spec.model import Spec
+from deepmf_sumo.spec.model import DEFAULT_RULES, Spec
 
 _CUSTOM = {
     "type": "object",
@@ -30,6 +30,9 @@ def schema() -> dict[str, Any]:
     adversary = _choices("adversaries", "adversary", definitions)
     versions = {"enum": list(VERSIONS)}
     definitions["adversary.deepmf"]["required"] = []
+    definitions["adversary.deepmf"]["properties"]["rule"]["default"] = ", ".join(
+        f"{rule} in version {version}" for version, rule in DEFAULT_RULES.items()
+    )
     document["properties"]["planner"] = planner
     document["properties"]["adversary"] = {
         "anyOf": [versions, *adversary["anyOf"]],

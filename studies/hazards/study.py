@@ -20,6 +20,7 @@ HERE: Final = Path(__file__).resolve().parent
 KINDS: Final = ("left", "merge", "stop", "signal")
 WISHES: Final = {
     "version": "S2",
+    "rule": "expected",
     "lawful": "true",
     "opponent": "met",
     "candidates": "12",

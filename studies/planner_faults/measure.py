@@ -33,7 +33,8 @@ class Asked:
     """What is measured.
 
     Attributes:
-        method: an adversary as in a spec, YAML; its ``opponent`` stays that of each spec.
+        method: an adversary as in a spec, YAML; its ``opponent`` stays that of each spec
+            that names one.
         budget: simulations of an attack; None is the method's own.
         moments: in place of the number in specs that choose moments; None keeps it.
         other_seeds: of the runs for false alarms.

@@ -42,7 +42,7 @@ def test_attack_is_short_for_a_spec_with_moments(tiny, tmp_path, capsys):
     assert not (tmp_path / "no").exists()
     written = yaml.safe_load(file.read_text())
     assert written["source"]["moments"] == {"count": 2, "from_s": "settled", "prefer": "both"}
-    assert (written["seed"], written["duration_s"]) == (23423, 1.0)
+    assert (written["version"], written["seed"], written["duration_s"]) == (2, 23423, 1.0)
     capsys.readouterr()
     assert call("run", file, "--no-pictures", "--out", tmp_path / "b") == 0
     assert "tiny.sumocfg: 2 vehicles from 0 to" in capsys.readouterr().err

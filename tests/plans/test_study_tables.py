@@ -179,7 +179,7 @@ def folder(tmp_path):
         name="made", version=_version(), methods=["fast", "slow_&_old"], planners=["lane"],
         scenes=list("abc"), baseline="fast", versions=["fast"], compared=["fast", "slow_&_old"],
         equal_seconds=part, curves=part, runs={one["run_id"]: "key" for one in runs},
-        plan={"seeds": [0], "duration_s": 8.0, "weights": "open",
+        plan={"version": 1, "seeds": [0], "duration_s": 8.0, "weights": "open",
               "methods": {"fast": own | {"adversary": "S1"},
                           "slow_&_old": own | {"adversary": {"name": "brs"}}}},
     ).write(tmp_path)  # fmt: skip
@@ -218,8 +218,8 @@ def test_other_budgets_are_points_and_no_rows_of_the_table(folder):
 
 
 def test_tables_say_by_which_rule_deepmf_chose():
-    def layout(**methods):
-        return SimpleNamespace(plan={"methods": methods}, methods=list(methods))
+    def layout(version=1, **methods):
+        return SimpleNamespace(plan={"version": version, "methods": methods}, methods=list(methods))
 
     mixed = layout(
         one={"adversary": {"name": "deepmf", "version": "S1", "rule": "likeliest"}},
@@ -230,6 +230,8 @@ def test_tables_say_by_which_rule_deepmf_chose():
     )
     assert layouts.rule_title(mixed, ["one", "other"]) == (" (DeepMF: extended, rule likeliest)")
     assert layouts.rule_title(mixed, ["two"]) == " (DeepMF: extended, rule expected)"
+    second = layout(version=2, two={"adversary": "S1"})
+    assert layouts.rule_title(second, ["two"]) == " (DeepMF: extended, rule likeliest)"
     assert layouts.rule_title(mixed, ["four", "one"]) == (
         " (DeepMF: form paper; extended, rule likeliest)"
     )

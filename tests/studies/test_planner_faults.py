@@ -201,7 +201,11 @@ def test_a_measured_spec_keeps_the_opponent_and_takes_method_budget_and_fault():
     file = ROOT / "scenarios" / "cut_in.yaml"
     spec = measure.spec_of(file, asked, "narrow")
     assert (spec.planner.name, spec.planner.settings) == (measure.FAULTY, {"fault": "narrow"})
-    assert spec.adversary.settings == {"opponent": "cutter", "period_s": 2.0}
+    assert spec.adversary.settings == {
+        "opponent": "cutter",
+        "period_s": 2.0,
+        "rule": "likeliest",
+    }
     assert spec.budget.simulations == 4
     other = measure.spec_of(file, dataclasses.replace(asked, method="bga"), "none")
     assert other.adversary.name == "bga"

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from deepmf_sumo import api
+
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 
 # What the opponent is to the AV at the start, and how far away at most.
@@ -27,6 +29,9 @@ SITUATIONS = {
     "side_road_pull_out": ("from the right", 60),
     "u_turn": ("oncoming", 60),
 }
+
+# Who the opponent is where the spec leaves the choice to the attack.
+CHOSEN = {"late_exit": "leaver", "minor_road_crossing": "crosser", "u_turn": "turner"}
 
 # libsumo holds one simulation a process.
 PROBE = """
@@ -69,7 +74,9 @@ def test_the_opponent_stands_where_the_spec_says(name):
     spec = yaml.safe_load(path.read_text())
     source = spec["source"]
     config = (path.parent / source["network"]).resolve()
-    ids = [source["av"]["vehicle"], spec["adversary"]["opponent"]]
+    named = spec["adversary"].get("opponent")
+    assert (named is None) == (name in CHOSEN)
+    ids = [source["av"]["vehicle"], named or CHOSEN[name]]
     command = [sys.executable, "-W", "ignore", "-c", PROBE, config, str(source["start_s"])]
     command += [str(spec["seed"]), *ids]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -80,3 +87,11 @@ def test_the_opponent_stands_where_the_spec_says(name):
     assert math.dist(av[:2], opponent[:2]) < within
     assert av[3] > 5
     assert min(av[4], opponent[4]) >= 11, "both need a second of history"
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("name", CHOSEN)
+def test_the_attack_chooses_the_opponent_of_the_situation(name, tmp_path):
+    [run] = api.run(SCENARIOS / f"{name}.yaml", tmp_path / "out").runs
+    assert run.hit
+    assert run.row["opponent"] == CHOSEN[name]

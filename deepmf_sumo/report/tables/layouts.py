@@ -15,7 +15,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.plans import tables
 from deepmf_sumo.plans.layout import Layout, read_layout
 from deepmf_sumo.results.quantities import BY_NAME
-from deepmf_sumo.spec.loading import VERSIONS
+from deepmf_sumo.spec import DEFAULT_RULES, VERSIONS
 from deepmf_sumo.tables import read_csv
 
 Row = dict[str, str]
@@ -74,7 +74,7 @@ def _adversary(choice: str | dict[str, Any]) -> str:
 
 
 _PAPERS: Final = "expected"
-"""The rule of DeepMF where nothing else is said, and of the paper's Algorithm 1."""
+"""The rule of the paper's Algorithm 1."""
 
 
 _PUBLISHED: Final = "form paper"
@@ -102,11 +102,12 @@ def notes(layout: Layout) -> list[str]:
 
 
 def _by_method(layout: Layout, methods: Sequence[str]) -> dict[str, str]:
-    found = {label: _rule(layout.plan["methods"][label].get("adversary", {})) for label in methods}
+    default, known = DEFAULT_RULES[layout.plan["version"]], layout.plan["methods"]
+    found = {label: _rule(known[label].get("adversary", {}), default) for label in methods}
     return {label: rule for label, rule in found.items() if rule}
 
 
-def _rule(choice: str | dict[str, Any]) -> str:
+def _rule(choice: str | dict[str, Any], default: str) -> str:
     """The rule of a plan's method, or `_PUBLISHED`; empty where it is not DeepMF."""
     settings = {"name": choice} if isinstance(choice, str) else choice
     if settings.get("name", "deepmf") not in {"deepmf", *VERSIONS}:
@@ -115,7 +116,7 @@ def _rule(choice: str | dict[str, Any]) -> str:
         return _PUBLISHED
     if settings.get("aggressiveness") is not None:
         return f"aggressiveness {settings['aggressiveness']:g}"
-    return str(settings.get("rule", _PAPERS))
+    return str(settings.get("rule", default))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

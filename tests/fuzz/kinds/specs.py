@@ -12,7 +12,7 @@ from deepmf_sumo.sweep.inputs import fingerprinted
 from tests.fuzz import mutators, runner
 
 _SPEC = {
-    "version": 1,
+    "version": 2,
     "name": "one",
     "source": {
         "network": "tiny.sumocfg",
