@@ -193,8 +193,8 @@ def test_a_gap_in_the_recording_is_no_change_of_speed():
     scene = dataclasses.replace(case.scene, tracks=dataclasses.replace(tracks, valid=valid))
     gappy = dataclasses.replace(case, scene=scene)
     found = naturalness.samples(with_opponent(steady), gappy, smooth=False)
-    assert len(found.recorded) == (29 - 2) + (41 - 2)
-    np.testing.assert_allclose(found.recorded, 0.0, atol=1e-9)
+    assert len(found.unattacked) == (29 - 2) + (41 - 2)
+    np.testing.assert_allclose(found.unattacked, 0.0, atol=1e-9)
     assert len(naturalness.speed_changes(steady[:1, :2], 0.1)) == 0
 
 
