@@ -206,5 +206,5 @@ def test_reasons_tell_a_missing_recording_from_one_that_is_too_short():
     unknown = case_of({"av": AV, "c": straight(-8, 3.5, 12)})
     waits = dataclasses.replace(soon, driver=np.full(soon.driver.shape, Driver.LOG))
     for name in ("path_sspd", "acceleration_kl"):
-        assert measured(name, soon, unknown).reason == _slices.NO_LOG
+        assert measured(name, soon, unknown).reason == _slices.NO_REFERENCE
         assert measured(name, waits).reason == _slices.NEVER_DRIVEN
