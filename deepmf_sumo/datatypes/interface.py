@@ -130,12 +130,15 @@ class TrafficCase(_Situation):
     Attributes:
         net_file: the network that the configuration names.
         sumo_options: beside the configuration, as on SUMO's command line.
+        unattacked: (A, T) the same episode without attack, at the steps of its rollouts; metrics
+            compare attacks with it. None before it is simulated.
     """
 
     config: Path
     start_s: float
     net_file: Path
     sumo_options: tuple[str, ...] = ()
+    unattacked: Tracks | None = None
 
 
 Case = RecordedCase | TrafficCase

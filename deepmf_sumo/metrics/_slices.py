@@ -4,7 +4,7 @@ Accelerations and steering are differences over 0.2 s, which keeps noise of a ce
 1 m/s2.
 """
 
-from typing import NamedTuple, TypeGuard
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from deepmf_sumo.datatypes import (
     Floats,
     RecordedCase,
     Rollout,
+    Tracks,
 )
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
@@ -26,7 +27,8 @@ NO_OPPONENT = "no vehicle was attacked"
 NEVER_DRIVEN = "the policy never drove the opponent"
 NO_COLLISION = "AV and opponent did not collide"
 NO_LOG = "the case has no recording to compare with"
-TOO_SHORT = "fewer than three steps with both a recorded and a planned pose"
+NO_REFERENCE = "the opponent's motion without the attack is not known"
+TOO_SHORT = "fewer than three steps with both a planned pose and one without the attack"
 SPAN = 2
 """Steps on each side of a second difference."""
 
@@ -82,37 +84,35 @@ def together(rollout: Rollout, row: int) -> tuple[int, Bools]:
 
 
 class Stretch(NamedTuple):
-    """Positions (K, 2) of the opponent at K successive steps: of the attack, of its recording."""
+    """Positions (K, 2) of the opponent at K successive steps: of the attack, and without it."""
 
     attack_m: Floats
-    recorded_m: Floats
+    unattacked_m: Floats
 
 
 def compared_stretches(rollout: Rollout, case: Case, *, beyond: bool) -> list[Stretch]:
-    """The opponent and its recording, over the steps that both have: most logs end early.
+    """The opponent with and without the attack, over the steps that both have.
 
-    The attack is what the policy drove; ``beyond`` the end of the episode, which is the contact,
-    its last plan continues, up to the case's duration. Raises NotMeasurable without an opponent or
-    its recording, or if the policy never drove.
+    Without the attack it moves as `unattacked` has it; most logs end early. The attack is what the
+    policy drove; ``beyond`` the end of the episode, which is the contact, its last plan continues,
+    up to the case's duration. Raises NotMeasurable without an opponent or its motion without the
+    attack, or if the policy never drove.
     """
     row = opponent_row(rollout)
-    if not is_recorded(case, rollout.tracks.ids[row]):
-        raise NotMeasurable(NO_LOG)
+    reference = unattacked(rollout, case, rollout.tracks.ids[row])
     if not driven(rollout, row).any():
         raise NotMeasurable(NEVER_DRIVEN)
     last = rollout.now + case.duration_steps
     attack = planned_poses(rollout, row, last if beyond else rollout.tracks.steps - 1)
-    recorded = case.scene.tracks
-    mine = recorded.row(rollout.tracks.ids[row])
-    # a rollout starts at the recording's first step: steps are the same in both
-    shared = np.zeros(recorded.steps, bool)
-    shared[[step for step in attack if step < recorded.steps]] = True
+    mine = reference.row(rollout.tracks.ids[row])
+    shared = np.zeros(reference.steps, bool)
+    shared[[step for step in attack if step < reference.steps]] = True
     return [
         Stretch(
             np.array([attack[step] for step in range(run.start, run.stop)]),
-            recorded.position_m[mine, run],
+            reference.position_m[mine, run],
         )
-        for run in runs(shared & recorded.valid[mine])
+        for run in runs(shared & reference.valid[mine])
     ]
 
 
@@ -128,13 +128,19 @@ def planned_poses(rollout: Rollout, row: int, last: int) -> dict[int, Floats]:
     return found
 
 
-def is_recorded(case: Case, agent_id: AgentId) -> TypeGuard[RecordedCase]:
-    """Whether the recording has the agent after now, within the case's duration."""
-    if not isinstance(case, RecordedCase) or agent_id not in case.scene.tracks.ids:
-        return False
-    scene = case.scene
-    steps = slice(scene.now + 1, scene.now + 1 + case.duration_steps)
-    return bool(scene.tracks.valid[scene.tracks.row(agent_id), steps].any())
+def unattacked(rollout: Rollout, case: Case, agent_id: AgentId) -> Tracks:
+    """Road users without the attack: the recording, or the same episode of a network's traffic.
+
+    A rollout starts at its first step: steps are the same in both. Raises NotMeasurable where it
+    does not have the agent after now, within the case's duration.
+    """
+    tracks = case.scene.tracks if isinstance(case, RecordedCase) else case.unattacked
+    steps = slice(rollout.now + 1, rollout.now + 1 + case.duration_steps)
+    if tracks is None or agent_id not in tracks.ids:
+        raise NotMeasurable(NO_REFERENCE)
+    if not tracks.valid[tracks.row(agent_id), steps].any():
+        raise NotMeasurable(NO_REFERENCE)
+    return tracks
 
 
 class Accelerations(NamedTuple):

@@ -1,4 +1,6 @@
-"""Naturalness of the motion: compared with the recording of the same vehicle, and by itself.
+"""Naturalness of the motion: compared with the same vehicle without the attack, and by itself.
+
+Without the attack it moves as recorded, or as in the same episode of a network's traffic.
 
 Accelerations are signed changes of speed. Raw ones are 10 Hz differences, as for the paper's
 figures: noise of a centimetre adds 1 m/s2 or more, and the noise of recordings alone gives a KL
@@ -27,20 +29,20 @@ BINS = 21
 """Bins of one run's histograms, 1 m/s2 wide, from -10.5 to 10.5. An odd number puts a bin around 0:
 most samples of slow cars lie there, and an edge at 0 would sort them by the sign of their noise."""
 _PSEUDO_COUNT = 1e-10
-TOO_SHORT_TO_SMOOTH = f"fewer than {WINDOW + 1} steps in a row, both recorded and planned"
+TOO_SHORT_TO_SMOOTH = f"fewer than {WINDOW + 1} steps in a row with and without the attack"
 
 
 class Samples(NamedTuple):
-    """Signed changes of speed in m/s2: of the attack (N), and of the recording (N)."""
+    """Signed changes of speed in m/s2: of the attack (N), and without it (N)."""
 
     attack: Floats
-    recorded: Floats
+    unattacked: Floats
 
 
 def samples(rollout: Rollout, case: Case, *, smooth: bool) -> Samples:
-    """The opponent's changes of speed over the planned 8 s, and its recording's.
+    """The opponent's changes of speed over the planned 8 s, and without the attack.
 
-    Only at steps that the recording has. Raises NotMeasurable if there are none.
+    Only at steps that both have. Raises NotMeasurable if there are none.
     """
     stretches = _slices.compared_stretches(rollout, case, beyond=True)
     change = smooth_changes if smooth else speed_changes
@@ -51,7 +53,7 @@ def samples(rollout: Rollout, case: Case, *, smooth: bool) -> Samples:
             for side in sides
         )
     )
-    if len(found.attack) and len(found.recorded):
+    if len(found.attack) and len(found.unattacked):
         return found
     raise NotMeasurable(TOO_SHORT_TO_SMOOTH if smooth else _slices.TOO_SHORT)
 
@@ -128,14 +130,14 @@ def shares(sample: Floats, bins: int) -> Floats:
 
 
 class Paths(NamedTuple):
-    """The opponent's path (K, 2) and its recording's (K, 2), at least three points."""
+    """The opponent's path (K, 2) and that without the attack (K, 2), at least three points."""
 
     attack: Floats
-    recorded: Floats
+    unattacked: Floats
 
 
 def paths(rollout: Rollout, case: Case, *, until_contact: bool) -> Paths:
-    """The two paths over the steps that attack and recording both have.
+    """The two paths over the steps that both have.
 
     The attack is what the policy drove and, unless ``until_contact``, its last plan after the end.
     Raises NotMeasurable if there are fewer than three steps.
@@ -143,8 +145,8 @@ def paths(rollout: Rollout, case: Case, *, until_contact: bool) -> Paths:
     stretches = _slices.compared_stretches(rollout, case, beyond=not until_contact)
     if sum(len(one.attack_m) for one in stretches) < 3:
         raise NotMeasurable(_slices.TOO_SHORT)
-    attack, recorded = (np.concatenate(side) for side in zip(*stretches, strict=True))
-    return Paths(attack, recorded)
+    attack, unattacked = (np.concatenate(side) for side in zip(*stretches, strict=True))
+    return Paths(attack, unattacked)
 
 
 def directed(points_m: Floats, path_m: Floats) -> Floats:
@@ -185,58 +187,59 @@ def _cut(episode: Episode) -> Paths:
 
 @metric("nat", better="lower")
 def acceleration_kl(episode: Episode) -> float:
-    """Signed change of the opponent's speed over the planned 8 s, as far as it is recorded, raw 10
-    Hz differences, against its recording's: KL(planned || recorded), 21 bins of 1 m/s2 on [-10.5,
-    10.5], values outside in the end bins, 1e-10 added to each count.
+    """Signed change of the opponent's speed over the planned 8 s against that without the attack,
+    at the steps that both have, raw 10 Hz differences: KL(attack || without), 21 bins of 1 m/s2 on
+    [-10.5, 10.5], values outside in the end bins, 1e-10 added to each count.
     """
     found = _raw(episode)
-    return divergence(found.attack, found.recorded)
+    return divergence(found.attack, found.unattacked)
 
 
 @metric("nat", better="lower")
 def acceleration_kl_reverse(episode: Episode) -> float:
-    """Signed change of the opponent's speed over the planned 8 s, as far as it is recorded, raw 10
-    Hz differences, against its recording's: KL(recorded || planned), 21 bins of 1 m/s2 on [-10.5,
-    10.5], values outside in the end bins, 1e-10 added to each count.
+    """Signed change of the opponent's speed over the planned 8 s against that without the attack,
+    at the steps that both have, raw 10 Hz differences: KL(without || attack), 21 bins of 1 m/s2 on
+    [-10.5, 10.5], values outside in the end bins, 1e-10 added to each count.
     """
     found = _raw(episode)
-    return divergence(found.recorded, found.attack)
+    return divergence(found.unattacked, found.attack)
 
 
 @metric("nat", better="lower")
 def acceleration_kl_smooth(episode: Episode) -> float:
-    """Signed change of the opponent's speed over the planned 8 s, as far as it is recorded,
-    Savitzky-Golay filtered (11 samples, order 2) on both sides, against its recording's: KL(planned
-    || recorded), 21 bins of 1 m/s2 on [-10.5, 10.5], values outside in the end bins, 1e-10 added to
-    each count.
+    """Signed change of the opponent's speed over the planned 8 s against that without the attack,
+    at the steps that both have, Savitzky-Golay filtered (11 samples, order 2) on both sides:
+    KL(attack || without), 21 bins of 1 m/s2 on [-10.5, 10.5], values outside in the end bins, 1e-10
+    added to each count.
     """
     found = _smooth(episode)
-    return divergence(found.attack, found.recorded)
+    return divergence(found.attack, found.unattacked)
 
 
 @metric("nat", better="lower")
 def acceleration_jsd_smooth(episode: Episode) -> float:
-    """Signed change of the opponent's speed over the planned 8 s, as far as it is recorded,
-    Savitzky-Golay filtered (11 samples, order 2) on both sides, against its recording's:
+    """Signed change of the opponent's speed over the planned 8 s against that without the attack,
+    at the steps that both have, Savitzky-Golay filtered (11 samples, order 2) on both sides:
     Jensen-Shannon divergence (0 to 0.693), 21 bins of 1 m/s2 on [-10.5, 10.5], values outside in
     the end bins, 1e-10 added to each count.
     """
     found = _smooth(episode)
-    return jensen_shannon(found.attack, found.recorded)
+    return jensen_shannon(found.attack, found.unattacked)
 
 
 @metric("m/s2", better="lower")
 def acceleration_wasserstein(episode: Episode) -> float:
-    """Signed change of the opponent's speed over the planned 8 s, as far as it is recorded, raw 10
-    Hz differences, against its recording's: first Wasserstein distance of the two samples.
+    """Signed change of the opponent's speed over the planned 8 s against that without the attack,
+    at the steps that both have, raw 10 Hz differences: first Wasserstein distance of the two
+    samples.
     """
     return wasserstein(*_raw(episode))
 
 
 @metric("m/s2", better="lower")
 def acceleration_wasserstein_smooth(episode: Episode) -> float:
-    """Signed change of the opponent's speed over the planned 8 s, as far as it is recorded,
-    Savitzky-Golay filtered (11 samples, order 2) on both sides, against its recording's: first
+    """Signed change of the opponent's speed over the planned 8 s against that without the attack,
+    at the steps that both have, Savitzky-Golay filtered (11 samples, order 2) on both sides: first
     Wasserstein distance of the two samples.
     """
     return wasserstein(*_smooth(episode))
@@ -244,34 +247,36 @@ def acceleration_wasserstein_smooth(episode: Episode) -> float:
 
 @metric("m", better="lower")
 def path_sspd(episode: Episode) -> float:
-    """The opponent's planned path of 8 s (after a contact its last plan goes on) against its
-    recorded path over the same steps, without regard to time: mean of the two mean distances of
-    points to the other polyline.
+    """The opponent's planned path of 8 s (after a contact its last plan goes on) against its path
+    without the attack over the same steps, without regard to time: mean of the two mean distances
+    of points to the other polyline.
     """
     return symmetric_mean(*_whole(episode))
 
 
 @metric("m", better="lower")
 def path_sspd_cut(episode: Episode) -> float:
-    """The opponent's path until the contact (or the end) against its recorded path over the same
-    steps, without regard to time: mean of the two mean distances of points to the other polyline.
+    """The opponent's path until the contact (or the end) against its path without the attack over
+    the same steps, without regard to time: mean of the two mean distances of points to the other
+    polyline.
     """
     return symmetric_mean(*_cut(episode))
 
 
 @metric("m", better="lower")
 def path_hausdorff(episode: Episode) -> float:
-    """The opponent's planned path of 8 s (after a contact its last plan goes on) against its
-    recorded path over the same steps, without regard to time: largest distance of a point to the
-    other polyline, both ways.
+    """The opponent's planned path of 8 s (after a contact its last plan goes on) against its path
+    without the attack over the same steps, without regard to time: largest distance of a point to
+    the other polyline, both ways.
     """
     return hausdorff(*_whole(episode))
 
 
 @metric("m", better="lower")
 def path_hausdorff_cut(episode: Episode) -> float:
-    """The opponent's path until the contact (or the end) against its recorded path over the same
-    steps, without regard to time: largest distance of a point to the other polyline, both ways.
+    """The opponent's path until the contact (or the end) against its path without the attack over
+    the same steps, without regard to time: largest distance of a point to the other polyline, both
+    ways.
     """
     return hausdorff(*_cut(episode))
 

@@ -386,7 +386,7 @@ def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
     return {
         "opponent_m": np.round(frames.to_local(path, origin, float(heading)), 2).tolist(),
         "attack_mps2": np.round(changes.attack, 3).tolist(),
-        "recorded_mps2": np.round(changes.recorded, 3).tolist(),
+        "recorded_mps2": np.round(changes.unattacked, 3).tolist(),
     }
 
 

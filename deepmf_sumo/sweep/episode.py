@@ -8,7 +8,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +157,7 @@ class Episode:
     def _attack(self, task: Task, folder: Path) -> result.Result:
         begin = time.perf_counter()
         _adversary_of(task)  # first, for what is wrong with the weights shows soonest
-        case = make_case(task, self.cache)
+        case = _with_unattacked(task, make_case(task, self.cache))
         attack = attack_case(task, case, gui=self.gui)
         rollout = attack.rollout
         decisive = result.decisive_part(rollout, case)
@@ -278,20 +278,43 @@ def _recorded(record: RecordRef, cache: Path) -> tuple[Scene, SumoNet]:
     return scene, network.cached(scene, cache / "nets")
 
 
+def _with_unattacked(task: Task, case: Case) -> Case:
+    """The case of a network with its episode without attack, with which metrics compare.
+
+    It comes first: SUMO is at the moment, and the copy that simulates it leaves it there.
+    """
+    if not isinstance(case, TrafficCase) or task.spec.adversary.name == "none":
+        return case
+    rollout = fork.tried(task, lambda: _simulated(task, case, None), case)
+    return replace(case, unattacked=rollout.tracks)
+
+
+def _simulated(
+    task: Task,
+    case: Case,
+    policy: Policy | None,
+    planner: Planner | None = None,
+    *,
+    gui: bool = False,
+) -> Rollout:
+    """An episode; each of a run begins with the same random numbers."""
+    driver = planner or planner_of(task)
+    rng = np.random.default_rng([*task.entropy(), 1])
+    rollout = simulation.simulate(case, driver, policy, rng=rng, gui=gui)
+    fork.note_model(task, driver.model)
+    return rollout
+
+
 def attack_case(
     task: Task, case: Case, *, gui: bool = False, planner: Planner | None = None
 ) -> Attack:
-    """The adversary's attack; every episode of a search begins with the same random numbers.
+    """The adversary's attack.
 
     ``planner`` drives the AV; without it a new one as the spec says does in every episode.
     """
 
     def simulate(policy: Policy | None) -> Rollout:
-        driver = planner or planner_of(task)
-        rng = np.random.default_rng([*task.entropy(), 1])
-        rollout = simulation.simulate(case, driver, policy, rng=rng, gui=gui)
-        fork.note_model(task, driver.model)
-        return rollout
+        return _simulated(task, case, policy, planner, gui=gui)
 
     def one_of_several(policy: Policy | None) -> Rollout:
         assert isinstance(case, TrafficCase)

@@ -193,8 +193,8 @@ def test_a_gap_in_the_recording_is_no_change_of_speed():
     scene = dataclasses.replace(case.scene, tracks=dataclasses.replace(tracks, valid=valid))
     gappy = dataclasses.replace(case, scene=scene)
     found = naturalness.samples(with_opponent(steady), gappy, smooth=False)
-    assert len(found.recorded) == (29 - 2) + (41 - 2)
-    np.testing.assert_allclose(found.recorded, 0.0, atol=1e-9)
+    assert len(found.unattacked) == (29 - 2) + (41 - 2)
+    np.testing.assert_allclose(found.unattacked, 0.0, atol=1e-9)
     assert len(naturalness.speed_changes(steady[:1, :2], 0.1)) == 0
 
 
@@ -206,5 +206,5 @@ def test_reasons_tell_a_missing_recording_from_one_that_is_too_short():
     unknown = case_of({"av": AV, "c": straight(-8, 3.5, 12)})
     waits = dataclasses.replace(soon, driver=np.full(soon.driver.shape, Driver.LOG))
     for name in ("path_sspd", "acceleration_kl"):
-        assert measured(name, soon, unknown).reason == _slices.NO_LOG
+        assert measured(name, soon, unknown).reason == _slices.NO_REFERENCE
         assert measured(name, waits).reason == _slices.NEVER_DRIVEN

@@ -172,7 +172,7 @@ def test_a_log_that_ends_early_is_compared_over_its_own_time():
         assert metric.measure(rollout, short).value == pytest.approx(1.0, abs=1e-9)
         assert metric.measure(rollout, whole).value > 2.0
     found = naturalness.samples(rollout, short, smooth=False)
-    assert len(found.attack) == len(found.recorded) == 30 - 2
+    assert len(found.attack) == len(found.unattacked) == 30 - 2
     assert len(naturalness.samples(rollout, whole, smooth=False).attack) == 80 - 2
     none = plugins.load("metrics", "path_sspd").measure(rollout, with_log_until(short, 13))
     assert none.reason == _slices.TOO_SHORT
@@ -197,7 +197,7 @@ def test_pooled_naturalness():
     histograms = [histogram(side, 201) for side in every]
     assert same.kl == pytest.approx(scipy.stats.entropy(*histograms))
     assert same.kl_reverse == pytest.approx(scipy.stats.entropy(*histograms[::-1]))
-    harder = pooled([Samples(run.attack * 3, run.recorded) for run in runs])
+    harder = pooled([Samples(run.attack * 3, run.unattacked) for run in runs])
     assert harder.jsd > 2 * same.jsd
     assert harder.wasserstein > 1.0
     assert pooled([]) is None
