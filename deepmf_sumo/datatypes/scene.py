@@ -238,6 +238,14 @@ class Tracks(Frozen):
         """Steps start..stop-1 of all agents."""
         return replace(self, **{name: getattr(self, name)[:, start:stop] for name in _BY_STEP})
 
+    def padded(self, steps: int) -> "Tracks":
+        """With steps added at the end, at which nobody is valid."""
+        more = [(0, 0), (0, steps), (0, 0)]
+        arrays = {name: getattr(self, name) for name in _BY_STEP}
+        return replace(
+            self, **{name: np.pad(one, more[: one.ndim]) for name, one in arrays.items()}
+        )
+
     def select(self, rows: list[int]) -> "Tracks":
         """The given rows, in the given order."""
         return replace(

@@ -1,4 +1,4 @@
-"""What an exporter is: a finished run in a format that other programs read, and what it is made of."""
+"""What an exporter is: a finished run in a format that other programs read, and what that is."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -37,7 +37,7 @@ def scene_of(run: Exportable) -> Scene:
     """
     rollout, around = run.rollout, run.around
     steps = max(rollout.tracks.steps, rollout.now + 1 + run.duration_steps)
-    tracks = _with_plan(_padded(rollout.tracks, steps), rollout)
+    tracks = _with_plan(rollout.tracks.padded(steps - rollout.tracks.steps), rollout)
     interest = (rollout.av_id, rollout.opponent_id) if rollout.opponent_id else ()
     known = around.signals
     signals = _unknown(steps) if known is None else _continued(known, steps)
@@ -52,19 +52,6 @@ def scene_of(run: Exportable) -> Scene:
         signals=signals,
         av_id=rollout.av_id,
         interest=interest,
-    )
-
-
-def _padded(tracks: Tracks, steps: int) -> Tracks:
-    """The tracks with steps at the end in which no agent is valid."""
-    flat, vector = [(0, 0), (0, steps - tracks.steps)], [(0, 0), (0, steps - tracks.steps), (0, 0)]
-    return replace(
-        tracks,
-        position_m=np.pad(tracks.position_m, vector),
-        z_m=np.pad(tracks.z_m, flat),
-        heading_rad=np.pad(tracks.heading_rad, flat),
-        velocity_mps=np.pad(tracks.velocity_mps, vector),
-        valid=np.pad(tracks.valid, flat),
     )
 
 

@@ -1,0 +1,131 @@
+"""Small readers of the formats that runs are exported in, written from their descriptions.
+
+Each gives boxes by step and id, so that poses and contacts can be compared with those of the run.
+"""
+
+import csv
+import json
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+DT_S = 0.1
+
+
+@dataclass(frozen=True)
+class Box:
+    """x, y of the centre and heading, of a box of this length and width."""
+
+    x: float
+    y: float
+    heading: float
+    length: float
+    width: float
+
+    @property
+    def corners(self):
+        """(4, 2) front left, rear left, rear right, front right."""
+        ahead = np.array([np.cos(self.heading), np.sin(self.heading)]) * self.length / 2
+        left = np.array([-np.sin(self.heading), np.cos(self.heading)]) * self.width / 2
+        centre = np.array([self.x, self.y])
+        return centre + [ahead + left, left - ahead, -ahead - left, ahead - left]
+
+
+def boxes_of(tracks):
+    """(step, id) -> box of tracks."""
+    return {
+        (int(step), tracks.ids[row]): Box(
+            *map(float, tracks.position_m[row, step]),
+            float(tracks.heading_rad[row, step]),
+            *map(float, tracks.size_m[row, :2]),
+        )
+        for row, step in np.argwhere(tracks.valid)
+    }
+
+
+def largest_error_m(found, expected):
+    """Largest distance of corners; infinite where a box is missing or there is one more."""
+    if found.keys() != expected.keys():
+        return float("inf")
+    differences = [found[key].corners - expected[key].corners for key in expected]
+    return float(np.hypot(*np.concatenate(differences).T).max())
+
+
+def first_contact(found, one, other):
+    """The first step at which the boxes of the two overlap; None without one."""
+    steps = sorted(step for step, agent in found if agent == one and (step, other) in found)
+    shapes = (
+        [shapely.Polygon(found[step, agent].corners) for agent in (one, other)] for step in steps
+    )
+    return next((step for step, (a, b) in zip(steps, shapes) if a.intersects(b)), None)
+
+
+@dataclass(frozen=True)
+class TrjVehicle:
+    """A VEHICLE record."""
+
+    number: int
+    link: int
+    lane: int
+    front: tuple
+    rear: tuple
+    length: float
+    width: float
+    speed: float
+    acceleration: float
+    z: tuple | None
+
+
+def read_trj(content):
+    """``(header, steps)`` of a SSAM trajectory file, 1.04 or 3.0: tables 1.2 to 1.5 and 2-1, 2-2.
+
+    ``steps`` are pairs of the time and its VEHICLE records.
+    """
+    kind, endian = struct.unpack_from("BB", content)
+    assert kind == 0
+    order = {ord("L"): "<", ord("B"): ">"}[endian]
+    (version,) = struct.unpack_from(f"{order}f", content, 2)
+    at, high = 6, False
+    if version > 1.05:
+        high, at = content[6] not in (0, ord(" ")), 7
+    kind, units, scale, *area = struct.unpack_from(f"{order}BBf4i", content, at)
+    assert kind == 1
+    at += struct.calcsize(f"{order}BBf4i")
+    record = struct.Struct(f"{order}iiB{10 if high else 8}f")
+    steps = []
+    while at < len(content):
+        kind, at = content[at], at + 1
+        if kind == 2:
+            steps.append((struct.unpack_from(f"{order}f", content, at)[0], []))
+            at += 4
+        elif kind == 3:
+            number, link, lane, fx, fy, rx, ry, *rest = record.unpack_from(content, at)
+            z = tuple(rest[4:]) if high else None
+            vehicle = TrjVehicle(number, link, lane, (fx, fy), (rx, ry), *rest[:4], z)
+            steps[-1][1].append(vehicle)
+            at += record.size
+        else:
+            raise AssertionError(f"record type {kind} at byte {at - 1}")
+    header = {"version": round(version, 2), "units": units, "scale": scale, "area": area}
+    return header, steps
+
+
+def ssam_boxes(folder):
+    """(step, id) -> box of what happened, of an exported folder."""
+    with (folder / "vehicles.csv").open(newline="") as file:
+        ids = {int(row["number"]): row["id"] for row in csv.DictReader(file)}
+    about = json.loads((folder / "about.json").read_text())
+    _, steps = read_trj((folder / "run.trj").read_bytes())
+    if about["made_up_steps"]:
+        steps = steps[: -about["made_up_steps"]]
+    found = {}
+    for time, vehicles in steps:
+        for one in vehicles:
+            front, rear = np.array(one.front), np.array(one.rear)
+            x, y = (front + rear) / 2 + about["origin_m"]
+            heading = float(np.arctan2(*(front - rear)[::-1]))
+            key = round(time / DT_S), ids[one.number]
+            found[key] = Box(float(x), float(y), heading, one.length, one.width)
+    return found
