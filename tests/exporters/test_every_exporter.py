@@ -13,7 +13,12 @@ from deepmf_sumo.exporters.base import Exportable
 
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of, straight
 
-NAMES = plugins.names("exporters")
+STARTS_A_PROGRAM = {"openscenario"}
+NAMES = [
+    pytest.param(name, marks=[pytest.mark.sumo] * (name in STARTS_A_PROGRAM))
+    for name in plugins.names("exporters")
+]
+NET = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.net.xml"
 
 
 def attacked():
@@ -37,7 +42,7 @@ def raised():
 
 def recorded(folder):
     net = folder / "net.net.xml"
-    net.write_text("<net/>")
+    net.write_bytes(NET.read_bytes())
     return replace(case_of(), net=SumoNet(file=net))
 
 

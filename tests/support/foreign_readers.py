@@ -7,6 +7,7 @@ import csv
 import json
 import struct
 from dataclasses import dataclass
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import shapely
@@ -30,7 +31,7 @@ class Box:
         ahead = np.array([np.cos(self.heading), np.sin(self.heading)]) * self.length / 2
         left = np.array([-np.sin(self.heading), np.cos(self.heading)]) * self.width / 2
         centre = np.array([self.x, self.y])
-        return centre + [ahead + left, left - ahead, -ahead - left, ahead - left]
+        return centre + np.array([ahead + left, left - ahead, -ahead - left, ahead - left])
 
 
 def boxes_of(tracks):
@@ -59,7 +60,9 @@ def first_contact(found, one, other):
     shapes = (
         [shapely.Polygon(found[step, agent].corners) for agent in (one, other)] for step in steps
     )
-    return next((step for step, (a, b) in zip(steps, shapes) if a.intersects(b)), None)
+    return next(
+        (step for step, (a, b) in zip(steps, shapes, strict=False) if a.intersects(b)), None
+    )
 
 
 @dataclass(frozen=True)
@@ -129,3 +132,55 @@ def ssam_boxes(folder):
             key = round(time / DT_S), ids[one.number]
             found[key] = Box(float(x), float(y), heading, one.length, one.width)
     return found
+
+
+def xosc_boxes(file):
+    """(step, entity) -> box of an OpenSCENARIO whose entities follow trajectories by time.
+
+    An entity is there from its teleport of Init or its AddEntityAction on, until it is deleted or
+    the scenario stops, which it does once the last step has been shown.
+    """
+    root = ET.parse(file).getroot()
+    [stop] = root.findall("Storyboard/StopTrigger//SimulationTimeCondition")
+    last = round(float(stop.get("value")) / DT_S)
+    shapes = {one.get("name"): _xosc_shape(one) for one in root.iter("ScenarioObject")}
+    poses = {}
+    for private in root.findall("Storyboard/Init/Actions/Private"):
+        place = _world(private.find("PrivateAction/TeleportAction/Position"))
+        poses |= {(step, private.get("entityRef")): place for step in range(last + 1)}
+    events = [(_xosc_step(event), group, event)
+              for group in root.iter("ManeuverGroup") for event in group.iter("Event")]  # fmt: skip
+    for step, group, event in sorted(events, key=lambda one: one[0]):
+        for action in event.iter("EntityAction"):
+            name = action.get("entityRef")
+            added = action.find("AddEntityAction/Position")
+            for later in range(step, last + 1):
+                if added is None:
+                    poses.pop((later, name), None)
+                else:
+                    poses[later, name] = _world(added)
+        [name] = {one.get("entityRef") for one in group.findall("Actors/EntityRef")}
+        for vertex in event.iter("Vertex"):
+            poses[round(float(vertex.get("time")) / DT_S), name] = _world(vertex.find("Position"))
+    return {(step, name): _xosc_box(pose, *shapes[name]) for (step, name), pose in poses.items()}
+
+
+def _xosc_step(event):
+    [condition] = event.findall("StartTrigger//SimulationTimeCondition")
+    return round(float(condition.get("value")) / DT_S)
+
+
+def _xosc_shape(entity):
+    box = next(entity.iter("BoundingBox"))
+    centre, size = box.find("Center"), box.find("Dimensions")
+    return float(centre.get("x")), float(size.get("length")), float(size.get("width"))
+
+
+def _world(position):
+    place = position.find("WorldPosition")
+    return tuple(float(place.get(name)) for name in "xyh")
+
+
+def _xosc_box(pose, ahead, length, width):
+    x, y, heading = pose
+    return Box(x + ahead * np.cos(heading), y + ahead * np.sin(heading), heading, length, width)
