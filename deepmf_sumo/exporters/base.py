@@ -4,17 +4,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Final, Protocol, Self
+
+import numpy as np
 
 from deepmf_sumo.datatypes import (
     ROLLOUT,
     Case,
+    Floats,
     RecordedCase,
     RoadMap,
     Rollout,
     Signals,
     Source,
+    Tracks,
 )
+from deepmf_sumo.datatypes.scene import AgentKind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,6 +91,17 @@ class Exportable:
     def net(self) -> NetFiles:
         """The SUMO network."""
         return self.find_net()
+
+
+_HEIGHT_M: Final[dict[AgentKind, float]] = {
+    "vehicle": 1.5, "cyclist": 1.7, "pedestrian": 1.7, "other": 1.0,
+}  # fmt: skip
+
+
+def known_heights(tracks: Tracks) -> Floats:
+    """(A) heights of the boxes; a usual one where a run does not know it, for a box has one."""
+    usual = [_HEIGHT_M[kind] for kind in tracks.kinds]
+    return np.where(tracks.size_m[:, 2] > 0, tracks.size_m[:, 2], usual)
 
 
 class Exporter(Protocol):

@@ -21,7 +21,7 @@ import numpy as np
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Bools, Floats, Rollout
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.exporters.base import Exportable
+from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.network import sumo_tools
 
@@ -31,8 +31,6 @@ _DATE: Final = "2000-01-01T00:00:00"
 """The same run gives the same bytes."""
 _AXLE: Final = 0.28
 """Distance of the axles from the centre of the box, in lengths."""
-_HEIGHT_M: Final = {"vehicle": 1.5, "cyclist": 1.7, "pedestrian": 1.7, "other": 1.0}
-"""Where a run does not know it."""
 _LONG_M: Final = 7.5
 """Vehicles from here on are trucks to players."""
 _ROUTE_M: Final = 20.0
@@ -186,9 +184,9 @@ def _document(run: Exportable, without_av: bool) -> ET.Element:
 
 def _describe(parent: ET.Element, actor: _Actor, rollout: Rollout) -> None:
     tracks = rollout.tracks
-    length, width, height = map(float, tracks.size_m[actor.row])
+    length, width = map(float, tracks.size_m[actor.row, :2])
+    height = float(known_heights(tracks)[actor.row])
     kind, agent = tracks.kinds[actor.row], tracks.ids[actor.row]
-    height = height or _HEIGHT_M[kind]
     if actor.category == "Vehicle":
         large = "truck" if length >= _LONG_M else "car"
         category = "bicycle" if kind == "cyclist" else large

@@ -184,3 +184,51 @@ def _world(position):
 def _xosc_box(pose, ahead, length, width):
     x, y, heading = pose
     return Box(x + ahead * np.cos(heading), y + ahead * np.sin(heading), heading, length, width)
+
+
+def check_scenario(found):
+    """The rules of MetaDrive's ``ScenarioDescription.sanity_check`` with ``valid_check``."""
+    assert type(found) is dict
+    assert {"tracks", "version", "id", "dynamic_map_states", "map_features", "length",
+            "metadata"} <= found.keys()  # fmt: skip
+    _plain(found)
+    steps = found["length"]
+    for track in found["tracks"].values():
+        assert track["type"] in {"VEHICLE", "PEDESTRIAN", "CYCLIST", "OTHER"}
+        assert {"position", "heading", "valid"} <= track["state"].keys()
+        valid = track["state"]["valid"]
+        assert valid.any()
+        for array in track["state"].values():
+            assert len(array) == steps
+            assert array.ndim == 1 or array.shape[1] > 0
+            assert not array[~valid].any()
+    for light in found["dynamic_map_states"].values():
+        assert light["type"] == "TRAFFIC_LIGHT"
+        assert {"state", "metadata"} <= light.keys()
+        assert all(len(array) == steps for array in light["state"].values())
+    for feature in found["map_features"].values():
+        if feature["type"].startswith("LANE_"):
+            assert isinstance(feature["polyline"], np.ndarray)
+    assert {"metadrive_processed", "coordinate", "ts"} <= found["metadata"].keys()
+    assert found["metadata"]["ts"].shape == (steps,)
+
+
+def _plain(value):
+    assert type(value) in {bool, int, float, str, np.ndarray, dict, list, tuple, type(None), set}
+    if isinstance(value, np.ndarray):
+        assert value.dtype.kind in "bif"
+    elif isinstance(value, dict | list | tuple | set):
+        for one in value.items() if isinstance(value, dict) else value:
+            _plain(one)
+
+
+def scenario_boxes(found):
+    """(step, id) -> box of a ScenarioNet scenario."""
+    return {
+        (int(step), agent): Box(
+            *map(float, state["position"][step][:2]),
+            *(float(state[name][step]) for name in ("heading", "length", "width")),
+        )
+        for agent, state in ((key, one["state"]) for key, one in found["tracks"].items())
+        for step in np.flatnonzero(state["valid"])
+    }
