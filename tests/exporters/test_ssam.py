@@ -40,7 +40,9 @@ def collision(steps=61, offset=(0.0, 0.0)):
     valid[2, :20], valid[3, 30:] = False, False
     tracks = replace(
         tracks,
-        position_m=tracks.position_m + np.array(offset),
+        position_m=(tracks.position_m + np.array(offset)) * valid[..., None],
+        heading_rad=tracks.heading_rad * valid,
+        velocity_mps=tracks.velocity_mps * valid[..., None],
         size_m=np.array([[4.8, 2.0, 1.5], [12.0, 2.5, 3.2], [4.3, 1.8, 1.4], [5.0, 1.9, 1.5]]),
         valid=valid,
     )

@@ -186,6 +186,24 @@ def _xosc_box(pose, ahead, length, width):
     return Box(x + ahead * np.cos(heading), y + ahead * np.sin(heading), heading, length, width)
 
 
+def fcd_boxes(folder):
+    """(step, id) -> box of SUMO's FCD and vehicle types, in a folder for sumo-gui."""
+    sizes = {
+        one.get("id"): (float(one.get("length")), float(one.get("width")))
+        for one in ET.parse(folder / "types.add.xml").iter("vType")
+    }
+    found = {}
+    for moment in ET.parse(folder / "fcd.xml").iter("timestep"):
+        for one in moment.iter("vehicle"):
+            length, width = sizes[one.get("type")]
+            heading = float(np.radians(90.0 - float(one.get("angle"))))
+            x = float(one.get("x")) - length / 2 * np.cos(heading)
+            y = float(one.get("y")) - length / 2 * np.sin(heading)
+            box = Box(x, y, heading, length, width)
+            found[round(float(moment.get("time")) / DT_S), one.get("id")] = box
+    return found
+
+
 def check_scenario(found):
     """The rules of MetaDrive's ``ScenarioDescription.sanity_check`` with ``valid_check``."""
     assert type(found) is dict
@@ -231,4 +249,12 @@ def scenario_boxes(found):
         )
         for agent, state in ((key, one["state"]) for key, one in found["tracks"].items())
         for step in np.flatnonzero(state["valid"])
+    }
+
+
+def xosc_ids(file):
+    """Name of an entity -> its property ``id``."""
+    return {
+        one.get("name"): next(p.get("value") for p in one.iter("Property") if p.get("name") == "id")
+        for one in ET.parse(file).iter("ScenarioObject")
     }
