@@ -7,7 +7,7 @@ is which, ``about.json`` what is not from the run.
 
 SSAM judges no step of the last five seconds (its largest post-encroachment time), and ends a
 conflict when the two have parted. So a contact near the end is followed by seconds that are made
-up: the AV goes straight on, the other vehicle stands, and nobody else is there.
+up: both stand, then the AV goes straight on, through the other where need be; nobody else is there.
 """
 
 import struct
@@ -32,8 +32,11 @@ _MARGIN_M: Final = 10.0
 _FAR_M: Final = 2.0**16
 """From here on single precision is coarser than a centimetre: coordinates get another origin."""
 _ORIGIN_M: Final = 1000.0
+_STANDING_S: Final = 1.0
+"""SSAM looks for vehicles that overlap 1.5 s later on the ways that they take at the speed of now;
+only where both stay at the place of the contact does it surely find them."""
 _PARTING_MPS: Final = 3.0
-"""The AV's least speed after the contact: at rest the two would never part."""
+"""The AV's speed after that: at rest the two would never part."""
 _UNKNOWN_LINK: Final = 0
 """SSAM then tells kinds of conflicts by the angle alone."""
 
@@ -48,7 +51,7 @@ class Settings(plugins.Settings):
     """
 
     version: Literal["1.04", "3.0"] = "1.04"
-    after_s: float = Field(default=6.0, ge=0.0, le=60.0)
+    after_s: float = Field(default=14.0, ge=0.0, le=60.0)
 
 
 def write(run: Exportable, path: Path, settings: Settings) -> None:
@@ -79,13 +82,13 @@ def _followed(rollout: Rollout, after_s: float) -> Tracks:
 
 
 def _going_on(tracks: Tracks, contact: Contact, rollout: Rollout, more: int) -> Tracks:
-    """With ``more`` steps, in which the AV goes straight on and the other vehicle stands."""
+    """With ``more`` steps: the two of the contact stand, and then the AV goes straight on."""
     longer, last = tracks.padded(more), tracks.steps - 1
     arrays = {
         name: getattr(longer, name).copy()
         for name in ("position_m", "z_m", "heading_rad", "velocity_mps", "valid")
     }
-    seconds = np.arange(1, more + 1) * rollout.dt_s
+    gone_on = np.maximum(np.arange(1, more + 1) * rollout.dt_s - _STANDING_S, 0.0)
     for agent in (contact.first_id, contact.second_id):
         row = tracks.row(agent)
         if not tracks.valid[row, last]:
@@ -95,11 +98,11 @@ def _going_on(tracks: Tracks, contact: Contact, rollout: Rollout, more: int) -> 
         velocity = speed * frames.unit(heading) * (agent == rollout.av_id)
         after = slice(last + 1, None)
         arrays["position_m"][row, after] = (
-            tracks.position_m[row, last] + seconds[:, None] * velocity
+            tracks.position_m[row, last] + gone_on[:, None] * velocity
         )
         arrays["z_m"][row, after] = tracks.z_m[row, last]
         arrays["heading_rad"][row, after] = heading
-        arrays["velocity_mps"][row, after] = velocity
+        arrays["velocity_mps"][row, after] = velocity * (gone_on[:, None] > 0)
         arrays["valid"][row, after] = True
     return replace(longer, **arrays)
 

@@ -1,6 +1,5 @@
 """Runs of result folders in formats of other programs: what is written, what is not, and why."""
 
-import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -150,7 +149,6 @@ def written(run: Run, path: Path, form: Format) -> Export:
     except (RunError, *stored.DAMAGE) as error:
         return Export(run_id=run.run_id, path=path, outcome="failed", reason=_said(run, error))
     except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
-        traceback.print_exc()
         return Export(run_id=run.run_id, path=path, outcome="failed", reason=_said(run, error))
     return Export(run_id=run.run_id, path=path, outcome="written", reason=lost)
 

@@ -100,18 +100,21 @@ def test_acceleration_is_the_difference_of_speeds(tmp_path):
     assert max(abs(acceleration) for _, acceleration in speeds.values()) < 1.1
 
 
-def test_six_seconds_follow_the_contact_in_which_the_two_part(tmp_path):
+def test_seconds_follow_the_contact_in_which_the_two_stand_and_then_part(tmp_path):
     rollout = collision()
     folder = written(rollout, tmp_path)
     _, steps = read_trj((folder / "run.trj").read_bytes())
     last = rollout.contacts[0].step
-    assert len(steps) == last + 1 + 60
-    assert json.loads((folder / "about.json").read_text())["made_up_steps"] == 60
+    assert len(steps) == last + 1 + 140
+    assert json.loads((folder / "about.json").read_text())["made_up_steps"] == 140
     after = steps[last + 1 :]
     assert {tuple(one.number for one in vehicles) for _, vehicles in after} == {(1, 2)}
     av = np.array([vehicles[0].front for _, vehicles in after])
     other = np.array([vehicles[1].front for _, vehicles in after])
-    assert np.allclose(np.diff(av[:, 0]), 1.0, atol=1e-3)
+    assert np.ptp(av[:10], axis=0).max() == 0
+    assert np.allclose(np.diff(av[10:, 0]), 0.3, atol=1e-3)
+    assert [vehicles[0].speed for _, vehicles in after] == [0.0] * 10 + [3.0] * 130
+    assert {vehicles[1].speed for _, vehicles in after} == {0.0}
     assert np.ptp(other, axis=0).max() == 0
     assert np.hypot(*(av[-1] - other[-1])) > 20
     assert all(one.acceleration == 0 for _, vehicles in after for one in vehicles)
