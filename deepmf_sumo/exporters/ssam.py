@@ -94,8 +94,7 @@ def _going_on(tracks: Tracks, contact: Contact, rollout: Rollout, more: int) -> 
         if not tracks.valid[row, last]:
             continue
         heading = tracks.heading_rad[row, last]
-        speed = max(float(tracks.speed_mps[row, last]), _PARTING_MPS)
-        velocity = speed * frames.unit(heading) * (agent == rollout.av_id)
+        velocity = _PARTING_MPS * frames.unit(heading) * (agent == rollout.av_id)
         after = slice(last + 1, None)
         arrays["position_m"][row, after] = (
             tracks.position_m[row, last] + gone_on[:, None] * velocity
