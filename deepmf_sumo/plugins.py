@@ -1,9 +1,10 @@
 """Plug-ins: a module in the folder of its kind, or a class of an installed package.
 
 A plug-in module has ``Settings`` (a `plugins.Settings` subclass) and ``build(settings, ...)``. The
-folder's listing is the registry. A metric is a function in a module of its folder, and an exporter
-is a module without settings; see `deepmf_sumo.metrics` and `deepmf_sumo.exporters`. Other packages
-join through the entry point group ``deepmf_sumo.<kind>``, or by ``my_package.my_module:MyClass``.
+folder's listing is the registry. An exporter has ``write(run, path, settings)`` in place of
+``build``, see `deepmf_sumo.exporters`; a metric is a function in a module of its folder. Other
+packages join through the entry point group ``deepmf_sumo.<kind>``, or by
+``my_package.my_module:MyClass``.
 """
 
 import functools
@@ -68,11 +69,16 @@ def load(kind: Kind, name: str) -> Any:
     return importlib.import_module(f"deepmf_sumo.{kind}.{name}")
 
 
-def settings(kind: Kind, name: str, values: dict[str, Any]) -> Any:
-    """The plug-in's checked settings. Raises PluginError naming the key, its value, the rule."""
+def settings(kind: Kind, name: str, values: dict[str, Any], *, texts: bool = False) -> Any:
+    """The plug-in's checked settings. Raises PluginError naming the key, its value, the rule.
+
+    ``texts``: the values are texts of a command line, and are read as the types of their keys.
+    """
     plugin = load(kind, name)
     schema: type[BaseModel] = plugin.Settings
     try:
+        if texts:
+            return schema.model_validate_strings(values, strict=False)
         return schema.model_validate(values)
     except ValidationError as error:
         raise PluginError(f"{kind} '{name}': {explain(error, schema)}") from None
@@ -87,7 +93,10 @@ def explain(error: ValidationError, schema: type[BaseModel], *, tagged: bool = F
     key = ".".join(str(part) for part in first["loc"][tagged:])
     if first["type"] == "extra_forbidden":
         hint = nearest(str(first["loc"][-1]), schema.model_fields)
-        return f"unknown key '{key}'.{hint} Known: {', '.join(schema.model_fields)}."
+        known = (
+            f"Known: {', '.join(schema.model_fields)}." if schema.model_fields else "There is none."
+        )
+        return f"unknown key '{key}'.{hint} {known}"
     return f"'{key}' is {first['input']!r}: {first['msg']}."
 
 

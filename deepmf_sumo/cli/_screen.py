@@ -118,6 +118,8 @@ def progress() -> Iterator[Callable[[Progress], None]]:
     def report(now: Progress) -> None:
         if now.again and not (now.last or now.lost):
             console.print(escape(_again(now)), soft_wrap=True)
+        for line in now.unwritten:
+            console.print(escape(line), soft_wrap=True)
         last = f"{now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
         kept = f" ({now.kept} kept from before)" if now.kept else ""
         lost = f", {now.lost} done again (machine lost)" if now.lost else ""

@@ -40,17 +40,19 @@ class Sweep:
         """Take the shared options out of ``values``, those of a command; ``more`` are its own.
 
         ``pictures``: whether runs are drawn where no option says so. Raises UsageError for what
-        would show only after hours of runs: a shard, an executor, thresholds or a baseline that are
-        wrong; OutputError for a folder that cannot be used.
+        would show only after hours of runs: a shard, an executor, formats, thresholds or a baseline
+        that are wrong; OutputError for a folder that cannot be used.
         """
         from deepmf_sumo.report.picture import draw
         from deepmf_sumo.results import folder
+        from deepmf_sumo.results.exports import Format
         from deepmf_sumo.sweep import batch
         from deepmf_sumo.sweep.shards import Shard
 
         sys.path.append(os.getcwd())  # noqa: PTH109 - planners under test lie in the working folder
         shard, drawn = values.pop("shard"), values.pop("pictures")
         judged = {key: values.pop(key) for key in ("thresholds", "baseline")}
+        values["formats"] = tuple(map(Format.named, dict.fromkeys(values["formats"])))
         known = [field.name for field in fields(batch.Options) if field.name in values]
         given = {key: values.pop(key) for key in known} | more
         if given["gui"]:
@@ -151,6 +153,11 @@ def _shown() -> tuple[Callable[..., Any], ...]:
             help="Draw a picture of every run.  [default: yes, but not for a plan]",
         ),
         click.option("--junit", is_flag=True, help="Write junit.xml into the folder."),
+        click.option(
+            "--export", "formats", metavar="FORMAT", multiple=True,
+            help="Write each run in this format as well, as `deepmf-sumo export` does; may be"
+            " repeated.",
+        ),
     )  # fmt: skip
 
 
@@ -194,17 +201,33 @@ def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
 
     if not watched():
         click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
+    endings = batch.endings(results)
+    if not _all_exported(sweep, results):
+        endings.append("failed")
     out = sweep.options.out
     if not folder.known(out):
         unlocked = "its file system has no locks: do not let two sweeps write into it at a time"
         click.echo(f"deepmf-sumo: {out}: {unlocked}", err=True)
-    endings = batch.endings(results)
     verdict = judge(sweep) if sweep.thresholds or sweep.baseline else None
     if missing:
         return exit_code("interrupted")
     if verdict is None or "wrong" in endings:
         return exit_code(*endings)
     return verdict
+
+
+def _all_exported(sweep: Sweep, results: "Sequence[Result]") -> bool:
+    """Say how many runs were written in each format; whether that is all that could be."""
+    from deepmf_sumo.report.table import counted
+
+    done = [one["run_id"] for one in results if one["status"] == "ok"]
+    whole = True
+    for form in sweep.options.formats:
+        runs = sweep.options.out / "runs"
+        there = sum(form.place(runs / run_id).exists() for run_id in done)
+        click.echo(f"{form.name}: {there} of {counted(len(done), 'run')} written")
+        whole = whole and there == len(done)
+    return whole
 
 
 def write_page(out: Path) -> None:

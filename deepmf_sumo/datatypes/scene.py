@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -237,6 +237,13 @@ class Tracks(Frozen):
     def window(self, start: int, stop: int) -> "Tracks":
         """Steps start..stop-1 of all agents."""
         return replace(self, **{name: getattr(self, name)[:, start:stop] for name in _BY_STEP})
+
+    def padded(self, steps: int) -> "Tracks":
+        """With steps added at the end, at which nobody is valid."""
+        more = [(0, 0), (0, steps), (0, 0)]
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in _BY_STEP}
+        arrays = {name: np.pad(one, more[: one.ndim]) for name, one in arrays.items()}
+        return replace(self, **arrays)
 
     def select(self, rows: list[int]) -> "Tracks":
         """The given rows, in the given order."""

@@ -1,9 +1,107 @@
-"""What an exporter is: a rollout in a format that other programs read."""
+"""What an exporter is: a finished run in a format that other programs read, and what that is."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Final, Protocol, Self
 
-from deepmf_sumo.datatypes import Case, Rollout
+import numpy as np
+
+from deepmf_sumo.datatypes import (
+    ROLLOUT,
+    Case,
+    Floats,
+    RecordedCase,
+    RoadMap,
+    Rollout,
+    Signals,
+    Source,
+    Tracks,
+)
+from deepmf_sumo.datatypes.scene import AgentKind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surroundings:
+    """The road of a run, and what is known of it.
+
+    Attributes:
+        source: of the recording, with the data set `ROLLOUT`; of networks the configuration.
+        signals: of a recording, from the run's first step on; None where they are not known.
+        lost: why the road is not the one that was attacked on; empty where it is.
+    """
+
+    road: RoadMap
+    source: Source
+    signals: Signals | None
+    lost: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetFiles:
+    """The SUMO network of a run, and the polygons to draw with it, or None."""
+
+    net: Path
+    additional: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Exportable:
+    """A finished run: what a format is made of. Road and network are looked up when asked for.
+
+    Attributes:
+        name: stable and unique in a batch: the run id.
+        duration_steps: steps after the current one that the run could have had.
+        look: gives `around`; it may raise UsageError or ReaderError.
+        find_net: gives `net`; it may raise UsageError, ReaderError or ConversionError.
+    """
+
+    name: str
+    rollout: Rollout
+    duration_steps: int
+    look: Callable[[], Surroundings]
+    find_net: Callable[[], NetFiles]
+
+    @classmethod
+    def of(cls, rollout: Rollout, case: Case) -> Self:
+        """A run that has just been simulated."""
+        if isinstance(case, RecordedCase):
+            source = replace(case.scene.source, dataset=ROLLOUT)
+            signals = case.scene.signals
+            net = NetFiles(net=case.net.file, additional=case.net.additional)
+        else:
+            source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
+            signals, net = None, NetFiles(net=case.net_file)
+        around = Surroundings(road=case.road, source=source, signals=signals)
+        return cls(
+            name=case.name,
+            rollout=rollout,
+            duration_steps=case.duration_steps,
+            look=lambda: around,
+            find_net=lambda: net,
+        )
+
+    @cached_property
+    def around(self) -> Surroundings:
+        """The road and its signals."""
+        return self.look()
+
+    @cached_property
+    def net(self) -> NetFiles:
+        """The SUMO network."""
+        return self.find_net()
+
+
+_HEIGHT_M: Final[dict[AgentKind, float]] = {
+    "vehicle": 1.5, "cyclist": 1.7, "pedestrian": 1.7, "other": 1.0,
+}  # fmt: skip
+
+
+def known_heights(tracks: Tracks) -> Floats:
+    """(A) heights of the boxes; a usual one where a run does not know it, for a box has one."""
+    usual = [_HEIGHT_M[kind] for kind in tracks.kinds]
+    return np.where(tracks.size_m[:, 2] > 0, tracks.size_m[:, 2], usual)
 
 
 class Exporter(Protocol):
@@ -11,14 +109,17 @@ class Exporter(Protocol):
 
     Attributes:
         FILE: name of what is written in a run's folder; ends with ``/`` for a folder.
+        Settings: a `plugins.Settings`; every setting has a default.
     """
 
     FILE: str
+    Settings: type[Any]
 
-    def write(self, rollout: Rollout, case: Case, path: Path) -> None:
-        """Write a rollout to ``path``; the same rollout gives the same bytes.
+    def write(self, run: Exportable, path: Path, settings: Any) -> None:
+        """Write a run to ``path``; the same run gives the same bytes.
 
         ``path`` appears whole, and replaces what was there: `files.write` and `files.whole_folder`
-        do both. Raises OutputError where it cannot be written.
+        do both. Raises OutputError where it cannot be written, RunError where the format cannot
+        hold the run, and what `Exportable.around` and `Exportable.net` raise.
         """
         ...

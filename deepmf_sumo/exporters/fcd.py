@@ -15,8 +15,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import shapely
 
-from deepmf_sumo import files
-from deepmf_sumo.datatypes import Bools, Case, RecordedCase, RoadMap, Rollout, Tracks
+from deepmf_sumo import files, plugins
+from deepmf_sumo.datatypes import Bools, RoadMap, Rollout, Tracks
+from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import boxes, frames
 
 FILE: Final = "sumo/"
@@ -30,7 +31,11 @@ _ON_LANE_M = 1.65
 """Half a lane: farther than this and half its width from a lane's centre, a box is beside it."""
 
 
-def write(rollout: Rollout, case: Case, path: Path) -> None:
+class Settings(plugins.Settings):
+    """None."""
+
+
+def write(run: Exportable, path: Path, settings: Settings) -> None:
     """Write the folder ``path``, replacing one that was there.
 
     ``sumo-gui -c path/replay.sumocfg`` shows the rollout; its time 0 is the first step of history.
@@ -38,21 +43,21 @@ def write(rollout: Rollout, case: Case, path: Path) -> None:
     Raises OutputError where the network cannot be read or the folder cannot be written.
     """
     with files.writing(path), files.whole_folder(path) as folder:
-        _fill(folder, rollout, case)
+        _fill(folder, run)
 
 
-def _fill(folder: Path, rollout: Rollout, case: Case) -> None:
-    net = case.net.file if isinstance(case, RecordedCase) else case.net_file
+def _fill(folder: Path, run: Exportable) -> None:
+    rollout, net, road = run.rollout, run.net.net, run.around.road
     # a packed net stays packed, and SUMO tells by the name
     net_name = NET + ".gz" if net.suffix == ".gz" else NET
     shutil.copyfile(net, folder / net_name)
     tracks = rollout.tracks
-    on_lane = _on_lane(tracks, case.road)
+    on_lane = _on_lane(tracks, road)
     replayed = _from_first(on_lane) & tracks.valid
     replayed[[kind == "pedestrian" for kind in tracks.kinds]] = False
     additional = [TYPES, SHAPES]
-    if isinstance(case, RecordedCase) and case.net.additional is not None:
-        shutil.copyfile(case.net.additional, folder / "map.add.xml")
+    if run.net.additional is not None:
+        shutil.copyfile(run.net.additional, folder / "map.add.xml")
         additional.append("map.add.xml")
     (folder / TYPES).write_text(_types(rollout), "utf-8")
     (folder / SHAPES).write_text(_shapes(rollout, replayed), "utf-8")
@@ -61,7 +66,7 @@ def _fill(folder: Path, rollout: Rollout, case: Case) -> None:
         _same(folder / FCD, folder / REPLAY)
     else:
         (folder / REPLAY).write_text(_fcd(rollout, replayed), "utf-8")
-    (folder / VIEW).write_text(_view(rollout, case.road), "utf-8")
+    (folder / VIEW).write_text(_view(rollout, road), "utf-8")
     end = tracks.steps * rollout.dt_s
     (folder / CONFIG).write_text(_config(net_name, additional, end, rollout.dt_s), "utf-8")
 

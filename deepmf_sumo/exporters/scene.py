@@ -9,70 +9,49 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo import files
-from deepmf_sumo.datatypes import (
-    ROLLOUT,
-    Case,
-    RecordedCase,
-    Rollout,
-    Scene,
-    Signals,
-    Source,
-    Tracks,
-    frozen,
-)
+from deepmf_sumo import files, plugins
+from deepmf_sumo.datatypes import Rollout, Scene, Signals, Tracks, frozen
+from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.readers import npz
 
 FILE: Final = "scene.npz"
 
 
-def write(rollout: Rollout, case: Case, path: Path) -> None:
+class Settings(plugins.Settings):
+    """None."""
+
+
+def write(run: Exportable, path: Path, settings: Settings) -> None:
     """Write the scene, see `scene_of`. Raises OutputError."""
     with files.writing(path):
-        npz.write(scene_of(rollout, case), path)
+        npz.write(scene_of(run), path)
 
 
-def scene_of(rollout: Rollout, case: Case) -> Scene:
-    """The rollout as a scene whose labelled pair is the AV and its opponent.
+def scene_of(run: Exportable) -> Scene:
+    """The run as a scene whose labelled pair is the AV and its opponent.
 
     After a contact the AV is not valid, since its further motion is unknown; the opponent's last
     plan continues, since the AV reacted to it. Signals of recordings are kept; a rollout has none
     of network cases, so there they are unknown.
     """
-    steps = max(rollout.tracks.steps, rollout.now + 1 + case.duration_steps)
-    tracks = _with_plan(_padded(rollout.tracks, steps), rollout)
+    rollout, around = run.rollout, run.around
+    steps = max(rollout.tracks.steps, rollout.now + 1 + run.duration_steps)
+    tracks = _with_plan(rollout.tracks.padded(steps - rollout.tracks.steps), rollout)
     interest = (rollout.av_id, rollout.opponent_id) if rollout.opponent_id else ()
-    if isinstance(case, RecordedCase):
-        source = replace(case.scene.source, dataset=ROLLOUT)
-        signals = _continued(case.scene.signals, steps)
-    else:
-        source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
-        signals = _unknown(steps)
+    known = around.signals
+    signals = _unknown(steps) if known is None else _continued(known, steps)
     return Scene(
-        name=case.name,
-        source=source,
+        name=run.name,
+        source=around.source,
         dt_s=rollout.dt_s,
         now=rollout.now,
         timestamps_s=frozen(np.arange(steps) * rollout.dt_s),
         tracks=tracks,
-        road=case.road,
+        road=around.road,
         signals=signals,
         av_id=rollout.av_id,
         interest=interest,
-    )
-
-
-def _padded(tracks: Tracks, steps: int) -> Tracks:
-    """The tracks with steps at the end in which no agent is valid."""
-    flat, vector = [(0, 0), (0, steps - tracks.steps)], [(0, 0), (0, steps - tracks.steps), (0, 0)]
-    return replace(
-        tracks,
-        position_m=np.pad(tracks.position_m, vector),
-        z_m=np.pad(tracks.z_m, flat),
-        heading_rad=np.pad(tracks.heading_rad, flat),
-        velocity_mps=np.pad(tracks.velocity_mps, vector),
-        valid=np.pad(tracks.valid, flat),
     )
 
 

@@ -227,6 +227,17 @@ class Run:
             raise UsageError(f"{file} is damaged: it has no key 'source' with keys; run it again.")
         return source
 
+    def recording(self) -> Scene | None:
+        """The recorded scene, from the run's first step on; None where its source is none.
+
+        Raises ReaderError or UsageError where it cannot be read.
+        """
+        source = self.source
+        if "recording" not in source:
+            return None
+        scene = _recorded(Path(source["recording"]), self.scene)
+        return scene.later(round(source.get("start_s", 0.0) / scene.dt_s))
+
     def road(self) -> tuple[RoadMap, str]:
         """The recording's map, or the network's; and why it is not the one that was attacked on.
 
@@ -249,15 +260,14 @@ class Run:
 
         None where that is not known. Raises `stored.DAMAGE`.
         """
-        source, opponent = self.source, self.rollout.opponent_id
-        if "recording" not in source:
-            return artifacts.read_likeliest(self.folder)
+        opponent = self.rollout.opponent_id
         try:
-            scene = _recorded(Path(source["recording"]), self.scene)
+            scene = self.recording()
         except (ReaderError, UsageError):
             return None
-        tracks = scene.later(round(source.get("start_s", 0.0) / scene.dt_s)).tracks
-        return recorded_motion(tracks, opponent) if opponent in tracks.ids else None
+        if scene is None:
+            return artifacts.read_likeliest(self.folder)
+        return recorded_motion(scene.tracks, opponent) if opponent in scene.tracks.ids else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """Specs -> result folder."""
 
 import re
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -10,9 +10,10 @@ from deepmf_sumo import errors
 from deepmf_sumo import tasks as tasks_module
 from deepmf_sumo.errors import Ending, UsageError
 from deepmf_sumo.files import cache_folder
+from deepmf_sumo.results import exports, stored
 from deepmf_sumo.results import result as result_module
-from deepmf_sumo.results import stored
 from deepmf_sumo.results.folder import Store, opened
+from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec import Expect, Spec
 from deepmf_sumo.sweep import episode, fork, shards
@@ -61,6 +62,7 @@ class Options:
         draw: makes the pictures, by name importable in a worker; None makes none.
         scenes: also write each rollout as a recording.
         sumo: write one folder per run that sumo-gui opens.
+        formats: of other programs, in which each run is written once it has ended.
         resume: keep the runs that an earlier, equal batch finished.
         overwrite: delete earlier results in ``out``; with neither they are refused.
         memory_mb: for one worker; None is no limit.
@@ -78,6 +80,7 @@ class Options:
     junit: bool = False
     scenes: bool = False
     sumo: bool = True
+    formats: tuple[exports.Format, ...] = ()
     resume: bool = False
     overwrite: bool = False
     memory_mb: float | None = None
@@ -95,6 +98,7 @@ class Progress:
         again: successful runs of an earlier batch that are repeated, since their spec or version
             differs, or files that they read have changed.
         changed: files that an earlier batch read with other content.
+        unwritten: why ``last``, or at first a run that is kept, is missing in a format.
     """
 
     done: int
@@ -103,6 +107,7 @@ class Progress:
     lost: int = 0
     again: int = 0
     changed: tuple[str, ...] = ()
+    unwritten: tuple[str, ...] = ()
     last: Result | None = None
 
 
@@ -187,6 +192,7 @@ def fill(
         kept=len(found),
         again=len(before) - len(found),
         changed=changed,
+        unwritten=tuple(one for kept in found.values() for one in _unwritten(store, options, kept)),
     )
     report(now)
     endings, interrupted = _endings(store, left, options), True
@@ -195,6 +201,7 @@ def fill(
             now = _heard(now, store, left[ending.index], ending)
             if now.last:
                 found[now.last["run_id"]] = now.last
+                now = replace(now, unwritten=tuple(_unwritten(store, options, now.last)))
             report(now)
         interrupted = len(found) < len(planned)
     finally:
@@ -204,6 +211,20 @@ def fill(
         expects = any(task.spec.expect != Expect() for task in planned)
         store.finish(results, junit_too=options.junit or expects, interrupted=interrupted)
     return results
+
+
+def _unwritten(store: Store, options: Options, ended: Result) -> Iterator[str]:
+    """Write a run in the formats that it is not there in; gives why it could not be."""
+    if not options.formats or ended["status"] != "ok":
+        return
+    run = Run.of_row(store.out, result_module.row(ended))
+    for form in options.formats:
+        path = form.place(run.folder)
+        if path.exists():  # the run itself wrote it, as sumo/
+            continue
+        made = exports.written(run, path, form)
+        if made.outcome == "failed":
+            yield f"{run.run_id} is not written as {form.name}: {made.reason}"
 
 
 def _unheard(store: Store, tasks: Sequence[Task]) -> dict[str, Result]:

@@ -38,6 +38,9 @@ from deepmf_sumo.errors import (
     UsageError,
     nearest,
 )
+from deepmf_sumo.exporters import fcd
+from deepmf_sumo.exporters import scene as scene_file
+from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.metrics import measure
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
@@ -165,10 +168,11 @@ class Episode:
         by_turn = result.judged(rollout, case, measure)
         write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
+        done = Exportable.of(rollout, case)
         if self.sumo or isinstance(task.spec.source, FromNetwork):
-            plugins.load("exporters", "fcd").write(rollout, case, folder / "sumo")
+            fcd.write(done, folder / "sumo", fcd.Settings())
         if self.scenes:
-            plugins.load("exporters", "scene").write(rollout, case, folder / "scene.npz")
+            scene_file.write(done, folder / "scene.npz", scene_file.Settings())
         if self.draw:
             self.draw(*decisive, folder / "picture.png")
         wall_s = time.perf_counter() - begin

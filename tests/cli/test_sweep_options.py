@@ -22,7 +22,8 @@ from tests.support import same_bytes, tiny_network
 
 SHARED = (
     "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",
-    "--timeout", "--memory", "--gui", "--pictures", "--junit", "--thresholds", "--baseline",
+    "--timeout", "--memory", "--gui", "--pictures", "--junit", "--export", "--thresholds",
+    "--baseline",
 )  # fmt: skip
 
 

@@ -10,12 +10,17 @@ import pytest
 import sumo
 
 from deepmf_sumo.exporters import fcd
+from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import simulate
 
 from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 pytestmark = pytest.mark.sumo
+
+
+def write(rollout, case, path):
+    fcd.write(Exportable.of(rollout, case), path, fcd.Settings())
 
 
 def poses(file):
@@ -42,7 +47,7 @@ def exported(tmp_path_factory):
     scene = scene_of(straight_road(), motions, kinds={"walker": "pedestrian"})
     case = case_of(scene, folder)
     rollout = simulate(case, idm.build(idm.Settings()), None, rng=np.random.default_rng(0))
-    fcd.write(rollout, case, folder / "sumo")
+    write(rollout, case, folder / "sumo")
     return rollout, folder / "sumo"
 
 
@@ -89,7 +94,7 @@ def test_where_all_are_replayed_the_disk_holds_them_once(tmp_path, monkeypatch, 
     motions = {"av": straight_motion(60.0, 0.0, 0.0, 12.0)}
     case = case_of(scene_of(straight_road(), motions), tmp_path)
     rollout = simulate(case, idm.build(idm.Settings()), None, rng=np.random.default_rng(0))
-    fcd.write(rollout, case, tmp_path / "sumo")
+    write(rollout, case, tmp_path / "sumo")
     everybody, replayed = tmp_path / "sumo" / fcd.FCD, tmp_path / "sumo" / fcd.REPLAY
     assert everybody.samefile(replayed) == links
     assert everybody.read_bytes() == replayed.read_bytes()
@@ -99,7 +104,7 @@ def test_writing_again_replaces_the_folder(exported):
     rollout, folder = exported
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
     case = case_of_folder(folder, rollout)
-    fcd.write(rollout, case, folder)
+    write(rollout, case, folder)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
@@ -135,6 +140,6 @@ def test_heights_are_written_where_there_are_any(exported, tmp_path):
         scene_of(straight_road(), {"av": straight_motion(60.0, 0.4, 0.0, 12.0)}), tmp_path
     )
     tracks = replace(rollout.tracks, z_m=np.full(rollout.tracks.z_m.shape, 8.0))
-    fcd.write(replace(rollout, tracks=tracks), case, tmp_path / "sumo")
+    write(replace(rollout, tracks=tracks), case, tmp_path / "sumo")
     text = (tmp_path / "sumo" / fcd.FCD).read_text()
     assert text.count(' z="8.00"/>') == text.count("<vehicle ") == rollout.tracks.valid.sum()

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepmf_sumo.datatypes import Plan
+from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
 
 from tests.support.rollout_doubles import case_of, rollout_of, straight
@@ -21,7 +22,7 @@ def test_the_av_ends_with_the_episode_and_the_opponent_drives_its_plan():
         speed_mps=np.full(80, 5.0),
     )
     rollout = rollout_of(paths, plans=[plan])
-    scene = scene_of(rollout, replace(case_of(), duration_steps=80))
+    scene = scene_of(Exportable.of(rollout, replace(case_of(), duration_steps=80)))
     assert scene.tracks.steps == 91
     assert scene.partner_id == "b"
     assert scene.tracks.valid[scene.tracks.row("av")].tolist() == [True] * 41 + [False] * 50

@@ -1,0 +1,68 @@
+"""``deepmf-sumo export``: result folders -> files of other programs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from deepmf_sumo.cli._exports import show_exports
+from deepmf_sumo.errors import UsageError, exit_code
+
+if TYPE_CHECKING:
+    from deepmf_sumo.results.exports import Only
+
+
+@click.command("export", short_help="Write runs in the format of another program.")
+@click.argument(
+    "folders", metavar="OUT...", nargs=-1, required=True,
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+)  # fmt: skip
+@click.option("--to", "name", metavar="FORMAT", required=True, help="Write this format.")
+@click.option(
+    "--only", type=click.Choice(["hits", "avoidable"]),
+    help="Write hits of the opponent alone, or those that a careful driver would have avoided.",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path),
+    help="Write below this folder.  [default: beside each run's tracks]",
+)  # fmt: skip
+@click.option(
+    "--set", "sets", metavar="KEY=VALUE", multiple=True,
+    help="Set a setting of the format; may be repeated.",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace what was written before.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    folders: tuple[Path, ...],
+    name: str,
+    only: "Only | None",
+    out: Path | None,
+    sets: tuple[str, ...],
+    overwrite: bool,
+) -> None:
+    """Write the runs of OUT... in a format that another program reads.
+
+    OUT is a result folder, or the folder of one run (RESULTS/runs/RUN_ID). A run's file is named
+    like its format and lies beside the run's tracks, or in DIR/runs/RUN_ID with --out DIR. Runs
+    without a result or without tracks are left out, and it says which.
+
+    Exit code 3: a run could not be written; the others are.
+    """
+    from deepmf_sumo.results import exports
+
+    form = exports.Format.named(name, _values(sets))
+    runs = exports.chosen(folders)
+    found = list(exports.export(runs, form, out=out, only=only, overwrite=overwrite))
+    show_exports(name, found)
+    ctx.exit(exit_code("failed" if any(one.outcome == "failed" for one in found) else "fine"))
+
+
+def _values(sets: tuple[str, ...]) -> dict[str, str]:
+    values = {}
+    for one in sets:
+        key, equals, text = one.partition("=")
+        if not (equals and key.strip()):
+            raise UsageError(f"--set {one}: must be key=value, e.g. version=3.0.")
+        values[key.strip()] = text.strip()
+    return values

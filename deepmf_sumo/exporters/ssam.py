@@ -1,0 +1,193 @@
+"""Trajectories for FHWA's SSAM (Surrogate Safety Assessment Model): ``ssam/run.trj``.
+
+Binary records of one byte of type each, as in the file formats 1.04 (2004) and 3.0 (2017) that come
+with SSAM: format, dimensions, and at each time step the vehicles with both bumpers, length, width,
+speed and acceleration; 3.0 has heights as well. SSAM numbers vehicles: ``vehicles.csv`` says which
+is which, ``about.json`` what is not from the run.
+
+SSAM judges no step of the last five seconds (its largest post-encroachment time), and ends a
+conflict when the two have parted. So a contact near the end is followed by seconds that are made
+up: both stand, then the AV goes straight on, through the other where need be; nobody else is there.
+"""
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from deepmf_sumo import files, plugins, tables
+from deepmf_sumo.datatypes import Contact, Floats, Rollout, Tracks
+from deepmf_sumo.exporters.base import Exportable
+from deepmf_sumo.geometry import frames
+
+FILE: Final = "ssam/"
+TRAJECTORIES, VEHICLES, ABOUT = "run.trj", "vehicles.csv", "about.json"
+METRIC: Final = 1
+_LITTLE_ENDIAN: Final = ord("L")
+_MARGIN_M: Final = 10.0
+"""Around the vehicles; SSAM drops those whose centre is out of the observed area."""
+_FAR_M: Final = 2.0**16
+"""From here on single precision is coarser than a centimetre: coordinates get another origin."""
+_ORIGIN_M: Final = 1000.0
+_STANDING_S: Final = 1.0
+"""SSAM looks for vehicles that overlap 1.5 s later on the ways that they take at the speed of now;
+only where both stay at the place of the contact does it surely find them."""
+_PARTING_MPS: Final = 3.0
+"""The AV's speed after that: at rest the two would never part."""
+_UNKNOWN_LINK: Final = 0
+"""SSAM then tells kinds of conflicts by the angle alone."""
+
+
+class Settings(plugins.Settings):
+    """How SSAM reads it.
+
+    Attributes:
+        version: of the format; SSAM 2 reads 1.04 alone.
+        after_s: seconds that must follow a contact of the AV; more than SSAM's largest PET. 0 adds
+            none.
+    """
+
+    version: Literal["1.04", "3.0"] = "1.04"
+    after_s: float = Field(default=14.0, ge=0.0, le=60.0)
+
+
+def write(run: Exportable, path: Path, settings: Settings) -> None:
+    """Write the folder ``path``; time 0 is the first step of history. Raises OutputError."""
+    rollout = run.rollout
+    tracks = _followed(rollout, settings.after_s)
+    origin = _origin(tracks)
+    with files.writing(path), files.whole_folder(path) as folder:
+        gained = _accelerations(tracks, rollout.tracks.steps, rollout.dt_s)
+        records = _records(tracks, gained, origin, rollout.dt_s, settings.version)
+        (folder / TRAJECTORIES).write_bytes(records)
+        (folder / VEHICLES).write_text(_vehicles(rollout), "utf-8")
+        made_up = tracks.steps - rollout.tracks.steps
+        files.write_json(folder / ABOUT, _about(run, settings) | {
+            "origin_m": origin.tolist(), "made_up_steps": made_up,
+        })  # fmt: skip
+
+
+def _followed(rollout: Rollout, after_s: float) -> Tracks:
+    """The tracks, and the seconds after the AV's last contact."""
+    tracks = rollout.tracks
+    contacts = [one for one in rollout.contacts if rollout.av_id in (one.first_id, one.second_id)]
+    if not contacts:
+        return tracks
+    contact = max(contacts, key=lambda one: one.step)
+    more = round(after_s / rollout.dt_s) - (tracks.steps - 1 - contact.step)
+    return _going_on(tracks, contact, rollout, more) if more > 0 else tracks
+
+
+def _going_on(tracks: Tracks, contact: Contact, rollout: Rollout, more: int) -> Tracks:
+    """With ``more`` steps: the two of the contact stand, and then the AV goes straight on."""
+    longer, last = tracks.padded(more), tracks.steps - 1
+    arrays = {
+        name: getattr(longer, name).copy()
+        for name in ("position_m", "z_m", "heading_rad", "velocity_mps", "valid")
+    }
+    gone_on = np.maximum(np.arange(1, more + 1) * rollout.dt_s - _STANDING_S, 0.0)
+    for agent in (contact.first_id, contact.second_id):
+        row = tracks.row(agent)
+        if not tracks.valid[row, last]:
+            continue
+        heading = tracks.heading_rad[row, last]
+        velocity = _PARTING_MPS * frames.unit(heading) * (agent == rollout.av_id)
+        after = slice(last + 1, None)
+        arrays["position_m"][row, after] = (
+            tracks.position_m[row, last] + gone_on[:, None] * velocity
+        )
+        arrays["z_m"][row, after] = tracks.z_m[row, last]
+        arrays["heading_rad"][row, after] = heading
+        arrays["velocity_mps"][row, after] = velocity * (gone_on[:, None] > 0)
+        arrays["valid"][row, after] = True
+    return replace(longer, **arrays)
+
+
+def _origin(tracks: Tracks) -> Floats:
+    """(2) what coordinates count from: 0, or whole kilometres where they are large."""
+    there = tracks.position_m[tracks.valid]
+    if float(np.abs(there).max()) <= _FAR_M:
+        return np.zeros(2)
+    origin: Floats = np.floor(there.min(axis=0) / _ORIGIN_M) * _ORIGIN_M
+    return origin
+
+
+def _accelerations(tracks: Tracks, happened: int, dt_s: float) -> Floats:
+    """(A, S) difference to the step before; at a vehicle's first step to the one after it.
+
+    0 from step ``happened`` on: that a vehicle stands at once after the contact is no braking.
+    """
+    speed, valid = tracks.speed_mps, tracks.valid
+    change = np.zeros(speed.shape)
+    both = valid[:, 1:] & valid[:, :-1]
+    differences = np.where(both, np.diff(speed, axis=1) / dt_s, 0.0)
+    change[:, 1:] = differences
+    first = np.zeros(valid.shape, bool)
+    first[:, :-1] = both
+    first[:, 1:] &= ~both
+    rows, steps = np.nonzero(first)
+    change[rows, steps] = differences[rows, steps]
+    change[:, happened:] = 0.0
+    return change
+
+
+def _records(tracks: Tracks, gained: Floats, origin: Floats, dt_s: float, version: str) -> bytes:
+    high = version == "3.0"
+    centre, shape = tracks.position_m - origin, (*tracks.valid.shape, 1)
+    half = tracks.size_m[:, None, :1] / 2 * frames.unit(tracks.heading_rad)
+    front, rear = centre + half, centre - half
+    points = np.concatenate([front[tracks.valid], rear[tracks.valid]])
+    low = np.floor(points.min(axis=0) - _MARGIN_M).astype(int)
+    top = np.ceil(points.max(axis=0) + _MARGIN_M).astype(int)
+    parts = [struct.pack("<BBf", 0, _LITTLE_ENDIAN, float(version)) + b"\x01" * high]
+    parts.append(struct.pack("<BBf4i", 1, METRIC, 1.0, *low.tolist(), *top.tolist()))
+    size = np.broadcast_to(tracks.size_m[:, None, :2], (*tracks.valid.shape, 2))
+    speed, z = tracks.speed_mps.reshape(shape), tracks.z_m.reshape(shape)
+    columns = [front, rear, size, speed, gained.reshape(shape), *[z, z] * high]
+    values = np.concatenate(columns, axis=-1)
+    vehicle = struct.Struct("<BiiB10f" if high else "<BiiB8f")
+    for step in range(tracks.steps):
+        parts.append(struct.pack("<Bf", 2, step * dt_s))
+        parts += [
+            vehicle.pack(3, row + 1, _UNKNOWN_LINK, 0, *values[row, step].tolist())
+            for row in np.flatnonzero(tracks.valid[:, step]).tolist()
+        ]
+    return b"".join(parts)
+
+
+def _vehicles(rollout: Rollout) -> str:
+    """SSAM's number of each road user, in the order of ``tracks.csv.gz``."""
+    tracks, roles = rollout.tracks, {rollout.opponent_id: "opponent", rollout.av_id: "av"}
+    rows = [
+        {
+            "number": row + 1,
+            "id": agent,
+            "kind": tracks.kinds[row],
+            "role": roles.get(agent, "other"),
+            "length_m": float(tracks.size_m[row, 0]),
+            "width_m": float(tracks.size_m[row, 1]),
+        }
+        for row, agent in enumerate(tracks.ids)
+    ]
+    return tables.to_csv(rows)
+
+
+def _about(run: Exportable, settings: Settings) -> dict[str, Any]:
+    rollout = run.rollout
+    return {
+        "run_id": run.name,
+        "version": settings.version,
+        "attacked_from_s": round(rollout.now * rollout.dt_s, 3),
+        "happened_until_s": round((rollout.tracks.steps - 1) * rollout.dt_s, 3),
+        "contacts": [
+            {
+                "time_s": round(one.step * rollout.dt_s, 3),
+                "first_id": one.first_id,
+                "second_id": one.second_id,
+            }
+            for one in rollout.contacts
+        ],
+    }

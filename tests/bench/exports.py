@@ -1,0 +1,162 @@
+"""Each export format on 30 runs, read back: ``python -m tests.bench.exports``.
+
+Runs: 10 on recordings of our own networks, 10 of `scenarios/`, 10 on the networks of
+`DEEPMF_SUMO_NETWORKS`, else ``../shared/networks``; says so where there are none. Printed for each
+format: runs read back by a reader that is not the exporter's, the largest error of a corner of a
+box, and contacts of the AV in which the boxes overlap from the same step on. ``--out`` keeps the
+runs for the next time. Ends with 1 where a run is lost, a corner is off by more than 2 cm, or a
+contact is at another step.
+"""
+
+import argparse
+import os
+import pickle
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deepmf_sumo import readers
+from deepmf_sumo.cli import main as program
+from deepmf_sumo.results import exports
+from deepmf_sumo.results.reader import Results, Run
+
+from tests.support import foreign_readers as foreign
+
+ROOT = Path(__file__).resolve().parents[2]
+NETWORKS = Path(os.environ.get("DEEPMF_SUMO_NETWORKS", ROOT.parent / "shared" / "networks"))
+FOREIGN = ("lucas4x4/4x4.sumocfg", "cologne1/cologne1.sumocfg", "ow/OW-traci.sumocfg")
+MOST_M = 0.02
+
+
+def main() -> None:
+    """Make the runs, export and read them, and print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--runs", type=int, default=10, help="of each of the three kinds")
+    parser.add_argument("--out", type=Path, help="folder of the runs")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        out = (options.out or Path(folder)).resolve()
+        made = [*recorded(out, options.runs), *own(out, options.runs), *others(out, options.runs)]
+        runs = [run for one in made for run in Results.of(one).runs if run.status == "ok"]
+        lost = sum(len(Results.of(one).runs) for one in made) - len(runs)
+        print(f"{len(runs)} runs, {sum(run.contact is not None for run in runs)} with a contact of"
+              f" the AV; {lost} without a result are left out")  # fmt: skip
+        print("format        read back  largest error  contacts at our step  seconds a run")
+        fine = [row(name, read, runs, Path(folder)) for name, read in READERS.items()]
+    sys.exit(not all(fine))
+
+
+def call(*arguments: object) -> None:
+    """One command of `deepmf-sumo`; failed runs and expectations are not the matter here."""
+    code = program._run([str(one) for one in arguments])
+    if code not in {0, 1, 3}:
+        raise SystemExit(f"deepmf-sumo {' '.join(map(str, arguments))} ended with {code}")
+
+
+def recorded(out: Path, count: int) -> list[Path]:
+    """Runs on recordings of the four-way crossing, made here."""
+    scenes, spec = out / "scenes", out / "recorded.yaml"
+    if not scenes.is_dir():
+        net = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
+        call("data", "record", net, "--scenes", count, "--avs", 2, "--seed", 3, "--out", scenes)
+    source = {"recording": str(scenes), "scenes": {"first": count}}
+    values = {"version": 1, "name": "recorded", "source": source, "planner": "replay",
+              "adversary": "deepmf", "weights": "open"}  # fmt: skip
+    spec.write_text(yaml.safe_dump(values))
+    call("run", spec, "--out", out / "recorded", "--no-pictures", "--resume")
+    return [out / "recorded"]
+
+
+def own(out: Path, count: int) -> list[Path]:
+    """The first of our own scenarios."""
+    specs = sorted((ROOT / "scenarios").glob("*.yaml"))[:count]
+    call("run", *specs, "--out", out / "own", "--no-pictures", "--resume")
+    return [out / "own"]
+
+
+def others(out: Path, count: int) -> list[Path]:
+    """Attacks on networks that were not made for this."""
+    configs = [NETWORKS / one for one in FOREIGN if (NETWORKS / one).is_file()]
+    if not configs:
+        print(f"no networks in {NETWORKS}: nothing is exported of networks of others")
+        return []
+    made = []
+    for number, config in enumerate(configs):
+        share = count * (number + 1) // len(configs) - count * number // len(configs)
+        if share:
+            made.append(out / config.stem)
+            call("attack", config, "--moments", share, "--seed", 1, "--out", made[-1],
+                 "--no-pictures", "--no-risk", "--resume")  # fmt: skip
+    return made
+
+
+def row(name: str, read: Callable[[Path, Run], Any], runs: Sequence[Run], folder: Path) -> bool:
+    """Print the line of a format; whether all is as it should be."""
+    form = exports.Format.named(name)
+    back, error, contacts, same, seconds = 0, 0.0, 0, 0, 0.0
+    for number, run in enumerate(runs):
+        path = form.place(folder / name / str(number))
+        begin = time.perf_counter()
+        made = exports.written(run, path, form)
+        seconds += time.perf_counter() - begin
+        if made.outcome != "written":
+            print(f"{name}: {run.folder}: {made.reason}")
+            continue
+        found, expected = read(path, run), foreign.boxes_of(run.rollout.tracks)
+        back += 1
+        error = max(error, foreign.largest_error_m(found, expected))
+        if run.contact is not None:
+            contacts += 1
+            same += at_its_step(found, run)
+    print(f"{name:12}  {back:2} of {len(runs):2}   {error:10.5f} m   {same:8} of {contacts:2}"
+          f"   {seconds / len(runs):16.2f}", flush=True)  # fmt: skip
+    return back == len(runs) and error <= MOST_M and same == contacts
+
+
+def at_its_step(found: Any, run: Run) -> bool:
+    """Whether the boxes of the contact overlap at its step and not at the step before."""
+    contact = run.contact
+    assert contact is not None
+    pair = contact.first_id, contact.second_id
+    near = {key: box for key, box in found.items()
+            if key[1] in pair and key[0] in (contact.step - 1, contact.step)}  # fmt: skip
+    return foreign.first_contact(near, *pair) == contact.step
+
+
+def scene(path: Path, run: Run) -> Any:
+    """Of `scene.npz`, by our own reader, up to the end of the episode."""
+    [found] = readers.scenes([path])
+    return foreign.boxes_of(found.tracks.window(0, run.rollout.tracks.steps))
+
+
+def scenarionet(path: Path, run: Run) -> Any:
+    """Of the pickle, after MetaDrive's rules, up to the end of the episode."""
+    found = pickle.loads(path.read_bytes())
+    foreign.check_scenario(found)
+    steps = run.rollout.tracks.steps
+    return {key: box for key, box in foreign.scenario_boxes(found).items() if key[0] < steps}
+
+
+def openscenario(path: Path, run: Run) -> Any:
+    """Of the scenario, with the ids that its entities have as a property."""
+    ids = foreign.xosc_ids(path / "scenario.xosc")
+    found = foreign.xosc_boxes(path / "scenario.xosc")
+    return {(step, ids[name]): box for (step, name), box in found.items()}
+
+
+READERS: dict[str, Callable[[Path, Run], Any]] = {
+    "fcd": lambda path, _: foreign.fcd_boxes(path),
+    "scene": scene,
+    "ssam": lambda path, _: foreign.ssam_boxes(path),
+    "openscenario": openscenario,
+    "scenarionet": scenarionet,
+}
+
+
+if __name__ == "__main__":
+    main()
