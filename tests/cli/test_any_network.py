@@ -1,4 +1,4 @@
-"""``deepmf-sumo attack`` on networks that nobody tuned anything for: a run, or a reason.
+"""``deepmf-sumo attack`` on networks not used for tuning: a run, or a reason.
 
 ``pytest -m slow -s tests/cli/test_any_network.py`` prints the rows of the table in the documents.
 """

@@ -1,4 +1,4 @@
-"""Networks that nobody tuned anything for, built with SUMO's own programs from a few lines each."""
+"""Networks not used for tuning, built with SUMO's own programs from a few lines each."""
 
 import gzip
 import os
