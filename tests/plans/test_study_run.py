@@ -57,7 +57,7 @@ def test_rows_are_in_plan_order_with_denominators(whole):
     assert (fixed["n_collision_rate"], fixed["n_collision_time_s"], fixed["n_kl"]) == (
         "2",
         "1",
-        "0",
+        "2",
     )
     assert (fixed["ok"], fixed["failed"], fixed["unfinished"]) == ("2", "0", "0")
     nobody = table["none", "lane"]

@@ -308,6 +308,6 @@ def test_episodes_of_one_run_begin_from_one_sumo_and_do_what_others_do(tiny, tmp
         out = tmp_path / name / "runs"
         command = [sys.executable, "-c", program, str(out), *map(str, specs)]
         subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
-    # the first episode of all tells the vehicle model; then SUMO is held
-    assert started.read_text().split() == ["anew", "anew", *["held"] * 4, "anew", *["held"] * 5]
+    # an episode without attack comes first, and tells the vehicle model; then SUMO is held
+    assert started.read_text().split() == ["anew", "anew", *["held"] * 5, "anew", *["held"] * 6]
     assert same_bytes.same(tmp_path / "copies" / "runs", tmp_path / "one process" / "runs")
