@@ -23,8 +23,8 @@ SsamType = Literal["rear end", "lane change", "crossing"]
 SSAM_TYPES: Final[tuple[SsamType, ...]] = get_args(SsamType)
 REAR_END_DEG: Final = 30.0
 CROSSING_DEG: Final = 85.0
-NOT_SHARED: Final = "passed no common place within the limit of PET"
-CUT_OFF: Final = "too near to the end to see both pass"
+NOT_SHARED: Final = "that passed no common place within the limit of PET"
+CUT_OFF: Final = "too near to the end for both to pass"
 _BEFORE_S: Final = 1.0
 """Lanes are compared with those of this time before the conflict: without a model of changing
 lanes SUMO changes within a step, and the time to collision is short only after it."""
@@ -197,7 +197,7 @@ def _near(motions: Motions, seconds: float) -> Iterator[tuple[Ints, Ints]]:
     An index of the rectangles, parallel to the axes, around what each box passes over.
     """
     low, high = _swept(motions, seconds)
-    ends = np.flatnonzero(np.diff(motions.step, append=-1)) + 1
+    ends = (np.flatnonzero(np.diff(motions.step, append=-1)) + 1).tolist()
     held: list[Ints] = []
     begin, count = 0, 0
     for end in ends:
@@ -255,41 +255,32 @@ def _conflict(
     passed = _passed(motions, limits, one, *rows)
     if passed is None:
         return None
-    pet_rows = passed
-    pair = [one.a, one.b]
-    steps = motions.step[list(pet_rows)]
-    if steps[0] > steps[1] or (steps[0] == steps[1] and _ahead(motions, *pet_rows)):
-        pair, rows, pet_rows = pair[::-1], rows[::-1], pet_rows[::-1]
-    first, second = pair
-    at = (
-        int(motions.rows(first, one.ttc_step, one.ttc_step)[0]),
-        int(motions.rows(second, one.ttc_step, one.ttc_step)[0]),
-    )
-    angle = float(np.degrees(frames.difference(*motions.heading_rad[[at[1], at[0]]])))
-    during = [motions.rows(body, one.begin, one.end) for body in pair]
-    speed = np.diff(motions.velocity_mps[list(at)], axis=0)[0]
-    delta_s = float(np.hypot(*speed))
-    mass = motions.size_m[pair].prod(axis=1)
+    steps, pair = motions.step[list(passed)], (one.a, one.b)
+    if steps[0] > steps[1] or (steps[0] == steps[1] and _ahead(motions, *passed)):
+        pair, rows, passed = pair[::-1], rows[::-1], passed[::-1]
+    at = [int(motions.rows(body, one.ttc_step, one.ttc_step)[0]) for body in pair]
+    angle = float(np.degrees(frames.difference(*motions.heading_rad[at[::-1]])))
+    during = np.concatenate([motions.rows(body, one.begin, one.end) for body in pair])
+    delta_s = float(np.hypot(*np.diff(motions.velocity_mps[at], axis=0)[0]))
+    mass = motions.size_m[list(pair)].prod(axis=1)
+    delta_v = (delta_s * mass[::-1] / mass.sum()).tolist()
     return TrafficConflict(
-        first=first,
-        second=second,
+        first=pair[0],
+        second=pair[1],
         begin=one.begin,
         end=one.end,
         ttc_s=one.ttc_s,
         ttc_step=one.ttc_step,
         pet_s=float(abs(steps[0] - steps[1]) * motions.dt_s),
-        pet_rows=pet_rows,
-        ttc_rows=at,
+        pet_rows=passed,
+        ttc_rows=(at[0], at[1]),
         type=_type(motions, pair, one, angle),
         angle_deg=angle,
-        max_s_mps=float(motions.speed_mps[np.concatenate(during)].max()),
+        max_s_mps=float(motions.speed_mps[during].max()),
         delta_s_mps=delta_s,
-        max_d_mps2=_braking(motions, second, one),
-        delta_v_mps=(
-            float(delta_s * mass[1] / mass.sum()),
-            float(delta_s * mass[0] / mass.sum()),
-        ),
-        lanes=(_lanes(motions, rows[0], pet_rows[0]), _lanes(motions, rows[1], pet_rows[1])),
+        max_d_mps2=_braking(motions, pair[1], one),
+        delta_v_mps=(delta_v[0], delta_v[1]),
+        lanes=(_lanes(motions, rows[0], passed[0]), _lanes(motions, rows[1], passed[1])),
     )
 
 
@@ -339,7 +330,7 @@ def _ahead(motions: Motions, a: int, b: int) -> bool:
     return bool(offset @ ahead[0] > 0 and -offset @ ahead[1] <= 0)
 
 
-def _type(motions: Motions, pair: list[int], one: _Encounter, angle_deg: float) -> SsamType:
+def _type(motions: Motions, pair: tuple[int, int], one: _Encounter, angle_deg: float) -> SsamType:
     """SSAM's class: by the lanes where the two share one at the begin or the end, else by angle."""
     before = one.begin - round(_BEFORE_S / motions.dt_s)
     ways = [motions.lane[motions.rows(body, before, one.end)] for body in pair]

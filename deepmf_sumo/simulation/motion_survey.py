@@ -85,7 +85,8 @@ def survey(wanted: Survey) -> Surveyed:
             step, now = step + 1, float(api.simulation.getTime())
             complete = api.simulation.getMinExpectedNumber() == 0
         notes.look(step)
-        complete = complete or (configuration.end_s is not None and now + DT_S > configuration.end_s)
+        ends_s = np.inf if configuration.end_s is None else configuration.end_s
+        complete = complete or now + DT_S > ends_s
     if not notes.rows:
         raise SimulationError(
             f"no vehicle drove in '{wanted.config}' from {begin:g} to {now:g} s, so there are no"
@@ -112,7 +113,7 @@ class _Notes:
     def look(self, step: int) -> None:
         """Note all that are on the road."""
         vehicles = set(self.api.vehicle.getIDList())
-        seen: list[tuple[int, int, tuple[float, ...]]] = []
+        seen: list[tuple[int, int, tuple[float, float, float, float, float]]] = []
         for name, state in self.reader.states().items():
             lane = self._lane(name, state[3], vehicle=name in vehicles)
             if lane:
