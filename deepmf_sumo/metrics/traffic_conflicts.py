@@ -165,14 +165,12 @@ def find(motions: Motions, limits: Limits) -> Found:
     """
     conflicts: list[TrafficConflict] = []
     left_out: Counter[str] = Counter()
-    last = int(motions.step[-1]) if len(motions.step) else 0
     for one in _encounters(motions, limits):
-        until = one.end + round((limits.ttc_s + limits.pet_s) / motions.dt_s)
-        found = _conflict(motions, limits, one, until)
+        found = _conflict(motions, limits, one)
         if found is not None:
             conflicts.append(found)
         else:
-            left_out[CUT_OFF if until > last else NOT_SHARED] += 1
+            left_out[CUT_OFF if _unfinished(motions, limits, one) else NOT_SHARED] += 1
     conflicts.sort(key=lambda one: (one.begin, one.first, one.second))
     return Found(tuple(conflicts), dict(left_out))
 
@@ -247,12 +245,36 @@ def _encounters(motions: Motions, limits: Limits) -> Iterator[_Encounter]:
         )
 
 
-def _conflict(
-    motions: Motions, limits: Limits, one: _Encounter, until: int
-) -> TrafficConflict | None:
+def _unfinished(motions: Motions, limits: Limits, one: _Encounter) -> bool:
+    """Whether the two may yet pass a common place when the motions end.
+
+    Both are there then, and the end is near, or one of them stands where it stood.
+    """
+    last = int(motions.step[-1])
+    ends = [motions.rows(body, last, last) for body in (one.a, one.b)]
+    if not all(map(len, ends)):
+        return False
+    if last - one.end <= _window(motions, limits):
+        return True
+    begins = [motions.rows(body, one.end, one.end) for body in (one.a, one.b)]
+    moved = motions.position_m[np.concatenate(ends)] - motions.position_m[np.concatenate(begins)]
+    return bool((np.hypot(*moved.T) < motions.size_m[[one.a, one.b], 0]).any())
+
+
+def _window(motions: Motions, limits: Limits) -> int:
+    """Steps after a conflict within which a common place is looked for first."""
+    return round((limits.ttc_s + limits.pet_s) / motions.dt_s)
+
+
+def _conflict(motions: Motions, limits: Limits, one: _Encounter) -> TrafficConflict | None:
     """None where the two passed no common place within the limit."""
-    rows = motions.rows(one.a, one.begin, until), motions.rows(one.b, one.begin, until)
-    passed = _passed(motions, limits, one, *rows)
+    last = int(motions.step[-1])
+    soon = min(one.end + _window(motions, limits), last)
+    for until in (soon, last):
+        rows = motions.rows(one.a, one.begin, until), motions.rows(one.b, one.begin, until)
+        passed = _passed(motions, limits, one, *rows)
+        if passed is not None or until >= last:
+            break
     if passed is None:
         return None
     steps, pair = motions.step[list(passed)], (one.a, one.b)
@@ -289,8 +311,9 @@ def _passed(
 ) -> tuple[int, int] | None:
     """Sightings of the two on one place with the least time between; None beyond the limit.
 
-    Places that the one which was first there covered while the conflict lasted, or up to the limit
-    of the time to collision later, come before those of afterwards. Of equals that nearest to the
+    Of the places that one of them covered while the conflict lasted, or up to the limit of the time
+    to collision later. Where the other came to none of them, e.g. in a queue before a red light,
+    of the first ones later that both came to, for as long again. Of equals that nearest to the
     least time to collision.
     """
     within = round(limits.pet_s / motions.dt_s)
@@ -307,9 +330,11 @@ def _passed(
     if not possible.any():
         return None
     steps = np.stack([motions.step[mine[i]], motions.step[theirs[j]]])
-    between, early = np.abs(steps[0] - steps[1]), steps.min(axis=0)
-    soon = possible & (early <= one.end + round(limits.ttc_s / motions.dt_s))
-    allowed = np.flatnonzero(soon if soon.any() else possible)
+    between, early, late = np.abs(steps[0] - steps[1]), steps.min(axis=0), steps.max(axis=0)
+    more = round(limits.ttc_s / motions.dt_s)
+    soon = possible & (early <= one.end + more)
+    later = possible & (late <= late[possible].min() + more)
+    allowed = np.flatnonzero(soon if soon.any() else later)
     order = np.lexsort((early[allowed], np.abs(early - one.ttc_step)[allowed], between[allowed]))
     best = allowed[order[0]]
     return int(mine[i[best]]), int(theirs[j[best]])

@@ -98,6 +98,16 @@ def test_following():
     assert one.delta_v_mps == pytest.approx((5 * 8 / 28, 5 * 20 / 28))
 
 
+def test_a_queue_that_waits_for_longer_than_the_limits():
+    # the gap of 8.5 m is left at 4 s; the leader leaves at 6 s, the follower 28.5 m behind it
+    stands = way(52.5 + 10 * np.maximum(T - 6, 0), 0, 0, np.where(T < 6.05, 0.0, 10.0))
+    comes = np.where(T < 4.05, 10 * T, 40 + 10 * np.maximum(T - 8, 0))
+    stops = way(comes, 0, 0, np.where((T < 4.05) | (T > 8.05), 10.0, 0.0))
+    [one] = find(motions(stops, stands), Limits(pet_s=3.0)).conflicts
+    assert (one.first, one.end, one.ttc_s) == (1, 40, pytest.approx(0.85))
+    assert one.pet_s == pytest.approx(2.9)
+
+
 def test_head_on():
     aside = np.where(T < 2.55, 0.0, 3.0)
     other = way(60.5 - 10 * T, aside, np.pi, 10, lane=2)
