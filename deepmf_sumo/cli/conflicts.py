@@ -149,8 +149,8 @@ def _write(
 
 _HEADINGS: Final = ("place",)
 _NUMBERS: Final = (
-    "conflicts", "rear end", "lane change", "crossing", "per hour", "per 1000 vehicles",
-    "least TTC", "least PET",
+    "conflicts", "rear end", "lane change", "crossing", "per hour", "per 1000",
+    "TTC", "PET",
 )  # fmt: skip
 _BESIDE: Final = ("attacks", "hits", "risk of a hit", "criticality")
 
