@@ -12,6 +12,8 @@ format_option: Final = click.option(
     "--format", "form", type=click.Choice(["table", "json", "csv", "md"]), default="table",
     show_default=True, help="Print the result in this format.",
 )  # fmt: skip
+AFTER: Final = "after --"
+"""Where a context keeps SUMO's options."""
 MOST: Final = 100_000
 _LARGEST: Final = 2**31 - 1
 _PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
@@ -28,6 +30,20 @@ class Group(click.Group):
         if not name.startswith("-") and self.get_command(ctx, name) is None:
             ctx.fail(f"No such command '{name}'.{nearest(name, self.list_commands(ctx))}")
         return super().resolve_command(ctx, args)
+
+
+class WithSumoOptions(click.Command):
+    """A command line of which all after ``--`` is SUMO's: click itself drops the two dashes."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse what comes before ``--``, and keep the rest."""
+        end = args.index("--") if "--" in args else len(args)
+        ctx.meta[AFTER] = tuple(args[end + 1 :])
+        return super().parse_args(ctx, args[:end])
+
+    def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
+        """As in the line that shows how the command is used."""
+        return [*super().collect_usage_pieces(ctx), "[-- SUMO OPTIONS]"]
 
 
 class FiniteRange(click.FloatRange):

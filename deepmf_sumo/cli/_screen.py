@@ -52,7 +52,7 @@ def wide(width: int = 160) -> Console:
     return console
 
 
-def _grid(texts: Iterable[str], numbers: Iterable[str] = ()) -> Table:
+def plain_grid(texts: Iterable[str], numbers: Iterable[str] = ()) -> Table:
     """A table: columns of text to the left, of numbers to the right."""
     grid = Table(box=None, pad_edge=False, header_style="bold")
     for heading in texts:
@@ -147,7 +147,7 @@ def table(results: Sequence[Result], summary: dict[str, Any], out: Path) -> None
     from deepmf_sumo.report import table as tables
 
     console = wide()
-    grid = _grid(tables.HEADINGS)
+    grid = plain_grid(tables.HEADINGS)
     for result, row in zip(results, tables.rows(results), strict=True):
         bad = result["status"] != "ok" or result["expectations_broken"]
         grid.add_row(*map(escape, row), style="red" if bad else "")
@@ -237,7 +237,7 @@ def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:
 
 def _columns(console: Console, found: SideBySide, other: Sequence[Line], part: slice) -> None:
     """One line for each quantity."""
-    grid = _grid([""], found.names[part] if len(found.names) > 1 else [""])
+    grid = plain_grid([""], found.names[part] if len(found.names) > 1 else [""])
     for lines in (other, found.key, found.more):
         for line in lines:
             grid.add_row(escape(line.label), *map(escape, line.cells[part]))
@@ -249,7 +249,9 @@ def _columns(console: Console, found: SideBySide, other: Sequence[Line], part: s
 
 def _rows(console: Console, found: SideBySide, other: Sequence[Line]) -> None:
     """One line for each result, with the most important quantities."""
-    grid = _grid(["results", *(line.label for line in other)], [one.short for one in found.short])
+    grid = plain_grid(
+        ["results", *(line.label for line in other)], [one.short for one in found.short]
+    )
     for number, name in enumerate(found.names):
         cells = (line.cells[number] for line in (*other, *found.short))
         grid.add_row(escape(name), *map(escape, cells))
@@ -263,12 +265,12 @@ def show_verdict(verdict: Verdict) -> None:
 
     console = wide()
     console.print(escape(counts(list(verdict.results.rows.values()))), soft_wrap=True)
-    grid = _grid(("group", "threshold", "allowed", "measured", "runs", ""))
+    grid = plain_grid(("group", "threshold", "allowed", "measured", "runs", ""))
     for line in thresholds(verdict):
         _add(grid, line)
     console.print(grid)
     if verdict.comparisons is not None:
-        grid = _grid(("group", f"against {verdict.baseline}", "was", "is", "difference", ""))
+        grid = plain_grid(("group", f"against {verdict.baseline}", "was", "is", "difference", ""))
         for line in comparisons(verdict):
             _add(grid, line)
         console.print(grid)
@@ -373,7 +375,7 @@ def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
 
 
 def _filled(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
-    grid = _grid(headings)
+    grid = plain_grid(headings)
     for row in rows:
         grid.add_row(*map(escape, row))
     return grid
@@ -485,7 +487,7 @@ def show_study(out: Path, results: Sequence[Result], expected: int, made: Sequen
 
     console = wide()
     more = {one.name: one.short for one in COLUMNS if one.short}
-    grid = _grid(("planner", "method"), ("hits", "rate, 95 %", *more.values()))
+    grid = plain_grid(("planner", "method"), ("hits", "rate, 95 %", *more.values()))
     for row in read_content(out).main:
         if row["runs"] != "0":
             grid.add_row(*map(escape, _study_cells(row, more)))
@@ -524,7 +526,7 @@ def show_ablation(notes: Sequence[str], rows: Sequence[VariantRow], out: Path) -
     for note in notes:
         console.print(escape(note), soft_wrap=True)
     headed = headings([one.planner for one in rows[0].attacks])
-    grid = _grid(headed[:2], headed[2:])
+    grid = plain_grid(headed[:2], headed[2:])
     for row in rows:
         grid.add_row(*map(escape, cells(row)))
     console.print(grid)

@@ -1,37 +1,21 @@
 """``deepmf-sumo attack``: SUMO configurations -> result folder, without a spec."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from deepmf_sumo.cli._parameters import FiniteRange
+from deepmf_sumo.cli._parameters import AFTER, FiniteRange, WithSumoOptions
 from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
 
 if TYPE_CHECKING:
     from deepmf_sumo.spec.document import Document
 
-_AFTER: Final = "after --"
-
-
-class _WithSumoOptions(click.Command):
-    """A command line of which all after ``--`` is SUMO's: click itself drops the two dashes."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse what comes before ``--``, and keep the rest."""
-        end = args.index("--") if "--" in args else len(args)
-        ctx.meta[_AFTER] = tuple(args[end + 1 :])
-        return super().parse_args(ctx, args[:end])
-
-    def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
-        """As in the line that shows how the command is used."""
-        return [*super().collect_usage_pieces(ctx), "[-- SUMO OPTIONS]"]
-
 
 @click.command(
     name="attack",
-    cls=_WithSumoOptions,
+    cls=WithSumoOptions,
     short_help="Attack vehicles of a .sumocfg at moments that are chosen.",
 )
 @click.argument(
@@ -141,7 +125,7 @@ def command(
     for key in ("of", "polygon"):
         chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
     sweep = None if file else Sweep.begin(wanted, pictures=True)
-    documents = moments.documents(configs, keys, sets, sumo_options=ctx.meta[_AFTER], **chosen)
+    documents = moments.documents(configs, keys, sets, sumo_options=ctx.meta[AFTER], **chosen)
     specs = [moments.spec_of(one, all_conflicts=all_conflicts) for one in documents]
     if sweep is None:
         _save(file, documents)

@@ -117,7 +117,7 @@ def least_ttc_s(frame: Frame, size_m: Floats, av_id: AgentId) -> float:
             frame.position_m[rows],
             frame.heading_rad[rows],
             frame.velocity_mps[rows],
-            size_m[rows].T,  # a size each: length and width are rows
+            size_m[rows],
             frame.z_m[rows],
         )
         for rows in (me, others)

@@ -28,6 +28,7 @@ _LEVEL: Final = np.zeros(())
 class Moving(NamedTuple):
     """One agent at K steps: centre (K, 2), heading (K), velocity (K, 2); its size (2).
 
+    Or K agents, each at a step: then the size is (K, 2).
     ``z_m``, ``climb_mps``: (K), or () for all, its height and rate of climb.
     """
 
@@ -54,7 +55,8 @@ class Moving(NamedTuple):
         """The agent at some of its steps (K)."""
         heading, velocity = self.heading_rad[some], self.velocity_mps[some]
         z_m, climb = (np.broadcast_to(one, some.shape)[some] for one in (self.z_m, self.climb_mps))
-        return Moving(self.position_m[some], heading, velocity, self.size_m, z_m, climb)
+        size_m = self.size_m if self.size_m.ndim == 1 else self.size_m[some]
+        return Moving(self.position_m[some], heading, velocity, size_m, z_m, climb)
 
 
 def time_to_collision(a: Moving, b: Moving) -> Floats:
@@ -176,7 +178,7 @@ def _half(axis: Floats, heading: Floats, size: Floats) -> Floats:
     """(K) half the extent of boxes on axes (K, 2)."""
     along = np.abs((axis * frames.unit(heading)).sum(-1))
     across = np.abs((axis * frames.unit(heading + np.pi / 2)).sum(-1))
-    half: Floats = (size[0] * along + size[1] * across) / 2
+    half: Floats = (size[..., 0] * along + size[..., 1] * across) / 2
     return half
 
 

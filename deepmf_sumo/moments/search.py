@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import math
-import os
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -114,9 +113,7 @@ def find(
 
 def _search(search: _Search) -> None:
     """The worker's part."""
-    silence = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):  # what SUMO prints is in its errors, too
-        os.dup2(silence, stream)
+    workers.silence()  # what SUMO prints is in its errors, too
     scouting = search.scouting
     try:
         sightings = scout(scouting)

@@ -1,1 +1,1 @@
-"""Recording of SUMO traffic as scenes to train on."""
+"""Recording of SUMO traffic: scenes to train on, and its conflicts."""

@@ -325,6 +325,13 @@ def _done(work: Callable[[Any], None], task: object) -> tuple[Status, str]:
     return "done", ""
 
 
+def silence() -> None:
+    """Let nothing that this process prints, or a library in it, reach the terminal."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+
+
 def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
     """Let the system send this process a signal as soon as its parent ends.
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import sumo
 
-from deepmf_sumo.metrics import conflict
+from deepmf_sumo.metrics import conflict, traffic_conflicts
 from deepmf_sumo.planners import sumo as sumo_planner
 from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.simulation.motion_survey import Survey, survey
 
 pytestmark = pytest.mark.sumo
 
@@ -117,3 +118,14 @@ def test_crossing(tmp_path):
     pet = conflict.encroachment_s(ours)
     assert float(theirs["PET"]) <= pet <= float(theirs["PET"]) + 0.3
     assert conflict.over_time(ours).ttc_s.min() == pytest.approx(float(theirs["minTTC"]), abs=0.15)
+
+
+def test_following_in_plain_traffic(tmp_path):
+    config = built(tmp_path, ROAD)
+    theirs = encounter(config)
+    seen = survey(Survey(config=config, seed=0, until_s=40.0))
+    limits = traffic_conflicts.Limits(ttc_s=float(theirs["minTTC"]) + 0.5)
+    [ours] = traffic_conflicts.find(seen.motions, limits).conflicts
+    assert ours.ttc_s == pytest.approx(float(theirs["minTTC"]), abs=0.01)
+    assert [seen.names[one] for one in (ours.first, ours.second)] == ["foe", "av"]
+    assert ours.type == "rear end"

@@ -1,0 +1,171 @@
+"""How all road users of a SUMO configuration move at each step, without attacks."""
+
+from array import array
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import DT_S
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.metrics.traffic_conflicts import Motions
+from deepmf_sumo.network.sumo_net import edge_of
+from deepmf_sumo.simulation.observation import TrafficReader
+from deepmf_sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.simulation.sumo_config import Traffic, begun, read_configuration
+
+MOST_VEHICLE_STEPS: Final = 10_000_000
+"""A minute or two of SUMO, and 0.7 GB; a count, so that every machine ends at the same time."""
+_PARKED: Final = 2
+"""Bit of SUMO's stop states."""
+_STANDING_MPS: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Survey:
+    """What to survey.
+
+    Attributes:
+        sumo_options: beside the configuration, as on SUMO's command line.
+        from_s: up to then SUMO drives unseen; None: from its begin on.
+        until_s: end of the survey, at most that of the configuration; None: that end, or the time
+            at which `MOST_VEHICLE_STEPS` are reached.
+    """
+
+    config: Path
+    sumo_options: tuple[str, ...] = ()
+    seed: int
+    from_s: float | None = None
+    until_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surveyed:
+    """All road users at steps of 0.1 s; step 0 is at ``begin_s``.
+
+    Parked vehicles, persons in vehicles, and vehicles that SUMO is moving elsewhere (teleports)
+    are not on the road and so not in it.
+
+    Attributes:
+        until_s: time of the last step. complete: the configuration ends there, or all have left.
+        names, types: of the V road users; persons have their own types.
+        lanes: names of the L lanes.
+    """
+
+    begin_s: float
+    until_s: float
+    complete: bool
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+    lanes: tuple[str, ...]
+    motions: Motions
+
+
+def survey(wanted: Survey) -> Surveyed:
+    """Run the configuration once.
+
+    Raises SimulationError, with SUMO's own message, if it cannot be run, or nobody drove.
+    """
+    configuration = read_configuration(wanted.config, wanted.sumo_options)
+    ends = [one for one in (configuration.end_s, wanted.until_s) if one is not None]
+    until = min(ends, default=np.inf)
+    with begun(Traffic(configuration=configuration, seed=wanted.seed)) as api:
+        if wanted.from_s is not None and wanted.from_s > api.simulation.getTime() + DT_S / 2:
+            api.simulationStep(wanted.from_s)
+        notes = _Notes(api)
+        begin = now = float(api.simulation.getTime())
+        complete, step = False, 0
+        while now + DT_S <= until + DT_S / 2 and not complete:
+            notes.look(step)
+            if wanted.until_s is None and len(notes.rows) > 3 * MOST_VEHICLE_STEPS:
+                break
+            api.simulationStep()
+            step, now = step + 1, float(api.simulation.getTime())
+            complete = api.simulation.getMinExpectedNumber() == 0
+        notes.look(step)
+        ends_s = np.inf if configuration.end_s is None else configuration.end_s
+        complete = complete or now + DT_S > ends_s
+    if not notes.rows:
+        raise SimulationError(
+            f"no vehicle drove in '{wanted.config}' from {begin:g} to {now:g} s, so there are no"
+            " conflicts to look for; choose other times, or give it traffic."
+        )
+    return notes.surveyed(begin, now, complete=complete)
+
+
+@dataclass
+class _Notes:
+    """Columns that grow; constants are asked for once."""
+
+    api: SumoApi
+    bodies: dict[str, int] = field(default_factory=dict)
+    types: list[str] = field(default_factory=list)
+    lanes: dict[str, int] = field(default_factory=dict)
+    numbers: "array[float]" = field(default_factory=lambda: array("d"))
+    rows: "array[int]" = field(default_factory=lambda: array("q"))
+    reader: TrafficReader = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.reader = TrafficReader(self.api)
+
+    def look(self, step: int) -> None:
+        """Note all that are on the road."""
+        vehicles = set(self.api.vehicle.getIDList())
+        seen: list[tuple[int, int, tuple[float, float, float, float, float]]] = []
+        for name, state in self.reader.states().items():
+            lane = self._lane(name, state[3], vehicle=name in vehicles)
+            if lane:
+                number = self.lanes.setdefault(lane, len(self.lanes))
+                seen.append((self._body(name, vehicle=name in vehicles), number, state))
+        for body, number, state in sorted(seen):
+            self.rows.extend((step, body, number))
+            self.numbers.extend(state)
+
+    def _lane(self, name: str, speed_mps: float, *, vehicle: bool) -> str:
+        """Empty for those that are not on the road."""
+        if not vehicle:
+            riding = self.api.person.getVehicle(name)
+            return "" if riding else str(self.api.person.getLaneID(name))
+        domain = self.api.vehicle
+        if speed_mps < _STANDING_MPS and domain.getStopState(name) & _PARKED:
+            return ""
+        return str(domain.getLaneID(name))
+
+    def _body(self, name: str, *, vehicle: bool) -> int:
+        if name not in self.bodies:
+            domain = self.api.vehicle if vehicle else self.api.person
+            self.bodies[name] = len(self.types)
+            self.types.append(str(domain.getTypeID(name)).partition("@")[0])
+        return self.bodies[name]
+
+    def surveyed(self, begin: float, until: float, *, complete: bool) -> Surveyed:
+        names = tuple(self.bodies)
+        rows = np.array(self.rows).reshape(-1, 3)
+        numbers = np.array(self.numbers).reshape(-1, 5)
+        size_m = self.reader.bodies.sizes_m(names)
+        centre, heading = frames.from_sumo(numbers[:, :2], numbers[:, 2], size_m[rows[:, 1], 0])
+        edges: dict[str, int] = {}
+        return Surveyed(
+            begin_s=begin,
+            until_s=until,
+            complete=complete,
+            names=names,
+            types=tuple(self.types),
+            lanes=tuple(self.lanes),
+            motions=Motions(
+                dt_s=DT_S,
+                size_m=size_m,
+                step=rows[:, 0],
+                body=rows[:, 1],
+                position_m=centre,
+                heading_rad=heading,
+                speed_mps=numbers[:, 3],
+                z_m=numbers[:, 4],
+                lane=rows[:, 2],
+                edge_of_lane=np.array(
+                    [edges.setdefault(edge_of(lane), len(edges)) for lane in self.lanes]
+                ),
+            ),
+        )
