@@ -269,3 +269,24 @@ def test_said_names_what_changed_else_how_many_attacks_would_tell():
     assert real.said([wait, more]) == "cannot tell; about 30 would"
     assert real.said([wait, good]) == "better: collision_rate"
     assert real.said([]) == "cannot tell"
+
+
+def test_the_table_counts_cases_and_what_has_no_place(tmp_path):
+    sides = {
+        f"{name}_{key}": value
+        for name, rank in (("flawed", 1.0), ("sound", 11.0))
+        for key, value in {
+            "runs": ["a", "b"], "attacks": 40, "rank": rank, "junctions": 21, "site": rank + 1,
+            "sites": 60,
+        }.items()
+    }  # fmt: skip
+    case = {"network": "town", "flaw": "no_yellow", "seed": 1, "junction": "j", **sides}
+    unseen = {**case, "seed": 2, "flawed_rank": None, "flawed_site": None, "changes": []}
+    better = {"quantity": "ttc_s", "state": "better", "needed": None}
+    text = real.report(tmp_path, [{**case, "changes": [better]}, unseen], ["no place"])
+    assert "| town | no_yellow | 1 | j | 2 of 40 | 1 of 21 | 11 of 21 | 2 of 60 |" in text
+    assert "| town | no_yellow | 2 | j | 2 of 40 | not attacked, 21 others |" in text
+    assert "2 cases: the junction is alone on rank 1 in 1, among the first 5% in 1;" in text
+    assert "of it is in 1; compare says better in 1." in text
+    assert text.endswith("No case: no place\n")
+    assert (tmp_path / "table.md").read_text("utf-8") == text
