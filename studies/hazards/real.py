@@ -19,6 +19,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -93,7 +94,6 @@ def _ranks(out: Path, place: dict[str, Any]) -> dict[str, Any]:
         "junctions": len(nodes),
         "criticality": mine and mine.criticality and mine.criticality.mean,
         "typical": mine and mine.criticality and mine.criticality.typical,
-        "excess_rank": mine and 1 + sum(_excess(one) > _excess(mine) for one in nodes),
         "site": min((worse[one] for one in own), default=None),
         "sites": len(sites),
     }
@@ -101,10 +101,6 @@ def _ranks(out: Path, place: dict[str, Any]) -> dict[str, Any]:
 
 def _surely(one: table.Row) -> float:
     return one.criticality.surely if one.criticality else 0.0
-
-
-def _excess(one: table.Row) -> float:
-    return one.criticality.excess if one.criticality else 0.0
 
 
 def _at(network: attacks.Network, one: table.Row, junction: str) -> bool:
@@ -120,7 +116,7 @@ def _compared(folder: Path, runs: Sequence[str]) -> list[Change]:
     for name in ("flawed", "sound"):
         found = rows.read(folder / f"{name}-attacks")
         kept = {key: one for key, one in found.rows.items() if one.run_id in runs}
-        sides.append(rows.Results(found.source, found.version, kept, found.attacks))
+        sides.append(replace(found, rows=kept))
     return differences(sides[0], sides[1], COMPARED, CONFIDENCE) if runs else []
 
 
