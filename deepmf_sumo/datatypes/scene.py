@@ -239,7 +239,7 @@ class Tracks(Frozen):
         return replace(self, **{name: getattr(self, name)[:, start:stop] for name in _BY_STEP})
 
     def padded(self, steps: int) -> "Tracks":
-        """With steps added at the end, at which nobody is valid."""
+        """With steps added at the end, at which no agent is valid."""
         more = [(0, 0), (0, steps), (0, 0)]
         arrays: dict[str, Any] = {name: getattr(self, name) for name in _BY_STEP}
         arrays = {name: np.pad(one, more[: one.ndim]) for name, one in arrays.items()}

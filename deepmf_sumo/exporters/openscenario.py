@@ -175,7 +175,7 @@ def _document(run: Exportable, without_av: bool) -> ET.Element:
         if not (av and without_av):
             _drive(act, actor, last, rollout.dt_s)
     if act.find("ManeuverGroup") is None:  # the format wants one
-        _add(_add(act, "ManeuverGroup", maximumExecutionCount=1, name="nobody"), "Actors",
+        _add(_add(act, "ManeuverGroup", maximumExecutionCount=1, name="empty"), "Actors",
              selectTriggeringEntities="false")  # fmt: skip
     _at_time(_add(act, "StartTrigger"), "begin", 0.0)
     _at_time(_add(board, "StopTrigger"), "end", last * rollout.dt_s)

@@ -7,7 +7,7 @@ is which, ``about.json`` what is not from the run.
 
 SSAM judges no step of the last five seconds (its largest post-encroachment time), and ends a
 conflict when the two have parted. So a contact near the end is followed by seconds that are made
-up: both stand, then the AV goes straight on, through the other where need be; nobody else is there.
+up: both stand, then the AV goes straight on, through the other where need be; no other vehicle is there.
 """
 
 import struct
@@ -118,7 +118,7 @@ def _origin(tracks: Tracks) -> Floats:
 def _accelerations(tracks: Tracks, happened: int, dt_s: float) -> Floats:
     """(A, S) difference to the step before; at a vehicle's first step to the one after it.
 
-    0 from step ``happened`` on: that a vehicle stands at once after the contact is no braking.
+    0 from step ``happened`` on: standing at once after the contact is not braking.
     """
     speed, valid = tracks.speed_mps, tracks.valid
     change = np.zeros(speed.shape)

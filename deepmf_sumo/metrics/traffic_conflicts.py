@@ -140,7 +140,7 @@ class TrafficConflict:
 
 
 class Found(NamedTuple):
-    """Conflicts by begin and road users; encounters that are none, by reason."""
+    """Conflicts by begin and road users; encounters that are not, by reason."""
 
     conflicts: tuple[TrafficConflict, ...]
     left_out: Mapping[str, int]

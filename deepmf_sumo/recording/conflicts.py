@@ -66,7 +66,7 @@ class Observation:
     Attributes:
         complete: the configuration's traffic ends there.
         users: number of road users. user_steps: of their steps of 0.1 s.
-        left_out: encounters that are no conflicts, by reason.
+        left_out: encounters that are not conflicts, by reason.
         driven: for each lane, the road users (by number) that were on it.
     """
 
@@ -106,7 +106,7 @@ def check(wanted: Survey) -> None:
 def observe(wanted: Survey, limits: Limits) -> Observation:
     """Simulate the configuration once, and find its conflicts.
 
-    Raises SimulationError, with SUMO's own words, where it cannot be run, or without traffic, and
+    Raises SimulationError, with SUMO's own message, where it cannot be run, or without traffic, and
     UsageError for times that are not in it.
     """
     check(wanted)

@@ -146,8 +146,6 @@ def written(run: Run, path: Path, form: Format) -> Export:
         content = exportable(run)
         form.exporter.write(content, path, form.settings)
         lost = content.around.lost if "around" in vars(content) else ""
-    except (RunError, *stored.DAMAGE) as error:
-        return Export(run_id=run.run_id, path=path, outcome="failed", reason=_said(run, error))
     except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
         return Export(run_id=run.run_id, path=path, outcome="failed", reason=_said(run, error))
     return Export(run_id=run.run_id, path=path, outcome="written", reason=lost)

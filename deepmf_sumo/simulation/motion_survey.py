@@ -66,7 +66,7 @@ class Surveyed:
 def survey(wanted: Survey) -> Surveyed:
     """Run the configuration once.
 
-    Raises SimulationError, with SUMO's own message, if it cannot be run, or nobody drove.
+    Raises SimulationError, with SUMO's own message, if it cannot be run, or no vehicle drove.
     """
     configuration = read_configuration(wanted.config, wanted.sumo_options)
     ends = [one for one in (configuration.end_s, wanted.until_s) if one is not None]

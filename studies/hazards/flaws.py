@@ -253,7 +253,7 @@ def _no_priority_at(_network: Network, junction: Junction) -> Pairs:
 
 
 def _no_priority(network: Network, junction: Junction, _pair: tuple[int, int]) -> dict[str, Any]:
-    """``foes`` stay: who sees a vehicle inside the junction still brakes for it."""
+    """``foes`` stay: vehicles still brake for one inside the junction."""
     requests, links, waits = {}, {}, []
     for one in junction.element.iter("request"):
         old = one.get("response", "")
@@ -268,7 +268,7 @@ def _no_priority(network: Network, junction: Junction, _pair: tuple[int, int]) -
             name = f"{link.get('from')}_{link.get('fromLane')} -> {link.get('to')}"
             links[f"{name}_{link.get('toLane')}"] = [old, "M"]
     for node in network.net.iter("junction"):
-        # where left turns wait in the middle for whoever comes
+        # where left turns wait in the middle for vehicles that come
         if node.get("type") == "internal" and _inside(node.get("id", "").rpartition("_")[0], inner):
             node.set("incLanes", node.get("incLanes", "").partition(" ")[0])
             node.set("intLanes", "")

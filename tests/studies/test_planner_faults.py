@@ -209,3 +209,15 @@ def test_a_measured_spec_keeps_the_opponent_and_takes_method_budget_and_fault():
     assert spec.budget.simulations == 4
     other = measure.spec_of(file, dataclasses.replace(asked, method="bga"), "none")
     assert other.adversary.name == "bga"
+
+
+def test_a_copy_is_attacked_at_the_moments_of_the_baseline(tmp_path):
+    asked = measure.Asked(
+        method="deepmf", budget=None, moments=3, jobs=1, seeds=(1,), other_seeds=(2,),
+        faults=("narrow",), specs=(), thresholds=None, out=tmp_path,
+    )  # fmt: skip
+    (file, *others) = sorted(measure.SUITE.glob("*.yaml"))
+    assert len(others) == 4
+    assert measure.spec_of(file, asked, "none").source.moments.count == 3
+    again = measure.spec_of(file, asked, "narrow", like=tmp_path).source.moments
+    assert (again.of, again.count) == (tmp_path.resolve(), None)
