@@ -7,7 +7,7 @@ is which, ``about.json`` what is not from the run.
 
 SSAM judges no step of the last five seconds (its largest post-encroachment time), and ends a
 conflict when the two have parted. So a contact near the end is followed by seconds that are made
-up: both stand, then the AV goes straight on, through the other where need be; no other vehicle is there.
+up: both stand, then the AV goes straight on, through the other where need be; no others are there.
 """
 
 import struct
