@@ -25,7 +25,7 @@ quick: $(READY)  ## the tests that start no program, not even SUMO: about a minu
 	OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
 
 test: $(READY) lint types  ## lint, types, import contracts and the tests
-	$(PY) -m pytest -q -n 2 -m "not slow"
+	$(PY) -m pytest -q -n 3 --dist worksteal -m "not slow"
 
 test-slow: $(READY)  ## the tests that take minutes, those on a Ray cluster of this machine included
 	$(PY) -m pip install --quiet -c constraints.txt -e ".[cluster]"
@@ -41,7 +41,8 @@ fuzz: $(READY)  ## inputs changed at random (KIND= of one kind, COUNT= of each, 
 signals: $(READY)  ## sweeps ended by SIGKILL, SIGTERM and SIGINT at random moments (COUNT= of each, SEED=)
 	$(PY) -m tests.fuzz.signals --count $(if $(filter command line,$(origin COUNT)),$(COUNT),50) --seed $(or $(SEED),1)
 
-lint: $(READY)  ## ruff, formatting, import contracts, unused dependencies
+lint: $(READY)  ## ruff, formatting, import contracts, unused dependencies, left conflict markers
+	! git grep -nE '^(<{7}|>{7}) '
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/lint-imports --no-cache

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.network.lane_graph import (
@@ -150,6 +148,9 @@ def _junctions(
     inside: Set[str],
 ) -> tuple[list[int], list[int]]:
     """Numbers of the junctions at the start and the end of each group, in the order of groups."""
+    from scipy.sparse import coo_array  # 0.4 s that only conversion needs
+    from scipy.sparse.csgraph import connected_components
+
     group_of = {lane_id: index for index, group in enumerate(groups) for lane_id in group}
     # Of group i the start is 2i and the end 2i + 1; lanes inside junctions follow.
     inner = {lane_id: number for number, lane_id in enumerate(inside, start=2 * len(groups))}

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from deepmf_sumo import files
@@ -79,6 +78,8 @@ def read_tracks(file: Path, vehicles: Sequence[str] | None = None) -> RecordedTr
 
     Raises `stored.DAMAGE`.
     """
+    import pandas as pd  # 0.5 s that only reading needs; workers write
+
     with stored.tracks(file) as text:
         lines = text if vehicles is None else io.StringIO("".join(_of_interest(text, vehicles)))
         table = pd.read_csv(lines, dtype={"id": str}, keep_default_na=False)

@@ -205,7 +205,7 @@ def test_traffic_that_breaks_off_is_said_by_the_run(tiny, tmp_path):
     [
         ("Crash", "planner_error: the planner ended its process (SIGSEGV;"),
         ("Leave", "planner_error: the planner ended its process (exit code 0;"),
-        ("Hang", "longer than 20 s"),
+        ("Hang", "longer than 8 s"),
         ("Hungry", "more than 1500 MB of memory"),
     ],
 )
@@ -213,7 +213,8 @@ def test_what_goes_wrong_in_a_copy_costs_its_run_alone(
     tiny, paths, tmp_path, monkeypatch, planner, said
 ):
     monkeypatch.syspath_prepend(tiny)
-    wanted = batch.Options(out=tmp_path / "out", jobs=1, timeout_s=20.0, memory_mb=1500.0)
+    limit = 8.0 if planner == "Hang" else 20.0
+    wanted = batch.Options(out=tmp_path / "out", jobs=1, timeout_s=limit, memory_mb=1500.0)
     specs = paths(f"late_planners:{planner}")
     results = batch.run([spec.load(path) for path in specs], wanted)
     assert [one["status"] for one in results][::2] == ["ok", "ok"]

@@ -101,7 +101,7 @@ BLAMED = {
     "CrashAtOnce": "planner_error: the planner ended its process (exit code 7; see log.txt).",
     "BuildRaises": "planner_error: Odd: built (see log.txt)",
     "ForksAndEnds": "planner_error: the planner ended its process (SIGKILL; see log.txt).",
-    "ForksAndHangs": "longer than 15 s",
+    "ForksAndHangs": "longer than 8 s",
 }
 FINE = ("Forks", "Leaves", "Looks")
 TAG = f"left-by-a-planner-{os.getpid()}"
@@ -135,7 +135,7 @@ def left():
 def test_each_is_a_row_that_blames_the_planner_and_nothing_is_left(tiny, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tiny)
     paths = specs(tiny, [*BLAMED, *FINE])
-    options = batch.Options(out=tmp_path / "out", jobs=1, timeout_s=15.0)
+    options = batch.Options(out=tmp_path / "out", jobs=1, timeout_s=8.0)
     results = {one["spec"]: one for one in batch.run([spec.load(path) for path in paths], options)}
     assert {name: results[f"class {name}"]["error"] for name in BLAMED} == BLAMED
     assert {name: results[f"class {name}"]["error"] for name in FINE} == dict.fromkeys(FINE, "")
