@@ -115,27 +115,54 @@ def command(
 
     It is short for `deepmf-sumo run` with a spec whose source is {network: CONFIG, moments: {...}}.
     """
+    if file is not None:
+        _save(file, _documents(ctx.meta[AFTER], configs, sets, wanted))
+        return
+    given = {"sets": sets, "all_conflicts": all_conflicts, **wanted}
+    ctx.exit(attacked(ctx.meta[AFTER], configs, mapped=mapped, **given))
+
+
+def attacked(
+    sumo_options: tuple[str, ...],
+    configs: tuple[Path, ...],
+    /,
+    *,
+    sets: tuple[str, ...],
+    mapped: bool,
+    all_conflicts: bool,
+    **wanted: Any,
+) -> int:
+    """Attack as the command does with these values of its options; returns the exit code."""
     from deepmf_sumo import moments, plans
     from deepmf_sumo.cli._screen import announce_moments, progress
 
-    keys = {key: value for key in _KEYS if (value := wanted.pop(key)) is not None}
-    if "planner" in keys:
-        keys["planner"] = {"name": keys["planner"]}
-    chosen = {key: wanted.pop(key) for key in _MOMENTS}
-    for key in ("of", "polygon"):
-        chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
-    sweep = None if file else Sweep.begin(wanted, pictures=True)
-    documents = moments.documents(configs, keys, sets, sumo_options=ctx.meta[AFTER], **chosen)
+    sweep = Sweep.begin(wanted, pictures=True)
+    documents = _documents(sumo_options, configs, sets, wanted)
     specs = [moments.spec_of(one, all_conflicts=all_conflicts) for one in documents]
-    if sweep is None:
-        _save(file, documents)
-        return
     with progress() as report:
         results = plans.run_specs(specs, sweep.options, report, announce_moments, by_option=True)
     code = end_of_runs(sweep, results)
     if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):
         map_risk(sweep.options.out)
-    ctx.exit(code)
+    return code
+
+
+def _documents(
+    sumo_options: tuple[str, ...],
+    configs: tuple[Path, ...],
+    sets: tuple[str, ...],
+    wanted: dict[str, Any],
+) -> "list[Document]":
+    """The specs that the options are short for."""
+    from deepmf_sumo import moments
+
+    keys = {key: value for key in _KEYS if (value := wanted[key]) is not None}
+    if "planner" in keys:
+        keys["planner"] = {"name": keys["planner"]}
+    chosen = {key: wanted[key] for key in _MOMENTS}
+    for key in ("of", "polygon"):
+        chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
+    return moments.documents(configs, keys, sets, sumo_options=sumo_options, **chosen)
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
@@ -146,12 +173,11 @@ _MOMENTS = (
 """Options that are keys of the spec, and of its moments."""
 
 
-def _save(file: Path | None, documents: "list[Document]") -> None:
+def _save(file: Path, documents: "list[Document]") -> None:
     import yaml
 
     from deepmf_sumo import files
 
-    assert file is not None
     if len(documents) > 1:
         raise UsageError("--save-spec goes with one configuration: a spec has one network.")
     text = yaml.safe_dump(documents[0].values, sort_keys=False, allow_unicode=True)

@@ -6,6 +6,7 @@ A command file exposes ``command`` and imports large libraries inside it, so tha
 import errno
 import importlib
 import io
+import keyword
 import os
 import pkgutil
 import signal
@@ -39,7 +40,8 @@ class Commands(Group):
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Names of all commands, sorted."""
         found = (module.name for module in pkgutil.iter_modules(cli.__path__))
-        return sorted(name for name in found if not name.startswith("_") and name != "main")
+        names = (name for name in found if not name.startswith("_") and name != "main")
+        return sorted(name.removesuffix("_") for name in names)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """A command of `list_commands` or of `OLD_NAMES`."""
@@ -49,7 +51,8 @@ class Commands(Group):
             return _old_names.COMMANDS[cmd_name]
         if cmd_name not in self.list_commands(ctx):
             return None
-        command: click.Command = importlib.import_module(f"deepmf_sumo.cli.{cmd_name}").command
+        name = f"{cmd_name}_" if keyword.iskeyword(cmd_name) else cmd_name
+        command: click.Command = importlib.import_module(f"deepmf_sumo.cli.{name}").command
         return command
 
     def resolve_command(

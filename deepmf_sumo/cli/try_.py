@@ -1,0 +1,122 @@
+"""``deepmf-sumo try``: changes to a network -> what they buy, by attacks with and without them."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from deepmf_sumo.cli import attack
+from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
+from deepmf_sumo.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepmf_sumo.countermeasures import Built
+
+_OTHERS: Final = {"configs", "of", "mapped", "file", "thresholds", "baseline", "shard", "formats"}
+"""Options of `attack` that say nothing about two networks."""
+SIDES: Final = ("before", "after")
+
+
+@click.command(
+    name="try",
+    cls=WithSumoOptions,
+    short_help="Change a network, and measure what that buys.",
+    params=[one for one in attack.command.params if one.name not in _OTHERS],
+)
+@click.argument(
+    "config", metavar="CONFIG", type=click.Path(exists=True, dir_okay=False, path_type=Path)
+)
+@click.option(
+    "--change", "file", metavar="FILE", required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Make the changes of this YAML file.",
+)  # fmt: skip
+@click.option(
+    "--everywhere", is_flag=True,
+    help="Attack anywhere. Without it and without --junction, --edge and --polygon attacks are at"
+    " what is changed.",
+)  # fmt: skip
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    config: Path,
+    file: Path,
+    everywhere: bool,
+    count: int | None,
+    **wanted: Any,
+) -> None:
+    """Change the network of CONFIG, a .sumocfg, attack it with and without the changes, compare.
+
+    Half of the --moments are chosen in the traffic before the changes and half in that after them,
+    and all are attacked on both sides: the same vehicle at the same time. So neither side has
+    moments that suit it. Writes OUT/before and OUT/after with results, the changed network, and
+    OUT/patch, which netconvert and netedit take. The other options are those of attack.
+    """
+    from deepmf_sumo import countermeasures
+
+    out: Path = wanted.pop("out")
+    changes = countermeasures.load(file)
+    _check(out, wanted)
+    built = countermeasures.build(config, changes, out)
+    for line in built.done:
+        click.echo(line)
+    if not (everywhere or wanted["junctions"] or wanted["edges"] or wanted["polygon"]):
+        wanted |= {"junctions": built.junctions, "edges": built.edges}
+    number = count or 10
+    codes = [
+        _attack(ctx, built, side, of, out, number, wanted)
+        for side, of in _order()
+    ]  # fmt: skip
+    _compare(out)
+    ctx.exit(max(codes))
+
+
+def _order() -> Iterator[tuple[str, str]]:
+    """Which side is attacked at moments of which: first at its own."""
+    for of in SIDES:
+        yield of, of
+    for of in SIDES:
+        yield next(side for side in SIDES if side != of), of
+
+
+def _check(out: Path, wanted: dict[str, Any]) -> None:
+    """Raises UsageError for results that are there, unless they are wanted."""
+    there = any((out / side / f"at-{of}").exists() for side in SIDES for of in SIDES)
+    if there and not (wanted["resume"] or wanted["overwrite"]):
+        raise UsageError(
+            f"{out} has results of an earlier try: name another folder with --out, or give --resume"
+            " to go on or --overwrite to delete them."
+        )
+
+
+def _attack(
+    ctx: click.Context, built: "Built", side: str, of: str, out: Path, count: int,
+    wanted: dict[str, Any],
+) -> int:  # fmt: skip
+    """Attack a side at moments chosen in a side; returns the exit code."""
+    first = of == SIDES[0]
+    given = {**wanted, "out": out / side / f"at-{of}"}
+    given |= dict.fromkeys(("thresholds", "baseline", "shard"))
+    given |= {"formats": (), "count": (count + 1) // 2 if first else count // 2, "of": None}
+    if side != of:
+        given |= {"count": None, "of": out / of / f"at-{of}"}
+        given |= {"junctions": (), "edges": (), "polygon": None, "prefer": None}
+        given |= dict.fromkeys(("from_s", "until_s", "av", "av_type")) | {"at_s": ()}
+    config = built.before if side == "before" else built.after
+    click.echo(f"{side} the changes, at moments chosen {of} them")
+    return attack.attacked(ctx.meta[AFTER], (config,), mapped=False, **given)
+
+
+def _compare(out: Path) -> None:
+    from deepmf_sumo.cli import _screen as screen
+    from deepmf_sumo.report.risk import comparison as files
+    from deepmf_sumo.risk import comparison
+
+    before, after = (out / side for side in SIDES)
+    compared = comparison.compare(before, after, comparison.COMPARED, comparison.CONFIDENCE)
+    names = str(before), str(after)
+    screen.show_comparison(compared, names)
+    files.write(out / "compared", compared, names)
+    click.echo(f"{out}/compared/{files.TEXT}")
