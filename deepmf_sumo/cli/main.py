@@ -1,4 +1,4 @@
-"""``deepmf-sumo``: one file for each command, found by its name.
+"""``deepmf-sumo``: one file for each command, found by its name (`try_.py` is `try`).
 
 A command file exposes ``command`` and imports large libraries inside it, so that help is fast.
 """

@@ -22,7 +22,9 @@ def run(*arguments, **options):
 def test_help_lists_the_files_of_the_folder():
     done = run("--help")
     assert done.returncode == 0
-    files = {path.stem for path in (ROOT / "deepmf_sumo" / "cli").glob("[!_]*.py")}
+    files = {
+        path.stem.removesuffix("_") for path in (ROOT / "deepmf_sumo" / "cli").glob("[!_]*.py")
+    }
     listed = done.stdout.partition("Commands:")[2]
     assert "  -" not in listed
     assert [line.split()[0] for line in listed.strip().splitlines()] == sorted(
