@@ -149,12 +149,19 @@ def openscenario(path: Path, run: Run) -> Any:
     return {(step, ids[name]): box for (step, name), box in found.items()}
 
 
+def womd(path: Path, run: Run) -> Any:
+    """Of the Scenario, up to the end of the episode."""
+    steps = run.rollout.tracks.steps
+    return {key: box for key, box in foreign.womd_boxes(path).items() if key[0] < steps}
+
+
 READERS: dict[str, Callable[[Path, Run], Any]] = {
     "fcd": lambda path, _: foreign.fcd_boxes(path),
     "scene": scene,
     "ssam": lambda path, _: foreign.ssam_boxes(path),
     "openscenario": openscenario,
     "scenarionet": scenarionet,
+    "womd": womd,
 }
 
 

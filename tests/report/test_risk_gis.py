@@ -207,7 +207,7 @@ def test_without_pyproj_the_extra_is_named(tmp_path, monkeypatch):
 def test_attacks_have_the_words_of_a_conflict_study(tmp_path):
     written, _ = mapped(tmp_path, "!")
     rows = risk.attack_rows(written.network)
-    assert [row["kind"] for row in rows][0] == "rear-end"
+    assert rows[0]["kind"] == "rear-end"
     assert [row["place"] for row in rows][:2] == ["w_in", "w_in"]
     third = rows[2]
     assert (third["av"], third["opponent"], third["contact"]) == ("ego", "foe", True)

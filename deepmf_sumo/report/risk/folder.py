@@ -22,11 +22,12 @@ _MADE: Final = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Written:
-    """The files of one network, and the rows in them."""
+    """The files of one network, and the rows in them; ``more``: names of the files of `gis`."""
 
     folder: Path
     network: Network
     rows: list[Row]
+    more: tuple[str, ...] = ()
 
 
 def write(
@@ -78,7 +79,7 @@ def _write(folder: Path, network: Network, title: str, forms: Sequence[gis.Form]
         (folder / name).unlink(missing_ok=True)
     for name, content in mapped.items():
         files.write(folder / name, content)
-    return Written(folder=folder, network=network, rows=rows)
+    return Written(folder=folder, network=network, rows=rows, more=tuple(mapped))
 
 
 def _config(net: str) -> str:
