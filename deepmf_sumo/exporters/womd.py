@@ -7,17 +7,17 @@ velocities and sizes have single precision there; of lanes it lacks widths and p
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from deepmf_sumo import files, plugins, tables
 from deepmf_sumo.datatypes import Boundary, Floats, Lane, Neighbour, RoadMap, Scene, Signals
+from deepmf_sumo.exporters._numbers import Numbers, Sort
 from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.exporters.scene import scene_of
-from deepmf_sumo.readers._recording import LANE_KINDS, MPS_PER_MPH
-from deepmf_sumo.readers._tfrecord import framed
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
+from deepmf_sumo.readers.womd import packed
 
 FILE: Final = "womd/"
 RECORDS, IDS = "run.tfrecord", "ids.csv"
@@ -27,39 +27,13 @@ _TYPES: Final = {
     "cyclist": pb.Track.TYPE_CYCLIST,
     "other": pb.Track.TYPE_OTHER,
 }
-_MOST: Final = 2**31 - 1
-"""Largest number of a track."""
-Sort = Literal["track", "lane", "line", "edge", "polygon", "stop_sign"]
+_LANES: Final = {"unknown": 0, "freeway": 1, "street": 2, "bike": 3}
+"""LaneCenter.type."""
+_MPS_PER_MPH: Final = 0.44704
 
 
 class Settings(plugins.Settings):
     """None."""
-
-
-class Numbers:
-    """A number for each id: its own where it is one and free, else the least free one.
-
-    Ids of tracks are apart; those of all features of a road are numbered together.
-    """
-
-    def __init__(self, ids: Iterable[tuple[Sort, str]]) -> None:
-        self.of: dict[tuple[Sort, str], int] = {}
-        listed = list(dict.fromkeys(ids))
-        taken: set[int] = set()
-        for key in listed:
-            number = _own_number(key[1])
-            if number is not None and number not in taken:
-                self.of[key] = number
-                taken.add(number)
-        free = (number for number in range(1, _MOST) if number not in taken)
-        self.of |= {key: next(free) for key in listed if key not in self.of}
-
-    def __call__(self, sort: Sort, name: str) -> int:
-        return self.of[sort, name]
-
-    def known(self, sort: Sort, names: Iterable[str]) -> list[int]:
-        """The numbers of those that there are."""
-        return [self.of[sort, name] for name in names if (sort, name) in self.of]
 
 
 def write(run: Exportable, path: Path, settings: Settings) -> None:
@@ -74,7 +48,7 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
         if str(number) != name
     ]
     with files.writing(path), files.whole_folder(path) as folder:
-        (folder / RECORDS).write_bytes(framed(message.SerializeToString(deterministic=True)))
+        (folder / RECORDS).write_bytes(packed(message))
         (folder / IDS).write_text(tables.to_csv(rows, ("kind", "number", "id")), "utf-8")
 
 
@@ -95,12 +69,6 @@ def scenario(scene: Scene, tracks: Numbers, features: Numbers) -> pb.Scenario:
     )
     _add_road(message, scene.road, features)
     return message
-
-
-def _own_number(name: str) -> int | None:
-    """The number that an id is written as, in the one way that numbers are written."""
-    number = int(name) if name.isascii() and name.isdecimal() and len(name) <= 10 else -1
-    return number if 0 <= number <= _MOST and str(number) == name else None
 
 
 def _there(scene: Scene) -> Scene:
@@ -184,8 +152,8 @@ def _points(points_m: Floats, z_m: Floats) -> list[pb.MapPoint]:
 
 def _lane(lane: Lane, numbers: Numbers) -> pb.LaneCenter:
     return pb.LaneCenter(
-        speed_limit_mph=(lane.speed_limit_mps or 0.0) / MPS_PER_MPH,
-        type=LANE_KINDS.index(lane.kind),
+        speed_limit_mph=(lane.speed_limit_mps or 0.0) / _MPS_PER_MPH,
+        type=_LANES[lane.kind],
         interpolating=lane.interpolating,
         polyline=_points(lane.centre_m, lane.z_m),
         entry_lanes=numbers.known("lane", lane.previous),

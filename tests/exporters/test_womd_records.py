@@ -8,6 +8,7 @@ import pytest
 
 from deepmf_sumo import readers
 from deepmf_sumo.exporters import womd
+from deepmf_sumo.exporters._numbers import Numbers
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
 
@@ -104,7 +105,7 @@ def named(lane, names):
 def test_ids_that_are_numbers_stay_and_others_get_free_ones():
     ids = [("lane", "7"), ("lane", "a"), ("lane", "1"), ("line", "7"), ("line", "007"),
            ("line", "99999999999"), ("line", "²")]  # fmt: skip
-    found = womd.Numbers(ids)
+    found = Numbers(ids)
     assert found.of == {
         ("lane", "7"): 7, ("lane", "1"): 1, ("lane", "a"): 2, ("line", "7"): 3,
         ("line", "007"): 4, ("line", "99999999999"): 5, ("line", "²"): 6,

@@ -333,3 +333,23 @@ def womd_boxes(folder):
                 )
                 found[step, ids.get(number, str(number))] = Box(x, y, heading, length, width)
     return found
+
+
+def osi_boxes(folder):
+    """(step, id) -> box of a trace of OSI ground truth, by the numbers of its fields."""
+    content, at, found = (folder / "run_gt.osi").read_bytes(), 0, {}
+    while at < len(content):
+        (size,) = struct.unpack_from("<I", content, at)
+        message, at = wire(content[at + 4 : at + 4 + size]), at + 4 + size
+        time = wire(message[2][0])
+        step = round((time.get(1, [0])[0] + time.get(2, [0])[0] / 1e9) / DT_S)
+        for user in map(wire, message.get(5, [])):
+            base = wire(user[2][0])
+            size, place, turned = (_doubles(base[field][0]) for field in (1, 2, 3))
+            agent = wire(user[10][0])[3][0].decode()
+            found[step, agent] = Box(place[1], place[2], turned[3], size[1], size[2])
+    return found
+
+
+def _doubles(message):
+    return {field: struct.unpack("<d", values[0])[0] for field, values in wire(message).items()}
