@@ -5,6 +5,7 @@ attack has roles, so that its two road users are ``av`` and ``opponent`` and not
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo.network.sumo_net import going_first
@@ -49,7 +50,7 @@ def _values(
     at = one.decided
     where = site(at, places) if at.movement or at.edge or at.junction else ("", "", "")
     return (
-        one.folder, one.run_id, one.turn, one.scene, one.seed, one.kind, one.hit, one.other,
+        Path(one.folder).name, one.run_id, one.turn, one.scene, one.seed, one.kind, one.hit, one.other,
         one.avoidable, one.ttc_s, one.pet_s, one.gap_m, one.delta_v_mps, one.criticality,
         *one.place_m, *where, at.junction, _gives_way(one, places, first_at),
         one.av, at.lane, one.speed_mps, one.opponent, one.against.lane,

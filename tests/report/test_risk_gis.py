@@ -210,7 +210,8 @@ def test_attacks_have_the_words_of_a_conflict_study(tmp_path):
     assert rows[0]["kind"] == "rear-end"
     assert [row["place"] for row in rows][:2] == ["w_in", "w_in"]
     third = rows[2]
-    assert (third["av"], third["opponent"], third["contact"]) == ("ego", "foe", True)
+    assert (third["folder"], third["av"], third["opponent"]) == ("out", "ego", "foe")
+    assert third["contact"]
     assert third["title"] == "centre: from west to north (left, permissive)"
     text = (written.folder / "attacks.csv").read_text().splitlines()
     assert text[0] == ",".join(risk.ATTACKED)
