@@ -50,8 +50,9 @@ def _values(
     at = one.decided
     where = site(at, places) if at.movement or at.edge or at.junction else ("", "", "")
     return (
-        Path(one.folder).name, one.run_id, one.turn, one.scene, one.seed, one.kind, one.hit, one.other,
-        one.avoidable, one.ttc_s, one.pet_s, one.gap_m, one.delta_v_mps, one.criticality,
+        Path(one.folder).resolve().name, one.run_id, one.turn, one.scene, one.seed, one.kind,
+        one.hit, one.other, one.avoidable, one.ttc_s, one.pet_s, one.gap_m, one.delta_v_mps,
+        one.criticality,
         *one.place_m, *where, at.junction, _gives_way(one, places, first_at),
         one.av, at.lane, one.speed_mps, one.opponent, one.against.lane,
         places.site(one.against), places.site(one.began),
