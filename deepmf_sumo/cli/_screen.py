@@ -353,7 +353,8 @@ def show_risk(written: Sequence[Written], top: int) -> None:
         console.print(
             _filled(_KIND_HEADINGS, [_kind_cells(row) for row in by_type(network.attacks)])
         )
-        files = f"{one.folder}/risk.html, risk.csv, types.csv, coverage.csv, risk.sumocfg"
+        listed = ("risk.csv", "attacks.csv", "types.csv", "coverage.csv", "risk.sumocfg", *one.more)
+        files = f"{one.folder}/risk.html, {', '.join(listed)}"
         console.print(escape(files), soft_wrap=True)
 
 

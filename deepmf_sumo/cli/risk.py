@@ -1,6 +1,7 @@
 """``deepmf-sumo risk``: result folders -> where on the network the AV is in danger."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -18,13 +19,19 @@ import click
     "--top", type=click.IntRange(0), default=10, show_default=True,
     help="Show this number of places.",
 )  # fmt: skip
+@click.option(
+    "--gis", "forms", type=click.Choice(["geojson", "gpkg"]), multiple=True,
+    help="Write places and attacks for QGIS and others, too; may be repeated.",
+)  # fmt: skip
 @click.option("--open", "show", is_flag=True, help="Show the page in the browser.")
-def command(folders: tuple[Path, ...], out: Path | None, top: int, show: bool) -> None:
+def command(
+    folders: tuple[Path, ...], out: Path | None, top: int, forms: tuple[Any, ...], show: bool
+) -> None:
     """Map the risk of the networks that OUT..., results of attack or run, attacked on.
 
     For each movement, edge, junction and lane: attacks, hits, avoidable hits, least time to
-    collision, delta-v. Written as CSV, SUMO edge data, polygons for sumo-gui, and a page. OUT may
-    contain result folders, e.g. one for each seed.
+    collision, delta-v. Written as CSV, SUMO edge data, polygons for sumo-gui, and a page; with
+    --gis as GeoJSON or GeoPackage. OUT may contain result folders, e.g. one for each seed.
     """
     from deepmf_sumo import risk
     from deepmf_sumo.cli import _screen as screen
@@ -32,7 +39,7 @@ def command(folders: tuple[Path, ...], out: Path | None, top: int, show: bool) -
 
     place = out or folders[0] / "risk"
     title = ", ".join(folder.resolve().name for folder in folders)
-    written = files.write(place, risk.read(folders), title)
+    written = files.write(place, risk.read(folders), title, forms)
     screen.show_risk(written, top)
     if show:
         click.launch(str(written[0].folder / files.PAGE))

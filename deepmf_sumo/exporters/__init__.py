@@ -9,6 +9,7 @@ The module is the exporter, see `base.Exporter`::
 
     def write(run: Exportable, path: Path, settings: Settings) -> None: ...
 
-Its name is that of the format. Exporters of other packages join through the entry point group
+Its name is that of the format. A ``check()`` may raise PluginError before any run is written, e.g.
+where an extra is not installed. Exporters of other packages join through the entry point group
 ``deepmf_sumo.exporters``; see `plugins`.
 """

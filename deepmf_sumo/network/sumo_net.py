@@ -122,6 +122,19 @@ class NetJunction:
     name: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetLocation:
+    """A ``<location>``: where on earth a network is.
+
+    Attributes:
+        offset_m: (2,) that netconvert added to the projection's coordinates.
+        projection: as PROJ writes it; ``!`` where there is none, ``-`` for one of SUMO's own.
+    """
+
+    offset_m: tuple[float, float] = (0.0, 0.0)
+    projection: str = "!"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetFile:
     """Everything read, in the file's order.
@@ -134,6 +147,7 @@ class NetFile:
     links: tuple[NetLink, ...]
     junctions: tuple[NetJunction, ...]
     left_hand: bool = False
+    location: NetLocation = NetLocation()
 
 
 def read_net(file: Path) -> NetFile:
@@ -144,6 +158,7 @@ def read_net(file: Path) -> NetFile:
     edges: dict[str, NetEdge] = {}
     links: list[NetLink] = []
     junctions: list[NetJunction] = []
+    location = NetLocation()
     for element in elements(file, "net"):
         try:
             if element.tag == "edge":
@@ -153,6 +168,8 @@ def read_net(file: Path) -> NetFile:
                 links.append(_link(element))
             elif element.tag == "junction" and element.get("type") != "internal":
                 junctions.append(_junction(element))
+            elif element.tag == "location":
+                location = _location(element)
         except ValueError as error:
             raise SimulationError(f"{file} is not a network of SUMO: {error}.") from None
     return NetFile(
@@ -160,6 +177,7 @@ def read_net(file: Path) -> NetFile:
         links=tuple(links),
         junctions=tuple(junctions),
         left_hand=_keeps_left(file),
+        location=location,
     )
 
 
@@ -291,6 +309,14 @@ def _junction(element: ET.Element) -> NetJunction:
         ),
         name=_name(element),
     )
+
+
+def _location(element: ET.Element) -> NetLocation:
+    offset = points(element.get("netOffset", "0,0"))
+    if len(offset) != 1:
+        raise ValueError(f"netOffset of <location> is {element.get('netOffset')!r:.80}, not x,y")
+    x, y, _ = offset[0].tolist()
+    return NetLocation(offset_m=(x, y), projection=element.get("projParameter", "!").strip() or "!")
 
 
 def _link(element: ET.Element) -> NetLink:

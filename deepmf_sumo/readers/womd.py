@@ -86,6 +86,11 @@ def scene_at(ref: RecordRef) -> Scene | Refusal:
     return _scene(ref.file, _tfrecord.record_at(ref.file, ref.offset or 0, ref.record))
 
 
+def packed(message: pb.Scenario) -> bytes:
+    """A TFRecord file of one scene; the same message gives the same bytes."""
+    return _tfrecord.framed(message.SerializeToString(deterministic=True))
+
+
 def _scene(path: Path, record: _tfrecord.Record) -> Scene | Refusal:
     name = ""
     try:

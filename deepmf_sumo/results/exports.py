@@ -28,8 +28,13 @@ class Format:
 
     @classmethod
     def named(cls, name: str, values: dict[str, str] | None = None) -> "Format":
-        """Raises PluginError for a name or settings, given as texts, that are not known."""
+        """Raises PluginError for a name or settings, given as texts, that are not known.
+
+        Also where the exporter's ``check()`` does, e.g. for an extra that is not installed.
+        """
         exporter = plugins.load("exporters", name)
+        if hasattr(exporter, "check"):
+            exporter.check()
         settings = plugins.settings("exporters", name, values or {}, texts=True)
         return cls(name=name, exporter=exporter, settings=settings)
 

@@ -6,15 +6,18 @@
                             places: lanes, edges, junctions, movements     shrinkage: thin data
 """
 
+from deepmf_sumo.risk.attack_table import ATTACKED, attack_rows
 from deepmf_sumo.risk.attacks import Attacked, Conflict, Network, conflicts, read
 from deepmf_sumo.risk.coverage import by_type, coverage
 from deepmf_sumo.risk.table import Row, columns, rows, worst
 
 __all__ = [
+    "ATTACKED",
     "Attacked",
     "Conflict",
     "Network",
     "Row",
+    "attack_rows",
     "by_type",
     "columns",
     "conflicts",

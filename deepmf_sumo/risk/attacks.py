@@ -50,6 +50,7 @@ class Attacked:
         kind: of conflict that it is, or would have been; None where the opponent was not there.
         pet_s: least time between the two at a common place; None without one.
         speed_mps: of the AV when the attack began.
+        av, opponent: ids.
     """
 
     folder: str
@@ -71,6 +72,8 @@ class Attacked:
     kind: ConflictType | None = None
     pet_s: float | None = None
     speed_mps: float = 0.0
+    av: str = ""
+    opponent: str = ""
 
 
 class _Part(NamedTuple):
@@ -168,6 +171,8 @@ def _attacked(
         kind=kind,
         pet_s=part.metrics.get("pet"),
         speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
+        av=found.av_id,
+        opponent=part.opponent,
     )
 
 

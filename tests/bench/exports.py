@@ -5,7 +5,7 @@ Runs: 10 on recordings of our own networks, 10 of `scenarios/`, 10 on the networ
 format: runs read back by a reader that is not the exporter's, the largest error of a corner of a
 box, and contacts of the AV in which the boxes overlap from the same step on. ``--out`` keeps the
 runs for the next time. Ends with 1 where a run is lost, a corner is off by more than 2 cm, or a
-contact is at another step.
+contact is at another step. Formats whose extra is not installed are named and left out.
 """
 
 import argparse
@@ -22,6 +22,7 @@ import yaml
 
 from deepmf_sumo import readers
 from deepmf_sumo.cli import main as program
+from deepmf_sumo.errors import PluginError
 from deepmf_sumo.results import exports
 from deepmf_sumo.results.reader import Results, Run
 
@@ -97,7 +98,11 @@ def others(out: Path, count: int) -> list[Path]:
 
 def row(name: str, read: Callable[[Path, Run], Any], runs: Sequence[Run], folder: Path) -> bool:
     """Print the line of a format; whether all is as it should be."""
-    form = exports.Format.named(name)
+    try:
+        form = exports.Format.named(name)
+    except PluginError as lacks:
+        print(f"{name}: {lacks}")
+        return True
     back, error, contacts, same, seconds = 0, 0.0, 0, 0, 0.0
     for number, run in enumerate(runs):
         path = form.place(folder / name / str(number))
@@ -149,12 +154,20 @@ def openscenario(path: Path, run: Run) -> Any:
     return {(step, ids[name]): box for (step, name), box in found.items()}
 
 
+def womd(path: Path, run: Run) -> Any:
+    """Of the Scenario, up to the end of the episode."""
+    steps = run.rollout.tracks.steps
+    return {key: box for key, box in foreign.womd_boxes(path).items() if key[0] < steps}
+
+
 READERS: dict[str, Callable[[Path, Run], Any]] = {
     "fcd": lambda path, _: foreign.fcd_boxes(path),
     "scene": scene,
     "ssam": lambda path, _: foreign.ssam_boxes(path),
     "openscenario": openscenario,
     "scenarionet": scenarionet,
+    "womd": womd,
+    "osi": lambda path, _: foreign.osi_boxes(path),
 }
 
 

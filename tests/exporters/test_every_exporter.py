@@ -1,6 +1,7 @@
 """The exam that every exporter found must pass."""
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,17 @@ from deepmf_sumo.exporters.base import Exportable
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of, straight
 
 STARTS_A_PROGRAM = {"openscenario"}
-NAMES = [
-    pytest.param(name, marks=[pytest.mark.sumo] * (name in STARTS_A_PROGRAM))
-    for name in plugins.names("exporters")
-]
+NEEDS = {"osi": "osi_utilities"}
+
+
+def marks(name):
+    lacks = name in NEEDS and find_spec(NEEDS[name]) is None
+    reason = f"{NEEDS.get(name)} is not installed: pip install deepmf-sumo[{name}]"
+    skipped = [pytest.mark.skip(reason=reason)] * lacks
+    return [*skipped, *[pytest.mark.sumo] * (name in STARTS_A_PROGRAM)]
+
+
+NAMES = [pytest.param(name, marks=marks(name)) for name in plugins.names("exporters")]
 NET = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.net.xml"
 
 

@@ -258,3 +258,98 @@ def xosc_ids(file):
         one.get("name"): next(p.get("value") for p in one.iter("Property") if p.get("name") == "id")
         for one in ET.parse(file).iter("ScenarioObject")
     }
+
+
+def crc32c(content):
+    """Castagnoli's checksum (RFC 3720, appendix B.4), bit-reflected polynomial 0x82F63B78."""
+    crc = 0xFFFFFFFF
+    for byte in content:
+        crc = (crc >> 8) ^ _CRC[(crc ^ byte) & 0xFF]
+    return crc ^ 0xFFFFFFFF
+
+
+def _crc_of_byte(byte):
+    for _ in range(8):
+        byte = (byte >> 1) ^ (0x82F63B78 if byte & 1 else 0)
+    return byte
+
+
+_CRC = [_crc_of_byte(byte) for byte in range(256)]
+
+
+def tfrecords(content):
+    """Payloads of a TFRecord file, whose masked checksums must be right."""
+    found, at = [], 0
+    while at < len(content):
+        (length,) = struct.unpack_from("<Q", content, at)
+        for begin, size in ((at, 8), (at + 12, length)):
+            crc = crc32c(content[begin : begin + size])
+            masked = ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF
+            assert struct.unpack_from("<I", content, begin + size) == (masked,), f"byte {begin}"
+        found.append(content[at + 12 : at + 12 + length])
+        at += 12 + length + 4
+    return found
+
+
+def wire(message):
+    """Field number -> values of a protobuf message: whole numbers, or the bytes of other types."""
+    found, at = {}, 0
+    while at < len(message):
+        key, at = _varint(message, at)
+        kind = key & 7
+        if kind == 0:
+            value, at = _varint(message, at)
+        else:
+            size, at = {1: (8, at), 5: (4, at)}.get(kind) or _varint(message, at)
+            value, at = message[at : at + size], at + size
+        found.setdefault(key >> 3, []).append(value)
+    return found
+
+
+def _varint(message, at):
+    value = shift = 0
+    while True:
+        byte = message[at]
+        value |= (byte & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if byte < 0x80:
+            return value, at
+
+
+def womd_boxes(folder):
+    """(step, id) -> box of the Scenario in a folder, by the numbers of its fields in WOMD."""
+    [payload] = tfrecords((folder / "run.tfrecord").read_bytes())
+    with (folder / "ids.csv").open(newline="") as file:
+        ids = {int(row["number"]): row["id"] for row in csv.DictReader(file)
+               if row["kind"] == "track"}  # fmt: skip
+    found = {}
+    for track in map(wire, wire(payload)[2]):
+        [number] = track[1]
+        for step, state in enumerate(map(wire, track[3])):
+            if state.get(11) == [1]:
+                x, y = (struct.unpack("<d", state[field][0])[0] for field in (2, 3))
+                heading, length, width = (
+                    struct.unpack("<f", state[field][0])[0] for field in (8, 5, 6)
+                )
+                found[step, ids.get(number, str(number))] = Box(x, y, heading, length, width)
+    return found
+
+
+def osi_boxes(folder):
+    """(step, id) -> box of a trace of OSI ground truth, by the numbers of its fields."""
+    content, at, found = (folder / "run_gt.osi").read_bytes(), 0, {}
+    while at < len(content):
+        (size,) = struct.unpack_from("<I", content, at)
+        message, at = wire(content[at + 4 : at + 4 + size]), at + 4 + size
+        time = wire(message[2][0])
+        step = round((time.get(1, [0])[0] + time.get(2, [0])[0] / 1e9) / DT_S)
+        for user in map(wire, message.get(5, [])):
+            base = wire(user[2][0])
+            size, place, turned = (_doubles(base[field][0]) for field in (1, 2, 3))
+            agent = wire(user[10][0])[3][0].decode()
+            found[step, agent] = Box(place[1], place[2], turned[3], size[1], size[2])
+    return found
+
+
+def _doubles(message):
+    return {field: struct.unpack("<d", values[0])[0] for field, values in wire(message).items()}

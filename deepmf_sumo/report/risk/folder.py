@@ -8,51 +8,58 @@ from typing import Final
 from deepmf_sumo import files, risk, tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.page.document import map_page
-from deepmf_sumo.report.risk import sumo_files
+from deepmf_sumo.report.risk import gis, sumo_files
 from deepmf_sumo.risk import Network, Row
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
 POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
-TYPES, COVERAGE = "types.csv", "coverage.csv"
+TYPES, COVERAGE, ATTACKS = "types.csv", "coverage.csv", "attacks.csv"
 _MADE: Final = {
     TABLE, PAGE, EDGES, MOVEMENTS, POLYGONS, CONFIG, CONFLICTS, TYPES, COVERAGE,
-    "net.net.xml", "net.net.xml.gz",
+    ATTACKS, "net.net.xml", "net.net.xml.gz", *gis.FILES,
 }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Written:
-    """The files of one network, and the rows in them."""
+    """The files of one network, and the rows in them; ``more``: names of the files of `gis`."""
 
     folder: Path
     network: Network
     rows: list[Row]
+    more: tuple[str, ...] = ()
 
 
-def write(out: Path, networks: Sequence[Network], title: str = "") -> list[Written]:
+def write(
+    out: Path, networks: Sequence[Network], title: str = "", forms: Sequence[gis.Form] = ()
+) -> list[Written]:
     """Write the risk map of each network: into ``out``, or into one folder each if several.
 
     Args:
         out: made if it is not there; files of an earlier map are replaced.
         networks: of `risk.read`.
         title: of the page, e.g. the name of the result folder.
+        forms: for geographic information systems as well, see `gis`.
 
-    Raises OutputError where a folder cannot be written or holds something else.
+    Raises OutputError where a folder cannot be written or holds something else, and before anything
+    is written UsageError where a network cannot be written in one of the forms.
     """
+    gis.check(networks, forms)
     written = []
     for number, network in enumerate(networks):
         folder = out if len(networks) == 1 else out / f"{number + 1}-{network.name}"
         with files.writing(folder):
-            written.append(_write(folder, network, title or network.name))
+            written.append(_write(folder, network, title or network.name, forms))
     return written
 
 
-def _write(folder: Path, network: Network, title: str) -> Written:
+def _write(folder: Path, network: Network, title: str, forms: Sequence[gis.Form]) -> Written:
     folder.mkdir(parents=True, exist_ok=True)
     others = {path.name for path in folder.iterdir() if not path.name.startswith(".")} - _MADE
     if others:
         raise OutputError(f"{folder} holds '{min(others)}'; choose an empty folder for --out.")
     rows = risk.rows(network)
+    mapped = gis.written(network, rows, forms)
     net = "".join(["net.net.xml", ".gz" * (network.net_file.suffix == ".gz")])
     files.write(folder / net, network.net_file.read_bytes())
     files.write(folder / TABLE, tables.to_csv([risk.columns(row) for row in rows]))
@@ -61,12 +68,18 @@ def _write(folder: Path, network: Network, title: str) -> Written:
     files.write(folder / TYPES, tables.to_csv(by_type))
     covered = [asdict(one) for one in risk.coverage(network)]
     files.write(folder / COVERAGE, tables.to_csv(covered))
+    attacks = tables.to_csv(risk.attack_rows(network), risk.ATTACKED, cell=tables.exact)
+    files.write(folder / ATTACKS, attacks)
     files.write(folder / EDGES, sumo_files.edges(network, rows))
     files.write(folder / MOVEMENTS, sumo_files.movements(network, rows))
     files.write(folder / POLYGONS, sumo_files.additional(network, rows))
     files.write(folder / CONFIG, _config(net))
     files.write(folder / PAGE, map_page(network, rows, title))
-    return Written(folder=folder, network=network, rows=rows)
+    for name in gis.FILES - mapped.keys():  # those of an earlier map would be of other attacks
+        (folder / name).unlink(missing_ok=True)
+    for name, content in mapped.items():
+        files.write(folder / name, content)
+    return Written(folder=folder, network=network, rows=rows, more=tuple(mapped))
 
 
 def _config(net: str) -> str:

@@ -125,14 +125,19 @@ def _text(mixed: Rgb) -> str:
 
 def _outlines(network: Network, row: Row) -> Iterator[Floats]:
     """Corners (P, 2) of the areas of a place."""
+    for area in areas(network, row):
+        yield shapely.get_coordinates(shapely.get_exterior_ring(area))
+
+
+def areas(network: Network, row: Row) -> Iterator[shapely.Polygon]:
+    """The areas of a place: a junction's outline, else one or more for each lane."""
     if row.kind == "junction":
         shape_m = network.places.junctions[row.place].shape_m
         if len(shape_m) > 2:
-            yield shape_m
+            yield shapely.Polygon(shape_m)
     for lane in lanes_of(network, row):
         width_m = _WAY_M if row.kind == "movement" else lane.width_m
         line = shapely.LineString(lane.shape_m[:, :2])
         if line.length > 0:
             area = shapely.buffer(line, width_m / 2, cap_style="flat", join_style="mitre")
-            for part in shapely.get_parts(area):
-                yield shapely.get_coordinates(shapely.get_exterior_ring(part))
+            yield from shapely.get_parts(area)
