@@ -111,6 +111,7 @@ class NetJunction:
         inner_lanes: lanes inside, one per connection over the junction: the last one of those that
             wait in the middle.
         goes_first: for each of these connections, the rows of those that it gives way to.
+        foes: for each of them, the rows of those that it meets, in both directions.
         name: its street name, or empty.
     """
 
@@ -119,6 +120,7 @@ class NetJunction:
     shape_m: Floats
     inner_lanes: tuple[str, ...] = ()
     goes_first: tuple[frozenset[int], ...] = ()
+    foes: tuple[frozenset[int], ...] = ()
     name: str = ""
 
 
@@ -282,15 +284,15 @@ def _junction(element: ET.Element) -> NetJunction:
         type=element.get("type", ""),
         shape_m=points(element.get("shape", ""))[:, :2],
         inner_lanes=tuple(element.get("intLanes", "").split()),
-        goes_first=tuple(
-            # the last letter is link 0
-            frozenset(
-                row for row, letter in enumerate(one.get("response", "")[::-1]) if letter == "1"
-            )
-            for one in requests
-        ),
+        goes_first=tuple(_rows(one.get("response", "")) for one in requests),
+        foes=tuple(_rows(one.get("foes", "")) for one in requests),
         name=_name(element),
     )
+
+
+def _rows(bits: str) -> frozenset[int]:
+    """The last letter is link 0."""
+    return frozenset(row for row, letter in enumerate(reversed(bits)) if letter == "1")
 
 
 def _link(element: ET.Element) -> NetLink:
