@@ -63,10 +63,7 @@ def command(
     from deepmf_sumo import screening
     from deepmf_sumo.cli import _screen as terminal
 
-    if out is not None and (out / FILE).exists() and not overwrite:
-        raise OutputError(
-            f"{out / FILE} is there already: give --overwrite to replace it, or another --out."
-        )
+    _refuse(out, overwrite)
     book = screening.GUIDELINES[guideline]
     found = screening.screen(file, book)
     risk = screening.beside(results, found) if results else None
@@ -84,6 +81,13 @@ def command(
             click.echo(f"deepmf-sumo: {shown(line)}", err=True)
     if fail_on and screening.at_least(found.findings, fail_on):
         ctx.exit(EXIT_CODES["broken"])
+
+
+def _refuse(out: Path | None, overwrite: bool) -> None:
+    if out is not None and (out / FILE).exists() and not overwrite:
+        raise OutputError(
+            f"{out / FILE} is there already: give --overwrite to replace it, or another --out."
+        )
 
 
 def _write(out: Path, rows: Sequence[Mapping[str, Any]], named: Sequence[str]) -> None:

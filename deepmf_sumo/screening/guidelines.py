@@ -34,7 +34,6 @@ class Clearing(NamedTuple):
     over_m: float
     to_m: float
     straight: bool
-    left: bool
     radius_m: float
     limit_mps: float
 

@@ -21,6 +21,7 @@ from deepmf_sumo.network.sumo_net import (
     NetFile,
     NetLane,
     NetLink,
+    edge_of,
     elements,
     number,
     read_once,
@@ -32,6 +33,9 @@ _CARS: Final = ("passenger", "private", "taxi")
 _NEAR_M: Final = 2.5
 """Lines of foes that come no nearer than this have no common place."""
 _LARGEST: Final = 2**32
+_FASTEST_MPS: Final = 1000.0
+_FARTHEST_M: Final = 1e9
+"""Beyond these a number is a mistake, and squares of it may not be numbers any more."""
 _HEADING_M: Final = 10.0
 """Length of a lane's end that its direction is taken from."""
 
@@ -273,8 +277,11 @@ def _root(file: Path) -> str:
         with files.unpacked(file, _LARGEST) as stream:
             _, top = next(ET.iterparse(stream, events=("start",)))  # noqa: S314 (the user's own)
             return str(top.tag)
-    except (OSError, ET.ParseError, StopIteration, ValueError) as error:
-        raise UsageError(f"{file} cannot be read as XML: {error}; give a .net.xml.") from None
+    except OSError as error:
+        why = files.reason(error)
+    except (ET.ParseError, StopIteration, ValueError, LookupError) as error:
+        why = str(error)
+    raise UsageError(f"{file} cannot be read as XML: {why}; give a .net.xml or a .sumocfg.")
 
 
 def _check(file: Path, net: NetFile) -> None:
@@ -294,6 +301,16 @@ def _check(file: Path, net: NetFile) -> None:
     for lane in known.values():
         if len(lane.shape_m) < 2:
             raise UsageError(f"{file}: the lane '{lane.id}' has no shape; build it again.")
+        if edge_of(lane.id) != lane.edge:
+            raise UsageError(
+                f"{file}: the lane '{lane.id}' is in the edge '{lane.edge}', whose name it does not"
+                " begin with; build it again."
+            )
+        if not 0 <= lane.speed_mps <= _FASTEST_MPS or np.abs(lane.shape_m).max() > _FARTHEST_M:
+            raise UsageError(
+                f"{file}: the lane '{lane.id}' has a speed of {lane.speed_mps:g} m/s or a shape"
+                f" beyond {_FARTHEST_M:g} m; build it again."
+            )
     for link in net.links:
         for name in filter(None, (link.origin, link.target, link.via)):
             if name not in known:

@@ -183,8 +183,7 @@ class _Light:
         bend = one.bend_rad
         need = self.book.clearance_s(
             Clearing(
-                over_m=met[0], to_m=met[1], straight=one.turn == "straight",
-                left=one.turn == "left", limit_mps=one.lane.speed_mps,
+                over_m=met[0], to_m=met[1], straight=one.turn == "straight", limit_mps=one.lane.speed_mps,
                 radius_m=one.inner_m / bend if bend > 0.05 else math.inf,
             )
         )  # fmt: skip

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.cli import main
-from deepmf_sumo.screening import BESIDE, COLUMNS
+from deepmf_sumo.cli import main, screen
+from deepmf_sumo.screening import BESIDE, COLUMNS, GUIDELINES
 
 from tests.support.risk_doubles import Attacks, eastward
 
@@ -95,6 +95,7 @@ def test_attacks_beside(tmp_path, capsys):
 BAD = {
     "empty": ("", "cannot be read as XML"),
     "text": ("hello", "cannot be read as XML"),
+    "encoding": ('<?xml version="1.0" encoding="foo"?><net/>', "unknown encoding: foo"),
     "other": ("<routes/>", "contains <routes>: it is neither a network of SUMO nor a .sumocfg"),
     "bare": ("<net/>", "has no <junction>: there is nothing to screen"),
     "cut": ('<net><junction id="a" type="priority"/><edge id="e"', "cannot be read as a SUMO net"),
@@ -140,6 +141,11 @@ def test_what_is_no_network_is_refused_in_one_sentence(name, tmp_path, capsys):
     assert said in line
     assert line.startswith("deepmf-sumo: ")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_guidelines_are_those_of_the_command():
+    (option,) = [one for one in screen.command.params if one.name == "guideline"]
+    assert list(option.type.choices) == list(GUIDELINES)
 
 
 def test_a_wrong_guideline_and_a_missing_network(tmp_path, capsys):

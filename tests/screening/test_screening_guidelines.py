@@ -11,7 +11,7 @@ RILSA, ITE = GUIDELINES["rilsa"], GUIDELINES["ite"]
 
 
 def clearing(**changes):
-    values = {"over_m": 14.0, "to_m": 10.0, "straight": True, "left": False}
+    values = {"over_m": 14.0, "to_m": 10.0, "straight": True}
     return Clearing(**{**values, "radius_m": math.inf, "limit_mps": 50 * KMH, **changes})
 
 
