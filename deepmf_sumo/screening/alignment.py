@@ -19,9 +19,12 @@ _LEAD_M: Final = 10.0
 _BACK_RAD: Final = math.radians(120)
 """An edge that leaves at a larger angle leads back: the other carriageway of the same road."""
 _LEAST_BEND_RAD: Final = math.radians(10)
-_TURN_GRIP: Final = 0.9
-"""Side acceleration in turns to left and right, in g: the grip of a dry road."""
-_EXEMPT: Final = "turn to left or right below the grip of the road: its speed is netconvert's own"
+_TURN_GRIP: Final = 1.5
+"""Side acceleration in turns to left and right, in g: no vehicle has that grip.
+
+The speeds that netconvert itself gives to turns come to 1.25 g by this radius.
+"""
+_EXEMPT: Final = "turn to left or right below 1.5 g: its speed is netconvert's own"
 
 
 def judge(roads: Roads, book: Guideline, found: Judged) -> None:
@@ -182,7 +185,7 @@ def _turn(way: Way, book: Guideline, found: Judged) -> None:
     if straight:
         most, why, source = book.friction(speed)
     else:
-        most, why, source = _TURN_GRIP, "in turns", "grip of a dry road"
+        most, why, source = _TURN_GRIP, "in turns", "this project's"
         found.not_judged[_EXEMPT] += share <= most
     if share > most:
         said = (

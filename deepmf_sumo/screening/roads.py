@@ -1,4 +1,4 @@
-"""A network as rules look at it: movements of cars with their lines, foes and signals."""
+"""A network as rules look at it: movements with their lines, foes and signals."""
 
 import itertools
 import math
@@ -30,6 +30,8 @@ from deepmf_sumo.risk.places import TURNS, Places, read
 from deepmf_sumo.simulation.sumo_config import read_configuration
 
 _CARS: Final = ("passenger", "private", "taxi")
+_MOTORS: Final = (*_CARS, "delivery", "truck", "trailer", "bus", "coach", "motorcycle")
+"""Who meets whom is judged for all of them, e.g. on ways for deliveries; ends of lanes for cars."""
 _NEAR_M: Final = 2.5
 """Lines of foes that come no nearer than this have no common place."""
 _LARGEST: Final = 2**32
@@ -68,7 +70,7 @@ class Program:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Way:
-    """A connection over a junction that cars may use.
+    """A connection over a junction that motor vehicles may use.
 
     Attributes:
         turn: straight, left, right, turnaround, or empty.
@@ -137,14 +139,14 @@ class Roads:
 
     @cached_property
     def ways(self) -> dict[str, list[Way]]:
-        """Connections for cars, by junction, in the network's order."""
+        """Connections for motor vehicles, by junction, in the network's order."""
         inside = {link.origin: link for link in self.net.links if link.starts_inside}
         rows = {lane: row for one in self.net.junctions for row, lane in enumerate(one.inner_lanes)}
         found: dict[str, list[Way]] = defaultdict(list)
         for link in self.net.links:
             if not link.starts_inside and not link.target.startswith(":"):
                 way = self._way(link, inside, rows)
-                if for_cars(way.lane) and for_cars(way.target):
+                if for_motors(way.lane) and for_motors(way.target):
                     found[way.junction].append(way)
         return found
 
@@ -220,6 +222,11 @@ class Roads:
 def for_cars(lane: NetLane) -> bool:
     """Whether cars may use it."""
     return any(lane.allows(kind) for kind in _CARS)
+
+
+def for_motors(lane: NetLane) -> bool:
+    """Whether vehicles with a motor may use it, without emergency vehicles, trams and trains."""
+    return any(lane.allows(kind) for kind in _MOTORS)
 
 
 def common_place(one: Way, two: Way) -> tuple[float, float] | None:

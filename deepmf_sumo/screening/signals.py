@@ -7,7 +7,7 @@ from typing import Final
 
 from deepmf_sumo.screening.findings import Case, Judged, Severity
 from deepmf_sumo.screening.guidelines import KMH, Clearing, Guideline
-from deepmf_sumo.screening.roads import Program, Roads, Way, common_place, for_cars
+from deepmf_sumo.screening.roads import Program, Roads, Way, common_place, for_motors
 
 _GREEN: Final = "Gg"
 _YELLOW: Final = "Yy"
@@ -39,15 +39,15 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
 
 
 def _count_others(roads: Roads, found: Judged) -> None:
-    """Signals of links that are not for cars."""
+    """Signals of links that are not for motor vehicles."""
     lanes = roads.places.lanes
     for link in roads.net.links:
         if not link.light:
             continue
         if link.starts_inside or link.target.startswith(":"):
             found.not_judged["signal of a pedestrian crossing"] += 1
-        elif not (for_cars(lanes[link.origin]) and for_cars(lanes[link.target])):
-            found.not_judged["signal of a movement that is not for cars"] += 1
+        elif not (for_motors(lanes[link.origin]) and for_motors(lanes[link.target])):
+            found.not_judged["signal of a movement that is not for motor vehicles"] += 1
 
 
 def _refused(program: Program, ways: list[Way]) -> str:
@@ -183,7 +183,8 @@ class _Light:
         bend = one.bend_rad
         need = self.book.clearance_s(
             Clearing(
-                over_m=met[0], to_m=met[1], straight=one.turn == "straight", limit_mps=one.lane.speed_mps,
+                over_m=met[0], to_m=met[1], straight=one.turn == "straight",
+                limit_mps=one.lane.speed_mps,
                 radius_m=one.inner_m / bend if bend > 0.05 else math.inf,
             )
         )  # fmt: skip
