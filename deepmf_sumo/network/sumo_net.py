@@ -112,6 +112,7 @@ class NetJunction:
             wait in the middle.
         goes_first: for each of these connections, the rows of those that it gives way to.
         foes: for each of them, the rows of those that it meets, in both directions.
+        incoming: lanes that lead to it, in the order of the connections' rows.
         name: its street name, or empty.
     """
 
@@ -121,6 +122,7 @@ class NetJunction:
     inner_lanes: tuple[str, ...] = ()
     goes_first: tuple[frozenset[int], ...] = ()
     foes: tuple[frozenset[int], ...] = ()
+    incoming: tuple[str, ...] = ()
     name: str = ""
 
 
@@ -285,6 +287,7 @@ def _junction(element: ET.Element) -> NetJunction:
         shape_m=points(element.get("shape", ""))[:, :2],
         inner_lanes=tuple(element.get("intLanes", "").split()),
         goes_first=tuple(_rows(one.get("response", "")) for one in requests),
+        incoming=tuple(element.get("incLanes", "").split()),
         foes=tuple(_rows(one.get("foes", "")) for one in requests),
         name=_name(element),
     )

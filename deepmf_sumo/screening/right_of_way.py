@@ -24,7 +24,9 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
             if not (one.link.light or two.link.light)
         ]
         for one, two in pairs:
-            if not (_has_rule(one, two) or roads.waits(one, two) or roads.waits(two, one)):
+            if junction.goes_first and None in {one.row, two.row}:
+                found.not_judged["right of way of connections without a request"] += 1
+            elif not (_has_rule(one, two) or roads.waits(one, two) or roads.waits(two, one)):
                 _nobody(one, two, found)
         if junction.type in _BY_RIGHT and pairs:
             _by_right(roads.ways[junction.id], book, found)

@@ -141,16 +141,15 @@ class Roads:
     def ways(self) -> dict[str, list[Way]]:
         """Connections for motor vehicles, by junction, in the network's order."""
         inside = {link.origin: link for link in self.net.links if link.starts_inside}
-        rows = {lane: row for one in self.net.junctions for row, lane in enumerate(one.inner_lanes)}
         found: dict[str, list[Way]] = defaultdict(list)
         for link in self.net.links:
             if not link.starts_inside and not link.target.startswith(":"):
-                way = self._way(link, inside, rows)
+                way = self._way(link, inside)
                 if for_motors(way.lane) and for_motors(way.target):
                     found[way.junction].append(way)
         return found
 
-    def _way(self, link: NetLink, inside: dict[str, NetLink], rows: dict[str, int]) -> Way:
+    def _way(self, link: NetLink, inside: dict[str, NetLink]) -> Way:
         lanes, via = self.places.lanes, link.via
         chain: list[NetLane] = []
         while via and via in lanes and lanes[via] not in chain:
@@ -158,12 +157,28 @@ class Roads:
             via = inside[via].via if via in inside else ""
         start, end = lanes[link.origin], lanes[link.target]
         parts = [start.shape_m[-1:], *(one.shape_m for one in chain), end.shape_m[:1]]
-        row = next((rows[one.id] for one in chain if one.id in rows), None)
+        names = (*(one.id for one in chain), link)
+        row = next((self._rows[one] for one in names if one in self._rows), None)
         return Way(
             link=link, junction=self.net.edges[start.edge].end, lane=start, target=end, row=row,
             turn=TURNS.get(link.direction, ""), inner=tuple(chain),
             line=shapely.LineString(np.concatenate(parts)[:, :2]),
         )  # fmt: skip
+
+    @cached_property
+    def _rows(self) -> dict[str | NetLink, int]:
+        """The row of each lane inside a junction, or of each link where there are no such lanes."""
+        after: dict[str, list[NetLink]] = defaultdict(list)
+        for link in self.net.links:
+            after[link.origin].append(link)
+        found: dict[str | NetLink, int] = {}
+        for one in self.net.junctions:
+            links = [link for lane in one.incoming for link in after[lane]]
+            if one.inner_lanes:
+                found |= {lane: row for row, lane in enumerate(one.inner_lanes)}
+            elif len(links) == len(one.goes_first):
+                found |= {link: row for row, link in enumerate(links)}
+        return found
 
     @cached_property
     def into(self) -> dict[str, list[Way]]:

@@ -2,11 +2,14 @@
 
 import itertools
 import math
+import subprocess
+from pathlib import Path
 
 import pytest
+import sumo
 import sumolib
 
-from deepmf_sumo.screening import GUIDELINES, signals
+from deepmf_sumo.screening import GUIDELINES, screen, signals
 from deepmf_sumo.screening.findings import Judged
 from deepmf_sumo.screening.roads import common_place, opened
 
@@ -17,7 +20,11 @@ NAMES = ("arterial", "four_way", "highway", "roundabout", "rural")
 
 @pytest.mark.parametrize("name", NAMES)
 def test_foes_and_right_of_way_are_those_of_sumolib(name):
-    file = NETS / name / f"{name}.net.xml"
+    compare(NETS / name / f"{name}.net.xml", name)
+
+
+def compare(file, name):
+    """All pairs of movements from two edges."""
     roads, net = opened(file), sumolib.net.readNet(str(file), withInternal=True)
     compared = 0
     for junction, ways in roads.ways.items():
@@ -36,6 +43,20 @@ def test_foes_and_right_of_way_are_those_of_sumolib(name):
                 forbids = node.forbids(theirs[id(two)], theirs[id(one)])
                 assert roads.waits(one, two) == forbids
     assert compared or name == "highway"
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("name", NAMES)
+def test_and_so_without_lanes_inside_junctions(name, tmp_path):
+    file = tmp_path / "plain.net.xml"
+    netconvert = Path(sumo.SUMO_HOME) / "bin" / "netconvert"
+    source = NETS / name / f"{name}.net.xml"
+    command = [netconvert, "-s", source, "-o", file, "--no-internal-links", "true"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert not any(way.inner for ways in opened(file).ways.values() for way in ways)
+    compare(file, name)
+    rules = {one.worst.rule for one in screen(file, GUIDELINES["rilsa"]).findings}
+    assert "no_priority" not in rules
 
 
 def test_where_two_straight_ways_cross():
