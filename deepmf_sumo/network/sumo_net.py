@@ -111,6 +111,8 @@ class NetJunction:
         inner_lanes: lanes inside, one per connection over the junction: the last one of those that
             wait in the middle.
         goes_first: for each of these connections, the rows of those that it gives way to.
+        foes: for each of them, the rows of those that it meets, in both directions.
+        incoming: lanes that lead to it, in the order of the connections' rows.
         name: its street name, or empty.
     """
 
@@ -119,6 +121,8 @@ class NetJunction:
     shape_m: Floats
     inner_lanes: tuple[str, ...] = ()
     goes_first: tuple[frozenset[int], ...] = ()
+    foes: tuple[frozenset[int], ...] = ()
+    incoming: tuple[str, ...] = ()
     name: str = ""
 
 
@@ -300,13 +304,9 @@ def _junction(element: ET.Element) -> NetJunction:
         type=element.get("type", ""),
         shape_m=points(element.get("shape", ""))[:, :2],
         inner_lanes=tuple(element.get("intLanes", "").split()),
-        goes_first=tuple(
-            # the last letter is link 0
-            frozenset(
-                row for row, letter in enumerate(one.get("response", "")[::-1]) if letter == "1"
-            )
-            for one in requests
-        ),
+        goes_first=tuple(_rows(one.get("response", "")) for one in requests),
+        incoming=tuple(element.get("incLanes", "").split()),
+        foes=tuple(_rows(one.get("foes", "")) for one in requests),
         name=_name(element),
     )
 
@@ -317,6 +317,11 @@ def _location(element: ET.Element) -> NetLocation:
         raise ValueError(f"netOffset of <location> is {element.get('netOffset')!r:.80}, not x,y")
     x, y, _ = offset[0].tolist()
     return NetLocation(offset_m=(x, y), projection=element.get("projParameter", "!").strip() or "!")
+
+
+def _rows(bits: str) -> frozenset[int]:
+    """The last letter is link 0."""
+    return frozenset(row for row, letter in enumerate(reversed(bits)) if letter == "1")
 
 
 def _link(element: ET.Element) -> NetLink:

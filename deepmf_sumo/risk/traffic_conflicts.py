@@ -19,7 +19,7 @@ from deepmf_sumo.risk.attacks import Network, read
 from deepmf_sumo.risk.conflict_types import Pose, conflict_type
 from deepmf_sumo.risk.places import SITES, Kind, Places, Spot
 
-_BESIDE: Final = (
+BESIDE: Final = (
     "attacks", "hits", "hit_rate", "risk_hit", "risk_hit_lo", "risk_hit_hi", "rank_hit",
     "criticality", "criticality_lo", "criticality_hi", "rank_criticality",
 )  # fmt: skip
@@ -41,7 +41,7 @@ _OF_PLACE: Final = (
 
 def place_columns(*, beside: bool) -> tuple[str, ...]:
     """Columns of ``places.csv``, without or with attacks beside the conflicts."""
-    return (*_OF_PLACE, *_BESIDE) if beside else _OF_PLACE
+    return (*_OF_PLACE, *BESIDE) if beside else _OF_PLACE
 
 
 def listed(seen: Observation, places: Places) -> list[dict[str, Any]]:
@@ -168,7 +168,7 @@ class PlaceConflicts:
             "conflicts_per_1000_vehicles": self.per_1000,
         }
         if self.beside is not None:
-            values |= {name: self.beside.get(name) for name in _BESIDE}
+            values |= {name: self.beside.get(name) for name in BESIDE}
             values["attacks"] = self.beside.get("attacks", 0)
             values["hits"] = self.beside.get("hits", 0)
         return values
