@@ -6,15 +6,17 @@
     observation, info = env.reset(seed=1)
     observation, reward, terminated, truncated, info = env.step(action)
 
+or, by its id, ``gymnasium.make("deepmf_sumo.gym:deepmf_sumo/Attack-v0", spec=...)``.
+
 Needs the extra `gym`. SUMO runs one simulation per process: for several environments at once use
 ``gymnasium.vector.AsyncVectorEnv``, which starts a process for each.
 """
 
 import importlib
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Lock
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,8 @@ from deepmf_sumo.datatypes.scene import HISTORY_STEPS
 from deepmf_sumo.errors import PluginError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry import frames, polylines
+from deepmf_sumo.metrics import Episode, NotMeasurable
+from deepmf_sumo.metrics.avoidability import avoidable
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.sweep import episode
@@ -42,8 +46,56 @@ Array = NDArray[np.float32]
 
 PATH_POINTS: Final = 20
 PATH_SPACING_M: Final = 5.0
+ID: Final = "deepmf_sumo/Attack-v0"
+"""Under which Gymnasium knows the environment once this module is imported."""
 BRAKE_MPS2: Final = -8.0
 ACCEL_MPS2: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reward:
+    """What a step is worth: ``progress * metres - comfort * (m/s2)^2 * s``, less at a contact.
+
+    Attributes:
+        progress: for each metre driven.
+        comfort: for each second at an acceleration of 1 m/s2, growing with its square.
+        contact: taken away at the end of an episode in which the AV touched another vehicle.
+        avoidable_only: only contacts that a careful driver would have avoided count (metric
+            ``avoidable``), so that nothing is learnt from those that nobody could avoid.
+    """
+
+    progress: float = 0.01
+    comfort: float = 0.005
+    contact: float = 1.0
+    avoidable_only: bool = False
+
+    def of_step(self, before: View, after: View) -> float:
+        """Of the AV's motion from one view to the next."""
+        (old, old_speed), (new, new_speed) = _motion(before), _motion(after)
+        seconds = after.dt_s
+        accel = (new_speed - old_speed) / seconds
+        return float(self.progress * np.hypot(*(new - old)) - self.comfort * accel**2 * seconds)
+
+    def of_end(self, rollout: Rollout, case: Case) -> float:
+        """Of a contact of the AV; 0 without one."""
+        if not any(contact.kind.startswith("av_") for contact in rollout.contacts):
+            return 0.0
+        return 0.0 if self.avoidable_only and not _avoidable(rollout, case) else -self.contact
+
+
+def _avoidable(rollout: Rollout, case: Case) -> bool:
+    """Also where that cannot be judged, e.g. a contact with another vehicle than the opponent."""
+    try:
+        return avoidable.compute(Episode(rollout, case)) > 0
+    except NotMeasurable:
+        return True
+
+
+def _motion(view: View) -> tuple[Floats, float]:
+    """The AV's position (2) and speed."""
+    tracks = view.history
+    row = tracks.row(view.av_id)
+    return tracks.position_m[row, -1], float(tracks.speed_mps[row, -1])
 
 
 class Observer:
@@ -123,7 +175,8 @@ def _filled(table: Floats, shape: tuple[int, ...]) -> Array:
     return array
 
 
-_one_simulation = Lock()
+_running: "AttackEnv | None" = None
+"""The environment of this process that is in an episode: SUMO runs one simulation per process."""
 
 
 class AttackEnv(_Env):  # type: ignore[misc]
@@ -134,32 +187,47 @@ class AttackEnv(_Env):  # type: ignore[misc]
     parameters when a command leaves the AV to SUMO.
 
     The observation is in the AV's frame, see `gym.Observer`. ``info`` has ``run_id`` and ``step``,
-    at the end also ``outcome`` and ``ended`` as in ``result.json``.
+    at the end also ``outcome``, ``ended`` and ``opponent`` as in ``result.json``.
 
-    The reward is 0, and -1 at the end of an episode with a contact of the AV: wrap the environment
-    for another one. Terminated: contact, or the AV arrived; truncated: the time limit was reached.
+    Terminated: contact, or the AV arrived; truncated: the time limit was reached.
 
     Args:
         spec: a spec, or its file.
         agents: number of the nearest agents that are observed.
+        reward: see `Reward`; a mapping has its keys.
+        render_mode: ``rgb_array``: `render` gives a picture of what is around the AV.
 
     Attributes:
         view: what a planner sees now. case: what is simulated.
         attack: the last finished episode, including what drove the AV at each step.
 
+    An environment that starts an episode ends that of another environment in the same process.
+
     Raises SpecError for an invalid spec, UsageError for one whose adversary simulates an attack
-    several times, or if a second environment of the process starts an episode.
+    several times.
     """
 
-    metadata: Final[dict[str, Any]] = {"render_modes": []}
+    metadata: Final[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
-    def __init__(self, spec: Spec | Path | str, *, agents: int = 16) -> None:
+    def __init__(
+        self,
+        spec: Spec | Path | str,
+        *,
+        agents: int = 16,
+        reward: Reward | Mapping[str, Any] = Reward(),
+        render_mode: Literal["rgb_array"] | None = None,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise UsageError(f"render_mode is {render_mode!r}; it can be 'rgb_array' or None.")
+        self.render_mode = render_mode
+        self._reward = reward if isinstance(reward, Reward) else _reward(reward)
         self._spec = spec if isinstance(spec, Spec) else specs.load(Path(spec))
         self._tasks = tasks.plan([self._spec], cache_folder())
         self._observer = Observer(agents)
         self._next = 0
         self._seeded = False
         self._stepped: SteppedEpisode | None = None
+        self._taken = False
         self._run_id = ""
         self.case: Case | None = None
         self.view: View | None = None
@@ -198,19 +266,32 @@ class AttackEnv(_Env):  # type: ignore[misc]
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Drive the AV for 0.1 s."""
         if self._stepped is None or self.view is None or self.case is None:
-            raise UsageError("No episode is running: call reset first.")
+            raise UsageError(_TAKEN if self._taken else "No episode is running: call reset first.")
         command = action if isinstance(action, Command) else _accelerated(self.view, action)
         try:
             came = self._stepped.next(command)
         except BaseException:  # an error of the simulation, or an interrupt
             self.close()
             raise
+        before = self.view
         if isinstance(came, View):
             self.view = came
-            return self._observer.observe(came), 0.0, False, False, self._info(came)
+            reward = self._reward.of_step(before, came)
+            return self._observer.observe(came), reward, False, False, self._info(came)
         self._release()
         self.attack = came.result
-        return self._last_step(came.result.rollout, self.case)
+        return self._last_step(before, came.result.rollout, self.case)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """(480, 480, 3) picture of the road and the vehicles around the AV; x to the right.
+
+        None before the first episode, or without a ``render_mode``.
+        """
+        if self.render_mode is None or self.view is None:
+            return None
+        from deepmf_sumo.report.picture import frame  # brings matplotlib along
+
+        return frame(self.view)
 
     def close(self) -> None:
         """End the episode and SUMO, if one is running."""
@@ -219,12 +300,12 @@ class AttackEnv(_Env):  # type: ignore[misc]
             self._release()
 
     def _begin(self, task: tasks.Task, case: Case) -> View:
+        global _running
         model = episode.planner_of(task).model
-        if not _one_simulation.acquire(blocking=False):
-            raise UsageError(
-                "SUMO runs one simulation per process, and another environment is in an episode;"
-                " close that, or use gymnasium.vector.AsyncVectorEnv."
-            )
+        if (other := _running) is not None:
+            other.close()
+            other._taken = True  # noqa: SLF001 - of the same class
+        _running, self._taken = self, False
         self._stepped = SteppedEpisode(
             lambda me: episode.attack_case(task, case, planner=me), model
         )
@@ -239,8 +320,8 @@ class AttackEnv(_Env):  # type: ignore[misc]
         return came
 
     def _release(self) -> None:
-        self._stepped = None
-        _one_simulation.release()
+        global _running
+        self._stepped = _running = None
 
     def _task(self, scene: str | None) -> tasks.Task:
         if scene is None:
@@ -254,17 +335,31 @@ class AttackEnv(_Env):  # type: ignore[misc]
         raise UsageError(f"The spec has no scene '{scene}'; e.g. {known}.")
 
     def _last_step(
-        self, rollout: Rollout, case: Case
+        self, before: View, rollout: Rollout, case: Case
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         self.view = self._observer.last_view(rollout, case)
-        touched = any(contact.kind.startswith("av_") for contact in rollout.contacts)
         late = rollout.ended == "time"
         info = {**self._info(self.view), "outcome": rollout.outcome, "ended": rollout.ended}
-        reward = -1.0 if touched else 0.0
+        info["opponent"] = rollout.opponent_id
+        reward = self._reward.of_step(before, self.view) + self._reward.of_end(rollout, case)
         return self._observer.observe(self.view), reward, not late, late, info
 
     def _info(self, view: View) -> dict[str, Any]:
         return {"run_id": self._run_id, "step": view.step}
+
+
+def _reward(values: Mapping[str, Any]) -> Reward:
+    try:
+        return Reward(**values)
+    except TypeError:
+        known = ", ".join(Reward.__dataclass_fields__)
+        raise UsageError(f"reward has keys {', '.join(values)}; it can have {known}.") from None
+
+
+_TAKEN: Final = (
+    "No episode is running: another environment of this process has begun one, and SUMO runs one"
+    " simulation per process; use gymnasium.vector.AsyncVectorEnv for several at a time."
+)
 
 
 def _accelerated(view: View, action: Floats) -> Command:
@@ -273,3 +368,7 @@ def _accelerated(view: View, action: Floats) -> Command:
     speed = float(view.history.speed_mps[row, -1])
     accel = float(np.clip(np.asarray(action, float).reshape(1)[0], BRAKE_MPS2, ACCEL_MPS2))
     return Command(kind="speed", speed_mps=max(0.0, speed + accel * view.dt_s))
+
+
+if ID not in _gymnasium.registry:
+    _gymnasium.register(ID, entry_point="deepmf_sumo.gym:AttackEnv")

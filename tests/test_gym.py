@@ -48,11 +48,16 @@ def test_without_gymnasium_it_says_what_to_install(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space")
 @pytest.mark.filterwarnings("ignore:.*Box observation space m..imum value is .*infinity")
-def test_it_keeps_gymnasiums_rules(make, loaded):
-    from gymnasium.utils.env_checker import check_env
-
-    environment = make(loaded)
-    check_env(environment, skip_render_check=True)
+def test_it_keeps_gymnasiums_rules(loaded):
+    check_env = pytest.importorskip("gymnasium.utils.env_checker").check_env
+    gymnasium = importlib.import_module("gymnasium")
+    for mode in (None, "rgb_array"):
+        name = f"{MODULE}:deepmf_sumo/Attack-v0"
+        environment = gymnasium.make(name, spec=loaded, render_mode=mode)
+        try:
+            check_env(environment.unwrapped)
+        finally:
+            environment.close()
 
 
 def test_the_same_idm_through_the_door_drives_the_same(make, loaded):
@@ -69,7 +74,10 @@ def test_the_same_idm_through_the_door_drives_the_same(make, loaded):
             _, _, *flags, info = environment.step(planner.act(environment.view))
             ended, steps = any(flags), steps + 1
         through = environment.attack.rollout
-        assert info == {"run_id": task.run_id, "step": 40, "outcome": "none", "ended": "time"}
+        assert info == {
+            "run_id": task.run_id, "step": 40, "outcome": "none", "ended": "time",
+            "opponent": through.opponent_id,
+        }  # fmt: skip
         assert steps == 30
         assert flags == [False, True]
         assert direct.tracks.position_m.tobytes() == through.tracks.position_m.tobytes()
@@ -97,8 +105,10 @@ def test_accelerations_are_driven_and_a_contact_ends_it(make, tiny):
     there = rollout.tracks.valid[av, rollout.now + 1 :]
     assert (rollout.driver[av, rollout.now + 1 :][there] == Driver.PLANNER).all()
     assert rollout.contacts
-    assert rewards[-1] == -1.0
-    assert not any(rewards[:-1])
+    speeds = np.array(speeds)
+    driven = 0.01 * 0.1 * speeds[1:-1] - 0.005 * 0.1 * (np.diff(speeds[:-1]) / 0.1) ** 2
+    assert rewards[:-1] == pytest.approx(driven, abs=2e-3)
+    assert -1.1 < rewards[-1] < -0.9
     with pytest.raises(UsageError, match="call reset first"):
         environment.step(np.zeros(1))
 
@@ -106,12 +116,16 @@ def test_accelerations_are_driven_and_a_contact_ends_it(make, tiny):
 def test_one_episode_a_process(make, loaded):
     one, other = make(loaded), make(loaded)
     one.reset()
-    with pytest.raises(UsageError, match="AsyncVectorEnv"):
-        other.reset()
-    one.close()
     other.reset()
+    with pytest.raises(UsageError, match="AsyncVectorEnv"):
+        one.step(np.zeros(1))
+    other.step(np.zeros(1))
     other.close()
     other.close()  # twice does no harm
+    with pytest.raises(UsageError, match="call reset first"):
+        other.step(np.zeros(1))
+    one.reset()
+    one.step(np.zeros(1))
 
 
 def test_an_error_is_raised_and_the_next_episode_runs(make, tiny, loaded):
@@ -124,3 +138,66 @@ def test_an_error_is_raised_and_the_next_episode_runs(make, tiny, loaded):
         environment.reset(options={"scene": "huge"})
     environment.reset()
     environment.close()
+
+
+def test_gymnasium_knows_it_by_its_id(make, loaded):
+    gymnasium = pytest.importorskip("gymnasium")
+    environment = gymnasium.make(
+        "deepmf_sumo.gym:deepmf_sumo/Attack-v0", spec=loaded, render_mode="rgb_array",
+        reward={"progress": 1.0, "comfort": 0.0},
+    )  # fmt: skip
+    try:
+        observation, _ = environment.reset(seed=3)
+        before = environment.render()
+        assert (before.shape, before.dtype) == ((480, 480, 3), np.uint8)
+        _, reward, *_ = environment.step(np.zeros(1, np.float32))
+        assert reward == pytest.approx(0.1 * observation["av"][0], rel=0.02)
+        assert (environment.render() != before).any()
+    finally:
+        environment.close()
+
+
+def test_several_at_a_time_are_processes(loaded):
+    gymnasium = pytest.importorskip("gymnasium")
+    name = "deepmf_sumo.gym:deepmf_sumo/Attack-v0"
+    environments = gymnasium.make_vec(
+        name, num_envs=2, vectorization_mode="async", spec=loaded,
+        vector_kwargs={"context": "spawn"},
+    )  # fmt: skip
+    try:
+        observation, _ = environments.reset(seed=1)
+        assert observation["av"].shape == (2, 3)
+        _, reward, *_ = environments.step(np.zeros((2, 1), np.float32))
+        assert reward.shape == (2,)
+    finally:
+        environments.close()
+
+
+def test_a_contact_that_nobody_could_avoid_may_count_for_nothing(make, tiny, monkeypatch):
+    module = importlib.import_module(MODULE)
+    path = tiny_network.spec(tiny, "racing", planner="sumo", duration_s="20.0")
+    rewards = {}
+    for judged in (0.0, 1.0):
+        monkeypatch.setattr(module, "_avoidable", lambda *_, judged=judged: judged > 0)
+        environment = make(path)
+        environment._reward = module.Reward(progress=0.0, comfort=0.0, avoidable_only=True)
+        environment.reset()
+        ended = False
+        while not ended:
+            _, reward, terminated, late, _ = environment.step(np.array([2.0], np.float32))
+            ended = terminated or late
+        rewards[judged] = reward
+    assert rewards == {0.0: 0.0, 1.0: -1.0}
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"reward": {"comfrot": 1}}, "can have progress, comfort"),
+        ({"render_mode": "human"}, "rgb_array"),
+    ],
+)
+def test_wrong_settings_are_refused(loaded, keys, told):
+    pytest.importorskip("gymnasium")
+    with pytest.raises(UsageError, match=told):
+        importlib.import_module(MODULE).AttackEnv(loaded, **keys)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,8 +11,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, Rollout
+from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, Rollout, View
 from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, OPPONENT, STAR
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
@@ -25,6 +26,9 @@ SMALLEST_M: Final = 60.0
 LARGEST_M: Final = 160.0
 """Side of the picture of a contact; without a contact there is no such detail."""
 WIDEST_M: Final = 260.0
+FRAME_PX: Final = 480
+FRAME_M: Final = 90.0
+"""Side of the picture of a view."""
 EVERY_STEPS: Final = 10
 """Boxes along a driven path: one a second."""
 
@@ -51,6 +55,26 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
     handles = list(_handles(rollout, scores, plan))
     figure.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
     figure.savefig(path, metadata={"Software": None})
+
+
+def frame(view: View) -> NDArray[np.uint8]:
+    """(480, 480, 3) picture of a view, the AV in its middle; x to the right, y up."""
+    figure = Figure(figsize=(FRAME_PX / 100, FRAME_PX / 100), dpi=100)
+    canvas: Any = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1))
+    tracks = view.history
+    av = tracks.row(view.av_id)
+    window = square(tracks.position_m[av, -1], FRAME_M)
+    draw_road(axes, view.road, window, FRAME_PX / 100)
+    now = tracks.steps - 1
+    rows = [row for row in range(len(tracks.ids)) if tracks.valid[row, now]]
+    colours = [AV if row == av else OTHER for row in rows]
+    places = [(row, now) for row in rows]
+    draw_boxes(axes, tracks, places, colours, window, edge="#59626d", zorder=4)
+    axes.set(xlim=(window.x0, window.x1), ylim=(window.y0, window.y1))
+    axes.axis("off")
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
 
 
 def _explained(rollout: Rollout) -> Plan | None:
