@@ -40,8 +40,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--jobs", type=int, default=1)
     run.add_argument("--seeds", type=int, nargs="+", default=[1])
     run.add_argument(
-        "--false-alarms", type=int, nargs="+", default=[101, 102, 103], metavar="SEED",
-        help="of the careful planner's other runs; each is compared with the first",
+        "--false-alarms", type=_seeds, nargs="+", default=[(101,), (102,), (103,)], metavar="SEEDS",
+        help="of the careful planner's other runs, e.g. 101-104; each is compared with the first",
     )  # fmt: skip
     run.add_argument("--faults", nargs="+", choices=tuple(FAULTS), help="default: the open half")
     run.add_argument(
@@ -50,6 +50,12 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--thresholds", type=Path, help="default: those of `check`")
     run.add_argument("--out", type=Path, required=True, help="folder of all results; resumed")
     return parser
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    """One seed, or all from one to another."""
+    first, _, last = text.partition("-")
+    return tuple(range(int(first), int(last or first) + 1))
 
 
 def main() -> int:

@@ -37,7 +37,7 @@ class Asked:
             that names one.
         budget: simulations of an attack; None is the method's own.
         moments: in place of the number in specs that choose moments; None keeps it.
-        other_seeds: of the runs for false alarms.
+        other_seeds: of the runs for false alarms, one comparison each.
         thresholds: a file of `check`; None compares what `check` compares by itself.
     """
 
@@ -46,7 +46,7 @@ class Asked:
     moments: int | None
     jobs: int
     seeds: tuple[int, ...]
-    other_seeds: tuple[int, ...]
+    other_seeds: tuple[tuple[int, ...], ...]
     faults: tuple[str, ...]
     specs: tuple[Path, ...]
     thresholds: Path | None
@@ -91,9 +91,10 @@ def measured(asked: Asked) -> Iterator[Found]:
     thresholds = gate.load(asked.thresholds) if asked.thresholds else _default()
     baseline = _run(asked, "none", "careful", asked.seeds)
     yield _found("careful", baseline, (False, "baseline"))
-    for seed in asked.other_seeds:
-        again = _run(asked, "none", f"careful_{seed}", [seed])
-        yield _found(f"careful, seed {seed}", again, _verdict(again, thresholds, baseline))
+    for seeds in asked.other_seeds:
+        name = "-".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
+        again = _run(asked, "none", f"careful_{name}", seeds)
+        yield _found(f"careful, seed {name}", again, _verdict(again, thresholds, baseline))
     for name in asked.faults:
         out = _run(asked, name, name, asked.seeds, baseline)
         yield _found(name, out, _verdict(out, thresholds, baseline))

@@ -195,7 +195,7 @@ def test_the_command_lists_all_faults_with_their_halves():
 def test_a_measured_spec_keeps_the_opponent_and_takes_method_budget_and_fault():
     asked = measure.Asked(
         method="{name: deepmf, version: S2}", budget=4, moments=None, jobs=1, seeds=(1,),
-        other_seeds=(2,),
+        other_seeds=((2,),),
         faults=("narrow",), specs=(), thresholds=None, out=Path("unused"),
     )  # fmt: skip
     file = ROOT / "scenarios" / "cut_in.yaml"
@@ -213,7 +213,7 @@ def test_a_measured_spec_keeps_the_opponent_and_takes_method_budget_and_fault():
 
 def test_a_copy_is_attacked_at_the_moments_of_the_baseline(tmp_path):
     asked = measure.Asked(
-        method="deepmf", budget=None, moments=3, jobs=1, seeds=(1,), other_seeds=(2,),
+        method="deepmf", budget=None, moments=3, jobs=1, seeds=(1,), other_seeds=((2,),),
         faults=("narrow",), specs=(), thresholds=None, out=tmp_path,
     )  # fmt: skip
     (file, *others) = sorted(measure.SUITE.glob("*.yaml"))
