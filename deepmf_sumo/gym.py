@@ -320,7 +320,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         return came
 
     def _release(self) -> None:
-        global _running
+        global _running  # noqa: PLW0603 - one SUMO a process
         self._stepped = _running = None
 
     def _task(self, scene: str | None) -> tasks.Task:

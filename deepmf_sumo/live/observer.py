@@ -22,6 +22,8 @@ POSITION, ANGLE, SPEED = 0x39, 0x43, 0x40
 """TraCI's numbers of the variables: front bumper x, y, z (m), degrees clockwise from north, m/s."""
 _VEHICLES, _PERSONS = 0xA4, 0xAE
 """TraCI's numbers of the domains."""
+MARK: Final = "deepmf_sumo "
+"""How names of our points of interest begin, in SUMO and in results of subscriptions."""
 _INVISIBLE: Final = (0, 0, 0, 0)
 _SLACK_M: Final = 10.0
 """Distance of the AV from the point at which the point follows."""
@@ -61,8 +63,8 @@ class Observer:
         self._radius_m = radius_m + _SLACK_M
         # one each: a vehicle and a person may have the same id
         self._points = {
-            _VEHICLES: f"deepmf_sumo vehicles near {av_id}",
-            _PERSONS: f"deepmf_sumo persons near {av_id}",
+            _VEHICLES: f"{MARK}vehicles near {av_id}",
+            _PERSONS: f"{MARK}persons near {av_id}",
         }
         self._subscribed: list[int] = []
         self._at: tuple[float, float] | None = None
@@ -148,7 +150,7 @@ class Observer:
 
     def around(self, at: tuple[float, float], radius_m: float) -> Sighting:
         """The agents near any point now, read once by a few messages."""
-        poi, point = self._api.poi, f"deepmf_sumo place of {self._av}"
+        poi, point = self._api.poi, f"{MARK}place of {self._av}"
         poi.add(point, *at, _INVISIBLE)
         try:
             seen: list[States] = []

@@ -1,0 +1,77 @@
+"""``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from deepmf_sumo.cli import attach
+from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
+from deepmf_sumo.errors import exit_code
+
+_OTHERS: Final = {"number", "host", "order", "wait_s", "net", "patience_s"}
+"""Options of `attach` on where SUMO is, and how long to wait for it."""
+
+
+@click.command(
+    name="serve",
+    cls=WithSumoOptions,
+    short_help="Be SUMO for a TraCI client, and attack its vehicle.",
+    params=[one for one in attach.command.params if one.name not in _OTHERS],
+)
+@click.argument(
+    "config", metavar="CONFIG", type=click.Path(exists=True, dir_okay=False, path_type=Path)
+)
+@click.option(
+    "--port", "-p", type=click.IntRange(0, 65535), default=8813, show_default=True,
+    help="Listen on this port of this machine; 0 takes a free one.",
+)  # fmt: skip
+@click.option("--gui", is_flag=True, help="Start sumo-gui.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    config: Path,
+    port: int,
+    gui: bool,
+    out: Path,
+    overwrite: bool,
+    **given: Any,
+) -> None:
+    """Start SUMO with CONFIG, a .sumocfg, behind a port that any TraCI client takes for SUMO's.
+
+    The client connects, steps and drives its vehicle as with SUMO alone; it needs neither setOrder
+    nor another number of clients. Attacks happen in its steps. Ends when the client has left; the
+    results are those of attach.
+    """
+    from deepmf_sumo import live
+    from deepmf_sumo.cli._screen import leaving, show_session, tell_attack
+    from deepmf_sumo.live.connection import Port
+    from deepmf_sumo.live.session import Stay
+    from deepmf_sumo.simulation.sumo_config import read_configuration
+
+    read = read_configuration(config)
+    wish, stay = (
+        {field.name: given[field.name] for field in fields(kind) if field.name in given}
+        for kind in (live.Wish, Stay)
+    )
+    code = 0
+    with leaving() as stopped, live.Server(config, port, ctx.meta[AFTER], gui=gui) as server:
+        click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
+        while not (server.joined.wait(0.2) or stopped() or server.ended):
+            pass
+        server.check()
+        if server.joined.is_set():
+            done = live.attach(
+                Port(number=server.inner), live.Wish(net=read.net, **wish),
+                Stay(patience_s=float("inf"), **stay), out,
+                overwrite=overwrite, stopped=stopped, tell=tell_attack,
+            )  # fmt: skip
+            show_session(done, given["av"], out)
+            code = exit_code("interrupted") if done.end == "stopped" else 0
+            server.stay(lambda: stopped() and done.end != "stopped")
+        for one in server.complaints:
+            click.echo(f"deepmf-sumo: {one}", err=True)
+        server.check()
+    ctx.exit(code if server.joined.is_set() else exit_code("interrupted"))

@@ -1,0 +1,188 @@
+"""``deepmf-sumo serve``: clients that know nothing of it, and clients that misbehave."""
+
+import json
+import re
+import socket
+import struct
+import subprocess
+import sys
+
+import pytest
+import sumo
+
+from deepmf_sumo.live.server import LARGEST
+
+pytestmark = pytest.mark.sumo
+
+CLIENT = """
+import json, sys, traci
+api = traci.connect(int(sys.argv[1]), numRetries=50, waitBetweenRetries=0.1)
+step, seen = float(sys.argv[2]), []
+api.simulationStep()
+api.vehicle.subscribe("leader", [0x42, 0x40])
+api.vehicle.subscribeContext("av", 0xA4, 60.0, [0x40])
+while api.simulation.getTime() < 6.0:
+    api.simulationStep(api.simulation.getTime() + step)
+    seen.append([api.simulation.getTime(), sorted(
+        (one, *api.vehicle.getPosition(one)) for one in api.vehicle.getIDList())])
+    seen.append(repr(api.vehicle.getSubscriptionResults("leader")))
+    seen.append(repr(api.vehicle.getContextSubscriptionResults("av")))
+seen.append(sorted(map(str, api.poi.getAllContextSubscriptionResults())))
+json.dump(seen, open(sys.argv[3], "w"))
+api.close()
+"""
+OPTIONS = ["--no-warnings", "--no-step-log", "--step-length", "0.1", "--collision.action", "none"]
+
+
+@pytest.fixture
+def served(tiny, tmp_path):
+    """Starts the command; gives the process and its port."""
+    started = []
+
+    def start(av="av", *more):
+        command = [
+            sys.executable, "-m", "deepmf_sumo.cli.main", "serve", tiny / "tiny.sumocfg",
+            "--port", "0", "--av", av, "--out", tmp_path / "live", *more, "--", *OPTIONS,
+        ]  # fmt: skip
+        process = subprocess.Popen(
+            list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        line = process.stderr.readline()
+        return process, int(re.search(r"listening on port (\d+)", line)[1])
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def client(port, step, file):
+    done = subprocess.run(
+        [sys.executable, "-c", CLIENT, str(port), str(step), str(file)],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(file.read_text())
+
+
+def alone(tiny, step, file):
+    """What the client sees of SUMO itself."""
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        port = probe.getsockname()[1]
+    program = f"{sumo.SUMO_HOME}/bin/sumo"
+    command = [program, "-c", tiny / "tiny.sumocfg", "--remote-port", str(port), *OPTIONS]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
+        found = client(port, step, file)
+        assert server.wait(timeout=20) == 0
+    return found
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5])
+def test_without_attacks_a_client_sees_what_it_sees_of_sumo(tiny, served, tmp_path, step):
+    process, port = served("nobody")
+    seen = client(port, step, tmp_path / "served.json")
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, out
+    assert seen == alone(tiny, step, tmp_path / "alone.json")
+
+
+def test_its_vehicle_is_attacked(served, tmp_path):
+    process, port = served("av", "--duration", "3", "--pause", "0", "--set", "adversary=G")
+    seen = client(port, 0.1, tmp_path / "seen.json")
+    out, told = process.communicate(timeout=60)
+    assert process.returncode == 0, told
+    assert "the script left at 6.0 s" in out
+    assert (tmp_path / "live" / "runs.csv").is_file()
+    rows = (tmp_path / "live" / "attacks.jsonl").read_text().splitlines()
+    assert json.loads(rows[0])["opponent"] == "leader"
+    assert seen[-1] == []  # nothing of what the attack has subscribed to
+
+
+def command(number, content=b""):
+    return bytes((2 + len(content), number)) + content
+
+
+def message(*commands):
+    body = b"".join(commands)
+    return struct.pack("!i", len(body) + 4) + body
+
+
+def test_several_commands_in_one_message_are_answered_in_one(served):
+    process, port = served("nobody")
+    step = command(0x02, struct.pack("!d", 0.0))
+    order, load = command(0x03, struct.pack("!i", 7)), command(0x01, struct.pack("!i", 0))
+    with socket.create_connection(("localhost", port)) as connection:
+        connection.sendall(message(order, step, load, command(0x00)))
+        (length,) = struct.unpack("!i", connection.recv(4))
+        answer = b""
+        while len(answer) < length - 4:
+            answer += connection.recv(4096)
+        statuses = [(answer[at + 1], answer[at + 2]) for at in (0, 7)]
+        assert statuses == [(0x03, 0x00), (0x02, 0x00)]
+        at = 7 + 7 + 4  # the number of subscriptions is behind the step
+        assert (answer[at + 1], answer[at + 2]) == (0x01, 0xFF)
+        assert b"end it and start serve again" in answer[at : at + answer[at]]
+        assert answer[at + answer[at] + 1] == 0x00
+        connection.sendall(message(command(0x7F)))
+        connection.recv(4096)
+    _, told = process.communicate(timeout=30)
+    assert process.returncode == 0, told
+
+
+@pytest.mark.parametrize(
+    ("bytes_", "told"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", "is not TraCI"),
+        (struct.pack("!i", LARGEST + 9), "is not TraCI"),
+        (struct.pack("!i", 12) + b"\x08\x02\x00", "in the middle of a message"),
+        (struct.pack("!i", 8) + b"\x09\x02\x00\x00", "longer than its message"),
+        (b"", None),
+    ],
+)
+def test_a_client_that_misbehaves_or_dies_is_told_and_sumo_ends_well(served, bytes_, told):
+    process, port = served("nobody")
+    with socket.create_connection(("localhost", port)) as connection:
+        connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+        assert connection.recv(4096)
+        connection.sendall(bytes_)
+    out, errors = process.communicate(timeout=30)
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+    assert "the script left" in out
+    assert told is None or told in errors
+
+
+def test_a_second_client_is_turned_away(served):
+    process, port = served("nobody")
+    with socket.create_connection(("localhost", port)) as connection:
+        connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+        assert connection.recv(4096)
+        with socket.create_connection(("localhost", port)) as other:
+            assert other.recv(10) == b""
+        connection.sendall(message(command(0x7F)))
+        connection.recv(4096)
+    _, told = process.communicate(timeout=30)
+    assert (process.returncode, "a second client was turned away" in told) == (0, True)
+
+
+def test_what_cannot_begin_is_one_sentence(tiny, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("localhost", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        done = serve(tiny, tmp_path, "--port", port)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert f"--port {port} cannot be used" in done.stderr
+    done = serve(tiny, tmp_path, "--port", 0, "--", "--no-such-option", "1")
+    assert done.returncode == 3
+    assert "SUMO ended with exit code 1" in done.stderr
+
+
+def serve(tiny, tmp_path, *more):
+    command = [sys.executable, "-m", "deepmf_sumo.cli.main", "serve", tiny / "tiny.sumocfg"]
+    command += ["--av", "av", "--out", tmp_path / "live", *more]
+    return subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, check=False, timeout=60
+    )
