@@ -134,7 +134,6 @@ def test_several_commands_in_one_message_are_answered_in_one(served):
 @pytest.mark.parametrize(
     ("bytes_", "told"),
     [
-        (b"GET / HTTP/1.1\r\n\r\n", "is not TraCI"),
         (struct.pack("!i", LARGEST + 9), "is not TraCI"),
         (struct.pack("!i", 12) + b"\x08\x02\x00", "in the middle of a message"),
         (struct.pack("!i", 8) + b"\x09\x02\x00\x00", "longer than its message"),
