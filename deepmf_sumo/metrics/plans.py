@@ -1,4 +1,4 @@
-"""The attack's plans, their constraints, and the vehicle that the AV's planner followed."""
+"""The attack's plans and their constraints; what the AV's planner followed, and how it braked."""
 
 import numpy as np
 
