@@ -61,7 +61,7 @@ class Reward:
         comfort: for each second at an acceleration of 1 m/s2, growing with its square.
         contact: taken away at the end of an episode in which the AV touched another vehicle.
         avoidable_only: only contacts that a careful driver would have avoided count (metric
-            ``avoidable``), so that nothing is learnt from those that nobody could avoid.
+            ``avoidable``), so that contacts that no driver could avoid teach nothing.
     """
 
     progress: float = 0.01
