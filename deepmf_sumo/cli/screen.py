@@ -52,9 +52,9 @@ def command(
 ) -> None:
     """Say what is wrong with NET, a .net.xml or .sumocfg, by a guideline; nothing is simulated.
 
-    Yellow and intergreen times, conflicting greens, left turns through gaps, junctions where nobody
-    gives way, missing links, merges, steps of the limit, tight turns: one sentence for each rule
-    and junction, the worst first, and what could not be judged.
+    Yellow and intergreen times, conflicting greens, left turns through gaps, junctions without
+    a rule of priority, missing links, merges, steps of the limit, tight turns: one sentence for
+    each rule and junction, the worst first, and what could not be judged.
 
     \b
     Exit codes: 0 NET was screened; 1 with --fail-on: there are findings of at

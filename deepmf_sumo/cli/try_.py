@@ -8,7 +8,7 @@ import click
 
 from deepmf_sumo.cli import attack
 from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
-from deepmf_sumo.errors import UsageError
+from deepmf_sumo.errors import EXIT_CODES, UsageError
 
 if TYPE_CHECKING:
     from deepmf_sumo.countermeasures import Built
@@ -57,6 +57,8 @@ def command(
     from deepmf_sumo import countermeasures
 
     out: Path = wanted.pop("out")
+    if count == 1:
+        raise UsageError("--moments 1: it takes two, one for each side.")
     changes = countermeasures.load(file)
     _check(out, wanted)
     built = countermeasures.build(config, changes, out)
@@ -64,13 +66,13 @@ def command(
         click.echo(line)
     if not (everywhere or wanted["junctions"] or wanted["edges"] or wanted["polygon"]):
         wanted |= {"junctions": built.junctions, "edges": built.edges}
-    number = count or 10
-    codes = [
-        _attack(ctx, built, side, of, out, number, wanted)
-        for side, of in _order()
-    ]  # fmt: skip
+    code = 0
+    for side, of in _order():
+        code = max(code, _attack(ctx, built, side, of, out, count, wanted))
+        if code == EXIT_CODES["interrupted"]:  # --resume goes on; nothing is compared by halves
+            ctx.exit(code)
     _compare(out)
-    ctx.exit(max(codes))
+    ctx.exit(code)
 
 
 def _order() -> Iterator[tuple[str, str]]:
@@ -92,14 +94,15 @@ def _check(out: Path, wanted: dict[str, Any]) -> None:
 
 
 def _attack(
-    ctx: click.Context, built: "Built", side: str, of: str, out: Path, count: int,
+    ctx: click.Context, built: "Built", side: str, of: str, out: Path, count: int | None,
     wanted: dict[str, Any],
 ) -> int:  # fmt: skip
     """Attack a side at moments chosen in a side; returns the exit code."""
-    first = of == SIDES[0]
+    number = count or (0 if wanted["at_s"] else 10)  # --at without --moments: once for each
+    half = (number + 1) // 2 if of == SIDES[0] else number // 2
     given = {**wanted, "out": out / side / f"at-{of}"}
     given |= dict.fromkeys(("thresholds", "baseline", "shard"))
-    given |= {"formats": (), "count": (count + 1) // 2 if first else count // 2, "of": None}
+    given |= {"formats": (), "count": half or None, "of": None}
     if side != of:
         given |= {"count": None, "of": out / of / f"at-{of}"}
         given |= {"junctions": (), "edges": (), "polygon": None, "prefer": None}

@@ -1,4 +1,4 @@
-"""Rules for junctions without lights: somebody has to give way, and at speed by a sign."""
+"""Rules for junctions without lights: one road has to give way, and at speed by a sign."""
 
 from typing import Final
 
@@ -7,7 +7,7 @@ from deepmf_sumo.screening.guidelines import KMH, Guideline
 from deepmf_sumo.screening.roads import Roads, Way
 
 _SLOW_MPS: Final = 30 * KMH
-"""Up to this limit a junction where nobody gives way is a warning, above it an error."""
+"""Up to this limit a junction without any rule of priority is a warning, above it an error."""
 _SLACK_MPS: Final = 2 * KMH
 _BY_RIGHT: Final = {"right_before_left", "left_before_right"}
 
