@@ -7,6 +7,7 @@ differences treat all quantities alike.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from typing import Any, Final, Literal
 
@@ -169,6 +170,17 @@ def _positive(value: float) -> bool:
 _RUNS: Final = "mean over attacked runs"
 _HITS: Final = "mean over hits"
 
+_OF_THE_AV: Final[tuple[tuple[str, str, Better, str, float], ...]] = (
+    ("av_ttc_s", "s", "lower", "av_ttc_min", 1.0),
+    ("av_time_gap_s", "s", "lower", "av_time_gap_min", 0.5),
+    ("av_required_braking_mps2", "m/s2", "higher", "av_required_braking", 1.0),
+    ("av_hardest_braking_mps2", "m/s2", "higher", "planner_hardest_braking", 1.0),
+    ("av_over_limit_mps", "m/s", "higher", "av_over_limit", 1.0),
+    ("av_late_at_signal_s", "s", "higher", "av_late_at_signal", 1.0),
+    ("av_progress_m", "m", "lower", "av_progress", 10.0),
+)
+"""Name, unit, what is worse for the AV, metric, and a worsening that must be ruled out."""
+
 QUANTITIES: Final = (
     _rate(
         "collision_rate", "higher", lambda result: float(hit(result)),
@@ -274,6 +286,13 @@ QUANTITIES: Final = (
         "hardest braking that the opponent asks of the AV, up to 1 s before a contact",
         in_table=False, rule_out=1.0,
     ),
+    *(
+        Quantity(
+            name=name, unit=unit, better=better, over="judged", in_table=False, rule_out=rule_out,
+            value=partial(metric, name=of), definition="mean over judged runs", metric=of,
+        )
+        for name, unit, better, of, rule_out in _OF_THE_AV
+    ),
 )  # fmt: skip
 
 BY_NAME: Final = {quantity.name: quantity for quantity in QUANTITIES}
@@ -286,7 +305,7 @@ COMPARABLE: Final = {
     for name in (
         "impact_mps", "av_collision_rate", "collision_rate", "valid_collision_rate",
         "avoidable_rate", "av_at_fault_rate", "ttc_s", "min_gap_m", "required_braking_mps2",
-        "collision_speed_mps", "delta_v_mps",
+        "collision_speed_mps", "delta_v_mps", *(name for name, *_ in _OF_THE_AV),
     )
 }  # fmt: skip
 """What `check` and `compare` judge, by name: what is worse for the AV is said of each."""
