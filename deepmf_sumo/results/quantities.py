@@ -25,6 +25,11 @@ TTC_CEILING_S: Final = 10.0
 _NEGLIGIBLE: Final = 0.05
 """s, m and m/s: rounding on another machine moves all runs a little, and all in one direction."""
 
+_NEGLIGIBLE_PER_S: Final = 0.005
+
+_AT_ONCE_S: Final = 1.0
+"""A time to the contact below a driver's reaction time is as bad as this one."""
+
 _RATE: Final = 0.2
 """Worsening of a rate that a comparison must rule out."""
 
@@ -80,7 +85,9 @@ class Quantity:
     @property
     def negligible(self) -> float:
         """A difference that does not matter, however sure it is; in ``unit``."""
-        return 0.0 if self.rate else _NEGLIGIBLE
+        if self.rate:
+            return 0.0
+        return _NEGLIGIBLE_PER_S if self.unit == "1/s" else _NEGLIGIBLE
 
     def of(self, result: Result) -> float | None:
         """Value of a run; None where it can have none."""
@@ -147,6 +154,16 @@ def _ttc(result: Result) -> float | None:
     return TTC_CEILING_S if found is None else min(found, TTC_CEILING_S)
 
 
+def _inverse(name: str) -> Value:
+    """1 over a time in seconds: a change counts the more, the shorter the time."""
+
+    def value(result: Result) -> float | None:
+        found = metric(result, name)
+        return None if found is None else 1.0 / max(found, _AT_ONCE_S)
+
+    return value
+
+
 def _mean(name: str, unit: str, better: Better, of: str, what: str, **more: Any) -> Quantity:
     return Quantity(
         name=name, unit=unit, better=better, value=lambda result: metric(result, of),
@@ -180,6 +197,11 @@ _OF_THE_AV: Final[tuple[tuple[str, str, Better, str, float], ...]] = (
     ("av_progress_m", "m", "lower", "av_progress", 10.0),
 )
 """Name, unit, what is worse for the AV, metric, and a worsening that must be ruled out."""
+
+_INVERSE: Final = {
+    "av_inverse_ttc_per_s": "av_ttc_min",
+    "av_inverse_time_gap_per_s": "av_time_gap_min",
+}
 
 QUANTITIES: Final = (
     _rate(
@@ -293,6 +315,14 @@ QUANTITIES: Final = (
         )
         for name, unit, better, of, rule_out in _OF_THE_AV
     ),
+    *(
+        Quantity(
+            name=name, unit="1/s", better="higher", over="judged", in_table=False, rule_out=0.1,
+            value=_inverse(of), metric=of,
+            definition=f"mean over judged runs of 1 over the value, of at least {_AT_ONCE_S:g} s",
+        )
+        for name, of in _INVERSE.items()
+    ),
 )  # fmt: skip
 
 BY_NAME: Final = {quantity.name: quantity for quantity in QUANTITIES}
@@ -305,7 +335,7 @@ COMPARABLE: Final = {
     for name in (
         "impact_mps", "av_collision_rate", "collision_rate", "valid_collision_rate",
         "avoidable_rate", "av_at_fault_rate", "ttc_s", "min_gap_m", "required_braking_mps2",
-        "collision_speed_mps", "delta_v_mps", *(name for name, *_ in _OF_THE_AV),
+        "collision_speed_mps", "delta_v_mps", *(name for name, *_ in _OF_THE_AV), *_INVERSE,
     )
 }  # fmt: skip
 """What `check` and `compare` judge, by name: what is worse for the AV is said of each."""

@@ -8,6 +8,7 @@ import pytest
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
 from deepmf_sumo.geometry.road import limit_mps
+from deepmf_sumo.results.quantities import BY_NAME
 
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of, straight
 
@@ -110,3 +111,14 @@ def test_over_the_line_after_green(since, late_s):
 
 def test_lights_may_be_unknown():
     assert "lights" in measured("av_late_at_signal", *on_the_street(straight(0, 0, 10))).reason
+
+
+@pytest.mark.parametrize(("ttc_s", "expected"), [(10.0, 0.1), (2.0, 0.5), (1.0, 1.0), (0.0, 1.0)])
+def test_short_times_count_most(ttc_s, expected):
+    result = {
+        "status": "ok", "adversary": "none", "opponent": "",
+        "metrics": {"av_ttc_min": {"value": ttc_s}},
+    }  # fmt: skip
+    assert BY_NAME["av_inverse_ttc_per_s"].of(result) == pytest.approx(expected)
+    assert BY_NAME["av_ttc_s"].of(result) == ttc_s
+    assert BY_NAME["av_inverse_time_gap_per_s"].of(result) is None

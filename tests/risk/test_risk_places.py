@@ -94,5 +94,5 @@ def test_a_connection_to_a_missing_edge_is_one_sentence(tmp_path):
     broken.write_text(
         text.replace('<connection from="w_in" to="', '<connection from="w_in" to="x_', 1)
     )
-    with pytest.raises(SimulationError, match="from edge 'w_in' to edge 'x_.*', but no edge 'x_"):
+    with pytest.raises(SimulationError, match=r"from edge 'w_in' to edge 'x_.*', but no edge 'x_"):
         places.read(broken)
