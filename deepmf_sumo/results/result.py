@@ -125,7 +125,7 @@ class MetricValues(TypedDict):
 
 
 class Result(TypedDict, total=False):
-    """The content of ``result.json``, see docs/results-folder.md.
+    """The content of ``result.json``, see docs/reference/results-folder.md.
 
     Keys from ``outcome`` on are those of successful runs. `stored.result_of` checks the shape of
     what it reads; results of earlier versions may lack keys that are not required.
