@@ -126,7 +126,7 @@ womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 
 docs: $(READY)  ## build the documentation into build/site; broken links and anchors are errors
 	$(PY) -m pip install --quiet --group docs
-	$(VENV)/bin/mkdocs build --quiet
+	$(VENV)/bin/mkdocs build
 
 test-docs: docs  ## run the commands and Python of README and site; count words, numbers and pictures
 	$(PYTEST) -q -n 2 tests/docs tests/cli/test_commands_of_the_docs.py

@@ -13,18 +13,25 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from griffe import Docstring, DocstringSectionAttributes
 from pydantic import BaseModel
-from pydantic_core import PydanticUndefined
+from pydantic.fields import FieldInfo
 
 from deepmf_sumo import metrics, plugins
 from deepmf_sumo.errors import EXIT_CODES
 from deepmf_sumo.results.quantities import QUANTITIES
 
+FEW = 3
+"""A map with more keys has a table of its own."""
 PLACE = re.compile(r"<!-- generate: (\w+)(?: (\S+))? -->")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Called by mkdocs with the text of each page."""
     return PLACE.sub(lambda found: GENERATED[found[1]](*filter(None, [found[2]])), markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Called by mkdocs with the HTML of each page; mkdocs-click shows the lack of a default."""
+    return html.replace("<code>Sentinel.UNSET</code>", "")
 
 
 def table(headings: str, rows: Iterable[Iterable[object]]) -> str:
@@ -41,7 +48,7 @@ def named(place: str) -> Any:
     return getattr(importlib.import_module(f"deepmf_sumo.{module}"), name)
 
 
-def readable(kind: Any) -> str:
+def readable(kind: Any) -> str:  # noqa: PLR0911
     """A type as people write it in a spec."""
     if hasattr(kind, "__metadata__"):
         return readable(get_args(kind)[0])
@@ -54,6 +61,9 @@ def readable(kind: Any) -> str:
         return f"list of {inner[0]}"
     if get_origin(kind) is dict:
         return f"map of {inner[0]} to {inner[1]}"
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        keys = [f"`{name}`" for name in kind.model_fields]
+        return "map" if len(keys) > FEW else f"map with {', '.join(keys)}"
     words = {bool: "true or false", float: "number", int: "whole number", str: "text", Path: "path"}
     return words.get(kind, "null" if kind is types.NoneType else getattr(kind, "__name__", "any"))
 
@@ -87,23 +97,22 @@ def fields(place: str) -> str:
         if field.exclude:
             continue
         bounds = [
-            f"{sign} {getattr(one, key):g}"
+            f"{sign} {getattr(one, key):.10g}"
             for one in field.metadata
             for key, sign in (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
             if getattr(one, key, None) is not None
         ]
         kind = ", ".join([readable(field.annotation), *bounds])
-        rows.append(
-            [f"`{name}`", kind, default(field.default), field.description or said.get(name, "")]
-        )
+        rows.append([f"`{name}`", kind, default(field), field.description or said.get(name, "")])
     return table("key, value, default, meaning", rows)
 
 
-def default(value: Any) -> str:
-    """A default as YAML has it; nothing for keys that are required."""
-    if value is PydanticUndefined:
+def default(field: FieldInfo) -> str:
+    """A default as YAML has it; nothing for an empty one."""
+    if field.is_required():
         return "required"
-    if isinstance(value, plugins.Settings | BaseModel) or value in ((), {}, []):
+    value = field.get_default(call_default_factory=True)
+    if isinstance(value, BaseModel) or value in ((), {}, []):
         return ""
     words = {None: "null", True: "true", False: "false"}
     return f"`{words[value] if value is None or isinstance(value, bool) else value}`"

@@ -69,7 +69,7 @@ def run(page: Page, folder: Path, limit_s: float = 900) -> Ran:
     logs, work, programs = folder / "logs", folder / "work", folder / "bin"
     for one in (logs, work, programs):
         one.mkdir(parents=True)
-    if "deepmf-sumo init" not in page.text:
+    if not any(block.runnable and "deepmf-sumo init" in block.code for block in page.blocks):
         work = work / "demo"
         lay_out(work)
     program = programs / "deepmf-sumo"

@@ -1,7 +1,8 @@
 """The pictures of docs/gallery.md: ``python -m tests.docs.gallery``, a minute.
 
-Every packaged scenario is run, and its picture becomes a WebP file in ``docs/pictures/gallery``.
-The paper's figures are those of ``docs/figures``, which need recordings (see ``docs/results.md``).
+Every packaged scenario is run, and the picture of each hit becomes a WebP file in
+``docs/pictures/gallery``. The paper's figures are those of ``docs/figures``,
+which need recordings (see ``docs/results.md``).
 """
 
 import shutil
@@ -33,7 +34,8 @@ def main() -> int:
     specs = sorted((folder / "scenarios").glob("*.yaml"))
     found = deepmf_sumo.run(specs, folder / "all", sets=["expect={}"], pictures=True, jobs=2)
     for spec, run in zip(specs, found.runs, strict=True):
-        keep(run.folder / "picture.png", spec.stem)
+        if run.hit:
+            keep(run.folder / "picture.png", spec.stem)
         print(
             spec.stem, run.row["outcome"], run.row["contact_time_s"], run.row["contact_speed_mps"]
         )
