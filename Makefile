@@ -124,8 +124,15 @@ womd-light-weights: womd-weights  ## besides, the set `womd-light`: all networks
 womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
-docs: $(READY)  ## build the documentation into build/site
+docs: $(READY)  ## build the documentation into build/site; broken links and anchors are errors
 	$(PY) -m pip install --quiet --group docs
-	$(VENV)/bin/mkdocs build --quiet
+	$(VENV)/bin/mkdocs build
 
-.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs
+test-docs: docs  ## run the commands and Python of README and site; count words, numbers and pictures
+	$(PYTEST) -q -n 2 tests/docs tests/cli/test_commands_of_the_docs.py
+	$(PY) -m tests.docs.counts
+
+gallery: $(READY)  ## make the pictures of docs/gallery.md again
+	$(PY) -m tests.docs.gallery
+
+.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs test-docs gallery

@@ -182,7 +182,7 @@ class SideBySide:
 
     Attributes:
         key: the quantities that matter most.
-        more: all other metrics, under their names in docs/metrics.md; empty unless asked for.
+        more: all other metrics, by name (docs/reference/metrics.md); empty unless asked for.
         missing: why quantities have no value in some runs, one sentence per reason.
     """
 

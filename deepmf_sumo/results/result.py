@@ -99,7 +99,18 @@ Status = Literal["ok", "failed", "timeout", "skipped"]
 
 
 class ContactValues(TypedDict, total=False):
-    """A contact, see `datatypes.Contact`; ``time_s`` is since the simulation took over."""
+    """A contact, see `datatypes.Contact`.
+
+    Attributes:
+        kind: ``av_opponent``, ``av_other`` or ``opponent_other``.
+        striker_id: the vehicle that moved faster towards the other one.
+        time_s: since the simulation took over.
+        relative_mps: length of the difference of the velocities at the step before.
+        closing_mps: speed at which the centres approached.
+        delta_v_mps: change of the AV's velocity in a plastic impact.
+        sector: where the first vehicle was hit, 0 (front) to 7, counter-clockwise.
+        pose_first, pose_second: x, y and heading at the contact.
+    """
 
     kind: str
     first_id: str
@@ -116,7 +127,13 @@ class ContactValues(TypedDict, total=False):
 
 
 class MetricValues(TypedDict):
-    """A metric, see `datatypes.MetricValue`; ``value`` is None where it is not defined."""
+    """A metric, see `datatypes.MetricValue`.
+
+    Attributes:
+        value: None where it is not defined.
+        better: which values are better for the attacker.
+        reason: why there is no value.
+    """
 
     value: float | None
     unit: str
@@ -125,10 +142,34 @@ class MetricValues(TypedDict):
 
 
 class Result(TypedDict, total=False):
-    """The content of ``result.json``, see docs/results-folder.md.
+    """The content of ``result.json``, see docs/reference/results-folder.md.
 
     Keys from ``outcome`` on are those of successful runs. `stored.result_of` checks the shape of
     what it reads; results of earlier versions may lack keys that are not required.
+
+    Attributes:
+        key: digest of the spec, the version and the input files; ``--resume`` compares it.
+        network: the configuration; None for recordings.
+        parameters: of the planner's car-following model.
+        version: the paper's name for the period between plans.
+        method, planner_label, base_method, part: of a plan, see `plans`.
+        settings: of planner and adversary, with all defaults.
+        error: why the run failed.
+        refused: a record that cannot be used.
+        expectations_broken: sentences of the spec's ``expect``.
+        timings: wall times; the only values that differ between equal runs.
+        outcome: ``av_opponent`` (a hit), else the earliest other contact, else ``none``.
+        ended: why the episode ended.
+        steps, duration_steps: simulated steps, and those that were asked for.
+        opponent_score: softmax of the scores.
+        metrics: by name.
+        samples: the opponent's accelerations, for pooled naturalness.
+        plans: their number.
+        rules: of all plans: the rule that chose, or why there is no attack.
+        search: simulated episodes, and each trial of a search or of several tries.
+        conversion: what was lost when a recording became a network.
+        repairs: of the recorded scene.
+        turns: where opponents take turns.
     """
 
     run_id: Required[str]

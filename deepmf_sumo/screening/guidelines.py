@@ -1,7 +1,7 @@
 """The values that a network is held against, by guideline, with where each is from.
 
 Speeds are in m/s, lengths in m, times in s. What a guideline leaves open and this project has
-chosen is said in docs/screen.md.
+chosen is said in docs/reference/screening.md.
 """
 
 from abc import ABC, abstractmethod

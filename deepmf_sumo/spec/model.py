@@ -365,9 +365,11 @@ class Spec(Strict):
     """One spec: a source of situations, the planner under test, and its adversary."""
 
     version: Version
-    name: str = Field(min_length=1, max_length=200)
-    source: Source
-    duration_s: float = Field(default=8.0, ge=0.1, le=3600)
+    name: str = Field(min_length=1, max_length=200, description="as tables show it")
+    source: Source = Field(description="a moment of a network, chosen moments, or recorded scenes")
+    duration_s: float = Field(
+        default=8.0, ge=0.1, le=3600, description="length of an episode, unless a hit ends it"
+    )
     traffic: Literal["log", "sumo"] = Field(description="what drives the other vehicles")
     planner: Plugin = Plugin(name="idm")
     adversary: Plugin = Plugin(name="deepmf")

@@ -22,7 +22,7 @@ def commands_of(text):
     """The arguments of all commands in code blocks, in code between backquotes and in comments."""
     joined = text.replace("\\\n", " ")
     code = [
-        *re.findall(r"```\w*\n(.*?)```", joined, re.DOTALL),
+        *re.findall(r"```[^\n]*\n(.*?)```", joined, re.DOTALL),
         *re.findall(r"`([^`\n]+)`", joined),
     ]
     for piece in code:

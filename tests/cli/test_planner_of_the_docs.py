@@ -1,4 +1,4 @@
-"""The planner that docs/planners.md shows drives as it says."""
+"""The planner that docs/start/planner-team.md shows drives as it says."""
 
 import csv
 import gzip
@@ -10,7 +10,7 @@ import pytest
 
 from deepmf_sumo.cli import main
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "planners.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "start" / "planner-team.md"
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def attack(tiny, tmp_path, monkeypatch):
 
 
 def test_the_class_of_the_page_drives(attack, tmp_path):
-    [code] = re.findall(r"```python\n(import numpy.*?)```", PAGE.read_text(), re.DOTALL)
+    [code] = re.findall(r"```python title=.my_planner.py.\n(.*?)```", PAGE.read_text(), re.DOTALL)
     (tmp_path / "planner_of_the_page.py").write_text(code)
     cruise = ("--set", "planner.cruise_mps=6")
     assert attack("planner_of_the_page:MyPlanner", *cruise) == 0

@@ -1,6 +1,6 @@
 """`kill -9` of a sweep's workers and of the sweep itself, at random moments, then `--resume`.
 
-The figures of docs/cluster.md: `pytest -m slow -s tests/sweep/test_kills_of_a_sweep.py`.
+The figures of studies/notebook/sweeps.md: `pytest -m slow -s tests/sweep/test_kills_of_a_sweep.py`.
 """
 
 import csv

@@ -1,0 +1,169 @@
+"""A hook of mkdocs: tables of the reference, made from the code that they describe.
+
+A line ``<!-- generate: NAME ARGUMENT -->`` of a page becomes the table that the function NAME
+returns for ARGUMENT.
+"""
+
+import importlib
+import re
+import types
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from griffe import Docstring, DocstringSectionAttributes
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from deepmf_sumo import metrics, plugins
+from deepmf_sumo.errors import EXIT_CODES
+from deepmf_sumo.results.quantities import QUANTITIES
+
+FEW = 3
+"""A map with more keys has a table of its own."""
+PLACE = re.compile(r"<!-- generate: (\w+)(?: (\S+))? -->")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Called by mkdocs with the text of each page."""
+    return PLACE.sub(lambda found: GENERATED[found[1]](*filter(None, [found[2]])), markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Called by mkdocs with the HTML of each page; mkdocs-click shows the lack of a default."""
+    return html.replace("<code>Sentinel.UNSET</code>", "")
+
+
+def table(headings: str, rows: Iterable[Iterable[object]]) -> str:
+    """A table of Markdown; ``headings`` are separated by commas."""
+    names = headings.split(", ")
+    lines = [names, ["---"] * len(names), *rows]
+    cells = [[" ".join(str(cell).split()).replace("|", "\\|") for cell in line] for line in lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
+
+
+def named(place: str) -> Any:
+    """The object of ``module:Name`` in the package."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(f"deepmf_sumo.{module}"), name)
+
+
+def readable(kind: Any) -> str:  # noqa: PLR0911
+    """A type as people write it in a spec."""
+    if hasattr(kind, "__metadata__"):
+        return readable(get_args(kind)[0])
+    if get_origin(kind) is Literal:
+        return ", ".join(f"`{value}`" for value in get_args(kind))
+    if get_origin(kind) in {types.UnionType, Union}:
+        return " or ".join(dict.fromkeys(map(readable, get_args(kind))))
+    inner = [readable(one) for one in get_args(kind) if one is not ...]
+    if get_origin(kind) in {list, tuple}:
+        return f"list of {inner[0]}"
+    if get_origin(kind) is dict:
+        return f"map of {inner[0]} to {inner[1]}"
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        keys = [f"`{name}`" for name in kind.model_fields]
+        return "map" if len(keys) > FEW else f"map with {', '.join(keys)}"
+    words = {bool: "true or false", float: "number", int: "whole number", str: "text", Path: "path"}
+    return words.get(kind, "null" if kind is types.NoneType else getattr(kind, "__name__", "any"))
+
+
+def described(model: type) -> dict[str, str]:
+    """What the sections ``Attributes`` of a class and of those before it say about its fields."""
+    found: dict[str, str] = {}
+    for one in reversed(model.__mro__):
+        if one.__module__.startswith("deepmf_sumo") and one.__doc__:
+            text = re.sub(r"(?<=\. )(?=\w+: )", "\n    ", one.__doc__)  # several in one line
+            for section in Docstring(text).parse("google", warnings=False):
+                if isinstance(section, DocstringSectionAttributes):
+                    for item in section.value:
+                        words = " ".join(item.description.split())
+                        found |= dict.fromkeys(re.split(r",\s*", item.name), words)
+    return {name: re.sub(r"`[\w.]*\.([\w]+)`", r"`\1`", text) for name, text in found.items()}
+
+
+def fields(place: str) -> str:
+    """The keys of a pydantic model, or those of a TypedDict or a dataclass."""
+    model = named(place)
+    said = described(model)
+    if not (isinstance(model, type) and issubclass(model, BaseModel)):
+        kinds = get_type_hints(model)
+        return table(
+            "key, type, meaning",
+            ([f"`{k}`", readable(v), said.get(k, "")] for k, v in kinds.items()),
+        )
+    rows = []
+    for name, field in model.model_fields.items():
+        if field.exclude:
+            continue
+        bounds = [
+            f"{sign} {getattr(one, key):.10g}"
+            for one in field.metadata
+            for key, sign in (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
+            if getattr(one, key, None) is not None
+        ]
+        kind = ", ".join([readable(field.annotation), *bounds])
+        rows.append([f"`{name}`", kind, default(field), field.description or said.get(name, "")])
+    return table("key, value, default, meaning", rows)
+
+
+def default(field: FieldInfo) -> str:
+    """A default as YAML has it; nothing for an empty one."""
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True)
+    if isinstance(value, BaseModel) or value in ((), {}, []):
+        return ""
+    words = {None: "null", True: "true", False: "false"}
+    return f"`{words[value] if value is None or isinstance(value, bool) else value}`"
+
+
+def settings(kind: str) -> str:
+    """All plug-ins of a kind: what each is, and its settings."""
+    parts = []
+    for name in plugins.names(kind):  # type: ignore[arg-type]
+        place = f"{kind}.{name}"
+        module = importlib.import_module(f"deepmf_sumo.{place}")
+        first = (module.__doc__ or "").split("\n\n")[0]
+        keys = module.Settings.model_fields
+        parts += [f"### `{name}`", first, fields(f"{place}:Settings") if keys else "No settings."]
+    return "\n\n".join(parts)
+
+
+def metric_tables() -> str:
+    """All metrics by their module, with the definitions that results print."""
+    by_module: dict[str, list[metrics.Metric]] = {}
+    for one in metrics.own().values():
+        by_module.setdefault(one.compute.__module__.rpartition(".")[2], []).append(one)
+    parts = []
+    for module, those in sorted(by_module.items()):
+        text = importlib.import_module(f"deepmf_sumo.metrics.{module}").__doc__ or ""
+        rows = ([f"`{one.name}`", one.unit, one.better, one.definition] for one in those)
+        parts += [
+            f"## {module}",
+            text.split("\n\n")[0],
+            table("metric, unit, better for the attacker, definition", rows),
+        ]
+    return "\n\n".join(parts)
+
+
+def quantities() -> str:
+    """Columns of comparisons, thresholds and tables of benchmarks."""
+    rows = ([f"`{one.name}`", one.unit, one.over, one.definition] for one in QUANTITIES)
+    return table("quantity, unit, over runs that were, definition", rows)
+
+
+def columns(place: str) -> str:
+    """The names of a tuple of columns, as a line."""
+    return ", ".join(f"`{name}`" for name in named(place))
+
+
+def exit_codes() -> str:
+    """The exit codes of all commands."""
+    return table("ending, exit code", sorted(EXIT_CODES.items(), key=lambda one: one[1]))
+
+
+GENERATED = {
+    "columns": columns, "exit_codes": exit_codes, "fields": fields, "metrics": metric_tables,
+    "quantities": quantities, "settings": settings,
+}  # fmt: skip
