@@ -164,3 +164,17 @@ def test_the_image_is_built_and_attacks(tmp_path):
     spec = "start/scenarios/cut_in.yaml"
     docker(*run, "deepmf-sumo-test", "run", spec, "--no-pictures", "--out", "out")
     assert ",ok," in (tmp_path / "out" / "runs.csv").read_text("utf-8")
+
+
+def test_the_results_are_one_page_and_say_how_each_table_was_made():
+    text = (ROOT / "docs" / "results.md").read_text("utf-8")
+    prose = "\n".join(line for line in text.splitlines() if not line.startswith("|"))
+    prose = re.sub(r"\]\([^)]*\)", "]", re.sub(r"`[^`]*`", "", prose))
+    assert len(re.findall(r"[A-Za-z][\w'-]*", text)) < 1200
+    assert len(re.findall(r"(?<![\w.])\d[\d.,]*(?!\w)", prose)) <= 60
+    sections = [part for part in re.split(r"^## ", text, flags=re.MULTILINE) if "\n|" in part]
+    assert len(sections) >= 6
+    commands = [
+        re.search(r"`(deepmf-sumo|make) \w+", part.partition("\n|")[0]) for part in sections
+    ]
+    assert all(commands)
