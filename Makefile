@@ -132,7 +132,8 @@ test-docs: docs  ## run the commands and Python of README and site; count words,
 	$(PYTEST) -q -n 2 tests/docs tests/cli/test_commands_of_the_docs.py
 	$(PY) -m tests.docs.counts
 
-gallery: $(READY)  ## make the pictures of docs/gallery.md again
+gallery: $(READY)  ## make the pictures of README and docs/gallery.md again
 	$(PY) -m tests.docs.gallery
+	$(PY) -m tests.docs.front_page
 
 .PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs test-docs gallery

@@ -11,7 +11,7 @@ from tests.docs.pages import SITE, Page
 
 MOST_WORDS = 16_000
 MOST_NUMBERS = 60
-UNLIMITED = ("docs/reference/", "docs/architecture.md", "docs/results.md", "docs/studies.md")
+UNLIMITED = ("docs/reference/", "docs/architecture.md", "docs/results.md")
 """Generated for the most part, written for contributors, or tables of results."""
 
 

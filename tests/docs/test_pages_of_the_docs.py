@@ -14,7 +14,6 @@ from tests.docs.pages import DOCS, NOTEBOOK, README, ROOT, SITE, Block, Page, na
 named = pytest.mark.parametrize("page", SITE, ids=lambda page: page.name)
 MADE = {"deepmf-sumo-attach", "deepmf"}
 """Headings that mkdocs makes of the code; `make docs` checks links to them."""
-README_IS_OLD = "docs/tutorial.md" in README.text
 
 
 def broken_links(page):
@@ -28,8 +27,6 @@ def broken_links(page):
 
 @pytest.mark.parametrize("page", [README, *SITE, *NOTEBOOK], ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
-    if page is README and README_IS_OLD:
-        pytest.skip("README links to pages of before")
     assert list(broken_links(page)) == []
 
 
