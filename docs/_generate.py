@@ -73,12 +73,13 @@ def described(model: type) -> dict[str, str]:
     found: dict[str, str] = {}
     for one in reversed(model.__mro__):
         if one.__module__.startswith("deepmf_sumo") and one.__doc__:
-            text = re.sub(r"(?<=\. )(?=\w+: )", "\n    ", one.__doc__)  # several in one line
+            text = re.sub(r"(?<=\. )(?=[a-z]\w*: )", "\n    ", one.__doc__)  # several in one line
             for section in Docstring(text).parse("google", warnings=False):
                 if isinstance(section, DocstringSectionAttributes):
                     for item in section.value:
                         words = " ".join(item.description.split())
-                        found |= dict.fromkeys(re.split(r",\s*", item.name), words)
+                        more = item.annotation if item.name.endswith(",") else ""  # `a, b: text`
+                        found |= dict.fromkeys(re.findall(r"\w+", f"{item.name} {more}"), words)
     return {name: re.sub(r"`[\w.]*\.([\w]+)`", r"`\1`", text) for name, text in found.items()}
 
 
