@@ -23,7 +23,8 @@ from tests.docs.pages import ROOT, Page
 
 BUILDS = ("pip ", "make ", "git ", "uv ", "docker ")
 """Commands that install or build: in README they are left out, which `Ran.left_out` counts."""
-MOST_LINES = 16
+FIRST, LAST = 10, 6
+"""Lines of an output that are shown where it has more."""
 WIDTH = 118
 
 
@@ -101,9 +102,10 @@ def written(page: Page, ran: Ran, folder: Path) -> str:
     text, blocks = page.text, page.blocks
     for number in reversed(range(len(blocks) - 1)):
         block = blocks[number + 1]
-        if number in ran.outputs and block.language == "text" and not block.mark:
+        shown = block.language == "text" and ran.outputs.get(number, "").strip()
+        if shown:
             lines = ran.outputs[number].replace(f"{folder}/work/", "").rstrip().splitlines()
-            cut = [*lines[:MOST_LINES], "..."] if len(lines) > MOST_LINES else lines
+            cut = [*lines[:FIRST], "...", *lines[-LAST:]] if len(lines) > FIRST + LAST else lines
             new = "\n".join(line.rstrip() for line in cut) + "\n"
             text = text[: block.start] + new + text[block.end :]
     return text
