@@ -104,7 +104,7 @@ def written(page: Page, ran: Ran, folder: Path) -> str:
         block = blocks[number + 1]
         shown = block.language == "text" and ran.outputs.get(number, "").strip()
         if shown:
-            lines = ran.outputs[number].replace(f"{folder}/work/", "").rstrip().splitlines()
+            lines = ran.outputs[number].replace(f"{folder}/work/", "").strip("\n").splitlines()
             cut = [*lines[:FIRST], "...", *lines[-LAST:]] if len(lines) > FIRST + LAST else lines
             new = "\n".join(line.rstrip() for line in cut) + "\n"
             text = text[: block.start] + new + text[block.end :]
