@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     ROOT / "README.md",
     *sorted(path for path in (ROOT / "docs").rglob("*") if path.suffix in {".md", ".yml"}),
-    *sorted((ROOT / "studies").rglob("*.yaml")),
+    *sorted(path for path in (ROOT / "studies").rglob("*") if path.suffix in {".md", ".yaml"}),
 ]
 _COMMAND = re.compile(r"(?<![\w/.-])deepmf-sumo( [^`\n;&|>]*)")
 
