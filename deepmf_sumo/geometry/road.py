@@ -9,6 +9,7 @@ from deepmf_sumo.geometry.ground import clear, ground_of
 from deepmf_sumo.geometry.lane_map import LaneMap, per_road
 
 _AGAINST_RAD = 2 * np.pi / 3
+_ALONG = 0.5  # cosine: within 60 degrees of the lane
 
 
 @per_road
@@ -23,11 +24,12 @@ class Covering(NamedTuple):
     """K pairs of a point and a segment of a centre line that it is on.
 
     Attributes:
-        point: (K) row of the point.
+        point: (K) row of the point. lane: (K) row of the lane in `lanes_for_cars`.
         start_m: (K, 2) of the segment. heading_rad, reach_m: (K) of the lane there.
     """
 
     point: Ints
+    lane: Ints
     start_m: Floats
     heading_rad: Floats
     reach_m: Floats
@@ -47,7 +49,13 @@ def covering(road: RoadMap, points_m: Floats, z_m: Floats | None = None) -> Cove
         on_it &= ~clear(lanes.heights_m(feet), np.asarray(z_m, float)[feet.point])
     segment = feet.segment[on_it]
     x, y = lanes.vector_m[segment].T
-    return Covering(feet.point[on_it], lanes.start_m[segment], np.arctan2(y, x), reach[on_it])
+    return Covering(
+        point=feet.point[on_it],
+        lane=lanes.lane[segment],
+        start_m=lanes.start_m[segment],
+        heading_rad=np.arctan2(y, x),
+        reach_m=reach[on_it],
+    )
 
 
 def on_road(road: RoadMap, points_m: Floats, z_m: Floats | None = None) -> Bools:
@@ -70,3 +78,19 @@ def against_traffic(
     on_it[under.point] = True
     along[under.point[turn > np.cos(_AGAINST_RAD)]] = True
     return on_it & ~along
+
+
+def limit_mps(
+    road: RoadMap, points_m: Floats, course_rad: Floats, z_m: Floats | None = None
+) -> Floats:
+    """(N) speed limits where points (N, 2) are on lanes that run within 60 degrees of the course.
+
+    Of several lanes the highest; nan on none, and where no limit is known. Heights (N) as in
+    `covering`.
+    """
+    under, lanes = covering(road, points_m, z_m), lanes_for_cars(road).lanes
+    known = np.array([one.speed_limit_mps or np.nan for one in lanes], float)
+    along = np.cos(np.asarray(course_rad, float)[under.point] - under.heading_rad) > _ALONG
+    found = np.full(len(points_m), np.nan)
+    np.fmax.at(found, under.point[along], known[under.lane[along]])
+    return found

@@ -15,6 +15,7 @@ _SIDEWAYS, _SLIDING_MPS = 0.5, 2.0  # sine of 30 degrees; slow motion has no exa
 _NOISE_M = 0.1  # error of a state, mainly of the measured one before the first driven pose
 _MOVING_MPS = 1.0
 _RED = {SignalState.STOP, SignalState.ARROW_STOP}
+_STOPS = _RED | {SignalState.CAUTION, SignalState.ARROW_CAUTION}
 _SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
 
 
@@ -145,15 +146,39 @@ def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:
 
     Lanes that start side by side are crossed together: a green one counts as the agent's lane.
     """
-    crossed: dict[int, list[str]] = {}
-    for line in stop_lines(rollout, case):
-        for at in np.flatnonzero(_crossing(rollout, row, line) & steps):
-            crossed.setdefault(int(at), []).append(line.lane_id)
-    for step, lane_ids in crossed.items():
+    for step, lane_ids in _crossed(rollout, case, row, steps).items():
         lights = rollout.signals[step - 1 - rollout.now]  # as they were before the step
         if all(lights.get(lane_id) in _RED for lane_id in lane_ids):
             return True
     return False
+
+
+def late_at_signal_s(rollout: Rollout, case: Case, row: int, steps: Bools) -> float:
+    """Longest time since a light left green when an agent's front crossed its stop line.
+
+    In one of the steps (T); as far as the rollout shows, 0 without such a crossing. Of lines that
+    are crossed together the least counts.
+    """
+    late = 0
+    for step, lane_ids in _crossed(rollout, case, row, steps).items():
+        before = rollout.signals[: step - rollout.now]
+        late = max(late, min(_stopping(before, lane_id) for lane_id in lane_ids))
+    return late * rollout.dt_s
+
+
+def _stopping(signals: tuple[dict[str, SignalState], ...], lane_id: str) -> int:
+    """For how many of the last steps a light has been yellow or red."""
+    other = (at for at, each in enumerate(reversed(signals)) if each.get(lane_id) not in _STOPS)
+    return next(other, len(signals))
+
+
+def _crossed(rollout: Rollout, case: Case, row: int, steps: Bools) -> dict[int, list[str]]:
+    """Lanes whose stop lines an agent's front crosses, by step, in some steps (T)."""
+    crossed: dict[int, list[str]] = {}
+    for line in stop_lines(rollout, case):
+        for at in np.flatnonzero(_crossing(rollout, row, line) & steps):
+            crossed.setdefault(int(at), []).append(line.lane_id)
+    return crossed
 
 
 def _stop_line(case: Case, lane_id: str, point: Floats) -> StopLine:

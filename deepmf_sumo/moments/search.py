@@ -59,7 +59,8 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     source = spec.source
     assert isinstance(source, FromMoments)
     asked = source.moments
-    again = read(asked.of, "--moments-of" if by_option else "source.moments.of") if asked.of else ()
+    key = "--moments-of" if by_option else "source.moments.of"
+    again = read(asked.of, key, spec.name) if asked.of else ()
     wish = Wish(
         count=asked.count or len(asked.at_s or again) or 10,
         **asked.model_dump(include={"av", "av_type", "at_s", "prefer", "from_s"}),
@@ -70,6 +71,11 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     )
     configuration = read_configuration(source.network, source.sumo_options)
     check(configuration, wish)
+    if asked.until_s is not None and asked.until_s <= configuration.begin_s:
+        raise UsageError(
+            f"{wish.named('until_s')} {asked.until_s:g}: {configuration.file.name} begins at"
+            f" {configuration.begin_s:g} s; choose a later time."
+        )
     area = area_of(asked, configuration.net, wish.named)
     if area is not None:
         wish = replace(wish, where=str(area))
@@ -199,15 +205,20 @@ def check(configuration: Configuration, wish: Wish) -> None:
         raise UsageError(f"{option} {wish.av_type}: no such type is {place}; there are {there}.")
 
 
-def read(path: Path, key: str = "--moments-of") -> tuple[VehicleTime, ...]:
+def read(path: Path, key: str = "--moments-of", spec: str = "") -> tuple[VehicleTime, ...]:
     """Vehicles and times of a result folder of `attack`, or of its moments.csv; each once.
+
+    Where some of its runs are those of a spec of this name, they alone count: vehicles of several
+    networks may have one name.
 
     Raises UsageError, which names ``key``, where there is no such table, or it is empty.
     """
     file = path / MOMENTS if path.is_dir() else path
     try:
         table = io.StringIO(files.text(file, _LARGEST), newline="")
-        found = tuple(dict.fromkeys(_rows(csv.DictReader(table))))
+        rows = list(csv.DictReader(table))
+        own = [row for row in rows if (row.get("run_id") or "").startswith(f"{slug(spec)}--")]
+        found = tuple(dict.fromkeys(_rows(own or rows)))
     except OSError as error:
         raise UsageError(
             f"{key} {path}: {file} cannot be read ({files.reason(error)}); give a result"

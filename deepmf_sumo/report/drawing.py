@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.path import Path
 
 from deepmf_sumo.datatypes import Floats, RoadMap, Tracks
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.geometry.lane_map import per_road
 from deepmf_sumo.report import palette
 
 SCORES: Final = LinearSegmentedColormap.from_list(
@@ -65,6 +68,32 @@ def square(centre_m: Floats, side_m: float, turn_rad: float = 0.0) -> Window:
 
 UNKNOWN_WIDTH_M = 3.5
 """Width at which lanes are drawn that do not say theirs."""
+_FILLED_M: Final = 5.0
+"""Between lanes of one junction gaps up to twice this wide are part of it."""
+
+
+@per_road
+def junctions(road: RoadMap) -> list[list[Floats]]:
+    """The places where lanes cross: lanes of a junction, and what is between.
+
+    Each an outline (P, 2), and those of its islands.
+    """
+    lanes = [
+        shapely.LineString(lane.centre_m).buffer(
+            (lane.width_m or UNKNOWN_WIDTH_M) / 2, cap_style="flat"
+        )
+        for lane in road.lanes.values()
+        if lane.interpolating and len(lane.centre_m) > 1
+    ]
+    if not lanes:
+        return []
+    joined = shapely.union_all(lanes).buffer(_FILLED_M).buffer(-_FILLED_M)
+    parts = shapely.get_parts(joined)
+    return [
+        [shapely.get_coordinates(ring) for ring in (one.exterior, *one.interiors)]
+        for one in parts
+        if isinstance(one, shapely.Polygon)
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +119,13 @@ def draw_road(
 
     ``inches`` is the width of the axes on paper: lanes are as wide as they are in the world.
     """
+    areas = [[window.place(ring) for ring in area] for area in junctions(road)]
+    shapes = [
+        Path.make_compound_path(*(Path(ring, closed=True) for ring in area))
+        for area in areas
+        if window.shows(area[0])
+    ]
+    axes.add_collection(PathCollection(shapes, facecolors=style.surface, linewidths=0, zorder=0))
     centres = [
         (placed, lane.width_m)
         for lane in road.lanes.values()

@@ -13,10 +13,20 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import Case, Contact, Floats, OpponentScores, Plan, Rollout, View
+from deepmf_sumo.datatypes import (
+    Case,
+    Contact,
+    Floats,
+    OpponentScores,
+    Plan,
+    Rollout,
+    TrafficCase,
+    View,
+)
 from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, OPPONENT, STAR
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
+from deepmf_sumo.results.failures import Conflict, Side, conflict_of
 
 OTHER, CONTACT = "#8d99a6", "#000000"
 AXES_IN: Final = 7.4
@@ -35,7 +45,7 @@ EVERY_STEPS: Final = 10
 
 def draw(rollout: Rollout, case: Case, path: Path) -> None:
     """Write a PNG; the same rollout gives the same bytes."""
-    figure = Figure(figsize=(10.4, 8.0), dpi=110, layout="constrained")
+    figure = Figure(figsize=(8.0, 8.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     plan = _explained(rollout)
@@ -51,9 +61,9 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
         _driven(axes, rollout, rollout.opponent_id, OPPONENT, window)
     if contact:
         _contact(axes, rollout, contact, window)
-    _finish(axes, window, _title(rollout, case, contact))
+    _finish(axes, window, _title(rollout, case, contact), north=isinstance(case, TrafficCase))
     handles = list(_handles(rollout, scores, plan))
-    figure.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
+    axes.legend(handles=handles, loc="best", fontsize=8, framealpha=0.9).set_zorder(13)
     figure.savefig(path, metadata={"Software": None})
 
 
@@ -197,18 +207,40 @@ def _contact(axes: Axes, rollout: Rollout, contact: Contact, window: Window) -> 
 
 
 def _title(rollout: Rollout, case: Case, contact: Contact | None) -> str:
+    """What happened, in words; below it the name of the case."""
     seconds = (rollout.tracks.steps - 1 - rollout.now) * rollout.dt_s
     if contact is None:
-        return f"{case.name}\n{OUTCOMES[rollout.outcome]} in {seconds:.1f} s"
+        return f"{_capital(OUTCOMES[rollout.outcome])} in {seconds:.1f} s\n{case.name}"
     time_s = (contact.step - rollout.now) * rollout.dt_s
+    what = _capital(OUTCOMES[rollout.outcome])
     where = f", {SECTORS[contact.sector]}" if rollout.outcome.startswith("av") else ""
-    return (
-        f"{case.name}\n{OUTCOMES[rollout.outcome]} after {time_s:.1f} s at"
-        f" {contact.relative_mps:.1f} m/s relative{where}"
-    )
+    if rollout.outcome == "av_opponent":
+        what = f"{happened(*conflict_of(rollout, case.road))}: hit"
+    return f"{what} after {time_s:.1f} s at {contact.relative_mps:.0f} m/s{where}\n{case.name}"
 
 
-def _finish(axes: Axes, window: Window, title: str) -> None:
+def happened(conflict: Conflict, side: Side, turned: str) -> str:
+    """A conflict in a few words."""
+    turn = conflict.partition(" ")[0].capitalize()
+    if "turn across path" in conflict:
+        by_av = turned == "AV"
+        return f"{turn} turn {'of the AV across the opponent' if by_av else 'in front of the AV'}"
+    if conflict == "rear-end":
+        return "Into the AV from behind" if side == "behind" else "Into the vehicle ahead"
+    if conflict == "head-on":
+        return "Head-on"
+    who = " of the AV" if turned == "AV" else ""
+    name = {"crossing": "Crossing", "merging": "Merging"}.get(conflict, "Lane change")
+    where = f"the {side}" if side in {"left", "right"} else side
+    return f"{name}{who}, opponent from {where}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _finish(axes: Axes, window: Window, title: str, *, north: bool) -> None:
+    """Frame, title and scale; in networks up is north."""
     x0, x1, y0, y1 = window.x0, window.x1, window.y0, window.y1
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])
     axes.set_title(title, fontsize=11, parse_math=False)
@@ -216,6 +248,13 @@ def _finish(axes: Axes, window: Window, title: str) -> None:
     left, bottom = x0 + 0.04 * (x1 - x0), y0 + 0.03 * (y1 - y0)
     axes.plot([left, left + bar], [bottom, bottom], color="black", lw=2, zorder=12)
     axes.text(left + bar / 2, bottom + 0.01 * (y1 - y0), f"{bar:g} m", ha="center", zorder=12)
+    if north:
+        tip = {"arrowstyle": "-|>", "color": "black", "lw": 1.2}
+        place = left + bar + 0.05 * (x1 - x0)
+        axes.annotate(
+            "N", xy=(place, bottom + 0.06 * (y1 - y0)), xytext=(place, bottom), ha="center",
+            arrowprops=tip, zorder=12,
+        )  # fmt: skip
 
 
 def _handles(

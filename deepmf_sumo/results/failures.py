@@ -110,6 +110,23 @@ def failure_of(run: Run, road: RoadMap | None = None) -> Failure | None:
     return _of_hit(run, rollout, contact, road)
 
 
+def conflict_of(rollout: Rollout, road: RoadMap) -> tuple[Conflict, Side, Who]:
+    """Of an episode with a hit: its conflict, where the opponent came from, and who turned.
+
+    Raises ValueError without a hit.
+    """
+    contact = rollout.first("av_opponent")
+    if contact is None:
+        raise ValueError("the opponent did not hit the AV")
+    pair = _Pair.of(rollout.tracks, contact)
+    conflict = pair.conflict(accident_type_of(rollout), _joins(road, pair))
+    turned = pair.turned(conflict)
+    priority = _by_map(pair, road) if conflict == "merging" else ""
+    if priority:
+        turned = "opponent" if priority == "AV" else "AV"
+    return conflict, pair.side(conflict, max(rollout.now, pair.first)), turned
+
+
 def _of_planner(run: Run) -> Failure | None:
     """A planner's error. A run that was out of time hung in the planner, or in something else."""
     error = run.row.get("error", "")

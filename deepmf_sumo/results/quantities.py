@@ -7,6 +7,7 @@ differences treat all quantities alike.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from typing import Any, Final, Literal
 
@@ -23,6 +24,11 @@ TTC_CEILING_S: Final = 10.0
 
 _NEGLIGIBLE: Final = 0.05
 """s, m and m/s: rounding on another machine moves all runs a little, and all in one direction."""
+
+_NEGLIGIBLE_PER_S: Final = 0.005
+
+_AT_ONCE_S: Final = 1.0
+"""A time to the contact below a driver's reaction time is as bad as this one."""
 
 _RATE: Final = 0.2
 """Worsening of a rate that a comparison must rule out."""
@@ -79,7 +85,9 @@ class Quantity:
     @property
     def negligible(self) -> float:
         """A difference that does not matter, however sure it is; in ``unit``."""
-        return 0.0 if self.rate else _NEGLIGIBLE
+        if self.rate:
+            return 0.0
+        return _NEGLIGIBLE_PER_S if self.unit == "1/s" else _NEGLIGIBLE
 
     def of(self, result: Result) -> float | None:
         """Value of a run; None where it can have none."""
@@ -146,6 +154,16 @@ def _ttc(result: Result) -> float | None:
     return TTC_CEILING_S if found is None else min(found, TTC_CEILING_S)
 
 
+def _inverse(name: str) -> Value:
+    """1 over a time in seconds: a change counts the more, the shorter the time."""
+
+    def value(result: Result) -> float | None:
+        found = metric(result, name)
+        return None if found is None else 1.0 / max(found, _AT_ONCE_S)
+
+    return value
+
+
 def _mean(name: str, unit: str, better: Better, of: str, what: str, **more: Any) -> Quantity:
     return Quantity(
         name=name, unit=unit, better=better, value=lambda result: metric(result, of),
@@ -168,6 +186,22 @@ def _positive(value: float) -> bool:
 
 _RUNS: Final = "mean over attacked runs"
 _HITS: Final = "mean over hits"
+
+_OF_THE_AV: Final[tuple[tuple[str, str, Better, str, float], ...]] = (
+    ("av_ttc_s", "s", "lower", "av_ttc_min", 1.0),
+    ("av_time_gap_s", "s", "lower", "av_time_gap_min", 0.5),
+    ("av_required_braking_mps2", "m/s2", "higher", "av_required_braking", 1.0),
+    ("av_hardest_braking_mps2", "m/s2", "higher", "planner_hardest_braking", 1.0),
+    ("av_over_limit_mps", "m/s", "higher", "av_over_limit", 1.0),
+    ("av_late_at_signal_s", "s", "higher", "av_late_at_signal", 1.0),
+    ("av_progress_m", "m", "lower", "av_progress", 10.0),
+)
+"""Name, unit, what is worse for the AV, metric, and a worsening that must be ruled out."""
+
+_INVERSE: Final = {
+    "av_inverse_ttc_per_s": "av_ttc_min",
+    "av_inverse_time_gap_per_s": "av_time_gap_min",
+}
 
 QUANTITIES: Final = (
     _rate(
@@ -274,6 +308,21 @@ QUANTITIES: Final = (
         "hardest braking that the opponent asks of the AV, up to 1 s before a contact",
         in_table=False, rule_out=1.0,
     ),
+    *(
+        Quantity(
+            name=name, unit=unit, better=better, over="judged", in_table=False, rule_out=rule_out,
+            value=partial(metric, name=of), definition="mean over judged runs", metric=of,
+        )
+        for name, unit, better, of, rule_out in _OF_THE_AV
+    ),
+    *(
+        Quantity(
+            name=name, unit="1/s", better="higher", over="judged", in_table=False, rule_out=0.1,
+            value=_inverse(of), metric=of,
+            definition=f"mean over judged runs of 1 over the value, of at least {_AT_ONCE_S:g} s",
+        )
+        for name, of in _INVERSE.items()
+    ),
 )  # fmt: skip
 
 BY_NAME: Final = {quantity.name: quantity for quantity in QUANTITIES}
@@ -286,7 +335,7 @@ COMPARABLE: Final = {
     for name in (
         "impact_mps", "av_collision_rate", "collision_rate", "valid_collision_rate",
         "avoidable_rate", "av_at_fault_rate", "ttc_s", "min_gap_m", "required_braking_mps2",
-        "collision_speed_mps", "delta_v_mps",
+        "collision_speed_mps", "delta_v_mps", *(name for name, *_ in _OF_THE_AV), *_INVERSE,
     )
 }  # fmt: skip
 """What `check` and `compare` judge, by name: what is worse for the AV is said of each."""

@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 
 from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network.sumo_net import (
     NetEdge,
     NetFile,
@@ -248,6 +249,12 @@ def read(net_file: Path) -> Places:
             by_edges[ends].append(link)
     movements = {}
     for (origin, target), links in by_edges.items():
+        for edge in (origin, target):
+            if edge not in net.edges:
+                raise SimulationError(
+                    f"'{net_file}' has a connection from edge '{origin}' to edge '{target}', but no"
+                    f" edge '{edge}'; build the network again with netconvert."
+                )
         junction = net.edges[origin].end
         name = _name(junction, origin, target)
         movements[name] = Movement(

@@ -33,7 +33,7 @@ PRESETS: Final[dict[Network, str]] = {
     "conditional": "vector",
     "strive": "light",
 }
-"""Sizes of each network. Images add nothing to the trajectories; see docs/studies.md."""
+"""Sizes of each network. Images add nothing to the trajectories (studies/notebook/ablation.md)."""
 MEMBERS: Final = 1
 """Members of the marginal network. A second one lowers errors of 16 and 32 modes, not of 6."""
 MOST_MEMBERS: Final = 8

@@ -139,11 +139,17 @@ class Careful:
         ).model
         self._since: dict[AgentId, float] = {}
         self._last: dict[AgentId, float] = {}
+        self._unanswered = False
 
     @property
-    def model(self) -> VehicleModel | None:
+    def model(self) -> VehicleModel:
         """Parameters of the AV's IDM."""
         return self._model
+
+    @property
+    def unanswered(self) -> bool:
+        """Whether some risk has been seen for less than the reaction time, and none for longer."""
+        return self._unanswered
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:  # noqa: ARG002
         """Start of an episode."""
@@ -212,6 +218,7 @@ class Careful:
             self._last[name] = now_s
             if now_s - self._since[name] >= self._settings.reaction_s - 1e-6:
                 seen.append(row)
+        self._unanswered = bool(len(asked)) and not seen
         return max(seen, key=lambda row: risk.braking_mps2[row]) if seen else None
 
     def _braked(self, base: Command, sight: _Sight, agent: AgentId, braking: float) -> Command:

@@ -19,7 +19,6 @@ from deepmf_sumo.datatypes import (
     Case,
     Command,
     Floats,
-    Lane,
     SignalState,
     Tracks,
     VehicleModel,
@@ -30,7 +29,8 @@ from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.planners import idm
 from deepmf_sumo.plugins import Settings as PluginSettings
-from studies.planner_faults import careful
+from studies.planner_faults import careful, unguarded
+from studies.planner_faults.unguarded import STOPS, Others, around, lanes_ahead, limit_of, speed_of
 
 
 class Episode:
@@ -59,47 +59,6 @@ class Episode:
 
 Seen = Callable[[View, Episode], View]
 Commanded = Callable[[Command, View, Episode], Command]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Others:
-    """The N agents of a view as the AV has them now, the AV's own row included.
-
-    Attributes:
-        local_m: (N, 2) centres in the AV's frame. turn_rad: (N) heading against the AV's.
-        speed_mps, length_m, width_m: (N).
-        clearance_m: (N) between the box and what the AV sweeps on its path; negative inside.
-    """
-
-    local_m: Floats
-    turn_rad: Floats
-    speed_mps: Floats
-    length_m: Floats
-    width_m: Floats
-    clearance_m: Floats
-    view: View
-
-
-def around(view: View) -> Others:
-    """The agents of a view."""
-    tracks, me = view.history, view.history.row(view.av_id)
-    position, heading = tracks.position_m[:, -1], tracks.heading_rad[:, -1]
-    length, width = tracks.size_m[:, 0], tracks.size_m[:, 1]
-    course, left = heading[me], np.abs(frames.to_local(position, position[me], heading[me])[:, 1])
-    turned = heading - course
-    if view.av_path_m is not None:
-        foot = polylines.project(view.av_path_m, position)
-        left, turned = np.abs(foot.left_m), heading - foot.heading_rad
-    reach = np.abs(length * np.sin(turned)) + np.abs(width * np.cos(turned)) + width[me]
-    return Others(
-        local_m=frames.to_local(position, position[me], float(course)),
-        turn_rad=np.abs(frames.difference(heading, course)),
-        speed_mps=tracks.speed_mps[:, -1],
-        length_m=length,
-        width_m=width,
-        clearance_m=left - reach / 2,
-        view=view,
-    )
 
 
 def without(lost: Callable[[Others], Bools]) -> Seen:
@@ -208,14 +167,10 @@ def _narrow(view: View, _: Episode) -> View:
     return replace(view, history=_tracks(view.history, size_m=size))
 
 
-def _speed(view: View) -> float:
-    return float(view.history.speed_mps[view.history.row(view.av_id), -1])
-
-
 def _frozen(command: Command, view: View, episode: Episode) -> Command:
     """The present speed for 0.5 s, every 4 s."""
     if episode.in_turn(view, 4.0, 0.5):
-        return Command(kind="speed", speed_mps=_speed(view))
+        return Command(kind="speed", speed_mps=speed_of(view))
     return command
 
 
@@ -223,68 +178,37 @@ def _phantom(command: Command, view: View, episode: Episode) -> Command:
     """5 m/s2 of braking for 0.8 s, every 5 s."""
     if not episode.in_turn(view, 5.0, 0.8):
         return command
-    slower = max(0.0, _speed(view) - 5.0 * view.dt_s)
+    slower = max(0.0, speed_of(view) - 5.0 * view.dt_s)
     asked = command.speed_mps if command.kind == "speed" else slower
     return Command(kind="speed", speed_mps=min(slower, asked))
 
 
-def _lanes_ahead(view: View, ahead_m: float) -> list[Lane]:
-    """Lanes that lie on the AV's path within a distance, in no particular order."""
-    if view.av_path_m is None:
-        return []
-    points, course = polylines.points_at(view.av_path_m, np.arange(0.0, ahead_m, 4.0))
-    found = []
-    for lane in view.road.lanes.values():
-        if len(lane.centre_m) < 2 or lane.kind == "bike":
-            continue
-        low, high = lane.centre_m.min(0) - 1.0, lane.centre_m.max(0) + 1.0
-        near = ((points >= low) & (points <= high)).all(-1)
-        if near.any():
-            foot = polylines.project(lane.centre_m, points[near])
-            turn = np.abs(frames.difference(foot.heading_rad, course[near]))
-            if ((foot.distance_m < 1.0) & (turn < np.pi / 6)).any():
-                found.append(lane)
-    return found
-
-
-def _limit(view: View) -> float | None:
-    """The speed limit where the AV is; None if unknown."""
-    known = [lane.speed_limit_mps for lane in _lanes_ahead(view, 4.0) if lane.speed_limit_mps]
-    return min(known) if known else None
-
-
 def _speeding(command: Command, view: View, _: Episode) -> Command:
     """Where nothing is ahead and it drives at the limit, on to 1.15 times the limit."""
-    limit, speed = _limit(view), _speed(view)
+    limit, speed = limit_of(view), speed_of(view)
     if command.kind != "sumo" or limit is None or speed < 0.95 * limit or _stops(view):
         return command
     faster = speed + idm.TREIBER.accel_mps2 * view.dt_s
     return Command(kind="speed", speed_mps=min(faster, 1.15 * limit))
 
 
-_STOPS: Final = {
-    SignalState.STOP,
-    SignalState.CAUTION,
-    SignalState.ARROW_STOP,
-    SignalState.ARROW_CAUTION,
-}
 _YELLOW: Final = {SignalState.CAUTION, SignalState.ARROW_CAUTION}
 
 
 def _states(view: View) -> set[SignalState]:
     """The signals of the lanes within the next 60 m."""
-    lit = {lane.id for lane in _lanes_ahead(view, 60.0)} if view.signals else set()
+    lit = {lane.id for lane in lanes_ahead(view, 60.0)} if view.signals else set()
     return {view.signals[name] for name in lit if name in view.signals}
 
 
 def _stops(view: View) -> bool:
-    return bool(_states(view) & _STOPS)
+    return bool(_states(view) & STOPS)
 
 
 def _yellow(command: Command, view: View, _: Episode) -> Command:
     """On at the present speed where its signal is yellow, unless it brakes for a risk."""
     if command.kind == "sumo" and _states(view) & _YELLOW:
-        return Command(kind="speed", speed_mps=_speed(view))
+        return Command(kind="speed", speed_mps=speed_of(view))
     return command
 
 
@@ -436,4 +360,8 @@ class Faulty:
         fault, episode = self._fault, self._episode
         shown = fault.seen(view, episode) if fault.seen else view
         command = self._planner.act(shown)
+        if "reaction_s" in fault.settings and self._planner.unanswered:
+            command = Command(kind="speed", speed_mps=speed_of(view))
+        if fault.seen and unguarded.misled(view, shown):
+            command = unguarded.driven(command, shown, self._planner.model)
         return fault.commanded(command, view, episode) if fault.commanded else command

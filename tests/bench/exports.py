@@ -99,7 +99,7 @@ def others(out: Path, count: int) -> list[Path]:
 def row(name: str, read: Callable[[Path, Run], Any], runs: Sequence[Run], folder: Path) -> bool:
     """Print the line of a format; whether all is as it should be."""
     try:
-        form = exports.Format.named(name)
+        form = exports.Format.named(name, SETTINGS.get(name))
     except PluginError as lacks:
         print(f"{name}: {lacks}")
         return True
@@ -113,6 +113,8 @@ def row(name: str, read: Callable[[Path, Run], Any], runs: Sequence[Run], folder
             print(f"{name}: {run.folder}: {made.reason}")
             continue
         found, expected = read(path, run), foreign.boxes_of(run.rollout.tracks)
+        if name in SINCE_NOW:
+            expected = {key: box for key, box in expected.items() if key[0] >= run.rollout.now}
         back += 1
         error = max(error, foreign.largest_error_m(found, expected))
         if run.contact is not None:
@@ -160,6 +162,16 @@ def womd(path: Path, run: Run) -> Any:
     return {key: box for key, box in foreign.womd_boxes(path).items() if key[0] < steps}
 
 
+def commonroad(path: Path, run: Run) -> Any:
+    """Of the scenario with the AV as an obstacle, which begins at the current step."""
+    now, steps = run.rollout.now, run.rollout.tracks.steps
+    found = foreign.commonroad_boxes(path).items()
+    return {(step + now, name): box for (step, name), box in found if step + now < steps}
+
+
+SETTINGS = {"commonroad": {"av": "obstacle"}}
+SINCE_NOW = {"commonroad"}
+"""Formats without what was before the attack."""
 READERS: dict[str, Callable[[Path, Run], Any]] = {
     "fcd": lambda path, _: foreign.fcd_boxes(path),
     "scene": scene,
@@ -167,6 +179,7 @@ READERS: dict[str, Callable[[Path, Run], Any]] = {
     "openscenario": openscenario,
     "scenarionet": scenarionet,
     "womd": womd,
+    "commonroad": commonroad,
     "osi": lambda path, _: foreign.osi_boxes(path),
 }
 

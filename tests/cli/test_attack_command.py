@@ -96,6 +96,7 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
         (["--junction", "c"], "--junction c: no such junction is in the network; there are", 2),
         (["--edge", "aab"], "--edge aab: no such edge is in the network; there are ab.", 2),
         (["--from", "60", "--", "--end", "60"], "--from 60: tiny.sumocfg ends at 60 s", 2),
+        (["--until", "5", "--", "--begin", "9"], "--until 5: tiny.sumocfg begins at 9 s", 2),
         (["--from", "9", "--until", "9"], "must be earlier than until_s, which is 9", 2),
         (["--from", "9", "--at", "12"], "cannot be given with 'at_s' (--at)", 2),
         (["--at", "70", "--", "--end", "60"], "--at 70: there is traffic from 0 to 60 s only", 2),

@@ -1,6 +1,7 @@
-"""The example workflows of docs/ci: what they run works, and what they name is made."""
+"""The example workflows of docs/ci, and the action: what they run works, what they name is made."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ def commands(job):
 
 GITHUB = yaml.safe_load((CI / "github.yml").read_text())["jobs"]["attack"]
 GITLAB = yaml.safe_load((CI / "gitlab.yml").read_text())["av"]
+ACTION = yaml.safe_load((CI.parents[1] / "action.yml").read_text())
 
 
 @pytest.fixture
@@ -41,9 +43,9 @@ def repository(tmp_path, tiny):
     return tmp_path
 
 
-def run(repository, line):
+def run(repository, line, **environment):
     path = f"{repository / 'bin'}{os.pathsep}{os.environ['PATH']}"
-    added = {"PATH": path, "GITHUB_STEP_SUMMARY": str(repository / "page.md")}
+    added = {"PATH": path, "GITHUB_STEP_SUMMARY": str(repository / "page.md"), **environment}
     return subprocess.run(
         ["bash", "-e", "-o", "pipefail", "-c", line], cwd=repository, check=False,
         capture_output=True, text=True, env={**os.environ, **added},
@@ -90,3 +92,64 @@ def test_the_example_thresholds_are_read():
     found = gate.load(CI / "thresholds.yaml")
     assert found.max_av_collision_rate == 0.5
     assert found.baseline.results.endswith("docs/ci/baseline.json")
+
+
+def action(repository, name, **inputs):
+    """Run a step of the action as GitHub would, with defaults for all other inputs."""
+    [step] = [step for step in ACTION["runs"]["steps"] if step.get("name") == name]
+    given = {key: spec.get("default") for key, spec in ACTION["inputs"].items()} | inputs
+    environment = {
+        variable: str(given[re.fullmatch(r"\$\{\{ inputs\.([\w-]+) \}\}", value)[1]])
+        for variable, value in step["env"].items()
+    }
+    assert step["shell"] == "bash"
+    return run(repository, step["run"], **environment)
+
+
+def test_the_action_attacks_and_judges(repository):
+    options = "--no-pictures --set adversary=none"
+    inputs = {"specs": "av/scenarios/*0.yaml av/scenarios/*1.yaml", "arguments": options}
+    done = action(repository, "attack", **inputs)
+    assert done.returncode == 0, done.stdout + done.stderr
+    done = action(repository, "check")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "## deepmf-sumo: passed" in (repository / "page.md").read_text()
+    assert (repository / "results" / "gate.xml").is_file()
+    (repository / "old").mkdir()
+    shutil.move(repository / "results" / "gate.json", repository / "old" / "base line.json")
+    strict = repository / "strict.yaml"
+    strict.write_text("version: 1\nmin_judged_runs: 99\n")
+    done = action(repository, "check", baseline="old/base line.json", thresholds="strict.yaml")
+    assert done.returncode == 3, done.stdout + done.stderr
+    assert "base line.json" in done.stdout
+
+
+def test_failed_runs_of_the_action_reach_the_check(repository):
+    for code, passed in ((0, 0), (1, 0), (3, 0), (2, 1), (130, 1)):
+        program = repository / "bin" / "deepmf-sumo"
+        program.write_text(f"#!/bin/sh\nexit {code}\n")
+        assert action(repository, "attack", specs="a.yaml").returncode == passed
+
+
+def test_the_action_installs_this_package_with_the_build_that_is_asked_for(repository):
+    """`pip` and `uv` are replaced by programs that note what they are asked for."""
+    for name in ("pip", "uv", "deepmf-sumo"):
+        program = repository / "bin" / name
+        program.write_text(f'#!/bin/sh\necho {name} "$@" >> asked\n')
+        program.chmod(0o755)
+    for torch in ("cpu", ""):
+        assert action(repository, "install", package="my package", torch=torch).returncode == 0
+    install = "uv pip install --quiet --system"
+    assert (repository / "asked").read_text().splitlines() == [
+        "pip install --quiet uv", f"{install} --torch-backend cpu my package", "deepmf-sumo doctor",
+        "pip install --quiet uv", f"{install} my package", "deepmf-sumo doctor",
+    ]  # fmt: skip
+
+
+def test_inputs_reach_the_shell_of_the_action_as_variables_alone():
+    """Put into the text of a command, an input could be a command itself."""
+    steps = ACTION["runs"]["steps"]
+    assert not any("${{" in step["run"] for step in steps if "run" in step)
+    used = set(re.findall(r"inputs\.([\w-]+)", str(steps) + str(ACTION["outputs"])))
+    assert used == set(ACTION["inputs"])
+    assert all(spec["description"] for spec in ACTION["inputs"].values())

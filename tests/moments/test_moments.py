@@ -187,6 +187,9 @@ def test_moments_of_a_table_are_each_taken_once(tmp_path):
     table = tmp_path / "moments.csv"
     table.write_text("run_id,av,start_s\nr1,car ü,3.04\nr1,car ü,3.0\nr2,b,7\n", "utf-8")
     assert search.read(tmp_path) == search.read(table) == (("car ü", 3.0), ("b", 7.0))
+    table.write_text("run_id,av,start_s\nold-town--r1,a,3\nnew-town--r1,a,4\n", "utf-8")
+    assert search.read(table, spec="New town") == (("a", 4.0),)
+    assert search.read(table, spec="new") == (("a", 3.0), ("a", 4.0))
     for damaged in ("run_id,av,start_s\nr,a,inf\n", "run_id,av\nr,a\n", "run_id,av,start_s\nr\n"):
         table.write_text(damaged)
         with pytest.raises(UsageError, match="is not a table of moments"):

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.risk import places
 
 from tests.support import risk_doubles
@@ -85,3 +86,13 @@ def test_a_junction_has_the_name_that_the_network_gives_it(tmp_path):
     market = places.read(file)
     assert market.title("junction", "centre") == "Market (centre)"
     assert market.title("edge", "w_in") == "w_in (w_pocket to Market)"
+
+
+def test_a_connection_to_a_missing_edge_is_one_sentence(tmp_path):
+    text = risk_doubles.NET.read_text("utf-8")
+    broken = tmp_path / "broken.net.xml"
+    broken.write_text(
+        text.replace('<connection from="w_in" to="', '<connection from="w_in" to="x_', 1)
+    )
+    with pytest.raises(SimulationError, match=r"from edge 'w_in' to edge 'x_.*', but no edge 'x_"):
+        places.read(broken)

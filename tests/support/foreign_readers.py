@@ -252,6 +252,22 @@ def scenario_boxes(found):
     }
 
 
+def commonroad_boxes(file):
+    """(step after now, comment before the obstacle) -> box of a CommonRoad scenario."""
+    found, name = {}, None
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+    for one in ET.parse(file, parser).getroot():
+        if one.tag is ET.Comment:
+            name = one.text.strip()
+        elif one.tag == "dynamicObstacle":
+            size = [float(one.findtext(f"shape/rectangle/{key}")) for key in ("length", "width")]
+            for state in (one.find("initialState"), *one.iterfind("trajectory/state")):
+                place = [float(state.findtext(f"position/point/{key}")) for key in "xy"]
+                heading = float(state.findtext("orientation/exact"))
+                found[int(state.findtext("time/exact")), name] = Box(*place, heading, *size)
+    return found
+
+
 def xosc_ids(file):
     """Name of an entity -> its property ``id``."""
     return {

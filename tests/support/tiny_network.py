@@ -54,11 +54,11 @@ class Wait(_Planner):
 """
 
 
-def build(folder: Path) -> Path:
+def build(folder: Path, lanes: int = 2) -> Path:
     """The configuration, and the module ``bad_planners`` beside it."""
     for name, text in {
         "tiny.nod.xml": NODES,
-        "tiny.edg.xml": EDGES,
+        "tiny.edg.xml": EDGES.replace('numLanes="2"', f'numLanes="{lanes}"'),
         "tiny.rou.xml": ROUTES,
         "tiny.sumocfg": CONFIG,
         "bad_planners.py": CRASHING,

@@ -15,6 +15,7 @@ from deepmf_sumo.datatypes import Floats, Lane, RoadMap
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.lane_map import per_road
+from deepmf_sumo.report.drawing import junctions
 from deepmf_sumo.report.page.replay import packed, stepwise
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Run
@@ -106,6 +107,11 @@ def _features(road: RoadMap) -> list[tuple[str, int, float, shapely.LineString]]
     """Kind, number, width in metres and line of all that is drawn."""
     rows = [
         ("lane", lane.width_m or _UNKNOWN_WIDTH_M, lane.centre_m) for lane in road.lanes.values()
+    ]
+    # After each ring back to the first point: filled by the even-odd rule, islands are free.
+    rows += [
+        ("junction", 0.0, np.concatenate([each for ring in area for each in (ring, area[0][:1])]))
+        for area in junctions(road)
     ]
     rows += [("line", 0.0, line.points_m) for line in road.lines]
     rows += [("edge", 0.0, edge.points_m) for edge in road.edges]

@@ -87,7 +87,7 @@ def calibrate(net: OpponentNet, dataset: Dataset) -> Calibration:
     """Calibrate the first head by `focal_link`, the second by held-out cross-entropy.
 
     Nothing is fitted for the first head: on other scenes the loss's own link is closer to
-    frequencies than a fit to the held-out scenes (studies.md).
+    frequencies than a fit to the held-out scenes (studies/notebook/predictors.md).
     """
     temperature, offset = focal_link()
     logits, labels = _partners(net, dataset)

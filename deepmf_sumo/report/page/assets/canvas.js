@@ -81,14 +81,14 @@ function drawRoad({ context, colour, metre }, shapes) {
   context.setLineDash([]);
   context.lineJoin = "round";
   context.lineCap = "butt";
-  for (const kind of ["lane", "crosswalk", "centre", "line", "edge"]) {
+  for (const kind of ["junction", "lane", "crosswalk", "centre", "line", "edge"]) {
     for (const shape of shapes) {
       if (shape.kind !== (kind === "centre" ? "lane" : kind)) continue;
       trace(context, shape.points);
-      if (kind === "crosswalk") {
+      if (kind === "crosswalk" || kind === "junction") {
         context.closePath();
-        context.fillStyle = colour("centre");
-        context.fill();
+        context.fillStyle = colour(kind === "junction" ? "surface" : "centre");
+        context.fill("evenodd");
         continue;
       }
       context.strokeStyle = colour(
