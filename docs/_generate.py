@@ -9,7 +9,7 @@ import re
 import types
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from griffe import Docstring, DocstringSectionAttributes
 from pydantic import BaseModel
@@ -65,7 +65,9 @@ def readable(kind: Any) -> str:  # noqa: PLR0911
         keys = [f"`{name}`" for name in kind.model_fields]
         return "map" if len(keys) > FEW else f"map with {', '.join(keys)}"
     words = {bool: "true or false", float: "number", int: "whole number", str: "text", Path: "path"}
-    return words.get(kind, "null" if kind is types.NoneType else getattr(kind, "__name__", "any"))
+    return words.get(
+        kind, "null" if kind is types.NoneType else "map" if is_typeddict(kind) else "any"
+    )
 
 
 def described(model: type) -> dict[str, str]:
@@ -73,12 +75,13 @@ def described(model: type) -> dict[str, str]:
     found: dict[str, str] = {}
     for one in reversed(model.__mro__):
         if one.__module__.startswith("deepmf_sumo") and one.__doc__:
-            text = re.sub(r"(?<=\. )(?=\w+: )", "\n    ", one.__doc__)  # several in one line
+            text = re.sub(r"(?<=\. )(?=[a-z]\w*: )", "\n    ", one.__doc__)  # several in one line
             for section in Docstring(text).parse("google", warnings=False):
                 if isinstance(section, DocstringSectionAttributes):
                     for item in section.value:
                         words = " ".join(item.description.split())
-                        found |= dict.fromkeys(re.split(r",\s*", item.name), words)
+                        more = item.annotation if item.name.endswith(",") else ""  # `a, b: text`
+                        found |= dict.fromkeys(re.findall(r"\w+", f"{item.name} {more}"), words)
     return {name: re.sub(r"`[\w.]*\.([\w]+)`", r"`\1`", text) for name, text in found.items()}
 
 
@@ -114,6 +117,8 @@ def default(field: FieldInfo) -> str:
     value = field.get_default(call_default_factory=True)
     if isinstance(value, BaseModel) or value in ((), {}, []):
         return ""
+    if isinstance(value, tuple):
+        return f"`[{', '.join(map(str, value))}]`"
     words = {None: "null", True: "true", False: "false"}
     return f"`{words[value] if value is None or isinstance(value, bool) else value}`"
 

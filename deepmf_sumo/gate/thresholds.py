@@ -27,10 +27,16 @@ class Limits(Strict):
     """Bounds over a group of runs; None: not bounded.
 
     Attributes:
-        max_av_collision_rate: see `quantities.COMPARABLE` for this and the other rates.
+        max_av_collision_rate: share of the judged runs in which the AV touched anything.
+        max_collision_rate: share of the attacked runs in which the opponent hit the AV.
+        max_valid_collision_rate: share of the attacked runs with the metric `valid_collision`.
+        max_avoidable_rate: share of the hits that a reference driver would have avoided.
+        max_av_at_fault_rate: share of the hits that are the AV's fault.
         min_ttc_p05: seconds; the least time to collision that 95 % of the attacked runs keep.
+        min_gap_p05: metres; the least gap that 95 % of the attacked runs keep.
         max_delta_v_mps, max_collision_speed_mps: of the worst hit.
         max_failed_runs: failed, timed out or missing ones.
+        max_skipped_runs: records that cannot be read.
         min_judged_runs: fewer of them are not enough for a judgement.
     """
 

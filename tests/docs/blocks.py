@@ -10,6 +10,7 @@ import importlib.util
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,8 @@ from tests.docs.pages import ROOT, Page
 
 BUILDS = ("pip ", "make ", "git ", "uv ", "docker ")
 """Commands that install or build: in README they are left out, which `Ran.left_out` counts."""
-MOST_LINES = 16
+FIRST, LAST = 10, 6
+"""Lines of an output that are shown where it has more."""
 WIDTH = 118
 
 
@@ -81,12 +83,18 @@ def run(page: Page, folder: Path, limit_s: float = 900) -> Ran:
         **os.environ, "PATH": path, "COLUMNS": str(WIDTH), "PYTHONPATH": str(ROOT),
         "OMP_NUM_THREADS": "1", "DEEPMF_SUMO_HOME": str(folder / "home"),
     }  # fmt: skip
-    done = subprocess.run(
-        ["bash", "-c", text], cwd=work, env=environment, check=False, text=True,
-        stderr=subprocess.PIPE, timeout=limit_s,
-    )  # fmt: skip
+    with subprocess.Popen(
+        ["bash", "-c", text], cwd=work, env=environment, text=True, stderr=subprocess.PIPE,
+        start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            _, log = process.communicate(timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGTERM)  # commands that it has started, too
+            _, log = process.communicate()
+            log += f"ended after {limit_s:g} s\n"
     outputs = {int(file.stem): file.read_text("utf-8") for file in logs.glob("*.out")}
-    return Ran(done.returncode, done.stderr, outputs, tuple(left_out))
+    return Ran(process.returncode, log, outputs, tuple(left_out))
 
 
 def written(page: Page, ran: Ran, folder: Path) -> str:
@@ -94,9 +102,10 @@ def written(page: Page, ran: Ran, folder: Path) -> str:
     text, blocks = page.text, page.blocks
     for number in reversed(range(len(blocks) - 1)):
         block = blocks[number + 1]
-        if number in ran.outputs and block.language == "text" and not block.mark:
-            lines = ran.outputs[number].replace(f"{folder}/work/", "").rstrip().splitlines()
-            cut = [*lines[:MOST_LINES], "..."] if len(lines) > MOST_LINES else lines
+        shown = block.language == "text" and ran.outputs.get(number, "").strip()
+        if shown:
+            lines = ran.outputs[number].replace(f"{folder}/work/", "").strip("\n").splitlines()
+            cut = [*lines[:FIRST], "...", *lines[-LAST:]] if len(lines) > FIRST + LAST else lines
             new = "\n".join(line.rstrip() for line in cut) + "\n"
             text = text[: block.start] + new + text[block.end :]
     return text
@@ -107,16 +116,17 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("pages", nargs="+", type=Path)
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--limit", type=float, default=900, help="seconds for a page")
     parser.add_argument("--keep", type=Path, help="keep the folder of a single page here")
     options = parser.parse_args()
     worst = 0
     for path in options.pages:
         page, folder = Page(path.resolve()), Path(tempfile.mkdtemp())
-        ran = run(page, folder)
+        ran = run(page, folder, options.limit)
         print(page.name, ran.returncode, *ran.left_out, sep="\n  ")
         if ran.returncode:
             print(ran.log)
-        elif options.write:
+        if options.write:
             path.write_text(written(page, ran, folder), "utf-8")
         if options.keep:
             shutil.copytree(folder, options.keep)

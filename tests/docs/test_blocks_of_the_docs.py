@@ -10,10 +10,10 @@ RUN = [page for page in (README, *SITE) if any(block.runnable for block in page.
 
 @pytest.mark.slow
 @pytest.mark.sumo
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1900)
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
 def test_the_blocks_of_a_page_run(page, tmp_path):
-    ran = blocks.run(page, tmp_path)
+    ran = blocks.run(page, tmp_path, limit_s=1800)
     assert ran.returncode == 0, ran.log
     assert ran.outputs or ran.left_out
 
