@@ -178,3 +178,9 @@ def test_the_results_are_one_page_and_say_how_each_table_was_made():
         re.search(r"`(deepmf-sumo|make) \w+", part.partition("\n|")[0]) for part in sections
     ]
     assert all(commands)
+
+
+def test_the_notebook_lists_its_pages():
+    folder = ROOT / "studies" / "notebook"
+    listed = re.findall(r"\]\(([\w-]+\.md)\)", (folder / "README.md").read_text("utf-8"))
+    assert sorted([*listed, "README.md"]) == sorted(path.name for path in folder.glob("*.md"))
