@@ -83,8 +83,9 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
 
 
 def _named(group: "Group", folders: tuple[Path, ...]) -> str:
-    """Its sentence; of several folders with that of the example."""
+    """Its sentence with the run that is its example; of several folders with that run's folder."""
     from deepmf_sumo.report import failures as words
 
     said = words.sentence(group)
-    return said if len(folders) == 1 else f"{said} ({group.example.run.folder})"
+    run = group.example.run
+    return f"{said} ({run.run_id if len(folders) == 1 else run.folder})"

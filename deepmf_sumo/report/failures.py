@@ -8,7 +8,7 @@ from deepmf_sumo.texts import shown
 
 HEADINGS: Final = (
     "runs", "failure", "opponent from", "priority", "AV", "avoided by", "onset, s before the hit",
-    "delta-v, m/s", "example",
+    "delta-v, m/s",
 )  # fmt: skip
 _CAREFUL: Final[dict[Conflict, str]] = {
     "rear-end": "kept its distance",
@@ -48,7 +48,6 @@ def row(group: Group) -> tuple[str, ...]:
         group.avoided_by,
         f"{group.onset_s:.1f}" if _seconds(group) else "",
         "" if one.kind != "hit" else f"{group.delta_v_mps:.1f}",
-        one.run.run_id,
     )
 
 
