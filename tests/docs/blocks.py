@@ -68,7 +68,7 @@ def script(page: Page, logs: Path) -> tuple[str, list[str]]:
 
 def run(page: Page, folder: Path, limit_s: float = 900) -> Ran:
     """Run the blocks in a new folder below ``folder``."""
-    logs, work, programs = folder / "logs", folder / "work", folder / "bin"
+    logs, work, programs = folder / "logs", folder / "here", folder / "bin"
     for one in (logs, work, programs):
         one.mkdir(parents=True)
     if not any(block.runnable and "deepmf-sumo init" in block.code for block in page.blocks):
@@ -104,7 +104,7 @@ def written(page: Page, ran: Ran, folder: Path) -> str:
         block = blocks[number + 1]
         shown = block.language == "text" and ran.outputs.get(number, "").strip()
         if shown:
-            lines = ran.outputs[number].replace(f"{folder}/work/", "").strip("\n").splitlines()
+            lines = ran.outputs[number].replace(f"{folder}/here/", "").strip("\n").splitlines()
             cut = [*lines[:FIRST], "...", *lines[-LAST:]] if len(lines) > FIRST + LAST else lines
             new = "\n".join(line.rstrip() for line in cut) + "\n"
             text = text[: block.start] + new + text[block.end :]
