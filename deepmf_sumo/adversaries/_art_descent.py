@@ -112,9 +112,9 @@ def descend(
     """
     bounds = bounds.widened(base_m)
     # Single precision: far from the origin it would not resolve centimetres.
-    base, spread = _single(base_m - base_m[0]), _single(basis)
-    points = _single(_within(begin, base_m, basis, bounds)).requires_grad_()
-    adam = _Adam(points)
+    base, spread = single(base_m - base_m[0]), single(basis)
+    points = single(_within(begin, base_m, basis, bounds)).requires_grad_()
+    adam = Adam(points, _RATE)
     best, least = points.detach().clone(), torch.full((len(begin),), torch.inf)
     idle = done = 0
     while done < iterations and idle < _PATIENCE and (not done or time.perf_counter() < deadline):
@@ -128,16 +128,17 @@ def descend(
         (gradient,) = torch.autograd.grad(value.sum(), points)
         stepped = points.detach() - adam.step(gradient)
         inside = _within(stepped.double().numpy(), base_m, basis, bounds)
-        points = _single(inside).requires_grad_()
+        points = single(inside).requires_grad_()
         done += 1
     found = best.double().numpy()
     return Descent(points=found, offset_m=np.einsum("wn,rnc->rwc", basis, found), iterations=done)
 
 
-class _Adam:
+class Adam:
     """Adam (Kingma, Ba 2015); importing torch's takes seconds."""
 
-    def __init__(self, points: Tensor) -> None:
+    def __init__(self, points: Tensor, rate: float) -> None:
+        self._rate = rate
         self._mean, self._square = torch.zeros_like(points), torch.zeros_like(points)
         self._steps = 0
 
@@ -148,7 +149,7 @@ class _Adam:
         self._square = torch.lerp(self._square, gradient.square(), 1 - _DECAYS[1])
         mean = self._mean / (1 - _DECAYS[0] ** self._steps)
         square = self._square / (1 - _DECAYS[1] ** self._steps)
-        return _RATE * mean / (square.sqrt() + 1e-8)
+        return self._rate * mean / (square.sqrt() + 1e-8)
 
 
 def _within(points: Floats, base_m: Floats, basis: Floats, bounds: Bounds) -> Floats:
@@ -184,7 +185,8 @@ def _largest(value: Tensor) -> float:
     return float(value.max())
 
 
-def _single(values: Floats) -> Tensor:
+def single(values: Floats) -> Tensor:
+    """In single precision."""
     return torch.from_numpy(np.asarray(values, np.float32))
 
 
@@ -286,13 +288,13 @@ class _Gap:
     def __init__(self, reference_m: Floats, heading_rad: float, target: Target) -> None:
         # Single precision: far from the origin it would not resolve centimetres.
         origin = reference_m[0]
-        self._reference = _single(reference_m - origin)
-        self._still = _single(frames.unit(heading_rad))
-        self._places = _single(_circles(target.own_size_m))
+        self._reference = single(reference_m - origin)
+        self._still = single(frames.unit(heading_rad))
+        self._places = single(circles(target.own_size_m))
         self._radii = float(target.own_size_m[1] + target.av_size_m[1]) / 2
         ahead = frames.unit(target.heading_rad)[:, None]
-        places = _circles(target.av_size_m)[:, None]
-        self._av = _single(target.position_m[:, None] - origin + places * ahead)  # (K, 3, 2)
+        places = circles(target.av_size_m)[:, None]
+        self._av = single(target.position_m[:, None] - origin + places * ahead)  # (K, 3, 2)
         self._gone = torch.from_numpy(~target.there)
 
     def soft(self, offset: Tensor) -> Tensor:
@@ -314,7 +316,7 @@ class _Gap:
         return torch.where(length > _MOVING_M, step / length.clamp_min(_MOVING_M), self._still)
 
 
-def _circles(size_m: Floats) -> Floats:
+def circles(size_m: Floats) -> Floats:
     """(3) centres of three circles along a box, from its own centre."""
     reach = max(float(size_m[0] - size_m[1]) / 2, 0.0)
     return np.array([-reach, 0.0, reach])

@@ -11,13 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.adversaries._art_descent import GONE_M
+from deepmf_sumo.adversaries._art_descent import GONE_M, Adam, circles, single
 from deepmf_sumo.datatypes import DT_S, Bools, Floats
 
 EVERY = 2
 """Steps between the points at which motions are compared, and between two controls: 5 Hz."""
 _TAKEN_S = EVERY * DT_S
-_DECAYS = (0.9, 0.999)
 _SOFT_M = 1.0  # width of the soft minimum over time
 _DEPTH_M = 0.4  # desired overlap, so that tracking errors keep the contact
 _ROOM_M = 1.0  # that other road users should have
@@ -106,7 +105,7 @@ def descend(
     """
     problem = _Problem(opponent, around, bounds, terms)
     controls = torch.zeros(2, len(opponent.accel_mps2), requires_grad=True)
-    mean, square = torch.zeros_like(controls), torch.zeros_like(controls)
+    adam = Adam(controls, rate)
     best, least, done, late = problem.place(controls)[0], np.inf, 0, False
     while done < iterations and not late:
         position, heading = problem.place(controls)
@@ -117,12 +116,7 @@ def descend(
         if gap < -_DEPTH_M / 2:
             break
         (slope,) = torch.autograd.grad(cost, controls)
-        mean = torch.lerp(mean, slope, 1 - _DECAYS[0])
-        square = torch.lerp(square, slope.square(), 1 - _DECAYS[1])
-        scaled = (mean / (1 - _DECAYS[0] ** done)) / (
-            (square / (1 - _DECAYS[1] ** done)).sqrt() + 1e-8
-        )
-        controls = (controls.detach() - rate * scaled).clamp(-1.0, 1.0).requires_grad_()
+        controls = (controls.detach() - adam.step(slope)).clamp(-1.0, 1.0).requires_grad_()
         late = time.perf_counter() >= until
     found = best.detach().double().numpy() + opponent.position_m
     return Descent(position_m=found, gap_m=least, iterations=done, out_of_time=late)
@@ -138,17 +132,17 @@ class _Problem:
     def __init__(self, opponent: Opponent, around: Around, bounds: Bounds, terms: Terms) -> None:
         self._opponent, self._bounds, self._terms = opponent, bounds, terms
         origin = opponent.position_m
-        self._accel = _single(opponent.accel_mps2)
-        self._curvature = _single(opponent.curvature_per_m)
-        self._circles = _circles(opponent.size_m)
+        self._accel = single(opponent.accel_mps2)
+        self._curvature = single(opponent.curvature_per_m)
+        self._circles = single(circles(opponent.size_m))
         self._av = _Follower(around, origin, opponent.size_m)
-        self._av_circles = _circles(around.av_size_m)
+        self._av_circles = single(circles(around.av_size_m))
         self._radii = float(opponent.size_m[1] + around.av_size_m[1]) / 2
         self._gone = torch.from_numpy(~around.av_there)
-        self._others = _single(around.others_m - origin)
-        self._reach = _single(around.others_reach_m) + float(opponent.size_m[1]) / 2
-        self._road = _single(around.road_m - origin)
-        self._road_reach = _single(around.road_reach_m)
+        self._others = single(around.others_m - origin)
+        self._reach = single(around.others_reach_m) + float(opponent.size_m[1]) / 2
+        self._road = single(around.road_m - origin)
+        self._road_reach = single(around.road_reach_m)
 
     def place(self, controls: Tensor) -> tuple[Tensor, Tensor]:
         """Box centres (N, 2) and headings (N) under controls (2, N) in [-1, 1]."""
@@ -198,11 +192,11 @@ class _Follower:
         length = np.hypot(*tangent.T)
         # Straight on, for what the stand-in drives beyond the rollout's end.
         ahead = tangent[-1] / length[-1] * 100.0
-        self._points = _single(np.concatenate([points, points[-1:] + ahead]))
-        self._along = _single(np.concatenate([[0.0], np.cumsum(length), [length.sum() + 100.0]]))
+        self._points = single(np.concatenate([points, points[-1:] + ahead]))
+        self._along = single(np.concatenate([[0.0], np.cumsum(length), [length.sum() + 100.0]]))
         ways = torch.diff(self._points, dim=0)
         self._tangent = ways / ways.norm(dim=-1, keepdim=True)
-        self._speed = _single(np.concatenate([[around.av_start_mps], around.av_mps]))
+        self._speed = single(np.concatenate([[around.av_start_mps], around.av_mps]))
         self._half = float(around.av_size_m[1] + other_size_m[1]) / 2
         self._lengths = float(around.av_size_m[0] + other_size_m[0]) / 2
 
@@ -250,13 +244,3 @@ class _Follower:
 
 def _unit(angle: Tensor) -> Tensor:
     return torch.stack([angle.cos(), angle.sin()], -1)
-
-
-def _circles(size_m: Floats) -> Tensor:
-    """(3) centres of three circles along a box, from its own centre."""
-    reach = max(float(size_m[0] - size_m[1]) / 2, 0.0)
-    return torch.tensor([-reach, 0.0, reach])
-
-
-def _single(values: Floats) -> Tensor:
-    return torch.from_numpy(np.asarray(values, np.float32))
