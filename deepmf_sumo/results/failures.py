@@ -111,7 +111,7 @@ def failure_of(run: Run, road: RoadMap | None = None) -> Failure | None:
 
 
 def conflict_of(rollout: Rollout, road: RoadMap) -> tuple[Conflict, Side, Who]:
-    """Of an episode with a hit: its conflict, where the opponent came from, and who turned.
+    """Of an episode with a hit: its conflict, the opponent's side, and which of the two turned.
 
     Raises ValueError without a hit.
     """
@@ -120,11 +120,16 @@ def conflict_of(rollout: Rollout, road: RoadMap) -> tuple[Conflict, Side, Who]:
         raise ValueError("the opponent did not hit the AV")
     pair = _Pair.of(rollout.tracks, contact)
     conflict = pair.conflict(accident_type_of(rollout), _joins(road, pair))
-    turned = pair.turned(conflict)
     priority = _by_map(pair, road) if conflict == "merging" else ""
-    if priority:
-        turned = "opponent" if priority == "AV" else "AV"
+    turned = _joining(pair.turned(conflict), conflict, priority)
     return conflict, pair.side(conflict, max(rollout.now, pair.first)), turned
+
+
+def _joining(turned: Who, conflict: Conflict, priority: Who) -> Who:
+    """Of merging roads the one without priority joins the other, where that is known."""
+    if conflict != "merging" or not priority:
+        return turned
+    return "opponent" if priority == "AV" else "AV"
 
 
 def _of_planner(run: Run) -> Failure | None:
@@ -153,8 +158,6 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
         onset = onset_of(rollout, run.expected(), pair.other, first, contact.step)
     turned = pair.turned(conflict)
     priority = _priority(run, pair, conflict, turned, road)
-    if conflict == "merging" and priority:
-        turned = "opponent" if priority == "AV" else "AV"
     grade = run.metric("avoidance_grade")
     return Failure(
         run=run,
@@ -162,7 +165,7 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
         conflict=conflict,
         side=pair.side(conflict, onset),
         priority=priority,
-        turned=turned,
+        turned=_joining(turned, conflict, priority),
         action=_action(tracks, pair.av, onset, contact.step, road),
         onset_s=round((contact.step - onset) * rollout.dt_s, 3),
         grade=None if grade is None else GRADES[int(grade)],
