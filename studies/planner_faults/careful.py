@@ -227,7 +227,7 @@ class Careful:
         model = self._model
         asked = -braking
         if base.kind == "leader":
-            asked = min(asked, _idm_accel(model, speed, base.gap_m, base.leader_mps))
+            asked = min(asked, idm_accel(model, speed, base.gap_m, base.leader_mps))
         if -asked >= _MILD_MPS2:
             slower = max(0.0, speed + max(asked, -self._settings.hardest_mps2) * sight.dt_s)
             return Command(kind="speed", speed_mps=slower, leader_id=agent)
@@ -398,7 +398,7 @@ def _least(values: Floats, earlier: int, later: int) -> Floats:
     return least
 
 
-def _idm_accel(model: VehicleModel, speed: float, gap_m: float, leader_mps: float) -> float:
+def idm_accel(model: VehicleModel, speed: float, gap_m: float, leader_mps: float) -> float:
     """Of the IDM behind a leader, without its part for the desired speed."""
     brisk = 2 * np.sqrt(model.accel_mps2 * model.decel_mps2)
     wanted = model.gap_m + max(0.0, speed * model.headway_s + speed * (speed - leader_mps) / brisk)

@@ -14,6 +14,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Command, Floats, Lane, SignalState, VehicleModel, View
 from deepmf_sumo.geometry import frames, polylines
+from studies.planner_faults.careful import idm_accel
 
 _LEADER_M: Final = 100.0
 _CROSSING_M: Final = 60.0
@@ -124,20 +125,13 @@ def driven(command: Command, shown: View, model: VehicleModel) -> Command:
         return command
     speed = speed_of(shown)
     wanted = model.desired_mps or limit_of(shown) or max(speed, 1.0)
-    accel = model.accel_mps2 * (1 - (speed / wanted) ** model.exponent)
     behind = [(_to_stop_line_m(shown, speed), 0.0)]
     if command.kind == "leader":
         behind.append((command.gap_m, command.leader_mps))
-    accel += min(_interaction(model, speed, *one) for one in behind)
+    accel = min(idm_accel(model, speed, *one) for one in behind)
+    accel -= model.accel_mps2 * (speed / wanted) ** model.exponent
     faster = speed + max(accel, -model.emergency_mps2) * shown.dt_s
     return Command(kind="speed", speed_mps=max(0.0, faster), leader_id=command.leader_id)
-
-
-def _interaction(model: VehicleModel, speed: float, gap_m: float, leader_mps: float) -> float:
-    """The IDM's acceleration because of a leader; negative, m/s2."""
-    brisk = 2 * np.sqrt(model.accel_mps2 * model.decel_mps2)
-    wanted = model.gap_m + max(0.0, speed * model.headway_s + speed * (speed - leader_mps) / brisk)
-    return float(-model.accel_mps2 * (wanted / max(gap_m, 0.1)) ** 2)
 
 
 def _to_stop_line_m(view: View, speed: float) -> float:
