@@ -9,6 +9,10 @@ AV: Final = "#1f5fbf"
 OPPONENT: Final = "#c1121f"
 STAR: Final = "#ffd43b"
 """Of the star on the opponent."""
+CANDIDATE: Final = "#e0785a"
+REACTION: Final = "#5b8fd9"
+UNSCORED: Final = "#ccd2d9"
+"""Of vehicles without a score."""
 
 SCORES: Final[tuple[Rgb, ...]] = ((255, 243, 176), (244, 163, 43), (193, 18, 31))
 """Opponent scores from 0 to 1, mixed in between: pale yellow, orange, red."""

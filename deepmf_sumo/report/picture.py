@@ -24,7 +24,7 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
-from deepmf_sumo.report.palette import AV, OPPONENT, STAR
+from deepmf_sumo.report.palette import AV, CANDIDATE, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 from deepmf_sumo.results.failures import Conflict, Side, conflict_of
 
@@ -147,8 +147,7 @@ def _others(axes: Axes, rollout: Rollout, scores: OpponentScores | None, window:
     axes.add_collection(LineCollection(paths, colors=OTHER, linewidths=0.8, alpha=0.6, zorder=2))
     chances = _probabilities(scores)
     colors = [
-        SCORES(chances[tracks.ids[row]]) if tracks.ids[row] in chances else "#ccd2d9"
-        for row in rows
+        SCORES(chances[tracks.ids[row]]) if tracks.ids[row] in chances else UNSCORED for row in rows
     ]
     here = [(row, rollout.now) for row in rows]
     draw_boxes(axes, tracks, here, colors, window, edge="#59626d", zorder=4)
@@ -167,12 +166,12 @@ def _reasoning(axes: Axes, plan: Plan) -> None:
     assert reason is not None
     candidates = list(reason.candidates.futures.position_m)
     axes.add_collection(
-        LineCollection(candidates, colors="#e0785a", linewidths=0.7, alpha=0.55, zorder=3)
+        LineCollection(candidates, colors=CANDIDATE, linewidths=0.7, alpha=0.55, zorder=3)
     )
     if reason.reactions:
         reactions = list(reason.reactions[reason.chosen].futures.position_m)
         axes.add_collection(
-            LineCollection(reactions, colors="#5b8fd9", linewidths=1.0, alpha=0.8, zorder=3)
+            LineCollection(reactions, colors=REACTION, linewidths=1.0, alpha=0.8, zorder=3)
         )
     axes.plot(*plan.position_m.T, color=OPPONENT, lw=2.6, ls=(0, (4, 1.5)), zorder=5)
 
@@ -268,14 +267,14 @@ def _handles(
         yield Line2D([], [], color=OPPONENT, lw=2, marker="*", mfc=STAR, mec="k", label=label)
     if plan and plan.reason:
         at = (plan.first_step - 1 - rollout.now) * rollout.dt_s
-        yield Line2D([], [], color="#e0785a", lw=0.8, label=f"its candidates at {at:.1f} s")
+        yield Line2D([], [], color=CANDIDATE, lw=0.8, label=f"its candidates at {at:.1f} s")
         yield Line2D([], [], color=OPPONENT, lw=2.6, ls="--", label="the chosen one")
         if plan.reason.reactions:
-            yield Line2D([], [], color="#5b8fd9", lw=1, label="the AV's predicted reactions")
+            yield Line2D([], [], color=REACTION, lw=1, label="the AV's predicted reactions")
     if scores:
         for chance in (0.0, 0.5, 1.0):
             yield Patch(fc=SCORES(chance), ec="#59626d", label=f"opponent score {chance:g}")
-    yield Patch(fc="#ccd2d9", ec="#59626d", label="others, not scored" if scores else "others")
+    yield Patch(fc=UNSCORED, ec="#59626d", label="others, not scored" if scores else "others")
     if rollout.contacts:
         mark = {"marker": "x", "markersize": 8, "markeredgewidth": 2}
         yield Line2D([], [], color=CONTACT, ls="", label="contact", **mark)  # type: ignore[arg-type]

@@ -29,7 +29,16 @@ import deepmf_sumo
 from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures.episode import met_at, window_of
-from deepmf_sumo.report.palette import AV, OPPONENT, RISK_CLASSES, STAR, hexadecimal
+from deepmf_sumo.report.palette import (
+    AV,
+    CANDIDATE,
+    OPPONENT,
+    REACTION,
+    RISK_CLASSES,
+    STAR,
+    UNSCORED,
+    hexadecimal,
+)
 from deepmf_sumo.results.reader import Results, Run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,7 +52,7 @@ TITLE_IN = 0.5
 MARGIN_M, NEAR_M, SMALL = 20.0, 120.0, 0.27
 SCALE_M = 20.0
 STEP_MS, HOLD_MS = 120, 2600
-CANDIDATES, REACTIONS, OTHER, BACKGROUND = "#e0785a", "#5b8fd9", "#ccd2d9", "#ffffff"
+BACKGROUND = "#ffffff"
 WORST = 4
 PLAIN = {"fontsize": 8.5, "framealpha": 0.95}
 
@@ -135,7 +144,7 @@ def draw_step(run: Run, road: RoadMap, plans: Plans, step: int) -> Image.Image:
 def intentions(axes: Axes, plans: Plans, step: int) -> None:
     """What is left of the plan that drives: candidates, the chosen one, reactions to it."""
     number, driven = plans.at(step)
-    ways = (plans.candidates[number], CANDIDATES, 0.7), (plans.reactions[number], REACTIONS, 1.0)
+    ways = (plans.candidates[number], CANDIDATE, 0.7), (plans.reactions[number], REACTION, 1.0)
     for positions, colour, width in ways:
         lines = LineCollection(list(positions[:, driven:]), colors=colour, linewidths=width)
         axes.add_collection(lines)
@@ -152,7 +161,7 @@ def vehicles(axes: Axes, run: Run, window: Window, step: int) -> None:
         path = tracks.position_m[row, rollout.now : step + 1]
         axes.plot(*path.T, color=colour, lw=1.8, zorder=6)
     rows = [int(row) for row in np.flatnonzero(tracks.valid[:, step])]
-    faces, places = [colours.get(row, OTHER) for row in rows], [(row, step) for row in rows]
+    faces, places = [colours.get(row, UNSCORED) for row in rows], [(row, step) for row in rows]
     draw_boxes(axes, tracks, places, faces, window, edge="black", zorder=7, alpha=0.9)
     star = {"color": STAR, "markeredgecolor": "black", "markeredgewidth": 0.7}
     opponent = tracks.position_m[tracks.row(rollout.opponent_id), step]
@@ -163,9 +172,9 @@ def key(*, met: bool) -> Iterator[Line2D | Patch]:
     """Of the legend; the contact is in it from the beginning, so that nothing moves."""
     yield Line2D([], [], color=AV, lw=6, label="AV, driven by SUMO's IDM")
     yield Line2D([], [], color=OPPONENT, lw=6, label="opponent, driven by DeepMF")
-    yield Line2D([], [], color=CANDIDATES, lw=1, label="what it may do (candidates)")
+    yield Line2D([], [], color=CANDIDATE, lw=1, label="what it may do (candidates)")
     yield Line2D([], [], color=OPPONENT, lw=2.4, ls="--", label="what it chose")
-    yield Line2D([], [], color=REACTIONS, lw=1, label="predicted reactions of the AV")
+    yield Line2D([], [], color=REACTION, lw=1, label="predicted reactions of the AV")
     mark = {"marker": "x", "markersize": 8, "markeredgewidth": 2}
     yield Line2D([], [], color="black", ls="", label="contact", alpha=1.0 if met else 0.25, **mark)
 

@@ -44,7 +44,7 @@ def test_a_step_shows_the_plan_that_drives_and_the_last_one_the_contact(tmp_path
     assert plans.at(now) == (0, 0)
     assert plans.at(plans.first[1] + 3) == (1, 4)
     begin, end = (front_page.draw_step(run, road, plans, step) for step in (now, last))
-    for colour in (front_page.CANDIDATES, front_page.REACTIONS):
+    for colour in (front_page.CANDIDATE, front_page.REACTION):
         assert amount(begin, colour) > amount(end, colour) + 300
     assert amount(end, "black") > amount(begin, "black")
     ways = [plan[0] for plan in plans.chosen]
