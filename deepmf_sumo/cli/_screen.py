@@ -167,10 +167,14 @@ def _again(now: Progress) -> str:
     )
 
 
+_BEFORE_GUESSING: Final = 5
+"""Runs; the first ones wait for their workers to start."""
+
+
 def _left(now: Progress, seconds: float) -> str:
     """Time left, by the mean of the runs so far."""
     made = now.done - now.kept
-    if not made or now.done == now.of:
+    if made < _BEFORE_GUESSING or now.done == now.of:
         return ""
     rest = seconds / made * (now.of - now.done)
     return f", {rest:.0f} s left" if rest < 100 else f", {rest / 60:.0f} min left"
@@ -303,7 +307,8 @@ def announce_moments(request: Request, found: Found) -> None:
         click.echo(shown(f"no vehicle to attack in {name}: {found.reason}"))
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
-    further = "" if found.complete or wish.at_s else f" ({wish.later})"
+    limit = "the limit of a million vehicle steps is reached; " * (request.scouting.until_s is None)
+    further = "" if found.complete or wish.at_s else f" ({limit}{wish.later})"
     seen = counted(found.vehicles, "vehicle")
     click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)
     moments = counted(len(found.moments), "moment")

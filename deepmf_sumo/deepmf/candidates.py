@@ -12,10 +12,11 @@ so that no other candidate is more likely than the most likely mode, and candida
 predictor considers unlikely remain so.
 
 Comfort. The predictor is better at where vehicles go than at how hard they accelerate, and of the
-candidates that meet the AV some drive harder than others. With a_j(t) the acceleration along
-candidate j and the weight c (`settings.Settings.comfort`; 0 as published):
+candidates that meet the AV some drive harder than others; and it knows the road's edge only
+roughly. With a_j(t) the acceleration along candidate j, s_j its seconds off the road, both in the
+first 3 s, and the weight c (`settings.Settings.comfort`; 0 as published):
 
-    P'_j  ~  P_j exp(-c mean over the first 3 s of a_j(t)^2)
+    P'_j  ~  P_j exp(-c (mean of a_j(t)^2 + 4 m2/s5 s_j))
 """
 
 from collections.abc import Sequence
@@ -30,12 +31,15 @@ from deepmf_sumo.deepmf.scoring import Pairs
 from deepmf_sumo.deepmf.situation import Levels, Situation
 from deepmf_sumo.deepmf.tracking import Tracked
 from deepmf_sumo.geometry import boxes, frames, impact
+from deepmf_sumo.geometry.road import on_road
 from deepmf_sumo.predictors.base import Prediction
 
 NO_SECTOR: Final = -1
 """Sector of a pair that does not collide."""
 _LEAST = 1e-12  # probabilities below are rounding errors
 _COMFORT_STEPS = 30  # 3 s; most of what follows is planned again before it is driven
+_ROAD_EVERY = 3
+_OFF_ROAD = 4.0  # m2/s5: a second off the road weighs as a mean acceleration of 2 m/s2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,15 +125,31 @@ def weights(modes: Forecast, others_m: Floats, prediction: Prediction) -> Floats
 
 
 def comfortable(
-    probability: Floats, speed_mps: Floats, start_mps: float, dt_s: float, weight: float
+    situation: Situation, probability: Floats, tracked: Tracked, weight: float
 ) -> Floats:
-    """(N1) probabilities that fall with the acceleration along the speeds (N1, F), see above.
+    """(N1) probabilities that fall with acceleration and time off the road, see above.
 
-    ``weight`` is in s4/m2, ``start_mps`` the present speed.
+    ``weight`` is in s4/m2.
     """
-    speed = np.column_stack([np.full(len(speed_mps), start_mps), speed_mps[:, :_COMFORT_STEPS]])
-    square = ((np.diff(speed, axis=1) / dt_s) ** 2).mean(axis=1)
-    return softmax(np.log(np.maximum(probability, _LEAST)) - weight * square)
+    speed = tracked.speed_mps[:, :_COMFORT_STEPS]
+    speed = np.column_stack([np.full(len(speed), situation.start.speed_mps), speed])
+    square = ((np.diff(speed, axis=1) / situation.view.dt_s) ** 2).mean(axis=1)
+    steps = np.arange(0, _COMFORT_STEPS, _ROAD_EVERY)
+    off_s = off_road(situation, tracked.position_m[:, steps]).sum(axis=1) * _ROAD_EVERY * DT_S
+    uncomfortable = square + _OFF_ROAD * off_s
+    return softmax(np.log(np.maximum(probability, _LEAST)) - weight * uncomfortable)
+
+
+def off_road(situation: Situation, position_m: Floats) -> Bools:
+    """(N, S) whether positions (N, S, 2) of the opponent are off the road, after it was on it.
+
+    A vehicle that is off the road now may come onto it.
+    """
+    levels, road = situation.levels, situation.view.road
+    z_m = None if levels is None else levels.opponent_z_m(position_m).reshape(-1)
+    inside = on_road(road, position_m.reshape(-1, 2), z_m).reshape(position_m.shape[:2])
+    start = on_road(road, situation.start.position_m[None])
+    return ~inside & (start | np.maximum.accumulate(inside, axis=1))
 
 
 def ranked(

@@ -16,7 +16,7 @@ from deepmf_sumo.avoidability.av_path import State
 from deepmf_sumo.avoidability.grading import Past, avoidable
 from deepmf_sumo.datatypes import AgentId, Bools, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
-from deepmf_sumo.deepmf.candidates import Candidates, References, rear_ends
+from deepmf_sumo.deepmf.candidates import Candidates, References, off_road, rear_ends
 from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
@@ -24,7 +24,6 @@ from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
 from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear
-from deepmf_sumo.geometry.road import on_road
 
 Scope = Literal["driven", "attack", "preferred"]
 _EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other
@@ -307,8 +306,7 @@ def _state(view: View, agent_id: AgentId) -> State:
 class Clean(Constraint):
     """Up to its collision the candidate does not leave the road, nor touch another agent.
 
-    A vehicle that is off the road now may come onto it. Agents that it touches at once do not
-    count.
+    Agents that it touches at once do not count.
     """
 
     name = "clean"
@@ -322,18 +320,9 @@ class Clean(Constraint):
     ) -> Bools:
         steps = np.arange(0, situation.horizon, _EVERY_STEPS)
         before = steps <= pairs.collision_step.min(axis=1)[:, None]
-        spoilt = _off_road(situation, own, steps) | _touches_others(situation, own, steps)
+        position = own.forecast.futures.position_m[:, steps]
+        spoilt = off_road(situation, position) | _touches_others(situation, own, steps)
         return ~(spoilt & before).any(axis=1)
-
-
-def _off_road(situation: Situation, own: Candidates, steps: Ints) -> Bools:
-    """(N1, S) whether candidates are off the road at steps (S), after they were on it."""
-    position = own.forecast.futures.position_m[:, steps]
-    levels = situation.levels
-    z_m = None if levels is None else levels.opponent_z_m(position).reshape(-1)
-    inside = on_road(situation.view.road, position.reshape(-1, 2), z_m).reshape(position.shape[:2])
-    start = on_road(situation.view.road, situation.start.position_m[None])
-    return ~inside & (start | np.maximum.accumulate(inside, axis=1))
 
 
 def _touches_others(situation: Situation, own: Candidates, steps: Ints) -> Bools:

@@ -231,9 +231,7 @@ class DeepMF:
         probability = candidates.weights(modes, tracked.position_m[count:], prediction)
         watch.lap("marginal")
         if settings.comfort > 0.0:
-            speeds = tracked.speed_mps, start.speed_mps
-            dt_s = situation.view.dt_s
-            probability = candidates.comfortable(probability, *speeds, dt_s, settings.comfort)
+            probability = candidates.comfortable(situation, probability, tracked, settings.comfort)
         own = candidates.ranked(references, tracked, probability, modes)
         if settings.most_candidates is not None:
             rear_end = "no_rear_end" not in settings.constrained

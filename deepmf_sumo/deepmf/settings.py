@@ -71,9 +71,9 @@ class Settings(plugins.Settings):
         rule: see `deepmf.scoring`. Specs of version 2 that say nothing have ``likeliest`` in the
             form ``extended``; these settings know of no versions.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
-        comfort_weight: P(OV) falls with the mean square acceleration, see
-            `deepmf.candidates`, s4/m2. Null: 1 for the choices of the likeliest (``likeliest``,
-            ``aggressiveness``), 0, as published, in the paper's product.
+        comfort_weight: P(OV) falls with the mean square acceleration and with the time off the
+            road, see `deepmf.candidates`, s4/m2. Null: 1 for the choices of the likeliest
+            (``likeliest``, ``aggressiveness``), 0, as published, in the paper's product.
         candidates: modes of the opponent (N1).
         goal_candidates: maximum number of further candidates that end near the AV's predicted
             positions (0 as published).

@@ -63,8 +63,8 @@ def settled(time_s: Floats, number: Floats) -> Beginning | None:
     if last > _GROWS * third and last - third > _FEW:
         return Beginning(
             float(time_s[len(time_s) // 2]),
-            "the middle of this time: the number of vehicles has not settled"
-            f" ({third:.0f} in the third quarter, {last:.0f} in the last)",
+            "half of this time: the number of vehicles still grows"
+            f" (on average {third:.0f} in the third quarter of it, {last:.0f} in the last)",
         )
     level = float(np.median(number[len(number) // 2 :]))
     window = max(1, round(min(_WINDOW_S, len(number) / 10) / EVERY_S))

@@ -219,12 +219,15 @@ class Fault:
     Attributes:
         about: one line. settings: of `careful` that differ, by name.
         seen, commanded: what changes views and commands; None leaves them.
+        unguarded: SUMO would keep what the settings give up, so it does not drive where it may
+            react to others.
     """
 
     about: str
     settings: Mapping[str, float] = field(default_factory=dict)
     seen: Seen | None = None
     commanded: Commanded | None = None
+    unguarded: bool = False
 
 
 _REACTION_S: Final = careful.Settings().reaction_s
@@ -283,6 +286,7 @@ FAULTS: Final[dict[str, Fault]] = {
     "bold_gaps": Fault(
         about="goes before crossing traffic without a margin, and trusts it to brake hard",
         settings={"before_s": 0.0, "after_s": 0.0, "trusted_mps2": 8.0},
+        unguarded=True,
     ),
     "latency_03": Fault(about="sees others as they were 0.3 s ago", seen=_late),
     "freezes": Fault(about="keeps its speed for 0.5 s every 4 s", commanded=_frozen),
@@ -307,7 +311,9 @@ FAULTS: Final[dict[str, Fault]] = {
         seen=without(lambda one: one.length_m < 2.8),
     ),
     "wide_wandering": Fault(
-        about="takes no sideways motion for a cut-in", settings={"wandering_m": 10.0}
+        about="takes no sideways motion for a cut-in",
+        settings={"wandering_m": 10.0},
+        unguarded=True,
     ),
 }
 """All faults by name. What a name means never changes: a different fault gets a new one."""
@@ -362,6 +368,7 @@ class Faulty:
         command = self._planner.act(shown)
         if "reaction_s" in fault.settings and self._planner.unanswered:
             command = Command(kind="speed", speed_mps=speed_of(view))
-        if fault.seen and unguarded.misled(view, shown):
+        misled = fault.seen is not None and unguarded.misled(view, shown)
+        if misled or (fault.unguarded and unguarded.met(view)):
             command = unguarded.driven(command, shown, self._planner.model)
         return fault.commanded(command, view, episode) if fault.commanded else command

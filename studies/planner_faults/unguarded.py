@@ -2,8 +2,9 @@
 
 SUMO's model sees every vehicle of its lane and at its junctions. An AV that is left to it, or
 drives behind a leader, is never faster than SUMO allows, so it brakes for what a faulty copy does
-not see. Where a copy is shown something else than the truth of what SUMO may react to, the copy
-therefore drives by its own IDM: limits, stop lines at yellow and red, the leader that it sees.
+not see or not mind. Where a copy is shown something else than the truth of what SUMO may react to,
+or judges it otherwise, the copy therefore drives by its own IDM: limits, stop lines at yellow and
+red, the leader that it sees.
 SUMO's right of way does not hold then; conflicts are left to the careful planner's prediction.
 """
 
@@ -111,12 +112,22 @@ def misled(truth: View, shown: View) -> bool:
     for mine, theirs in ((true.local_m, seen.local_m), (true.speed_mps, seen.speed_mps)):
         moved |= np.abs((mine - theirs[at]).reshape(len(at), -1)).max(axis=1) > 1e-6
     moved |= (true.clearance_m < 0) != (seen.clearance_m[at] < 0)
-    distance = np.hypot(*true.local_m.T)
-    corridor = (true.clearance_m < _CLEAR_M) & (distance < _LEADER_M)
-    crossing = (true.turn_rad > np.pi / 4) & (distance < _CROSSING_M)
-    matters: Bools = (moved | (at < 0)) & (true.local_m[:, 0] > 0) & (corridor | crossing)
-    matters[truth.history.row(truth.av_id)] = False
-    return bool(matters.any())
+    return bool((_matters(true) & (moved | (at < 0))).any())
+
+
+def met(view: View) -> bool:
+    """Whether there is anything that SUMO may react to, or will as the AV comes nearer."""
+    return bool(_matters(around(view), within_m=np.inf).any())
+
+
+def _matters(seen: Others, within_m: float = _CROSSING_M) -> Bools:
+    """(N) those ahead that SUMO may react to: in the AV's corridor, or on another course."""
+    distance = np.hypot(*seen.local_m.T)
+    corridor = (seen.clearance_m < _CLEAR_M) & (distance < _LEADER_M)
+    crossing = (seen.turn_rad > np.pi / 4) & (distance < within_m)
+    matters: Bools = (seen.local_m[:, 0] > 0) & (corridor | crossing)
+    matters[seen.view.history.row(seen.view.av_id)] = False
+    return matters
 
 
 def driven(command: Command, shown: View, model: VehicleModel) -> Command:

@@ -16,24 +16,26 @@ def reported(monkeypatch, *, terminal):
     console = Console(file=text, force_terminal=terminal, width=120, highlight=False)
     monkeypatch.setattr(screen, "Console", lambda **_: console)
     with screen.progress() as report:
-        report(Progress(done=1, of=3, kept=1))
-        report(Progress(done=2, of=3, kept=1, last=RUN))
-        report(Progress(done=3, of=3, kept=1, last=RUN))
+        report(Progress(done=1, of=7, kept=1))
+        for done in range(2, 8):
+            report(Progress(done=done, of=7, kept=1, last=RUN))
     return text.getvalue()
 
 
 def test_progress_in_a_log_is_a_line_for_each_run(monkeypatch):
     lines = reported(monkeypatch, terminal=False).splitlines()
-    assert len(lines) == 2
-    assert lines[0].startswith("2 of 3 runs (1 kept from before), ")
-    assert lines[0].endswith("s left; last: one--tiny--0, none")
-    assert lines[1] == "3 of 3 runs (1 kept from before); last: one--tiny--0, none"
+    assert len(lines) == 6
+    # no guess before five runs: the first ones wait for their workers
+    assert lines[3] == "5 of 7 runs (1 kept from before); last: one--tiny--0, none"
+    assert lines[4].startswith("6 of 7 runs (1 kept from before), ")
+    assert lines[4].endswith("s left; last: one--tiny--0, none")
+    assert lines[5] == "7 of 7 runs (1 kept from before); last: one--tiny--0, none"
 
 
 def test_progress_on_a_terminal_is_a_bar(monkeypatch):
     shown = reported(monkeypatch, terminal=True)
     assert "runs (1 kept from before)" in shown
-    assert "3/3" in shown
+    assert "7/7" in shown
     assert "\u2501" in shown
 
 

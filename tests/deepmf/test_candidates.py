@@ -7,7 +7,7 @@ from deepmf_sumo.datatypes import Forecast, Futures, Plan
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits, Start, track
+from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked, track
 
 from tests.support.predictor_doubles import FanPredictor, view_of
 
@@ -53,16 +53,42 @@ def test_without_made_candidates_the_prediction_is_kept():
     np.testing.assert_array_equal(shares, [0.6, 0.4])
 
 
+def driven(speed, position):
+    still, straight = np.zeros(len(speed)), np.zeros(speed.shape)
+    return Tracked(position_m=position, heading_rad=straight, speed_mps=speed, bent_m=still)
+
+
+def on_the_lane(count):
+    along = np.linspace(21.0, 100.0, 80)
+    return np.tile(np.stack([along, np.full(80, 3.5)], axis=-1), (count, 1, 1))
+
+
 def test_comfort_weighs_the_mean_square_acceleration_of_the_next_three_seconds():
     steady = np.full(80, 10.0)
     speeding = 10.0 + 0.2 * np.minimum(np.arange(1, 81), 30)  # 2 m/s2 for 3 s
     later = np.where(np.arange(80) < 30, 10.0, 20.0)  # after what counts
-    speed = np.stack([steady, speeding, later])
-    shares = candidates.comfortable(np.full(3, 1 / 3), speed, 10.0, 0.1, 0.5)
+    tracked = driven(np.stack([steady, speeding, later]), on_the_lane(3))
+    situation = Situation.of(view_of({"av": (0, 0, 0, 1.0), "b": (20, 3.5, 0, 10.0)}), "b", LIMITS)
+    shares = candidates.comfortable(situation, np.full(3, 1 / 3), tracked, 0.5)
     weight = np.array([1.0, np.exp(-0.5 * 4.0), 1.0])
     np.testing.assert_allclose(shares, weight / weight.sum())
-    kept = candidates.comfortable(np.array([0.5, 0.3, 0.2]), speed, 10.0, 0.1, 0.0)
+    kept = candidates.comfortable(situation, np.array([0.5, 0.3, 0.2]), tracked, 0.0)
     np.testing.assert_allclose(kept, [0.5, 0.3, 0.2])
+
+
+@pytest.mark.parametrize(("start_m", "costs"), [(3.5, [0.0, 4 * 1.5]), (7.0, [0.0, 0.0])])
+def test_comfort_weighs_seconds_off_the_road_of_a_vehicle_that_was_on_it(start_m, costs):
+    position = on_the_lane(2)
+    position[1, 15:, 1] = 7.0  # 1.25 m beyond the edge, from 1.5 s on
+    if start_m == 7.0:
+        position[..., 1] = 7.0
+    tracked = driven(np.full((2, 80), 10.0), position)
+    situation = Situation.of(
+        view_of({"av": (0, 0, 0, 1.0), "b": (20, start_m, 0, 10.0)}), "b", LIMITS
+    )
+    shares = candidates.comfortable(situation, np.full(2, 0.5), tracked, 0.5)
+    weight = np.exp(-0.5 * np.array(costs))
+    np.testing.assert_allclose(shares, weight / weight.sum())
 
 
 def test_tail_is_the_rest_of_the_plan_and_its_straight_continuation():

@@ -6,7 +6,7 @@ import pytest
 from deepmf_sumo.simulation import network_case, simulate
 from studies.planner_faults.faults import Faulty, Settings
 
-from tests.support import tiny_network
+from tests.support import crossing_network, tiny_network
 
 pytestmark = pytest.mark.sumo
 
@@ -61,3 +61,20 @@ def test_late_is_late_behind_a_vehicle_of_its_lane(networks):
         for one in (good, bad)
     ]
     assert hardest[1] > hardest[0] + 0.5
+
+
+CROSSES = """<routes><route id="over" edges="west east far"/><route id="up" edges="south north"/>
+<vehicle id="av" depart="0" departPos="80" departSpeed="8" route="up"/>
+<vehicle id="first" depart="0" departPos="40" departSpeed="max" route="over"/>
+</routes>"""
+
+
+def test_bold_gaps_takes_the_way_of_a_crossing_vehicle_that_sumo_would_let_pass(tmp_path):
+    config = crossing_network.build(tmp_path, middle="priority", routes=CROSSES)
+    crossed = {}
+    for fault in ("none", "bold_gaps"):
+        tracks = driven(fault, config).tracks
+        y = tracks.position_m[tracks.row("av"), :, 1]
+        x = tracks.position_m[tracks.row("first"), :, 0]
+        crossed[fault] = int((y > 150).argmax()) - int((x > 150).argmax())  # steps
+    assert crossed["none"] > 10 > -10 > crossed["bold_gaps"]
