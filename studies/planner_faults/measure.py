@@ -2,6 +2,10 @@
 
 Each planner has a result folder; the careful planner's is the baseline of the others. Its runs with
 other seeds are compared with it as well: what the gate reports there is a false alarm.
+
+Whether a failure is the fault's is tested too. In the first three failures that `report` shows, the
+opponent drives the same path again, against the copy and against the careful planner. The failure
+is the fault's if the copy is hit again and the careful planner is not.
 """
 
 import argparse
@@ -17,7 +21,11 @@ from deepmf_sumo import gate
 from deepmf_sumo import spec as specs
 from deepmf_sumo.gate.verdict import regression
 from deepmf_sumo.plans import run_specs
-from deepmf_sumo.results.reader import Results
+from deepmf_sumo.results.failures import failures
+from deepmf_sumo.results.groups import grouped
+from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.shrink import read
+from deepmf_sumo.shrink.candidate import AFTER_STEPS, Candidate, path_of, spec_values
 from deepmf_sumo.spec import FromMoments, Spec
 from deepmf_sumo.sweep import batch
 from studies.planner_faults.faults import FAULTS
@@ -26,6 +34,8 @@ from studies.planner_faults.halves import halves
 SUITE: Final = Path(__file__).resolve().parent / "suite"
 """Moments of the packaged networks' traffic: each is a situation of its own for the gate."""
 FAULTY: Final = "studies.planner_faults.faults:Faulty"
+_SHOWN: Final = 3
+"""Groups of failures at the top of `report`, each with an example."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +83,8 @@ class Asked:
 class Found(NamedTuple):
     """A planner, its runs, and what the gate says of them against the careful planner.
 
-    ``episodes``: simulated ones, all tries counted. ``reported``: a judged quantity is worse.
+    ``episodes``: simulated ones, all tries counted. ``shown``: failures that `report` shows first;
+    ``own``: of these the fault's. ``reported``: a judged quantity is worse.
     """
 
     planner: str
@@ -82,6 +93,8 @@ class Found(NamedTuple):
     hits: int
     avoidable: int
     valid: int
+    shown: int
+    own: int
     reported: bool
     verdict: str
 
@@ -90,20 +103,22 @@ def measured(asked: Asked) -> Iterator[Found]:
     """The careful planner, its other seeds, and each faulty copy. Raises DeepmfError."""
     thresholds = gate.load(asked.thresholds) if asked.thresholds else _default()
     baseline = _run(asked, "none", "careful", asked.seeds)
-    yield _found("careful", baseline, (False, "baseline"))
+    yield _found("careful", baseline, (0, 0), (False, "baseline"))
     for seeds in asked.other_seeds:
         name = "-".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
         again = _run(asked, "none", f"careful_{name}", seeds)
-        yield _found(f"careful, seed {name}", again, _verdict(again, thresholds, baseline))
+        judged = _verdict(again, thresholds, baseline)
+        yield _found(f"careful, seed {name}", again, (0, 0), judged)
     for name in asked.faults:
         out = _run(asked, name, name, asked.seeds, baseline)
-        yield _found(name, out, _verdict(out, thresholds, baseline))
+        own = _own(asked, name, out)
+        yield _found(name, out, own, _verdict(out, thresholds, baseline))
 
 
 def table(found: Iterator[Found]) -> str:
     """A line a planner, and how many of each kind the gate reports."""
     rows = list(found)
-    columns = Found._fields[1:6]
+    columns = Found._fields[1:8]
     lines = [
         f"{'planner':22}" + "".join(f"{name:>10}" for name in columns) + "  the gate's verdict"
     ]
@@ -115,7 +130,9 @@ def table(found: Iterator[Found]) -> str:
     half = halves(FAULTS)
     for title, kind in (("careful, other seeds", ""), ("open", "open"), ("held out", "held out")):
         of = [one for one in rows[1:] if half.get(one.planner, "") == kind]
-        lines.append(f"{title}: {sum(one.reported for one in of)} of {len(of)} reported")
+        reported = f"{title}: {sum(one.reported for one in of)} of {len(of)} reported"
+        first = f"; of {sum(one.own > 0 for one in of)} a failure of its own is shown first"
+        lines.append(reported + first * bool(kind))
     return "\n".join(lines)
 
 
@@ -158,6 +175,34 @@ def spec_of(file: Path, asked: Asked, fault: str, like: Path | None = None) -> S
     return specs.load(file, sets)
 
 
+def _own(asked: Asked, fault: str, out: Path) -> tuple[int, int]:
+    """The number of failures that are shown first, and of those the fault's own."""
+    results = Results.of(out)
+    found = [one for _, one, _ in failures(results) if one is not None and one.kind == "hit"]
+    examples = [one.example.run for one in grouped(found, len(results.runs))[:_SHOWN]]
+    if not examples:
+        return 0, 0
+    planners = fault, "none"
+    each = [_again(run, planner) for run in examples for planner in planners]
+    folder = asked.out / "again" / fault
+    done = run_specs(each, batch.Options(out=folder, jobs=asked.jobs, resume=folder.exists()))
+    hit = [one["outcome"] == "av_opponent" for one in done]
+    return len(examples), sum(
+        bad and not good for bad, good in zip(hit[::2], hit[1::2], strict=True)
+    )
+
+
+def _again(run: Run, planner: str) -> Spec:
+    """The run again, with the opponent on the path that it drove."""
+    failure = read(run.folder)
+    last, plans = failure.contact + AFTER_STEPS, len(failure.plans)
+    candidate = Candidate(last=last, contact=failure.contact, only=None, plans=plans)
+    values = spec_values(candidate, failure, path_of(candidate, failure, None))
+    values["name"] = f"{planner} {failure.run_id[:180]}"
+    values["planner"] = {"name": FAULTY, "fault": planner}
+    return Spec.model_validate(values | {"expect": {}})
+
+
 def _verdict(out: Path, thresholds: gate.Thresholds, baseline: Path) -> tuple[bool, str]:
     """What is worse than the baseline and by how much; else the state of each judged quantity."""
     judged = [
@@ -170,10 +215,10 @@ def _verdict(out: Path, thresholds: gate.Thresholds, baseline: Path) -> tuple[bo
     return bool(worse), "; ".join(worse or states)
 
 
-def _found(name: str, out: Path, verdict: tuple[bool, str]) -> Found:
+def _found(name: str, out: Path, own: tuple[int, int], verdict: tuple[bool, str]) -> Found:
     done = Results.of(out).done
     metrics = [
         sum(run.metric(one) == 1 for run in done) for one in ("avoidable", "valid_collision")
     ]
     episodes = sum(int(run.result["search"]["simulations"]) for run in done)
-    return Found(name, len(done), episodes, sum(run.hit for run in done), *metrics, *verdict)
+    return Found(name, len(done), episodes, sum(run.hit for run in done), *metrics, *own, *verdict)
