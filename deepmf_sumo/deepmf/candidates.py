@@ -152,6 +152,13 @@ def off_road(situation: Situation, position_m: Floats) -> Bools:
     return ~inside & (start | np.maximum.accumulate(inside, axis=1))
 
 
+def leaves_road(situation: Situation, own: Candidates, until: Floats) -> Bools:
+    """(N1) whether a candidate is `off_road` at a step up to ``until`` (N1) within the horizon."""
+    steps = np.arange(0, situation.horizon, _ROAD_EVERY)
+    off = off_road(situation, own.forecast.futures.position_m[:, steps])
+    return np.asarray((off & (steps <= until[:, None])).any(axis=1))
+
+
 def ranked(
     references: References, tracked: Tracked, probability: Floats, modes: Forecast
 ) -> Candidates:
@@ -322,11 +329,11 @@ def pairs(
 
 
 def shortlisted(
-    situation: Situation, own: Candidates, count: int, *, rear_end: bool = True
+    situation: Situation, own: Candidates, count: int, without: frozenset[str] = frozenset()
 ) -> Candidates:
     """At most ``count``: those most likely to meet the unattacked AV, then the likeliest.
 
-    Without ``rear_end`` those that meet it from behind do not count as meeting it.
+    ``without``: constraints by which some meetings do not count: ``no_rear_end``, ``on_road``.
     """
     alone = situation.unattacked
     if alone is None or len(own.origin) <= count:
@@ -334,8 +341,10 @@ def shortlisted(
     alike = [alone] * len(own.origin)
     met = pairs(situation, own, alike)
     counted = met.collides
-    if not rear_end:
+    if "no_rear_end" in without:
         sizes = situation.size_m, situation.av_size_m
         counted = counted & ~rear_ends(own.forecast.futures, alike, *sizes, met.collision_step)
+    if "on_road" in without:
+        counted = counted & ~leaves_road(situation, own, met.collision_step.min(axis=1))[:, None]
     mass = counted @ alone.probability
     return own.take(np.sort(np.argsort(-mass, kind="stable")[:count]))

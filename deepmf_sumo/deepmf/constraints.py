@@ -1,4 +1,4 @@
-"""Constraints on the choice: the side of the AV that is hit, fair, lawful, clean, not from behind.
+"""Constraints on the choice: the side of the AV that is hit, fair, lawful, clean, on the road.
 
 A constraint is a mask of the candidates, or pairs of candidate and reaction, that it allows;
 `choose` narrows the choice to these, and reports if nothing is left. To add one, write a class here
@@ -14,9 +14,9 @@ import numpy as np
 
 from deepmf_sumo.avoidability.av_path import State
 from deepmf_sumo.avoidability.grading import Past, avoidable
-from deepmf_sumo.datatypes import AgentId, Bools, Forecast, Futures, Ints, View
+from deepmf_sumo.datatypes import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
-from deepmf_sumo.deepmf.candidates import Candidates, References, off_road, rear_ends
+from deepmf_sumo.deepmf.candidates import Candidates, References, leaves_road, rear_ends
 from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
@@ -318,11 +318,14 @@ class Clean(Constraint):
     def allowed(
         self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
     ) -> Bools:
-        steps = np.arange(0, situation.horizon, _EVERY_STEPS)
-        before = steps <= pairs.collision_step.min(axis=1)[:, None]
-        position = own.forecast.futures.position_m[:, steps]
-        spoilt = off_road(situation, position) | _touches_others(situation, own, steps)
-        return ~(spoilt & before).any(axis=1)
+        steps, first = np.arange(0, situation.horizon, _EVERY_STEPS), _first(pairs)
+        touches = _touches_others(situation, own, steps) & (steps <= first[:, None])
+        return ~(leaves_road(situation, own, first) | touches.any(axis=1))
+
+
+def _first(pairs: Pairs) -> Floats:
+    """(N1) first step at which a candidate collides with a reaction."""
+    return np.asarray(pairs.collision_step.min(axis=1))
 
 
 def _touches_others(situation: Situation, own: Candidates, steps: Ints) -> Bools:
@@ -338,6 +341,23 @@ def _touches_others(situation: Situation, own: Candidates, steps: Ints) -> Bools
         if not hit[:, 0].all():
             touched |= hit
     return touched
+
+
+class OnRoad(Constraint):
+    """Up to its collision the candidate does not leave the road.
+
+    A hit beside the road says little about the road.
+    """
+
+    name = "on_road"
+    scope = "attack"
+
+    def __init__(self, settings: Settings) -> None: ...
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        return ~leaves_road(situation, own, _first(pairs))
 
 
 class NoRearEnd(Constraint):
@@ -382,7 +402,9 @@ class Sector(Constraint):
         return pairs.sector == self._sector
 
 
-CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (Sector, Lawful, Clean, Fair, NoRearEnd)
+CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (
+    Sector, Lawful, Clean, Fair, OnRoad, NoRearEnd,
+)  # fmt: skip
 """All constraints; their candidates are added in this order."""
 
 

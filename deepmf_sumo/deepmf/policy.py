@@ -234,10 +234,8 @@ class DeepMF:
             probability = candidates.comfortable(situation, probability, tracked, settings.comfort)
         own = candidates.ranked(references, tracked, probability, modes)
         if settings.most_candidates is not None:
-            rear_end = "no_rear_end" not in settings.constrained
-            own = candidates.shortlisted(
-                situation, own, settings.most_candidates, rear_end=rear_end
-            )
+            most, without = settings.most_candidates, settings.constrained
+            own = candidates.shortlisted(situation, own, most, without)
         watch.lap("collision")
         return own
 

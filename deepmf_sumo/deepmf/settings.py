@@ -28,6 +28,8 @@ LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
 """Default limits on an opponent's accelerations, which all aimed methods share."""
 _RANKED = frozenset({"argmax", "partner"})
 """Values of ``opponent`` that rank vehicles by a score."""
+_SHORTLISTED = frozenset({"no_rear_end", "on_road"})
+"""Constraints that a shortlist knows of."""
 _TRIED = 3
 _COMFORT = 1.0
 _PAPER: Final[dict[str, Any]] = {
@@ -79,7 +81,7 @@ class Settings(plugins.Settings):
             positions (0 as published).
         shortlist: maximum number of candidates to which the AV's reactions are predicted: those
             most likely to meet the unattacked AV, then the likeliest. Null: all, as always with
-            constraints, which may leave few.
+            constraints, which may leave few, apart from ``no_rear_end`` and ``on_road``.
         reactions: modes of the AV (N2). The paper gives neither N1 nor N2; 16, and 6 with
             ``form: paper``, as M2I, whose conditional predictor the paper follows.
         av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
@@ -101,7 +103,8 @@ class Settings(plugins.Settings):
             them meets the AV, no attack.
         no_rear_end: only candidates that do not drive into the AV's rear end from behind; if none
             of the others meets the AV, no attack. True by default in the command ``attack``.
-        constraints: names of further constraints, see `deepmf.constraints`.
+        constraints: names of further constraints, see `deepmf.constraints`; ``on_road`` by default
+            in the command ``attack``.
         goal: what ends the tries: a ``hit``; or an ``avoidable`` one, with the metric
             `valid_collision` 1: candidates are then ``fair``, and ``clean`` (see
             `deepmf.constraints`).
@@ -249,7 +252,7 @@ class Settings(plugins.Settings):
     @property
     def most_candidates(self) -> int | None:
         """Maximum number of candidates to which the AV's reactions are predicted; None: all."""
-        return None if self.constrained - {"no_rear_end"} else self.shortlist
+        return None if self.constrained - _SHORTLISTED else self.shortlist
 
     @property
     def comfort(self) -> float:

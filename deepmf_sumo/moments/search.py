@@ -319,7 +319,8 @@ def _document(
 def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
     """The spec of one of `documents`.
 
-    DeepMF does not ram the AV from behind unless ``all_conflicts``, or another key says so.
+    DeepMF does not ram the AV from behind, unless ``all_conflicts`` or another key says so, and it
+    does not leave the road to hit the AV, unless ``constraints`` are given.
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
     adversary looks for one attack, or its opponent is named. Raises SpecError as `spec.load`,
     UsageError where ``all_conflicts`` contradicts a key, WeightsError where weights are named that
@@ -331,8 +332,13 @@ def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
             "--all-conflicts allows rams from behind, and adversary.no_rear_end forbids them: leave"
             " one of them out."
         )
+    more: dict[str, Any] = {}
     if not all_conflicts and _may_ram(spec):
-        document.values.setdefault("adversary", {"name": spec.adversary.name})[_NOT_BEHIND] = True
+        more[_NOT_BEHIND] = True
+    if _may_leave_road(spec):
+        more["constraints"] = ["on_road"]
+    if more:
+        document.values.setdefault("adversary", {"name": spec.adversary.name}).update(more)
         spec = of_document(document)
     if "weights" in document.values:
         from deepmf_sumo.predictors import weights  # brings torch along
@@ -362,6 +368,14 @@ def _may_ram(spec: Spec) -> bool:
     said = _NOT_BEHIND in chosen or _NOT_BEHIND in chosen.get("constraints", ())
     wanted = chosen.get("sector") in {"rear", SECTORS.index("rear")}
     return not (said or wanted or chosen.get("lawful") or chosen.get("form") == "paper")
+
+
+def _may_leave_road(spec: Spec) -> bool:
+    """Whether it may hit the AV beside the road, and nothing in it says that it should."""
+    chosen = spec.adversary.settings
+    kept = chosen.get("lawful") or chosen.get("goal") == "avoidable"
+    ours = spec.adversary.name == "deepmf" and chosen.get("form") != "paper"
+    return ours and "constraints" not in chosen and not kept
 
 
 def tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:

@@ -1,4 +1,4 @@
-"""`clean`: candidates stay on the road, and touch nobody before the AV."""
+"""`clean` and `on_road`: candidates stay on the road, and touch nobody before the AV."""
 
 import numpy as np
 import pytest
@@ -37,6 +37,25 @@ def test_candidates_that_leave_the_road_before_the_contact_are_not_clean():
     assert not clean.all()
     assert not clean[off[:, ::3].any(axis=1)].any()
     assert clean[~off.any(axis=1)].all()
+
+
+def test_hits_off_the_road_are_no_attack():
+    reason = reason_of(AGENTS, constraints=["on_road"], shortlist=None)
+    y = reason.candidates.futures.position_m[..., 1]
+    off = ((y > 3.5 + HALF_M) | (y < -HALF_M)) & before_contact(reason)
+    left = off[:, ::3].any(axis=1)
+    assert (left & reason.collides.any(axis=1)).any()
+    np.testing.assert_array_equal(reason.allowed["on_road"], ~left)
+    assert not left[reason.chosen]
+
+
+def test_the_shortlist_counts_meetings_on_the_road_alone():
+    short = reason_of(AGENTS, constraints=["on_road"], shortlist=8)
+    all_of_them = reason_of(AGENTS, constraints=["on_road"], shortlist=None)
+    kept = short.allowed["on_road"] & short.collides.any(axis=1)
+    meets = all_of_them.allowed["on_road"] & all_of_them.collides.any(axis=1)
+    assert len(kept) == 8
+    assert kept.sum() == min(meets.sum(), 8)
 
 
 def test_candidates_that_touch_a_third_vehicle_are_not_clean():

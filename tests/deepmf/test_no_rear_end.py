@@ -120,6 +120,24 @@ def test_attack_asks_for_it_unless_something_else_is_said(sets, expected):
     assert allowed is (False if expected is False else None)
 
 
+@pytest.mark.parametrize(
+    ("sets", "expected"),
+    [
+        ([], ["on_road"]),
+        (["adversary.constraints=[]"], []),
+        (["adversary.constraints=[clean]"], ["clean"]),
+        (["adversary.lawful=true"], None),
+        (["adversary.goal=avoidable"], None),
+        (["adversary={name: deepmf, form: paper}"], None),
+        (["adversary=brs"], None),
+    ],
+)
+def test_attack_stays_on_the_road_unless_constraints_are_given(sets, expected):
+    [document] = search.documents([SUMO_CONFIG], {}, sets)
+    spec = search.spec_of(document, all_conflicts=True)
+    assert spec.adversary.settings.get("constraints") == expected
+
+
 def test_all_conflicts_and_no_rear_end_contradict_each_other(tmp_path, capsys):
     arguments = ["--all-conflicts", "--set", "adversary.no_rear_end=true"]
     out = ["--out", str(tmp_path / "out")]
