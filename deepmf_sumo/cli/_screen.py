@@ -265,7 +265,7 @@ def _rows(console: Console, found: SideBySide, other: Sequence[Line]) -> None:
 
 def show_verdict(verdict: Verdict) -> None:
     """The tables of the Markdown summary, and a sentence for each finding."""
-    from deepmf_sumo.gate.verdict import LONGEST_LIST, comparisons, counts, thresholds
+    from deepmf_sumo.gate.verdict import LONGEST_LIST, comparisons, counts, own_hits, thresholds
 
     console = wide()
     console.print(escape(counts(list(verdict.results.rows.values()))), soft_wrap=True)
@@ -278,6 +278,9 @@ def show_verdict(verdict: Verdict) -> None:
         for line in comparisons(verdict):
             _add(grid, line)
         console.print(grid)
+    if verdict.same_attacks and verdict.same_attacks.state != "worse":  # that is a finding
+        same = f"{own_hits(verdict.same_attacks)}: {verdict.same_attacks.state}"
+        console.print(escape(same), soft_wrap=True)
     for note in verdict.notes:
         console.print(escape(note), soft_wrap=True)
     found = list(verdict.findings())

@@ -8,6 +8,7 @@ import click
 from deepmf_sumo.cli._parameters import format_option
 
 if TYPE_CHECKING:
+    from deepmf_sumo.gate.same_attacks import SameAttacks
     from deepmf_sumo.gate.verdict import Verdict
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -23,6 +24,15 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
     "--baseline", type=click.Path(exists=True, path_type=Path),
     help="Compare with these earlier results: a file of --write-baseline, or a result folder.",
 )  # fmt: skip
+@click.option(
+    "--same-attacks", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
+    help="Repeat the hits of OUT and of the baseline's folder with both planners, the opponent on "
+    "the path that it drove; runs go into FOLDER, and those that it has are kept.",
+)  # fmt: skip
+@click.option(
+    "--jobs", "-j", type=click.IntRange(1, 4096), default=1, show_default=True,
+    help="Do this number of repeated runs at a time.",
+)  # fmt: skip
 @format_option
 @click.option("--junit", type=_FILE, help="Write JUnit XML to this file.")
 @click.option("--summary", type=_FILE, help="Add a Markdown summary to this file.")
@@ -35,6 +45,8 @@ def command(
     out: Path,
     thresholds: Path | None,
     baseline: Path | None,
+    same_attacks: Path | None,
+    jobs: int,
     form: str,
     junit: Path | None,
     summary: Path | None,
@@ -53,7 +65,16 @@ def command(
 
     if not (thresholds or baseline or write_baseline):
         raise click.UsageError("Missing --thresholds or --baseline: nothing to judge by.")
-    verdict = gate.check(out, gate.load(thresholds), baseline, write_baseline)
+    wanted = gate.load(thresholds)
+
+    def repeat(new: Path, old: Path) -> "SameAttacks":
+        assert same_attacks is not None
+        with screen.progress() as report:
+            level = wanted.baseline.confidence
+            return gate.repeated(new, old, same_attacks, level, jobs, report)
+
+    repeats = repeat if same_attacks else None
+    verdict = gate.check(out, wanted, baseline, write_baseline, repeats)
     if form == "table":
         screen.show_verdict(verdict)
     elif form == "md":
@@ -69,6 +90,8 @@ def command(
 
 def _rows(verdict: "Verdict") -> list[dict[str, Any]]:
     """One row for each threshold and each comparison with the baseline."""
+    from deepmf_sumo.gate.thresholds import ALL
+
     found: list[dict[str, Any]] = []
     for one in verdict.judgements:
         low, high = one.interval or (None, None)
@@ -84,6 +107,12 @@ def _rows(verdict: "Verdict") -> list[dict[str, Any]]:
             | {"was": each.found.old, "value": each.found.new, "difference": mean}
             | {"low": low, "high": high, "unit": each.unit, "runs": each.found.count}
             | {"state": each.state}
+        )
+    if same := verdict.same_attacks:
+        found.append(
+            {"kind": "same attacks", "group": ALL, "quantity": "own_hits", "allowed": None}
+            | {"was": len(same.baseline_own), "value": len(same.own), "unit": "1"}
+            | {"runs": same.hits + same.baseline_hits, "state": same.state}
         )
     names = dict.fromkeys(name for row in found for name in row)
     return [{name: row.get(name) for name in names} for row in found]

@@ -7,7 +7,8 @@
 """
 
 from deepmf_sumo.gate.rows import read
+from deepmf_sumo.gate.same_attacks import SameAttacks, repeated
 from deepmf_sumo.gate.thresholds import Thresholds, load
 from deepmf_sumo.gate.verdict import Verdict, check
 
-__all__ = ["Thresholds", "Verdict", "check", "load", "read"]
+__all__ = ["SameAttacks", "Thresholds", "Verdict", "check", "load", "read", "repeated"]

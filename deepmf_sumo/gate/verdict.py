@@ -7,15 +7,17 @@ missing, too few runs, or a comparison that cannot tell; ``skipped``: no vehicle
 attack, or nothing to judge by.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from deepmf_sumo import files
+from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate import comparison, rows
 from deepmf_sumo.gate.comparison import Comparison
 from deepmf_sumo.gate.rows import Results, Row
+from deepmf_sumo.gate.same_attacks import SameAttacks
 from deepmf_sumo.gate.thresholds import UNFINISHED, Baseline, Judgement, Thresholds, judge
 from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
@@ -34,6 +36,7 @@ class Verdict:
 
     Attributes:
         comparisons: None without a baseline.
+        same_attacks: None where hits were not repeated.
         notes: sentences on what a reader should know before trusting it.
     """
 
@@ -41,6 +44,7 @@ class Verdict:
     judgements: list[Judgement]
     baseline: Path | None
     comparisons: list[Comparison] | None
+    same_attacks: SameAttacks | None
     notes: list[str]
 
     @property
@@ -66,6 +70,8 @@ class Verdict:
         for each in self.comparisons or ():
             if each.state == "worse":
                 yield regression(each)
+        if self.same_attacks and self.same_attacks.state == "worse":
+            yield own_hits(self.same_attacks)
         for row in self.results.rows.values():
             for broken in row.broken:
                 yield f"{row.run_id}: {broken}"
@@ -84,7 +90,11 @@ class Verdict:
 
 
 def check(
-    out: Path, thresholds: Thresholds, baseline: Path | None = None, renewed: Path | None = None
+    out: Path,
+    thresholds: Thresholds,
+    baseline: Path | None = None,
+    renewed: Path | None = None,
+    repeat: Callable[[Path, Path], SameAttacks] | None = None,
 ) -> Verdict:
     """Judge a result folder.
 
@@ -94,6 +104,7 @@ def check(
         baseline: used instead of the one that the thresholds name.
         renewed: a baseline to write from these results, whatever the verdict; it is not compared
             with.
+        repeat: what repeats the hits of results and baseline, see `same_attacks.repeated`.
 
     Raises UsageError for a folder, a baseline or a group of thresholds that cannot be used, and
     OutputError.
@@ -102,7 +113,9 @@ def check(
     judgements = judge(thresholds, list(found.rows.values()))
     named = thresholds.baseline.results
     place = baseline or (Path(named) if named else None)
-    comparisons, notes = None, []
+    comparisons, same_attacks, notes = None, None, []
+    if repeat and not place:
+        raise UsageError("--same-attacks repeats hits of a baseline: name it with --baseline.")
     if renewed:
         rows.write(renewed, found)
         if place and place.resolve() == renewed.resolve():
@@ -112,11 +125,13 @@ def check(
         comparisons = comparison.compare(thresholds.baseline, found, old)
         compared = sum(one.state != "not judged" for one in comparisons)
         notes = list(_notes(thresholds.baseline, found, old, compared))
+        same_attacks = repeat(out, place) if repeat else None
     return Verdict(
         results=found,
         judgements=judgements,
         baseline=place,
         comparisons=comparisons,
+        same_attacks=same_attacks,
         notes=notes,
     )
 
@@ -149,6 +164,22 @@ def regression(one: Comparison) -> str:
         worse = [f"'{name}' ({mean:+.3g})" for name, mean in most if sign * mean > one.tolerance]
         where = f"; most in {', '.join(worse)}" if worse else ""
     return f"{one.group}: {one.quantity} {change}: {difference(one.found)}{where}"
+
+
+def own_hits(one: SameAttacks) -> str:
+    """``same attacks: 8 hits, of which the baseline's planner avoids 6; 2 hits of the ...``."""
+    text = (
+        f"same attacks: {one.hits} hit{_s(one.hits)}, of which the baseline's planner avoids"
+        f" {len(one.own)} where the opponent drives the same path;"
+        f" {one.baseline_hits} hit{_s(one.baseline_hits)} of the baseline, of which this planner"
+        f" avoids {len(one.baseline_own)} (probability by chance: {one.chance:.2g})"
+    )
+    if one.unrepeated:
+        text += f"; {len(one.unrepeated)} did not come again, and count for neither"
+    if one.own:
+        more = len(one.own) - _NAMED
+        text += f"; avoided: {', '.join(one.own[:_NAMED])}{f' and {more} more' * (more > 0)}"
+    return text
 
 
 def undecided_sentence(one: Comparison) -> str:
@@ -244,6 +275,9 @@ def text(verdict: Verdict) -> str:
         lines += to_markdown(
             ("group", "quantity", "was", "is", "difference", ""), comparisons(verdict)
         )
+    if verdict.same_attacks:
+        same = verdict.same_attacks
+        lines += ["", f"{own_hits(same)}: {same.state}. The runs: `{same.folder}`."]
     lines += [f"\n{note}." for note in verdict.notes]
     undecided = [one for one in verdict.comparisons or () if one.state == "cannot tell"]
     lines += [f"\n{undecided_sentence(one)}." for one in undecided[:LONGEST_LIST]]
@@ -310,7 +344,10 @@ def write_junit(path: Path, verdict: Verdict) -> None:
     suites = [("thresholds", [_threshold(one) for one in verdict.judgements])]
     if verdict.comparisons is not None:
         judged = [one for one in verdict.comparisons if one.state != "not judged"]
-        suites.append(("baseline", [_comparison(one) for one in judged]))
+        cases = [_comparison(one) for one in judged]
+        if verdict.same_attacks:
+            cases.append(_same_attacks(verdict.same_attacks))
+        suites.append(("baseline", cases))
     by_spec: dict[str, list[TestCase]] = {}
     tolerated = _tolerated(verdict)
     for row in verdict.results.rows.values():
@@ -335,6 +372,11 @@ def _comparison(one: Comparison) -> TestCase:
     elif one.state == "cannot tell":
         marks = [Mark("error", undecided_sentence(one))]
     return TestCase(classname=f"baseline: {one.group}", name=one.quantity, marks=marks)
+
+
+def _same_attacks(one: SameAttacks) -> TestCase:
+    marks = [Mark("failure", own_hits(one))] if one.state == "worse" else []
+    return TestCase(classname="baseline: all runs", name="same attacks", marks=marks)
 
 
 def _run(row: Row, verdict: Verdict, *, tolerated: bool) -> TestCase:

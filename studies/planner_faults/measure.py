@@ -3,9 +3,9 @@
 Each planner has a result folder; the careful planner's is the baseline of the others. Its runs with
 other seeds are compared with it as well: what the gate reports there is a false alarm.
 
-Whether a failure is the fault's is tested too. In the first three failures that `report` shows, the
-opponent drives the same path again, against the copy and against the careful planner. The failure
-is the fault's if the copy is hit again and the careful planner is not.
+The hits of both planners are repeated as well (`check --same-attacks`): a hit that the careful
+planner avoids where the opponent drives the same path is the fault's own. Whether one of the first
+three failures that `report` shows is such a hit is counted.
 """
 
 import argparse
@@ -19,13 +19,11 @@ import yaml
 
 from deepmf_sumo import gate
 from deepmf_sumo import spec as specs
-from deepmf_sumo.gate.verdict import regression
+from deepmf_sumo.gate.verdict import own_hits, regression
 from deepmf_sumo.plans import run_specs
 from deepmf_sumo.results.failures import failures
 from deepmf_sumo.results.groups import grouped
-from deepmf_sumo.results.reader import Results, Run
-from deepmf_sumo.shrink import read
-from deepmf_sumo.shrink.candidate import AFTER_STEPS, Candidate, path_of, spec_values
+from deepmf_sumo.results.reader import Results
 from deepmf_sumo.spec import FromMoments, Spec
 from deepmf_sumo.sweep import batch
 from studies.planner_faults.faults import FAULTS
@@ -83,8 +81,10 @@ class Asked:
 class Found(NamedTuple):
     """A planner, its runs, and what the gate says of them against the careful planner.
 
-    ``episodes``: simulated ones, all tries counted. ``shown``: failures that `report` shows first;
-    ``own``: of these the fault's. ``reported``: a judged quantity is worse.
+    ``episodes``: simulated ones, all tries counted, without the ``repeated`` ones. ``own``: hits
+    that the careful planner avoids in the same attack; ``baseline_own``: the other way round.
+    ``shown``: failures that `report` shows first; ``first``: own hits among them. ``reported``: a
+    judged quantity is worse, or the own hits are more than chance.
     """
 
     planner: str
@@ -93,32 +93,33 @@ class Found(NamedTuple):
     hits: int
     avoidable: int
     valid: int
-    shown: int
-    own: int
-    reported: bool
-    verdict: str
+    own: int = 0
+    baseline_own: int = 0
+    repeated: int = 0
+    shown: int = 0
+    first: int = 0
+    reported: bool = False
+    verdict: str = ""
 
 
 def measured(asked: Asked) -> Iterator[Found]:
     """The careful planner, its other seeds, and each faulty copy. Raises DeepmfError."""
     thresholds = gate.load(asked.thresholds) if asked.thresholds else _default()
     baseline = _run(asked, "none", "careful", asked.seeds)
-    yield _found("careful", baseline, (0, 0), (False, "baseline"))
+    yield _found(asked, "careful", baseline)
     for seeds in asked.other_seeds:
         name = "-".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
         again = _run(asked, "none", f"careful_{name}", seeds)
-        judged = _verdict(again, thresholds, baseline)
-        yield _found(f"careful, seed {name}", again, (0, 0), judged)
+        yield _found(asked, f"careful, seed {name}", again, baseline, thresholds)
     for name in asked.faults:
         out = _run(asked, name, name, asked.seeds, baseline)
-        own = _own(asked, name, out)
-        yield _found(name, out, own, _verdict(out, thresholds, baseline))
+        yield _found(asked, name, out, baseline, thresholds)
 
 
 def table(found: Iterator[Found]) -> str:
     """A line a planner, and how many of each kind the gate reports."""
     rows = list(found)
-    columns = Found._fields[1:8]
+    columns = Found._fields[1:11]
     lines = [
         f"{'planner':22}" + "".join(f"{name:>10}" for name in columns) + "  the gate's verdict"
     ]
@@ -131,7 +132,7 @@ def table(found: Iterator[Found]) -> str:
     for title, kind in (("careful, other seeds", ""), ("open", "open"), ("held out", "held out")):
         of = [one for one in rows[1:] if half.get(one.planner, "") == kind]
         reported = f"{title}: {sum(one.reported for one in of)} of {len(of)} reported"
-        first = f"; of {sum(one.own > 0 for one in of)} a failure of its own is shown first"
+        first = f"; of {sum(one.first > 0 for one in of)} an own hit is shown first"
         lines.append(reported + first * bool(kind))
     return "\n".join(lines)
 
@@ -175,50 +176,56 @@ def spec_of(file: Path, asked: Asked, fault: str, like: Path | None = None) -> S
     return specs.load(file, sets)
 
 
-def _own(asked: Asked, fault: str, out: Path) -> tuple[int, int]:
+def _shown(out: Path, same: gate.SameAttacks) -> tuple[int, int]:
     """The number of failures that are shown first, and of those the fault's own."""
     results = Results.of(out)
     found = [one for _, one, _ in failures(results) if one is not None and one.kind == "hit"]
-    examples = [one.example.run for one in grouped(found, len(results.runs))[:_SHOWN]]
-    if not examples:
-        return 0, 0
-    planners = fault, "none"
-    each = [_again(run, planner) for run in examples for planner in planners]
-    folder = asked.out / "again" / fault
-    done = run_specs(each, batch.Options(out=folder, jobs=asked.jobs, resume=folder.exists()))
-    hit = [one["outcome"] == "av_opponent" for one in done]
-    return len(examples), sum(
-        bad and not good for bad, good in zip(hit[::2], hit[1::2], strict=True)
-    )
+    examples = [one.example.run.run_id for one in grouped(found, len(results.runs))[:_SHOWN]]
+    return len(examples), sum(one in same.own for one in examples)
 
 
-def _again(run: Run, planner: str) -> Spec:
-    """The run again, with the opponent on the path that it drove."""
-    failure = read(run.folder)
-    last, plans = failure.contact + AFTER_STEPS, len(failure.plans)
-    candidate = Candidate(last=last, contact=failure.contact, only=None, plans=plans)
-    values = spec_values(candidate, failure, path_of(candidate, failure, None))
-    values["name"] = f"{planner} {failure.run_id[:180]}"
-    values["planner"] = {"name": FAULTY, "fault": planner}
-    return Spec.model_validate(values | {"expect": {}})
-
-
-def _verdict(out: Path, thresholds: gate.Thresholds, baseline: Path) -> tuple[bool, str]:
-    """What is worse than the baseline and by how much; else the state of each judged quantity."""
-    judged = [
-        one
-        for one in gate.check(out, thresholds, baseline).comparisons or ()
-        if one.state != "not judged"
-    ]
-    worse = [f"REPORTED: {regression(one)}" for one in judged if one.state == "worse"]
-    states = [f"{one.quantity}: {one.state}" for one in judged]
-    return bool(worse), "; ".join(worse or states)
-
-
-def _found(name: str, out: Path, own: tuple[int, int], verdict: tuple[bool, str]) -> Found:
+def _found(
+    asked: Asked,
+    name: str,
+    out: Path,
+    baseline: Path | None = None,
+    thresholds: gate.Thresholds | None = None,
+) -> Found:
+    """A planner's runs; with a baseline, what the gate says of them."""
     done = Results.of(out).done
     metrics = [
         sum(run.metric(one) == 1 for run in done) for one in ("avoidable", "valid_collision")
     ]
-    episodes = sum(int(run.result["search"]["simulations"]) for run in done)
-    return Found(name, len(done), episodes, sum(run.hit for run in done), *metrics, *own, *verdict)
+    found = Found(
+        planner=name,
+        runs=len(done),
+        episodes=sum(int(run.result["search"]["simulations"]) for run in done),
+        hits=sum(run.hit for run in done),
+        avoidable=metrics[0],
+        valid=metrics[1],
+        verdict="baseline",
+    )
+    if baseline is None or thresholds is None:
+        return found
+
+    def repeat(new: Path, old: Path) -> gate.SameAttacks:
+        folder, level = asked.out / "same_attacks" / out.name, thresholds.baseline.confidence
+        return gate.repeated(new, old, folder, level, asked.jobs)
+
+    verdict = gate.check(out, thresholds, baseline, repeat=repeat)
+    judged = [one for one in verdict.comparisons or () if one.state != "not judged"]
+    same = verdict.same_attacks
+    assert same is not None
+    worse = [f"REPORTED: {regression(one)}" for one in judged if one.state == "worse"]
+    worse += [f"REPORTED: {own_hits(same)}"] if same.state == "worse" else []
+    states = [f"{one.quantity}: {one.state}" for one in judged]
+    shown, first = _shown(out, same)
+    return found._replace(
+        own=len(same.own),
+        baseline_own=len(same.baseline_own),
+        repeated=2 * (same.hits + same.baseline_hits),
+        shown=shown,
+        first=first,
+        reported=bool(worse),
+        verdict="; ".join(worse or states),
+    )

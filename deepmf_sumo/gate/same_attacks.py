@@ -1,0 +1,173 @@
+"""The same attacks on two planners: hits that only one of them has.
+
+Runs of two planners differ in more than the planner: an attack answers to what it attacks. So each
+hit of both sides is repeated twice, with its own planner and with the other side's, while the
+opponent drives the path that it drove. A hit that comes again with its own planner, and not with
+the other, is that planner's own.
+
+Between equally good planners an own hit would be the one's or the other's with equal probability
+(sign test). A planner compared with itself has none, so that it raises no alarm.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from math import comb
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+from deepmf_sumo import shrink
+from deepmf_sumo import spec as spec_module
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.results.result import Result
+from deepmf_sumo.shrink.candidate import AFTER_STEPS, Candidate, path_of, spec_values
+from deepmf_sumo.spec import Plugin, Spec
+from deepmf_sumo.sweep import batch
+from deepmf_sumo.tasks import Task
+
+_LONGEST_NAME: Final = 180
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SameAttacks:
+    """What the repeated hits of both sides show.
+
+    Attributes:
+        folder: with the repeated runs.
+        hits, baseline_hits: of each side, before.
+        own, baseline_own: ids of the hits that only one side's planner has.
+        unrepeated: ids of hits that did not come again with their own planner, or whose run failed.
+        level: a smaller probability of as many own hits by chance is not put down to chance.
+    """
+
+    folder: Path
+    hits: int
+    baseline_hits: int
+    own: tuple[str, ...]
+    baseline_own: tuple[str, ...]
+    unrepeated: tuple[str, ...]
+    level: float
+
+    @property
+    def chance(self) -> float:
+        """Probability of at least as many own hits of the new planner, if both are equally good."""
+        return _at_least(len(self.own), len(self.own) + len(self.baseline_own))
+
+    @property
+    def state(self) -> Literal["worse", "better", "cannot tell"]:
+        """What the own hits say of the new planner."""
+        if self.chance < self.level:
+            return "worse"
+        other = _at_least(len(self.baseline_own), len(self.own) + len(self.baseline_own))
+        return "better" if other < self.level else "cannot tell"
+
+
+def _at_least(count: int, of: int) -> float:
+    """Probability of at least ``count`` heads in ``of`` tosses of a coin."""
+    return sum(comb(of, one) for one in range(count, of + 1)) / 2**of
+
+
+class _Repeat(NamedTuple):
+    """A hit of one side, to be repeated with a planner."""
+
+    run_id: str
+    new: bool
+    own: bool
+    task: Task
+
+
+def repeated(
+    new: Path,
+    old: Path,
+    folder: Path,
+    confidence: float,
+    jobs: int = 1,
+    report: Callable[[batch.Progress], None] = lambda _: None,
+) -> SameAttacks:
+    """Repeat the hits of two result folders, each with both planners.
+
+    Args:
+        new: a result folder.
+        old: the baseline's result folder.
+        folder: for the repeated runs; those that it has are kept.
+        confidence: 1 - ``SameAttacks.level``.
+        jobs: runs at a time.
+        report: called when a run has ended.
+
+    Raises UsageError where a side is no result folder, a run is damaged, or the other side does not
+    say which planner to repeat it with; SpecError or OutputError before anything is run.
+    """
+    sides = _opened(new), _opened(old)
+    wanted = [*_repeats(*sides, new=True), *_repeats(*reversed(sides), new=False)]
+    options = batch.Options(out=folder, jobs=jobs, resume=folder.exists(), sumo=False)
+    done = batch.run_tasks([one.task for one in wanted], options, report) if wanted else []
+    again = {
+        (one.run_id, one.new, one.own): _hit(end) for one, end in zip(wanted, done, strict=True)
+    }
+    hits = [(run_id, side) for run_id, side, own in again if own]
+
+    def own_of(new: bool) -> tuple[str, ...]:
+        of = [run_id for run_id, side in hits if side == new]
+        return tuple(one for one in of if again[one, new, True] and again[one, new, False] is False)
+
+    return SameAttacks(
+        folder=folder,
+        hits=sum(side for _, side in hits),
+        baseline_hits=sum(not side for _, side in hits),
+        own=own_of(new=True),
+        baseline_own=own_of(new=False),
+        unrepeated=tuple(
+            run_id
+            for run_id, side in hits
+            if not again[run_id, side, True] or again[run_id, side, False] is None
+        ),
+        level=1 - confidence,
+    )
+
+
+def _opened(side: Path) -> Results:
+    if not side.is_dir():
+        raise UsageError(
+            f"{side} is a file of --write-baseline: --same-attacks repeats the runs of two result"
+            " folders; name the baseline's folder."
+        )
+    return Results.of(side)
+
+
+def _repeats(side: Results, other: Results, *, new: bool) -> Iterator[_Repeat]:
+    for run in side.runs:
+        if run.part == "main" and run.status == "ok" and run.hit:
+            failure = shrink.read(run.folder)
+            for own in (True, False):
+                planner = failure.spec.planner if own else _planner(other, run)
+                task = _task(failure, planner, f"{'new' * new or 'old'} {'own' * own or 'other'}")
+                yield _Repeat(run.run_id, new, own, task)
+
+
+def _planner(side: Results, run: Run) -> Plugin:
+    """The planner of the side's run of the same id, or the only one of the side."""
+    same = [one for one in side.runs if one.run_id == run.run_id]
+    specs = [spec_module.load(one.folder / "spec.yaml") for one in same or side.runs[:1]]
+    planners = {one.planner for one in side.runs}
+    if not specs or (not same and len(planners) > 1):
+        raise UsageError(
+            f"{side.folders[0]}: no run '{run.run_id}' and not one planner alone, so that it is not"
+            " clear with which planner to repeat it; compare runs of the same specs."
+        )
+    return specs[0].planner
+
+
+def _task(failure: shrink.Failure, planner: Plugin, name: str) -> Task:
+    """The run again with a planner, the opponent on the path that it drove."""
+    last = failure.contact + AFTER_STEPS
+    candidate = Candidate(last=last, contact=failure.contact, only=None, plans=len(failure.plans))
+    values: dict[str, Any] = spec_values(candidate, failure, path_of(candidate, failure, None))
+    values |= {"name": f"{name} {failure.run_id[:_LONGEST_NAME]}", "expect": {}}
+    spec = Spec.model_validate(values).model_copy(update={"planner": planner})
+    run_id = f"{name.replace(' ', '-')}-{failure.run_id}"
+    return replace(failure.task, run_id=run_id, spec=spec)
+
+
+def _hit(result: Result) -> bool | None:
+    """Whether the opponent hit the AV again; None where the run failed."""
+    return result["outcome"] == "av_opponent" if result["status"] == "ok" else None
