@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from deepmf_sumo.predictors.weights import load as load_predictors
     from deepmf_sumo.results.reader import Results
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "AttackEnv",
     "Attacker",

@@ -3,7 +3,8 @@
 ``docs/pictures/left_turn.webp`` is the packaged left turn across the AV's path, step by step: the
 candidates of the plan that drives the opponent, the AV's predicted reactions to the chosen one, and
 the contact. ``docs/pictures/risk_map.webp`` is the risk map of a packaged network, from attacks at
-moments that are chosen, or from the result folder RESULTS of such a command.
+moments that are chosen, or from the result folder RESULTS of such a command; ``risk_page.webp``,
+in docs/gallery.md, is the same map as a page in a browser.
 """
 
 import csv
@@ -41,8 +42,11 @@ from deepmf_sumo.report.palette import (
 )
 from deepmf_sumo.results.reader import Results, Run
 
-ROOT = Path(__file__).resolve().parents[2]
-PICTURES = ROOT / "docs" / "pictures"
+from tests.docs import drawn
+from tests.docs.browser import photograph
+from tests.docs.drawn import PICTURES
+from tests.docs.pages import ROOT
+
 SPEC = ROOT / "scenarios" / "left_turn_across_path.yaml"
 NETWORK = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
 MOMENTS = 120
@@ -53,8 +57,8 @@ MARGIN_M, NEAR_M, SMALL = 20.0, 120.0, 0.27
 SCALE_M = 20.0
 STEP_MS, HOLD_MS = 120, 2600
 BACKGROUND = "#ffffff"
-WORST = 4
-PLAIN = {"fontsize": 8.5, "framealpha": 0.95}
+WORST = 3
+PLAIN = {"fontsize": 12, "framealpha": 0.95}
 
 
 @dataclass(frozen=True)
@@ -137,7 +141,7 @@ def draw_step(run: Run, road: RoadMap, plans: Plans, step: int) -> Image.Image:
         intentions(axes, plans, step)
     title(figure, f"Left turn in front of the AV: {said}")
     handles = list(key(met=step == contact.step))
-    axes.legend(handles=handles, loc="lower right", fontsize=9, framealpha=0.95).set(zorder=30)
+    axes.legend(handles=handles, loc="lower right", fontsize=12, framealpha=0.95).set(zorder=30)
     return pixels(figure)
 
 
@@ -236,9 +240,9 @@ def risk_map(results: Results, path: Path) -> None:
     lines = ["worst places, hits of attacks:"]
     for row in worst(risk, {"movement", "edge"})[:WORST]:
         words = f"{row['title']}: {row['hits']} of {row['attacks']}"
-        lines += textwrap.wrap(words, 30, initial_indent="- ", subsequent_indent="  ")
+        lines += textwrap.wrap(words, 27, initial_indent="- ", subsequent_indent="  ")
     box = {"fc": "white", "ec": "#cccccc", "boxstyle": "round"}
-    place = {"transform": axes.transAxes, "fontsize": 8.5, "bbox": box}
+    place = {"transform": axes.transAxes, "fontsize": 12, "bbox": box}
     axes.text(0.02, 0.1, "\n".join(lines), zorder=30, **place)
     pixels(figure).save(path, quality=85, method=6)
 
@@ -265,8 +269,13 @@ def main() -> int:
         folder = Path(name)
         turn = deepmf_sumo.run([SPEC], folder / "turn", pictures=False)
         animation(turn.runs[0], PICTURES / "left_turn.webp")
-        results = Results.open(Path(sys.argv[1])) if len(sys.argv) > 1 else attacked(folder / "map")
+        given = [Results.open(Path(argument)) for argument in sys.argv[1:]]
+        results = given[0] if given else attacked(folder / "four-way")
         risk_map(results, PICTURES / "risk_map.webp")
+        drawn.keep("left_turn.webp", "risk_map.webp")
+        page = results.folders[0] / "risk" / "risk.html"
+        if photograph(page.resolve(), PICTURES / "risk_page.webp"):
+            drawn.keep("risk_page.webp")
     for picture in ("left_turn.webp", "risk_map.webp"):
         print(picture, f"{(PICTURES / picture).stat().st_size / 1000:.0f} kB")
     return 0
