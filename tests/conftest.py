@@ -1,5 +1,6 @@
 """Fixtures that all tests share."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,10 @@ ROOT = Path(__file__).resolve().parents[1]
 RUN_COMMANDS = {"cli", "plans", "simulation"}
 """Folders in which most tests run SUMO or a whole command: all their tests are marked `sumo`."""
 WOMD = ROOT.parent / "shared" / "womd"
+
+# Before torch is loaded. Test processes share the cores: threads of torch that wait for each other
+# quadruple the time of a training.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m`
