@@ -1,15 +1,23 @@
 """Fixtures that all tests share."""
 
+import multiprocessing
+import os
 from pathlib import Path
 
 import pytest
 
-from tests.support import started_programs, tiny_network
+from deepmf_sumo.sweep import workers
+
+from tests.support import forked_workers, started_programs, tiny_network
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN_COMMANDS = {"cli", "plans", "simulation"}
 """Folders in which most tests run SUMO or a whole command: all their tests are marked `sumo`."""
 WOMD = ROOT.parent / "shared" / "womd"
+
+# Before torch is loaded. Test processes share the cores: threads of torch that wait for each other
+# quadruple the time of a training.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m`
@@ -40,6 +48,19 @@ def pytest_runtest_call(item):
 @pytest.fixture(scope="session")
 def starts_sumo() -> None:
     """For fixtures that start SUMO or a process: marks the tests that use them."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _forked_workers():
+    with pytest.MonkeyPatch.context() as patch:
+        forked_workers.use(patch)
+        yield
+
+
+@pytest.fixture
+def spawned_workers(monkeypatch) -> None:
+    """Workers that begin as those of users do."""
+    monkeypatch.setattr(workers, "multiprocessing", multiprocessing)
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from deepmf_sumo.cli import main
+
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.sumo
 
@@ -18,8 +20,8 @@ def installed(tmp_path_factory) -> Path:
     """Folder with the unpacked wheel, which contains Python code and data alone."""
     pytest.importorskip("hatchling", reason="hatchling, which builds the wheel, is not installed")
     folder = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*build, "--wheel-dir", folder, ROOT], check=True, timeout=200)
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", folder]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True, timeout=200)
     (wheel,) = folder.glob("deepmf_sumo-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / "site")
@@ -69,14 +71,10 @@ def test_init_and_run_of_the_wheel_write_the_results_of_the_checkout(command, em
     command("init", "start")
     laid = sorted(path.name for path in (empty / "start" / "scenarios").glob("*.yaml"))
     assert laid == sorted(path.name for path in (ROOT / "scenarios").glob("*.yaml"))
-    command("run", "start/scenarios/cut_in.yaml", "--no-pictures", "--out", "results")
-    checkout = [sys.executable, "-m", "deepmf_sumo.cli.main", "run"]
-    subprocess.run(
-        [*checkout, ROOT / "scenarios" / "cut_in.yaml", "--no-pictures", "--out", tmp_path / "own"],
-        cwd=ROOT,
-        check=True,
-        timeout=250,
-    )
+    more = ("--no-pictures", "--set", "duration_s=2.0", "--out")
+    command("run", "start/scenarios/cut_in.yaml", *more, "results")
+    own = str(tmp_path / "own")
+    assert main._run(["run", str(ROOT / "scenarios" / "cut_in.yaml"), *more, own]) == 0
     (ours,) = pd.read_csv(empty / "results" / "runs.csv").to_dict("records")
     (theirs,) = pd.read_csv(tmp_path / "own" / "runs.csv").to_dict("records")
     assert ours["status"] == "ok"

@@ -253,7 +253,8 @@ def test_moments_name_their_street(tiny, tmp_path):
 @pytest.mark.parametrize("mapped", [True, False])
 def test_attacks_leave_a_risk_map(tiny, tmp_path, capsys, mapped):
     out = tmp_path / "out"
-    more = ["--at", 2.5, "--av", "av", "--duration", 1, "--set", "adversary=rule"]
+    more = ["--at", 2.5, "--av", "av", "--duration", 1]
+    more += ["--set", "adversary={name: rule, opponent: leader}"]
     assert attack(tiny, out, *more, *([] if mapped else ["--no-risk"])) == 0
     assert (f"{out}/risk/risk.html" in capsys.readouterr().out) == mapped
     assert (out / "risk" / "edges.xml").is_file() == mapped

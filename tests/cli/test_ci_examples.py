@@ -53,9 +53,10 @@ def run(repository, line, **environment):
 
 
 def test_the_workflow_works(repository):
-    """As by hand: attack and make the baseline; then the job, line by line."""
+    """As by hand: attack and make the baseline; then the job, line by line. With fewer seeds."""
     _, attack, check = commands(GITHUB)
-    done = run(repository, attack)
+    assert "--seeds 1-5 " in attack
+    done = run(repository, attack.replace("--seeds 1-5 ", "--seeds 1 "))
     assert done.returncode == 0, done.stdout + done.stderr
     assert run(repository, check).returncode == 2  # there is no baseline yet
     shutil.move(repository / "results" / "gate.json", repository / "av" / "baseline.json")

@@ -1,10 +1,5 @@
 import csv
 import json
-import signal
-import subprocess
-import sys
-import time
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -67,26 +62,3 @@ def test_missing_weights_are_exit_code_2_and_cost_no_other_run(tiny, tmp_path, c
     assert "There are no weights 'nix'" in capsys.readouterr().out
     rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
     assert [row["status"] for row in rows] == ["failed", "ok"]
-
-
-def test_interrupt_keeps_the_table(tiny, tmp_path):
-    names = [str(tiny_network.spec(tiny, f"one {number}")) for number in range(40)]
-    out = tmp_path / "out"
-    child = subprocess.Popen(
-        [sys.executable, "-m", "deepmf_sumo.cli.main", "run", *names, "--out", out],
-        cwd=ROOT,
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        # A shell's background jobs ignore interrupts, and so would their children.
-        preexec_fn=partial(signal.signal, signal.SIGINT, signal.default_int_handler),
-    )
-    while not list(out.glob("runs/one-*/result.json")):
-        assert child.poll() is None
-        time.sleep(0.05)
-    child.send_signal(signal.SIGINT)
-    _, errors = child.communicate(timeout=120)
-    assert child.returncode == 130
-    assert b"Traceback" not in errors
-    summary = json.loads((out / "summary.json").read_text())
-    assert summary["interrupted"] is True
-    assert 1 <= summary["runs"] < 40

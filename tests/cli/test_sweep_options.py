@@ -231,8 +231,9 @@ def test_without_a_display_the_screen_is_refused(specs, tmp_path, capsys, monkey
 def test_a_signal_stops_within_five_seconds_and_leaves_no_child(tiny, tmp_path, number):
     names = [tiny_network.spec(tiny, f"many {one}", duration_s="8.0") for one in range(20)]
     out = tmp_path / "out"
+    command = (sys.executable, "-m", "deepmf_sumo.cli.main", "run")
     child = subprocess.Popen(
-        [sys.executable, "-m", "deepmf_sumo.cli.main", "run", *names, "--out", out, "-j", "2"],
+        [*command, *names, "--out", out, "--jobs", "2", "--no-pictures"],
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         # A shell's background jobs ignore interrupts, and so would their children.
@@ -256,6 +257,7 @@ def test_a_signal_stops_within_five_seconds_and_leaves_no_child(tiny, tmp_path, 
     kept = {path.parent.name for path in out.glob("runs/many-*/result.json")}
     table = {line.split(",")[0] for line in (out / "runs.csv").read_text().splitlines()[1:]}
     assert table == kept
+    assert len(kept) < 20
     assert json.loads((out / "summary.json").read_text())["interrupted"] is True
 
 

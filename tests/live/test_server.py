@@ -1,15 +1,19 @@
 """``deepmf-sumo serve``: clients that know nothing of it, and clients that misbehave."""
 
+import functools
 import json
 import re
 import socket
 import struct
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import sumo
 
+from deepmf_sumo.cli import main
 from deepmf_sumo.live.server import LARGEST
 
 pytestmark = pytest.mark.sumo
@@ -57,6 +61,40 @@ def served(tiny, tmp_path):
         process.communicate()
 
 
+@pytest.fixture
+def talked(tiny, tmp_path, capsys):
+    """Runs the command in this process, for a client in a thread; gives code and output."""
+
+    def run(talk):
+        port = free_port()
+        command = ["serve", tiny / "tiny.sumocfg", "--port", port, "--av", "nobody"]
+        command += ["--out", tmp_path / "live", "--", *OPTIONS]
+        with ThreadPoolExecutor(1) as pool:
+            client = pool.submit(lambda: talk(functools.partial(connection, port)))
+            code = main._run(list(map(str, command)))
+            client.result(timeout=60)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        return probe.getsockname()[1]
+
+
+def connection(port):
+    """A connection to the command, which may not listen yet."""
+    end = time.monotonic() + 60
+    while True:
+        try:
+            return socket.create_connection(("localhost", port))
+        except ConnectionRefusedError:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+
+
 def client(port, step, file):
     done = subprocess.run(
         [sys.executable, "-c", CLIENT, str(port), str(step), str(file)],
@@ -68,9 +106,7 @@ def client(port, step, file):
 
 def alone(tiny, step, file):
     """What the client sees of SUMO itself."""
-    with socket.socket() as probe:
-        probe.bind(("localhost", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     program = f"{sumo.SUMO_HOME}/bin/sumo"
     command = [program, "-c", tiny / "tiny.sumocfg", "--remote-port", str(port), *OPTIONS]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
@@ -109,26 +145,28 @@ def message(*commands):
     return struct.pack("!i", len(body) + 4) + body
 
 
-def test_several_commands_in_one_message_are_answered_in_one(served):
-    process, port = served("nobody")
+def test_several_commands_in_one_message_are_answered_in_one(talked):
     step = command(0x02, struct.pack("!d", 0.0))
     order, load = command(0x03, struct.pack("!i", 7)), command(0x01, struct.pack("!i", 0))
-    with socket.create_connection(("localhost", port)) as connection:
-        connection.sendall(message(order, step, load, command(0x00)))
-        (length,) = struct.unpack("!i", connection.recv(4))
-        answer = b""
-        while len(answer) < length - 4:
-            answer += connection.recv(4096)
-        statuses = [(answer[at + 1], answer[at + 2]) for at in (0, 7)]
-        assert statuses == [(0x03, 0x00), (0x02, 0x00)]
-        at = 7 + 7 + 4  # the number of subscriptions is behind the step
-        assert (answer[at + 1], answer[at + 2]) == (0x01, 0xFF)
-        assert b"end it and start serve again" in answer[at : at + answer[at]]
-        assert answer[at + answer[at] + 1] == 0x00
-        connection.sendall(message(command(0x7F)))
-        connection.recv(4096)
-    _, told = process.communicate(timeout=30)
-    assert process.returncode == 0, told
+
+    def talk(connect):
+        with connect() as connection:
+            connection.sendall(message(order, step, load, command(0x00)))
+            (length,) = struct.unpack("!i", connection.recv(4))
+            answer = b""
+            while len(answer) < length - 4:
+                answer += connection.recv(4096)
+            statuses = [(answer[at + 1], answer[at + 2]) for at in (0, 7)]
+            assert statuses == [(0x03, 0x00), (0x02, 0x00)]
+            at = 7 + 7 + 4  # the number of subscriptions is behind the step
+            assert (answer[at + 1], answer[at + 2]) == (0x01, 0xFF)
+            assert b"end it and start serve again" in answer[at : at + answer[at]]
+            assert answer[at + answer[at] + 1] == 0x00
+            connection.sendall(message(command(0x7F)))
+            connection.recv(4096)
+
+    code, _, told = talked(talk)
+    assert code == 0, told
 
 
 @pytest.mark.parametrize(
@@ -140,48 +178,46 @@ def test_several_commands_in_one_message_are_answered_in_one(served):
         (b"", None),
     ],
 )
-def test_a_client_that_misbehaves_or_dies_is_told_and_sumo_ends_well(served, bytes_, told):
-    process, port = served("nobody")
-    with socket.create_connection(("localhost", port)) as connection:
-        connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
-        assert connection.recv(4096)
-        connection.sendall(bytes_)
-    out, errors = process.communicate(timeout=30)
-    assert process.returncode == 0, errors
+def test_a_client_that_misbehaves_or_dies_is_told_and_sumo_ends_well(talked, bytes_, told):
+    def talk(connect):
+        with connect() as connection:
+            connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+            assert connection.recv(4096)
+            connection.sendall(bytes_)
+
+    code, out, errors = talked(talk)
+    assert code == 0, errors
     assert "Traceback" not in errors
     assert "the script left" in out
     assert told is None or told in errors
 
 
-def test_a_second_client_is_turned_away(served):
-    process, port = served("nobody")
-    with socket.create_connection(("localhost", port)) as connection:
-        connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
-        assert connection.recv(4096)
-        with socket.create_connection(("localhost", port)) as other:
-            assert other.recv(10) == b""
-        connection.sendall(message(command(0x7F)))
-        connection.recv(4096)
-    _, told = process.communicate(timeout=30)
-    assert (process.returncode, "a second client was turned away" in told) == (0, True)
+def test_a_second_client_is_turned_away(talked):
+    def talk(connect):
+        with connect() as connection:
+            connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+            assert connection.recv(4096)
+            with connect() as other:
+                assert other.recv(10) == b""
+            connection.sendall(message(command(0x7F)))
+            connection.recv(4096)
+
+    code, _, told = talked(talk)
+    assert (code, "a second client was turned away" in told) == (0, True)
 
 
-def test_what_cannot_begin_is_one_sentence(tiny, tmp_path):
+def test_what_cannot_begin_is_one_sentence(tiny, tmp_path, capsys):
     with socket.socket() as taken:
         taken.bind(("localhost", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        done = serve(tiny, tmp_path, "--port", port)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert f"--port {port} cannot be used" in done.stderr
-    done = serve(tiny, tmp_path, "--port", 0, "--", "--no-such-option", "1")
-    assert done.returncode == 3
-    assert "SUMO ended with exit code 1" in done.stderr
+        code, told = serve(tiny, tmp_path, "--port", port), capsys.readouterr().err
+    assert (code, told.count("\n")) == (2, 1)
+    assert f"--port {port} cannot be used" in told
+    assert serve(tiny, tmp_path, "--port", 0, "--", "--no-such-option", "1") == 3
+    assert "SUMO ended with exit code 1" in capsys.readouterr().err
 
 
 def serve(tiny, tmp_path, *more):
-    command = [sys.executable, "-m", "deepmf_sumo.cli.main", "serve", tiny / "tiny.sumocfg"]
-    command += ["--av", "av", "--out", tmp_path / "live", *more]
-    return subprocess.run(
-        list(map(str, command)), capture_output=True, text=True, check=False, timeout=60
-    )
+    command = ["serve", tiny / "tiny.sumocfg", "--av", "av", "--out", tmp_path / "live", *more]
+    return main._run(list(map(str, command)))

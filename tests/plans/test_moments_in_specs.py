@@ -19,7 +19,7 @@ name: moments
 source: {network: tiny.sumocfg, moments: {count: 2}}
 duration_s: 0.5
 planners: {lane: idm}
-methods: {none: none, rule: {adversary: rule, budget: {simulations: 1}}}
+methods: {none: none, again: none}
 """
 
 
@@ -74,7 +74,7 @@ def test_a_plan_has_moments(tiny, tmp_path, capsys):
     assert call("run", file, "--no-figures", "--out", out) == 0
     assert "4 runs: 4 ok" in capsys.readouterr().out
     table = rows(out / "runs.csv")
-    assert [row["method"] for row in table] == ["none", "none", "rule", "rule"]
+    assert [row["method"] for row in table] == ["none", "none", "again", "again"]
     assert [row["run_id"] for row in rows(out / "moments.csv")] == [row["run_id"] for row in table]
     assert table[0]["scene"] == table[2]["scene"] != table[1]["scene"]
     assert [row["scenes"] for row in rows(out / "table.csv")] == ["2", "2"]

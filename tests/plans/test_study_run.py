@@ -154,7 +154,7 @@ def test_nothing_is_lost_or_doubled_by_kills(whole, tmp_path):
     assert {path.name for path in (out / "runs").iterdir()} == set(ids)
 
 
-KILLS = int(os.environ.get("DEEPMF_SUMO_TEST_KILLS", "3"))
+KILLS = int(os.environ.get("DEEPMF_SUMO_TEST_KILLS", "2"))
 
 
 def _status(out, run_id):

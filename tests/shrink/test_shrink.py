@@ -90,7 +90,7 @@ def again(file, out):
 
 def test_a_hit_is_shrunk_and_fails_again_and_a_careful_planner_passes(hit, tmp_path, capsys):
     file = tmp_path / "small.yaml"
-    assert main._run(["shrink", str(hit), "--out", str(file), "--simulations", "40"]) == 0
+    assert main._run(["shrink", str(hit), "--out", str(file), "--simulations", "20"]) == 0
     said = capsys.readouterr()
     assert "road users -> 2" in said.out
     assert "repeated byte for byte" in said.out
@@ -144,7 +144,7 @@ def test_a_hit_on_a_recording_is_shrunk(tmp_path):
     (tmp_path / "spec.yaml").write_text(yaml.safe_dump(spec))
     [run] = api.run(tmp_path / "spec.yaml", tmp_path / "out").runs
     assert run.hit
-    found = shrink.shrink(shrink.read(run.folder), 30)
+    found = shrink.shrink(shrink.read(run.folder), 15)
     shrink.write(found, tmp_path / "small.yaml")
     assert found.best.road_users == 2
     assert found.best.values["source"]["start_s"] > 0.5

@@ -2,14 +2,13 @@
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
 from deepmf_sumo import api
+from deepmf_sumo.sweep import workers
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 
@@ -33,19 +32,23 @@ SITUATIONS = {
 # Who the opponent is where the spec leaves the choice to the attack.
 CHOSEN = {"late_exit": "leaver", "minor_road_crossing": "crosser", "u_turn": "turner"}
 
-# libsumo holds one simulation a process.
-PROBE = """
-import json, sys, libsumo
-config, start, seed, ids = sys.argv[1], float(sys.argv[2]), sys.argv[3], sys.argv[4:]
-libsumo.start(["sumo", "-c", config, "--seed", seed, "--no-step-log", "--no-warnings"])
-seen = {i: 0 for i in ids}
-while libsumo.simulation.getTime() < start - 1e-6:
-    libsumo.simulationStep()
-    for i in ids:
-        seen[i] += i in libsumo.vehicle.getIDList()
-v = libsumo.vehicle
-print(json.dumps({i: [*v.getPosition(i), v.getAngle(i), v.getSpeed(i), seen[i]] for i in ids}))
-"""
+
+def probe(task):
+    """Write where vehicles are at a moment; libsumo holds one simulation a process."""
+    import libsumo
+
+    config, start_s, seed, ids, file = task
+    libsumo.start(["sumo", "-c", config, "--seed", seed, "--no-step-log", "--no-warnings"])
+    seen = dict.fromkeys(ids, 0)
+    while libsumo.simulation.getTime() < start_s - 1e-6:
+        libsumo.simulationStep()
+        for one in ids:
+            seen[one] += one in libsumo.vehicle.getIDList()
+    api = libsumo.vehicle
+    poses = [
+        [*api.getPosition(one), api.getAngle(one), api.getSpeed(one), seen[one]] for one in ids
+    ]
+    file.write_text(json.dumps(poses))
 
 
 def _relation(av, other):
@@ -68,7 +71,7 @@ def test_every_spec_is_described_here():
 
 @pytest.mark.sumo
 @pytest.mark.parametrize("name", SITUATIONS)
-def test_the_opponent_stands_where_the_spec_says(name):
+def test_the_opponent_stands_where_the_spec_says(name, tmp_path):
     path = SCENARIOS / f"{name}.yaml"
     assert path.read_text().startswith("# "), "a spec begins with a sentence for the user"
     spec = yaml.safe_load(path.read_text())
@@ -77,11 +80,11 @@ def test_the_opponent_stands_where_the_spec_says(name):
     named = spec["adversary"].get("opponent")
     assert (named is None) == (name in CHOSEN)
     ids = [source["av"]["vehicle"], named or CHOSEN[name]]
-    command = [sys.executable, "-W", "ignore", "-c", PROBE, config, str(source["start_s"])]
-    command += [str(spec["seed"]), *ids]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    av, opponent = json.loads(done.stdout.splitlines()[-1]).values()
+    file = tmp_path / "poses.json"
+    task = (str(config), source["start_s"], str(spec["seed"]), ids, file)
+    (ending,) = workers.run(probe, [task], jobs=1, timeout_s=60)
+    assert ending.status == "done", ending.reason
+    av, opponent = json.loads(file.read_text())
     relation, within = SITUATIONS[name]
     assert _relation(av, opponent) == relation
     assert math.dist(av[:2], opponent[:2]) < within

@@ -21,7 +21,7 @@ CUT_IN = ROOT / "scenarios" / "cut_in.yaml"
 ENDED = "planner_error: the planner ended its process (SIGSEGV; see log.txt)."
 
 
-def test_same_bytes_whatever_the_number_of_jobs(tiny, tmp_path):
+def test_same_bytes_whatever_the_number_of_jobs(tiny, tmp_path, spawned_workers):
     specs = [
         spec.load(CUT_IN, ["adversary=none", "duration_s=2.0"]),
         spec.load(tiny_network.spec(tiny, "tiny follower")),

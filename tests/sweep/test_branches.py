@@ -82,15 +82,16 @@ STARTS = (2.0, 3.0, 4.5)
 def paths(tiny):
     """Specs of three moments, in order."""
 
-    def write(planner="idm"):
+    def write(planner="idm", adversary="{name: rule, opponent: leader}"):
         (tiny / "late_planners.py").write_text(PLANNERS)
         source = "{{network: tiny.sumocfg, start_s: {}, av: {{vehicle: av}}}}"
         return [
             tiny_network.spec(
-                tiny, f"at {start}", source=source.format(start), planner=planner, adversary="rule"
+                tiny, f"at {start}", source=source.format(start), planner=planner,
+                adversary=adversary,
             )
             for start in STARTS
-        ]
+        ]  # fmt: skip
 
     return write
 
@@ -110,8 +111,9 @@ def done(runs, paths, folder):
 
 def test_copies_do_what_a_simulation_of_ones_own_does(tiny, paths, tmp_path):
     forward, backward = tmp_path / "forward" / "runs", tmp_path / "backward" / "runs"
-    assert done(forward, paths(), tiny) == (3, 2)
-    assert done(backward, paths()[::-1], tiny) == (3, 0)
+    with_networks = paths(adversary="rule")  # which choose the opponent
+    assert done(forward, with_networks, tiny) == (3, 2)
+    assert done(backward, with_networks[::-1], tiny) == (3, 0)
     assert len(list(forward.glob("at-*"))) == 3
     assert same_bytes.same(forward, backward)
 

@@ -11,7 +11,7 @@ import pytest
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.sweep import workers
 
-pytestmark = pytest.mark.sumo
+pytestmark = [pytest.mark.sumo, pytest.mark.usefixtures("spawned_workers")]
 
 KEPT = []
 

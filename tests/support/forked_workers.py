@@ -1,0 +1,64 @@
+"""Workers of sweeps as copies of one process that has loaded the libraries.
+
+Most of the time of a run of one second is that its worker loads numpy, shapely, scipy and torch. A
+worker of the tests differs from that of a user in where it comes from alone: it gets environment,
+folder, module path, standard output and task of the process that asks for it, and nothing that a
+test has patched. Tests of the workers themselves ask for the fixture `spawned_workers`.
+"""
+
+import multiprocessing
+import os
+from multiprocessing import forkserver, reduction
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from deepmf_sumo.sweep import workers
+
+from tests.support import started_programs
+
+LOADED = [
+    "deepmf_sumo.sweep.episode", "deepmf_sumo.adversaries.deepmf", "deepmf_sumo.predictors.weights",
+    "deepmf_sumo.report.picture", "libsumo", "scipy.optimize",
+]  # fmt: skip
+
+
+class _Surroundings:
+    """What a process takes over from the one that pickles this, when it unpickles it."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _take_over, (dict(os.environ), reduction.DupFd(1), reduction.DupFd(2))
+
+
+def _take_over(environment: dict[str, str], *streams: Any) -> None:
+    os.environ.clear()
+    os.environ.update(environment)
+    for number, stream in enumerate(streams, start=1):
+        file = stream.detach()
+        os.dup2(file, number)
+        os.close(file)
+
+
+class _Process(ForkServerProcess):
+    """`workers.Worker` asks for it."""
+
+    def __init__(self, *, target: Any, args: tuple[Any, ...], daemon: bool) -> None:
+        super().__init__(target=_begin, args=(_Surroundings(), target, *args), daemon=daemon)
+
+    def start(self) -> None:
+        started_programs.refuse("a worker")
+        super().start()
+
+
+def _begin(_: None, serve: Any, theirs: Connection, work: Any, parent: int) -> None:
+    serve(theirs, work, os.getppid())  # of the process that it is a copy of
+
+
+def use(patch: pytest.MonkeyPatch) -> None:
+    """Let workers be copies from now on."""
+    forkserver.set_forkserver_preload(LOADED)
+    context = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=_Process)
+    patch.setattr(workers, "multiprocessing", SimpleNamespace(get_context=lambda _: context))
