@@ -17,7 +17,7 @@ from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
-from deepmf_sumo.simulation.vehicle_control import MATCH_M, HandOver, move
+from deepmf_sumo.simulation.vehicle_control import MATCH_M, HandOver, has_stops, move
 
 
 class RouteAhead:
@@ -262,6 +262,7 @@ class Av:
         self.length_m = length_m
         self.ahead = RouteAhead(api, av_id)
         self.placed: Pose | None = None
+        self._has_stops = False
         self.leaders: tuple[AgentId, ...] | None = None
         self.lost = False
         self.pose = start
@@ -328,11 +329,12 @@ class Av:
         """Put the AV at a pose at the end of the coming step."""
         if self.placed is None:
             self._hand_over.take(self.id)
+            self._has_stops = has_stops(self._api, self.id)
         self.placed = pose
         self.leaders = None if leader_id is None else (leader_id,)
         self._previous_mps = float(self._api.vehicle.getSpeed(self.id))
         self._commanded_mps = None
-        move(self._api, self.id, pose, self.length_m, MATCH_M)
+        move(self._api, self.id, pose, self.length_m, MATCH_M, on_route=self._has_stops)
 
     def after_step(self) -> None:
         """Tell SUMO the speed after a placement, and note the pose of the AV."""

@@ -68,7 +68,13 @@ class FreePositions:
         self._high = np.array([lane.centre_m.max(axis=0) for lane in self._lanes]).reshape(-1, 2)
 
     def nearest(
-        self, agent: AgentId, frame: Frame, size_m: Floats, route: Collection[str]
+        self,
+        agent: AgentId,
+        frame: Frame,
+        size_m: Floats,
+        route: Collection[str],
+        *,
+        on_route: bool = False,
     ) -> FreePosition | None:
         """The best free position within 50 m for an agent, preferably on its route; else None.
 
@@ -77,6 +83,7 @@ class FreePositions:
             frame: all agents now.
             size_m: (N, 2) lengths and widths.
             route: edges.
+            on_route: on no other edges.
         """
         me = frame.ids.index(agent)
         found = self._candidates(frame, me, float(size_m[me, 0]), route)
@@ -88,6 +95,8 @@ class FreePositions:
             poses = found.front_m[part], found.heading_rad[part], speed, found.z_m[part]
             for row in np.flatnonzero(_free(poses, me, frame, size_m)):
                 lane = found.lanes[begin + row]
+                if on_route and _edge(lane) not in route:
+                    continue
                 if permitted(self._api, agent, lane.id):
                     x, y = found.front_m[begin + row]
                     return FreePosition(
@@ -122,7 +131,7 @@ class FreePositions:
             if not len(along):
                 continue
             point, direction = polylines.points_at(lane.centre_m, along)
-            off_route = lane.id.rpartition("_")[0] not in route
+            off_route = _edge(lane) not in route
             costs.append(np.full(len(along), off_route * _OFF_ROUTE_COSTS_M))
             points.append(point)
             headings.append(direction)
@@ -146,6 +155,10 @@ def permitted(api: SumoApi, agent: AgentId, lane_id: str) -> bool:
     return (not allowed or permission in allowed) and (
         permission not in api.lane.getDisallowed(lane_id)
     )
+
+
+def _edge(lane: Lane) -> str:
+    return lane.id.rpartition("_")[0]
 
 
 def _free(

@@ -20,21 +20,40 @@ MATCH_M: Final = 5.0
 """Largest distance of a moving vehicle from the lane on which SUMO still takes it."""
 _AT_ONCE_MPS: Final = 1000.0
 _EXACT = 2  # keepRoute: exactly where it is put
-_SNAP_TO_LANE = 0  # keepRoute: the nearest lane
+_EXACT_ON_ROUTE = 3  # the same, but SUMO takes it on lanes of its route alone
+_SNAP_TO_LANE, _SNAP_TO_ROUTE = 0, 1  # keepRoute: the nearest lane, of its route alone
 _SNAP_M = 100.0
 _BESIDE_M: Final = 0.1
 _ASKEW_RAD: Final = np.radians(60.0)
 
 
-def move(api: SumoApi, vehicle_id: str, pose: Pose, length_m: float, match_m: float) -> None:
+def move(
+    api: SumoApi,
+    vehicle_id: str,
+    pose: Pose,
+    length_m: float,
+    match_m: float,
+    *,
+    on_route: bool = False,
+) -> None:
     """Put a vehicle exactly there at the end of the coming step.
 
-    ``match_m``: largest distance of the front from a lane on which SUMO still takes the vehicle.
+    ``match_m``: largest distance of the front from a lane on which SUMO still takes the vehicle;
+    ``on_route``: of its route alone.
     """
     front, angle = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
-    api.vehicle.moveToXY(
-        vehicle_id, "", -1, float(front[0]), float(front[1]), float(angle), _EXACT, match_m
-    )
+    x, y = float(front[0]), float(front[1])
+    keep = _EXACT_ON_ROUTE if on_route else _EXACT
+    api.vehicle.moveToXY(vehicle_id, "", -1, x, y, float(angle), keep, match_m)
+
+
+def has_stops(api: SumoApi, vehicle_id: str) -> bool:
+    """Whether stops of a vehicle lie ahead of it or behind it.
+
+    SUMO 1.28 ends where such a vehicle comes onto a lane off its route: it gives the vehicle all of
+    its stops again, and finds that some are not ahead.
+    """
+    return bool(api.vehicle.getStops(vehicle_id) or api.vehicle.getStops(vehicle_id, -1))
 
 
 class HandOver:
@@ -98,6 +117,7 @@ class _Taken:
     agent: AgentId
     length_m: float
     route: tuple[str, ...]
+    stops: bool
     pose: Pose
 
 
@@ -141,10 +161,16 @@ class Takeover:
             return
         if self._taken is None or self._taken.agent != agent:  # the last one may have left
             route = tuple(self._api.vehicle.getRoute(agent))
-            self._taken = _Taken(agent=agent, length_m=length_m, route=route, pose=pose)
+            stops = has_stops(self._api, agent)
+            self._taken = _Taken(
+                agent=agent, length_m=length_m, route=route, stops=stops, pose=pose
+            )
+            if stops:
+                detail = "it has stops, so SUMO's vehicles see it on its own route alone"
+                self._note(step, agent, "seen_on_route", detail)
             self._hand_over.take(agent)
         self._taken.pose = pose
-        move(self._api, agent, pose, length_m, MATCH_M)
+        move(self._api, agent, pose, length_m, MATCH_M, on_route=self._taken.stops)
 
     def after_step(self, step: int) -> None:
         """Tell SUMO the speed: else it would be that of the jump, cut to the vehicle's limits."""
@@ -186,7 +212,9 @@ class Takeover:
         elif self._drivable(taken, self._positions, around):
             self._go_on(step, taken)
         else:
-            free = self._positions.nearest(agent, around.frame, around.size_m, taken.route)
+            free = self._positions.nearest(
+                agent, around.frame, around.size_m, taken.route, on_route=taken.stops
+            )
             if free is not None:
                 self._put(step, taken, free)
             elif self._may_remove:
@@ -206,7 +234,8 @@ class Takeover:
             self._go_on(step, taken)
             return
         x, y = vehicle.getPosition(agent)
-        vehicle.moveToXY(agent, "", -1, x, y, vehicle.getAngle(agent), _SNAP_TO_LANE, _SNAP_M)
+        keep = _SNAP_TO_ROUTE if taken.stops else _SNAP_TO_LANE
+        vehicle.moveToXY(agent, "", -1, x, y, vehicle.getAngle(agent), keep, _SNAP_M)
         self._note(step, agent, "handed_back", "put on the nearest lane, where SUMO drives on")
 
     def _drivable(self, taken: _Taken, positions: FreePositions, around: Occupancy) -> bool:
@@ -230,7 +259,8 @@ class Takeover:
         edge, _, lane = free.lane_id.rpartition("_")
         angle = float(frames.sumo_angle(free.heading_rad))
         x, y = free.front_m
-        self._api.vehicle.moveToXY(taken.agent, edge, int(lane), x, y, angle, _EXACT, MATCH_M)
+        keep = _EXACT_ON_ROUTE if taken.stops else _EXACT
+        self._api.vehicle.moveToXY(taken.agent, edge, int(lane), x, y, angle, keep, MATCH_M)
         self._moved = taken, free.speed_mps
         detail = f"put on lane {free.lane_id}, {free.moved_m:.1f} m away, where SUMO drives on"
         self._note(step, taken.agent, "handed_back", detail)

@@ -10,6 +10,7 @@ def sumo(there, options=None, classes=None):
     vehicle = SimpleNamespace(
         getIDList=lambda: tuple(there),
         getRoute=lambda agent: ("ab",),
+        getStops=lambda agent, limit=0: (),
         moveToXY=lambda *_: None,
         setSpeed=lambda *_: None,
         setSpeedMode=lambda *_: None,
