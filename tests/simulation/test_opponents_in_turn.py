@@ -313,7 +313,7 @@ def test_who_is_handed_back_amid_others_or_beside_the_road_is_put_on_a_free_plac
 def test_without_a_free_place_a_vehicle_is_taken_out_and_it_is_said(busy, monkeypatch):
     from deepmf_sumo.simulation.free_positions import FreePositions
 
-    monkeypatch.setattr(FreePositions, "nearest", lambda *_: None)
+    monkeypatch.setattr(FreePositions, "nearest", lambda *_, **__: None)
     found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0), steps=50)
     (event, *_) = [event for event in found.events if event.kind == "removed"]
     assert "no free place" in event.detail
