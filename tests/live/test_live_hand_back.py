@@ -39,7 +39,7 @@ def test_who_is_not_on_the_middle_of_a_lane_is_put_there(folder, sumo, sideways)
 
 
 def test_a_vehicle_stays_in_the_simulation_where_no_place_is_free(folder, sumo, monkeypatch):
-    monkeypatch.setattr(FreePositions, "nearest", lambda *_: None)
+    monkeypatch.setattr(FreePositions, "nearest", lambda *_, **__: None)
     session, fought = session_on(sumo, folder, Brake(sideways=-3.0), pause_s=100.0)
     step(sumo, session, 35)
     assert sumo.vehicle.getLaneID("leader") == "ab_0"
