@@ -24,14 +24,14 @@ run: $(READY)  ## attack every scenario of scenarios/ and print what happened
 	$(RUN) run scenarios/*.yaml --out out/run --overwrite
 
 quick: $(READY)  ## the tests that start no program, not even SUMO: a minute and a half
-	OMP_NUM_THREADS=1 $(PYTEST) -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
+	$(PYTEST) -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
 
 test: $(READY) lint types  ## lint, types, import contracts and the tests
 	$(PYTEST) -q -n 3 --dist worksteal -m "not slow"
 
 test-slow: $(READY)  ## the tests that take minutes, those on a Ray cluster of this machine included
 	$(PY) -m pip install --quiet -c constraints.txt -e ".[cluster]"
-	$(PYTEST) -q -m slow
+	$(PYTEST) -q -n 2 --dist worksteal -m slow
 
 golden: $(READY)  ## small runs of everything, compared byte for byte with a version before (BASE=HEAD~1)
 	$(PY) -m tests.golden --base $(or $(BASE),HEAD~1)
@@ -129,7 +129,7 @@ docs: $(READY)  ## build the documentation into build/site; broken links and anc
 	$(VENV)/bin/mkdocs build
 
 test-docs: docs  ## run the commands and Python of README and site; count words, numbers and pictures
-	$(PYTEST) -q -n 2 tests/docs tests/cli/test_commands_of_the_docs.py
+	$(PYTEST) -q -n 2 --dist worksteal tests/docs tests/cli/test_commands_of_the_docs.py
 	$(PY) -m tests.docs.counts
 
 gallery: $(READY)  ## make the pictures of README and docs/gallery.md again

@@ -17,6 +17,7 @@ from deepmf_sumo.errors import UsageError, exit_code
 if TYPE_CHECKING:
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.sweep.batch import Options
+    from deepmf_sumo.sweep.episode import Draw
 
 _POSITIVE: Final = FiniteRange(min=0, min_open=True)
 _GIVEN: Final = click.Path(exists=True, path_type=Path)
@@ -43,7 +44,6 @@ class Sweep:
         would show only after hours of runs: a shard, an executor, formats, thresholds or a baseline
         that are wrong; OutputError for a folder that cannot be used.
         """
-        from deepmf_sumo.report.picture import draw
         from deepmf_sumo.results import folder
         from deepmf_sumo.results.exports import Format
         from deepmf_sumo.sweep import batch
@@ -61,7 +61,7 @@ class Sweep:
         options = batch.Options(
             **given,
             shard=Shard.parse(shard) if shard else None,
-            draw=draw if (pictures if drawn is None else drawn) else None,
+            draw=_draw() if (pictures if drawn is None else drawn) else None,
         )
         sweep = cls(options=options, **judged)
         check(sweep)
@@ -74,6 +74,12 @@ class Sweep:
         folder.check(options.out, resume=options.resume, overwrite=options.overwrite)
         executor.check()
         return sweep
+
+
+def _draw() -> "Draw":
+    from deepmf_sumo.report.picture import draw  # loads matplotlib, which takes half a second
+
+    return draw
 
 
 def _check_gui(executor: str) -> None:

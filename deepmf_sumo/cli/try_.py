@@ -21,7 +21,7 @@ SIDES: Final = ("before", "after")
 @click.command(
     name="try",
     cls=WithSumoOptions,
-    short_help="Change a network, and measure what that buys.",
+    short_help="Change a network, and attack it before and after.",
     params=[one for one in attack.command.params if one.name not in _OTHERS],
 )
 @click.argument(
