@@ -82,7 +82,8 @@ def sentence(group: Group) -> str:
     one = group.example
     if one.kind != "hit":
         return f"The {one.kind}: {shown(' '.join(one.reason.split()))}"
-    return f"{_happened(one)}; {_advice(one)}."
+    red = f" The {one.opponent} ran a red light." if one.ran_red else ""
+    return f"{_happened(one)}; {_advice(one)}.{red}"
 
 
 def _happened(one: Failure) -> str:

@@ -63,6 +63,7 @@ class Failure:
         delta_v_mps: severity.
         ordinary_mps2: rms acceleration of the opponent; None where it is not known.
         opponent: "car" or "truck or bus".
+        ran_red: whether the opponent passed a red light.
     """
 
     run: Run
@@ -78,6 +79,7 @@ class Failure:
     delta_v_mps: float = 0.0
     ordinary_mps2: float | None = None
     opponent: str = "car"
+    ran_red: bool = False
 
 
 def failures(results: Results) -> Iterator[tuple[Run, Failure | None, str]]:
@@ -172,6 +174,7 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
         delta_v_mps=contact.delta_v_mps,
         ordinary_mps2=run.metric("opponent_rms_acceleration"),
         opponent="car" if tracks.size_m[pair.other, 0] < _LONG_M else "truck or bus",
+        ran_red=bool(run.metric("red_light")),
     )
 
 

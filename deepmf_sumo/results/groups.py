@@ -102,6 +102,7 @@ def _key(failure: Failure) -> Hashable:
         failure.side,
         failure.priority,
         failure.turned,
+        failure.ran_red,
         failure.action,
         avoided_by(failure),
     )

@@ -212,6 +212,7 @@ def test_the_sentence_is_that_of_an_engineer():
     assert sentence(
         conflict="rear-end", turned="AV", side="behind", action="braked", grade="A"
     ) == ("A car behind ran into the AV, which braked; no driver could have avoided it.")
+    assert sentence(grade="A", ran_red=True).endswith(" avoided it. The car ran a red light.")
 
 
 @pytest.mark.parametrize("conflict", words._CAREFUL)
