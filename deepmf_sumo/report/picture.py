@@ -161,10 +161,15 @@ def _probabilities(scores: OpponentScores | None) -> dict[str, float]:
 
 
 def _reasoning(axes: Axes, plan: Plan) -> None:
-    """Candidates, the AV's likeliest reaction to each, and the chosen trajectory."""
+    """Candidates, the AV's reactions to the chosen one, and that one.
+
+    A candidate ends where it is expected to meet the AV: what follows is never driven.
+    """
     reason = plan.reason
     assert reason is not None
-    candidates = list(reason.candidates.futures.position_m)
+    ends = reason.collision_step.min(axis=1).astype(int) + 1
+    futures = reason.candidates.futures.position_m
+    candidates = [path[:end] for path, end in zip(futures, ends, strict=True)]
     axes.add_collection(
         LineCollection(candidates, colors=CANDIDATE, linewidths=0.7, alpha=0.55, zorder=3)
     )
@@ -173,7 +178,8 @@ def _reasoning(axes: Axes, plan: Plan) -> None:
         axes.add_collection(
             LineCollection(reactions, colors=REACTION, linewidths=1.0, alpha=0.8, zorder=3)
         )
-    axes.plot(*plan.position_m.T, color=OPPONENT, lw=2.6, ls=(0, (4, 1.5)), zorder=5)
+    chosen = plan.position_m[: ends[reason.chosen]]
+    axes.plot(*chosen.T, color=OPPONENT, lw=2.6, ls=(0, (4, 1.5)), zorder=5)
 
 
 def _driven(axes: Axes, rollout: Rollout, agent: str, color: str, window: Window) -> None:
