@@ -121,10 +121,10 @@ def table(found: Iterator[Found]) -> str:
     rows = list(found)
     columns = Found._fields[1:11]
     lines = [
-        f"{'planner':22}" + "".join(f"{name:>10}" for name in columns) + "  the gate's verdict"
+        f"{'planner':22}" + "".join(f"{name:>13}" for name in columns) + "  the gate's verdict"
     ]
     lines.extend(
-        f"{one.planner:22}" + "".join(f"{getattr(one, name):10}" for name in columns)
+        f"{one.planner:22}" + "".join(f"{getattr(one, name):13}" for name in columns)
         + f"  {one.verdict}"
         for one in rows
     )  # fmt: skip
