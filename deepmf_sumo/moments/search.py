@@ -60,7 +60,7 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     assert isinstance(source, FromMoments)
     asked = source.moments
     key = "--moments-of" if by_option else "source.moments.of"
-    again = read(asked.of, key, spec.name) if asked.of else ()
+    again = read(asked.of, key, spec.name, spec.seed) if asked.of else ()
     wish = Wish(
         count=asked.count or len(asked.at_s or again) or 10,
         **asked.model_dump(include={"av", "av_type", "at_s", "prefer", "from_s"}),
@@ -205,11 +205,14 @@ def check(configuration: Configuration, wish: Wish) -> None:
         raise UsageError(f"{option} {wish.av_type}: no such type is {place}; there are {there}.")
 
 
-def read(path: Path, key: str = "--moments-of", spec: str = "") -> tuple[VehicleTime, ...]:
+def read(
+    path: Path, key: str = "--moments-of", spec: str = "", seed: int | None = None
+) -> tuple[VehicleTime, ...]:
     """Vehicles and times of a result folder of `attack`, or of its moments.csv; each once.
 
     Where some of its runs are those of a spec of this name, they alone count: vehicles of several
-    networks may have one name.
+    networks may have one name. Of these, where some have this seed, they alone count: traffic of
+    other seeds is another one.
 
     Raises UsageError, which names ``key``, where there is no such table, or it is empty.
     """
@@ -218,7 +221,8 @@ def read(path: Path, key: str = "--moments-of", spec: str = "") -> tuple[Vehicle
         table = io.StringIO(files.text(file, _LARGEST), newline="")
         rows = list(csv.DictReader(table))
         own = [row for row in rows if (row.get("run_id") or "").startswith(f"{slug(spec)}--")]
-        found = tuple(dict.fromkeys(_rows(own or rows)))
+        same = [row for row in own if row["run_id"].endswith(f"--{seed}")]
+        found = tuple(dict.fromkeys(_rows(same or own or rows)))
     except OSError as error:
         raise UsageError(
             f"{key} {path}: {file} cannot be read ({files.reason(error)}); give a result"

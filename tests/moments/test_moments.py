@@ -194,6 +194,10 @@ def test_moments_of_a_table_are_each_taken_once(tmp_path):
     table.write_text("run_id,av,start_s\nold-town--r1,a,3\nnew-town--r1,a,4\n", "utf-8")
     assert search.read(table, spec="New town") == (("a", 4.0),)
     assert search.read(table, spec="new") == (("a", 3.0), ("a", 4.0))
+    table.write_text("run_id,av,start_s\nnew--a--1,a,3\nnew--b--2,b,4\nnew--a--21,a,5\n")
+    assert search.read(table, spec="new", seed=1) == (("a", 3.0),)
+    assert search.read(table, spec="new", seed=2) == (("b", 4.0),)
+    assert search.read(table, spec="new", seed=3) == (("a", 3.0), ("b", 4.0), ("a", 5.0))
     for damaged in ("run_id,av,start_s\nr,a,inf\n", "run_id,av\nr,a\n", "run_id,av,start_s\nr\n"):
         table.write_text(damaged)
         with pytest.raises(UsageError, match="is not a table of moments"):
