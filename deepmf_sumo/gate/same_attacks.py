@@ -9,7 +9,7 @@ Between equally good planners an own hit would be the one's or the other's with 
 (sign test). A planner compared with itself has none, so that it raises no alarm.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import comb
 from pathlib import Path
@@ -67,13 +67,12 @@ def _at_least(count: int, of: int) -> float:
     return sum(comb(of, one) for one in range(count, of + 1)) / 2**of
 
 
-class _Repeat(NamedTuple):
-    """A hit of one side, to be repeated with a planner."""
+class _Hit(NamedTuple):
+    """A hit of one side, and its repetitions with its own planner and with the other side's."""
 
     run_id: str
-    new: bool
-    own: bool
-    task: Task
+    own: Task
+    other: Task
 
 
 def repeated(
@@ -94,32 +93,34 @@ def repeated(
         jobs: runs at a time.
         report: called when a run has ended.
 
-    Raises UsageError where a side is no result folder, a run is damaged, or the other side does not
-    say which planner to repeat it with; SpecError or OutputError before anything is run.
+    Raises UsageError where a side is not a result folder, ``folder`` is one of the sides, a run is
+    damaged, or the other side does not say which planner to repeat it with; SpecError or
+    OutputError before anything is run.
     """
+    if folder.resolve() in {new.resolve(), old.resolve()}:
+        raise UsageError(f"--same-attacks {folder} holds the results themselves: name another one.")
     sides = _opened(new), _opened(old)
-    wanted = [*_repeats(*sides, new=True), *_repeats(*reversed(sides), new=False)]
+    mine, theirs = [*_hits(*sides, "new")], [*_hits(*sides[::-1], "old")]
+    tasks = [task for hit in (*mine, *theirs) for task in (hit.own, hit.other)]
     options = batch.Options(out=folder, jobs=jobs, resume=folder.exists(), sumo=False)
-    done = batch.run_tasks([one.task for one in wanted], options, report) if wanted else []
-    again = {
-        (one.run_id, one.new, one.own): _hit(end) for one, end in zip(wanted, done, strict=True)
-    }
-    hits = [(run_id, side) for run_id, side, own in again if own]
+    done = batch.run_tasks(tasks, options, report) if tasks else []
+    again = {result["run_id"]: _again(result) for result in done}
 
-    def own_of(new: bool) -> tuple[str, ...]:
-        of = [run_id for run_id, side in hits if side == new]
-        return tuple(one for one in of if again[one, new, True] and again[one, new, False] is False)
+    def only(hits: Sequence[_Hit]) -> tuple[str, ...]:
+        return tuple(
+            hit.run_id for hit in hits if again[hit.own.run_id] and again[hit.other.run_id] is False
+        )
 
     return SameAttacks(
         folder=folder,
-        hits=sum(side for _, side in hits),
-        baseline_hits=sum(not side for _, side in hits),
-        own=own_of(new=True),
-        baseline_own=own_of(new=False),
+        hits=len(mine),
+        baseline_hits=len(theirs),
+        own=only(mine),
+        baseline_own=only(theirs),
         unrepeated=tuple(
-            run_id
-            for run_id, side in hits
-            if not again[run_id, side, True] or again[run_id, side, False] is None
+            hit.run_id
+            for hit in (*mine, *theirs)
+            if not again[hit.own.run_id] or again[hit.other.run_id] is None
         ),
         level=1 - confidence,
     )
@@ -134,14 +135,12 @@ def _opened(side: Path) -> Results:
     return Results.of(side)
 
 
-def _repeats(side: Results, other: Results, *, new: bool) -> Iterator[_Repeat]:
+def _hits(side: Results, other: Results, name: str) -> Iterator[_Hit]:
     for run in side.runs:
         if run.part == "main" and run.status == "ok" and run.hit:
             failure = shrink.read(run.folder)
-            for own in (True, False):
-                planner = failure.spec.planner if own else _planner(other, run)
-                task = _task(failure, planner, f"{'new' * new or 'old'} {'own' * own or 'other'}")
-                yield _Repeat(run.run_id, new, own, task)
+            own = _task(failure, failure.spec.planner, f"{name} own")
+            yield _Hit(run.run_id, own, _task(failure, _planner(other, run), f"{name} other"))
 
 
 def _planner(side: Results, run: Run) -> Plugin:
@@ -168,6 +167,6 @@ def _task(failure: shrink.Failure, planner: Plugin, name: str) -> Task:
     return replace(failure.task, run_id=run_id, spec=spec)
 
 
-def _hit(result: Result) -> bool | None:
+def _again(result: Result) -> bool | None:
     """Whether the opponent hit the AV again; None where the run failed."""
     return result["outcome"] == "av_opponent" if result["status"] == "ok" else None

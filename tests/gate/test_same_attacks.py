@@ -106,6 +106,9 @@ def test_the_sign_test_by_hand(own, baseline_own, chance, state):
 def test_it_needs_two_result_folders(folders, tmp_path, capsys):
     with pytest.raises(UsageError, match="file of --write-baseline"):
         gate.repeated(folders / "blind", folders / "blind.yaml", tmp_path / "out", 0.95)
+    for results in ("blind", "seeing"):
+        with pytest.raises(UsageError, match="holds the results themselves"):
+            gate.repeated(folders / "blind", folders / "seeing", folders / results, 0.95)
     arguments = ["--same-attacks", tmp_path / "out", "--write-baseline", tmp_path / "new.json"]
     assert run("check", folders / "blind", *arguments) == 2
     assert "--same-attacks repeats hits of a baseline" in capsys.readouterr().err
