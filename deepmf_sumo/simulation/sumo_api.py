@@ -39,6 +39,7 @@ class SumoApi(Protocol):
 
     vehicle: Any
     person: Any
+    edge: Any
     lane: Any
     route: Any
     simulation: Any

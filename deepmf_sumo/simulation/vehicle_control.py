@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Event
+from deepmf_sumo.datatypes import AgentId, Event, Floats
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.free_positions import (
@@ -23,7 +23,9 @@ _EXACT = 2  # keepRoute: exactly where it is put
 _EXACT_ON_ROUTE = 3  # the same, but SUMO takes it on lanes of its route alone
 _SNAP_TO_LANE, _SNAP_TO_ROUTE = 0, 1  # keepRoute: the nearest lane, of its route alone
 _SNAP_M = 100.0
+_ARRIVED = 2  # why SUMO removes it: counted as a vehicle that has arrived
 _BESIDE_M: Final = 0.1
+_BEYOND_M: Final = 0.1
 _ASKEW_RAD: Final = np.radians(60.0)
 
 
@@ -54,6 +56,40 @@ def has_stops(api: SumoApi, vehicle_id: str) -> bool:
     its stops again, and finds that some are not ahead.
     """
     return bool(api.vehicle.getStops(vehicle_id) or api.vehicle.getStops(vehicle_id, -1))
+
+
+class NetworkEnds:
+    """Where the network ends: at the ends of edges from which no lane leads on.
+
+    SUMO takes its own vehicles off the road there, but keeps one that is placed beyond.
+    """
+
+    def __init__(self, api: SumoApi) -> None:
+        self._api = api
+        self._ends: dict[str, tuple[Floats, Floats] | None] = {}
+
+    def passed(self, vehicle_id: str, pose: Pose, length_m: float) -> bool:
+        """Whether the front at the pose is beyond the end of the edge on which the vehicle is."""
+        lane = str(self._api.vehicle.getLaneID(vehicle_id))
+        if not lane or lane.startswith(":"):
+            return False
+        if lane not in self._ends:
+            self._ends[lane] = self._end(lane)
+        end = self._ends[lane]
+        if end is None:
+            return False
+        front, _ = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
+        return float((front - end[0]) @ end[1]) > _BEYOND_M
+
+    def _end(self, lane: str) -> tuple[Floats, Floats] | None:
+        """End (2) and direction (2) of a lane; None where a lane of its edge leads on."""
+        edge = lane.rpartition("_")[0]
+        beside = range(self._api.edge.getLaneNumber(edge))
+        if any(self._api.lane.getLinks(f"{edge}_{index}") for index in beside):
+            return None
+        shape = np.array(self._api.lane.getShape(lane), float)[:, :2]
+        ahead = shape[-1] - shape[-2]
+        return shape[-1], ahead / np.hypot(*ahead)
 
 
 class HandOver:
@@ -145,6 +181,7 @@ class Takeover:
         self._events = events
         self._positions = positions
         self._may_remove = may_remove
+        self._ends = NetworkEnds(api)
         self._hand_over = HandOver(api)
         self._taken: _Taken | None = None
         self._moved: tuple[_Taken, float] | None = None
@@ -156,8 +193,16 @@ class Takeover:
         return None if taken is None else (taken.agent, taken.pose)
 
     def place(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> None:
-        """Put the vehicle at the pose at the end of the coming step."""
+        """Put the vehicle at the pose at the end of the coming step, or take it off the road.
+
+        In SUMO's traffic (with ``positions``) it leaves where the network ends, as all do.
+        """
         if not self._present(step, agent):
+            return
+        if self._positions is not None and self._ends.passed(agent, pose, length_m):
+            self._api.vehicle.remove(agent, _ARRIVED)
+            self._gone.add(agent)
+            self._note(step, agent, "opponent_gone", "it left where the network ends")
             return
         if self._taken is None or self._taken.agent != agent:  # the last one may have left
             route = tuple(self._api.vehicle.getRoute(agent))

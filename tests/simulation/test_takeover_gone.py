@@ -1,15 +1,32 @@
-"""A driven vehicle that SUMO takes off the road, and brings back."""
+"""A driven vehicle that SUMO takes off the road, and brings back; and where the network ends."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
+from deepmf_sumo import plugins
+from deepmf_sumo.planners.idm import Settings, build
+from deepmf_sumo.policies import trajectory
+from deepmf_sumo.simulation import network_case, simulate
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.vehicle_control import Takeover
+
+NET = Path(__file__).parents[2] / "sumo_nets" / "highway" / "highway.net.xml"
+ROUTES = """<routes><route id="after" edges="after"/><route id="before" edges="before"/>
+<vehicle id="ov" depart="0" departPos="560" departSpeed="20" route="after"/>
+<vehicle id="av" depart="0" departPos="100" departSpeed="10" route="before"/></routes>"""
+CONFIG = """<configuration><input><net-file value="{}"/>
+<route-files value="ends.rou.xml"/></input></configuration>"""
+END_X_M = 2200.0  # of the motorway, which leads east there
 
 
 def sumo(there, options=None, classes=None):
     vehicle = SimpleNamespace(
         getIDList=lambda: tuple(there),
         getRoute=lambda agent: ("ab",),
+        getLaneID=lambda agent: "",
         getStops=lambda agent, limit=0: (),
         moveToXY=lambda *_: None,
         setSpeed=lambda *_: None,
@@ -61,3 +78,22 @@ def test_one_that_comes_back_has_its_own_class():
     there.append("ov")
     takeover.after_step(3)
     assert classes == {"ov": "taxi"}
+
+
+@pytest.mark.sumo
+def test_the_opponent_leaves_where_the_network_ends(tmp_path, starts_sumo):
+    (tmp_path / "ends.rou.xml").write_text(ROUTES)
+    config = tmp_path / "ends.sumocfg"
+    config.write_text(CONFIG.format(NET))
+
+    case = network_case(config, 2.0, "av", 79)
+    poses = [[2141.0 + 2.0 * step, -8.0, 0.0] for step in range(60)]
+    settings = plugins.settings("policies", "trajectory", {"agent": "ov", "poses": poses})
+    policy = trajectory.build(settings)
+    rollout = simulate(case, build(Settings()), policy, rng=np.random.default_rng(0))
+    tracks, row = rollout.tracks, rollout.tracks.row("ov")
+    last = int(np.flatnonzero(tracks.valid[row])[-1])
+    front_x_m = tracks.position_m[row, last, 0] + tracks.size_m[row, 0] / 2
+    assert END_X_M - 2.0 <= front_x_m <= END_X_M + 0.1
+    (event,) = (one for one in rollout.events if one.kind == "opponent_gone")
+    assert (event.step, event.detail) == (last + 1, "it left where the network ends")
