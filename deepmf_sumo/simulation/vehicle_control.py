@@ -26,6 +26,9 @@ _SNAP_M = 100.0
 _ARRIVED = 2  # why SUMO removes it: counted as a vehicle that has arrived
 _BESIDE_M: Final = 0.1
 _BEYOND_M: Final = 0.1
+_BEYOND_TURN_M: Final = 2.5  # where a vehicle may turn back
+_STRAIGHT_ON = 0.5  # cosine of the angle to the lane: one that turns back has a larger angle
+_TURNS_BACK = ("t", "T")  # directions of links
 _ASKEW_RAD: Final = np.radians(60.0)
 
 
@@ -58,38 +61,52 @@ def has_stops(api: SumoApi, vehicle_id: str) -> bool:
     return bool(api.vehicle.getStops(vehicle_id) or api.vehicle.getStops(vehicle_id, -1))
 
 
+@dataclass(frozen=True, slots=True)
+class _End:
+    """End (2) and direction (2) of a lane where the network ends, and the metres beyond it."""
+
+    point_m: Floats
+    ahead: Floats
+    beyond_m: float
+
+
 class NetworkEnds:
-    """Where the network ends: at the ends of edges from which no lane leads on.
+    """Where the network ends: at the ends of edges from which no lane leads on but back.
 
     SUMO takes its own vehicles off the road there, but keeps one that is placed beyond.
     """
 
     def __init__(self, api: SumoApi) -> None:
         self._api = api
-        self._ends: dict[str, tuple[Floats, Floats] | None] = {}
+        self._ends: dict[str, _End | None] = {}
+        self._last: tuple[AgentId, str] = ("", "")
 
-    def passed(self, vehicle_id: str, pose: Pose, length_m: float) -> bool:
-        """Whether the front at the pose is beyond the end of the edge on which the vehicle is."""
+    def passed(self, vehicle_id: AgentId, pose: Pose, length_m: float) -> bool:
+        """Whether the pose is beyond the end of the last edge on which the vehicle was."""
         lane = str(self._api.vehicle.getLaneID(vehicle_id))
-        if not lane or lane.startswith(":"):
+        if lane and not lane.startswith(":"):
+            self._last = vehicle_id, lane
+        if self._last[0] != vehicle_id:
             return False
+        lane = self._last[1]
         if lane not in self._ends:
             self._ends[lane] = self._end(lane)
         end = self._ends[lane]
-        if end is None:
+        if end is None or frames.unit(np.array(pose.heading_rad)) @ end.ahead < _STRAIGHT_ON:
             return False
         front, _ = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
-        return float((front - end[0]) @ end[1]) > _BEYOND_M
+        return float((front - end.point_m) @ end.ahead) > end.beyond_m
 
-    def _end(self, lane: str) -> tuple[Floats, Floats] | None:
-        """End (2) and direction (2) of a lane; None where a lane of its edge leads on."""
+    def _end(self, lane: str) -> _End | None:
         edge = lane.rpartition("_")[0]
         beside = range(self._api.edge.getLaneNumber(edge))
-        if any(self._api.lane.getLinks(f"{edge}_{index}") for index in beside):
+        links = [link for i in beside for link in self._api.lane.getLinks(f"{edge}_{i}")]
+        if any(link[6] not in _TURNS_BACK for link in links):
             return None
         shape = np.array(self._api.lane.getShape(lane), float)[:, :2]
         ahead = shape[-1] - shape[-2]
-        return shape[-1], ahead / np.hypot(*ahead)
+        beyond_m = _BEYOND_TURN_M if links else _BEYOND_M
+        return _End(shape[-1], ahead / np.hypot(*ahead), beyond_m)
 
 
 class HandOver:

@@ -11,7 +11,7 @@ from deepmf_sumo.planners.idm import Settings, build
 from deepmf_sumo.policies import trajectory
 from deepmf_sumo.simulation import network_case, simulate
 from deepmf_sumo.simulation.frame import Pose
-from deepmf_sumo.simulation.vehicle_control import Takeover
+from deepmf_sumo.simulation.vehicle_control import NetworkEnds, Takeover
 
 NET = Path(__file__).parents[2] / "sumo_nets" / "highway" / "highway.net.xml"
 ROUTES = """<routes><route id="after" edges="after"/><route id="before" edges="before"/>
@@ -97,3 +97,34 @@ def test_the_opponent_leaves_where_the_network_ends(tmp_path, starts_sumo):
     assert END_X_M - 2.0 <= front_x_m <= END_X_M + 0.1
     (event,) = (one for one in rollout.events if one.kind == "opponent_gone")
     assert (event.step, event.detail) == (last + 1, "it left where the network ends")
+
+
+@pytest.mark.parametrize(
+    ("links", "heading_rad", "front_x_m", "passed"),
+    [
+        ((), 0.0, 100.0, False),
+        ((), 0.0, 100.2, True),
+        (("t",), 0.0, 102.0, False),
+        (("t",), 0.0, 103.0, True),
+        (("t",), 1.2, 103.0, False),  # it turns back
+        (("t", "s"), 0.0, 103.0, False),  # the road goes on
+    ],
+)
+def test_a_network_ends_where_no_lane_leads_on_but_back(links, heading_rad, front_x_m, passed):
+    lanes = ["end_0"]
+    ends = NetworkEnds(
+        SimpleNamespace(
+            vehicle=SimpleNamespace(getLaneID=lambda _: lanes[-1]),
+            edge=SimpleNamespace(getLaneNumber=lambda _: 1),
+            lane=SimpleNamespace(
+                getLinks=lambda _: [(*6 * ("",), direction, 1.0) for direction in links],
+                getShape=lambda _: [(0.0, 0.0), (100.0, 0.0)],
+            ),
+        )
+    )
+    half = 2.0 * np.array([np.cos(heading_rad), np.sin(heading_rad)])
+    x, y = np.array([front_x_m, 0.0]) - half
+    assert not ends.passed("ov", Pose(x_m=90.0, y_m=0.0, heading_rad=0.0, speed_mps=5), 4.0)
+    lanes.append("")  # SUMO takes it on no lane any more
+    pose = Pose(x_m=float(x), y_m=float(y), heading_rad=heading_rad, speed_mps=5)
+    assert ends.passed("ov", pose, 4.0) is passed
