@@ -109,6 +109,11 @@ def _why_not(arguments: Sequence[str], error: str) -> str:
     return " ".join(line for line in lines if not line.startswith("Quitting")) or error
 
 
+def load() -> None:
+    """Load libsumo into this process, whose copies share it then."""
+    _api("libsumo")
+
+
 def _api(backend: Backend) -> SumoApi:
     if backend == "libsumo":
         import libsumo

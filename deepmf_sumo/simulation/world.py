@@ -2,21 +2,40 @@
 
 from typing import Protocol
 
-from deepmf_sumo.datatypes import AgentId, Command, Event, SignalState
-from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.datatypes import AgentId, Command, Event, Floats, SignalState
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 
 
+class DrivenAv(Protocol):
+    """The AV of a world."""
+
+    @property
+    def present(self) -> bool:
+        """Whether it is still simulated."""
+        ...
+
+    @property
+    def leaders(self) -> tuple[AgentId, ...] | None:
+        """The vehicles that it followed in the last step; None if that is not known."""
+        ...
+
+    def path(self) -> Floats | None:
+        """(P, 2) centre line from the front bumper on, for planners; None without one."""
+        ...
+
+
 class World(Protocol):
-    """A world in which SUMO runs, at the current step of a case; only `step` changes it.
+    """A simulated world at the current step of a case; only `step` changes it."""
 
-    Attributes:
-        av: the AV in SUMO: its path, its leaders, and whether it is still present.
-        events: what qualifies the result; grows with the steps.
-    """
+    @property
+    def av(self) -> DrivenAv:
+        """The AV in it."""
+        ...
 
-    av: Av
-    events: list[Event]
+    @property
+    def events(self) -> list[Event]:
+        """What qualifies the result; grows with the steps."""
+        ...
 
     def history(self) -> list[Frame]:
         """The frames up to the current step, oldest first, at least `HISTORY_STEPS` of them."""

@@ -49,6 +49,7 @@ from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.results import artifacts, result
 from deepmf_sumo.results.result import Result, first_contact
 from deepmf_sumo.results.tracks import write_tracks
+from deepmf_sumo.simulation import sumo_api
 from deepmf_sumo.spec import Expect, FromNetwork, FromRecording
 from deepmf_sumo.sweep import fork
 from deepmf_sumo.sweep.fork import logged
@@ -199,6 +200,7 @@ def _load(task: Task, cache: Path) -> None:
         adversary = _adversary_of(task)
         if isinstance(adversary, Loading):
             adversary.load()
+    sumo_api.load()
     make_case(task, cache)
 
 

@@ -1,0 +1,1 @@
+"""Attacks in MetaDrive's simulator beside the same attacks in SUMO."""

@@ -1,0 +1,158 @@
+"""The same attacks on the same recorded scenes in MetaDrive and in SUMO, and how often they hit.
+
+``python -m studies.metadrive RECORDING --weights womd --out OUT``
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+
+from deepmf_sumo import plugins, tasks
+from deepmf_sumo.datatypes import Attack, Budget, RecordedCase, Rollout
+from deepmf_sumo.files import cache_folder
+from deepmf_sumo.metrics import measure
+from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.simulation.episode import run
+from deepmf_sumo.spec import Spec
+from deepmf_sumo.sweep import episode
+from deepmf_sumo.tasks import Task
+from studies.metadrive.world import AvName, MetaDriveWorld, Passenger, environment, written
+
+PLANNERS: Final[dict[AvName, dict[str, Any]]] = {
+    "replay": {"name": "replay"},
+    "idm": {"name": "idm", "parameters": "metadrive", "perception": "corridor"},
+}
+"""In SUMO; in MetaDrive its own policies."""
+SIMULATORS: Final = ("metadrive", "sumo")
+METHODS: Final[dict[str, dict[str, Any]]] = {
+    "none": {"name": "none"},
+    "paper": {"name": "deepmf", "form": "paper", "version": "S1"},
+    "extended": {"name": "deepmf", "version": "S1"},
+}
+_MEASURED: Final = ("opponent_rms_acceleration", "avoidable", "collision_speed")
+
+
+def planned(asked: argparse.Namespace, av: AvName, method: str) -> list[Task]:
+    """The runs of a planner and a method, one a scene."""
+    values = {
+        "version": 2, "name": f"{av} {method}", "duration_s": 8.0, "traffic": "log",
+        "source": {"recording": str(asked.recording.resolve())}, "planner": PLANNERS[av],
+        "adversary": METHODS[method], "weights": asked.weights, "seed": asked.seed,
+    }  # fmt: skip
+    return tasks.plan([Spec.model_validate(values)], cache_folder())[: asked.scenes]
+
+
+def attacked(task: Task, case: RecordedCase, world: MetaDriveWorld | None) -> dict[str, Any]:
+    """A run in MetaDrive, or in SUMO without a world, in a line of the result."""
+    attack = _in_metadrive(task, case, world) if world else episode.attack_case(task, case)
+    rollout = attack.rollout
+    contact = rollout.first("av_opponent")
+    found = {one.name: one.value for one in measure(rollout, case)}
+    driven = rollout.tracks.position_m[rollout.tracks.row(rollout.av_id), rollout.now :]
+    return {
+        "scene": task.scene,
+        "simulator": "metadrive" if world else "sumo",
+        "opponent": rollout.opponent_id,
+        "outcome": rollout.outcome,
+        "contact_s": None if contact is None else (contact.step - rollout.now) * rollout.dt_s,
+        "crashed": world.crashed if world else None,
+        "av_m": float(np.hypot(*np.diff(driven, axis=0).T).sum()),
+        **{name: found[name] for name in _MEASURED},
+    }  # fmt: skip
+
+
+def _in_metadrive(task: Task, case: RecordedCase, world: MetaDriveWorld) -> Attack:
+    """The adversary's attack, of one simulation; MetaDrive drives the AV."""
+    choice = task.spec.adversary
+    settings = plugins.settings("adversaries", choice.name, choice.settings)
+    adversary: Any = plugins.load("adversaries", choice.name).build(settings, task.spec.weights)
+
+    def simulate(policy: Policy | None) -> Rollout:
+        rng = np.random.default_rng([*task.entropy(), 1])
+        return run(case, world, Passenger(), policy, rng)
+
+    rng = np.random.default_rng(task.entropy())
+    attack: Attack = adversary.attack(case, simulate, Budget(simulations=1), rng)
+    return attack
+
+
+def results(asked: argparse.Namespace, av: AvName, method: str) -> list[dict[str, Any]]:
+    """The lines of all scenes in both simulators; those that the file has are kept."""
+    file = asked.out / f"{av}_{method}.jsonl"
+    lines = file.read_text().splitlines() if file.exists() else []
+    done = [json.loads(line) for line in lines]
+    known = {(one["simulator"], one["scene"]) for one in done}
+    runs = planned(asked, av, method)
+    cases = [cast("RecordedCase", episode.make_case(task, cache_folder())) for task in runs]
+    data = asked.out / "scenes"
+    if not data.exists():
+        written([case.scene for case in cases], data)
+    with file.open("a") as lines_of:
+        env = environment(data, len(runs), av)
+        for number, (task, case) in enumerate(zip(runs, cases, strict=True)):
+            for simulator in SIMULATORS:
+                if (simulator, task.scene) in known:
+                    continue
+                world = MetaDriveWorld(env, number, case) if simulator == "metadrive" else None
+                done.append(attacked(task, case, world))
+                lines_of.write(f"{json.dumps(done[-1])}\n")
+                lines_of.flush()
+        env.close()
+    return done
+
+
+def table(asked: argparse.Namespace) -> Iterator[str]:
+    """A line for each planner and method."""
+    yield f"{'AV':8}{'attack':10}{'hits in MetaDrive':>26}{'in SUMO':>24}{'in both':>9}{'rms':>12}"
+    for av in asked.planners:
+        for method in asked.methods:
+            done = results(asked, av, method)
+            sides = [
+                {one["scene"]: one for one in done if one["simulator"] == simulator}
+                for simulator in SIMULATORS
+            ]
+            hits = [
+                {scene for scene, one in side.items() if one["outcome"] == "av_opponent"}
+                for side in sides
+            ]
+            first, second = (
+                _share(len(hit), len(side)) for hit, side in zip(hits, sides, strict=True)
+            )
+            rms = "".join(f"{_mean('opponent_rms_acceleration', side):6.2f}" for side in sides)
+            yield f"{av:8}{method:10}{first:>26}{second:>24}{len(hits[0] & hits[1]):9}{rms:>12}"
+
+
+def _share(hits: int, runs: int) -> str:
+    share = wilson(hits, runs)
+    return f"{hits} of {runs} ({100 * share.low:.0f}-{100 * share.high:.0f} %)"
+
+
+def _mean(name: str, side: dict[str, dict[str, Any]]) -> float:
+    known = [one[name] for one in side.values() if one[name] is not None]
+    return float(np.mean(known)) if known else float("nan")
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m studies.metadrive")
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="resumed where it exists")
+    parser.add_argument("--weights", default="open")
+    parser.add_argument("--scenes", type=int, help="the first of them; default: all")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--planners", nargs="+", default=list(PLANNERS), choices=list(PLANNERS))
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
+    asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
+    for line in table(asked):
+        sys.stdout.write(f"{line}\n")
+
+
+if __name__ == "__main__":
+    main()
