@@ -61,7 +61,6 @@ def attacked(task: Task, case: RecordedCase, world: MetaDriveWorld | None) -> di
         "opponent": rollout.opponent_id,
         "outcome": rollout.outcome,
         "contact_s": None if contact is None else (contact.step - rollout.now) * rollout.dt_s,
-        "crashed": world.crashed if world else None,
         "av_m": float(np.hypot(*np.diff(driven, axis=0).T).sum()),
         **{name: found[name] for name in _MEASURED},
     }  # fmt: skip
@@ -109,7 +108,10 @@ def results(asked: argparse.Namespace, av: AvName, method: str) -> list[dict[str
 
 def table(asked: argparse.Namespace) -> Iterator[str]:
     """A line for each planner and method."""
-    yield f"{'AV':8}{'attack':10}{'hits in MetaDrive':>26}{'in SUMO':>24}{'in both':>9}{'rms':>12}"
+    yield (
+        f"{'AV':8}{'attack':10}{'hits in MetaDrive':>22}{'in SUMO':>22}{'in both':>9}"
+        f"{'avoidable':>11}{'with others':>13}{'rms':>12}"
+    )
     for av in asked.planners:
         for method in asked.methods:
             done = results(asked, av, method)
@@ -121,11 +123,16 @@ def table(asked: argparse.Namespace) -> Iterator[str]:
                 {scene for scene, one in side.items() if one["outcome"] == "av_opponent"}
                 for side in sides
             ]
-            first, second = (
-                _share(len(hit), len(side)) for hit, side in zip(hits, sides, strict=True)
+            shares = [_share(len(hit), len(side)) for hit, side in zip(hits, sides, strict=True)]
+            avoidable, others = (
+                [sum(one[name] == value for one in side.values()) for side in sides]
+                for name, value in (("avoidable", 1.0), ("outcome", "av_other"))
             )
             rms = "".join(f"{_mean('opponent_rms_acceleration', side):6.2f}" for side in sides)
-            yield f"{av:8}{method:10}{first:>26}{second:>24}{len(hits[0] & hits[1]):9}{rms:>12}"
+            yield (
+                f"{av:8}{method:10}{shares[0]:>22}{shares[1]:>22}{len(hits[0] & hits[1]):9}"
+                f"{avoidable[0]:7}{avoidable[1]:4}{others[0]:9}{others[1]:4}{rms:>12}"
+            )
 
 
 def _share(hits: int, runs: int) -> str:

@@ -116,12 +116,14 @@ class _Av:
 class MetaDriveWorld:
     """MetaDrive at the current step of a case; see `simulation.world.World`.
 
-    Attributes:
-        crashed: whether MetaDrive has reported a contact of the AV with a vehicle.
+    Args:
+        env: of `environment`.
+        number: of the case's scene in its dataset.
+        case: with a recording.
     """
 
     def __init__(self, env: Any, number: int, case: RecordedCase) -> None:
-        self.av, self.events, self.crashed = _Av(), list[Event](), False
+        self.av, self.events = _Av(), list[Event]()
         self._env, self._case = env, case
         self._tracks, self._step = case.scene.tracks, case.scene.now
         self._row = {agent: row for row, agent in enumerate(self._tracks.ids)}
@@ -147,8 +149,7 @@ class MetaDriveWorld:
         driven = {}
         if opponent is not None and pose is not None and self._put(opponent, pose):
             driven[opponent] = self._at_height(opponent, pose), Driver.POLICY
-        _, _, _, _, info = self._env.step([0.0, 0.0])
-        self.crashed |= bool(info.get("crash_vehicle"))
+        self._env.step([0.0, 0.0])
         shown = {self._case.av_id: (self._pose(self._env.agent), Driver.PLANNER), **driven}
         return self._logged(self._step, without=shown).with_poses(shown)
 
