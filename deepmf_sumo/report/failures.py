@@ -87,25 +87,26 @@ def sentence(group: Group) -> str:
 
 
 def _happened(one: Failure) -> str:
-    """What both did; ``away`` is the time from the first sign of it to the contact."""
+    """What both did; ``when`` the first sign of it was seen."""
     assert one.conflict is not None
-    away = f"{one.onset_s:.1f} s away" if one.onset_s else "at once"
+    when = f" {one.onset_s:.1f} s before the hit" if one.onset_s else ""
     other, did = one.opponent, _DID[one.action or "held speed"]
     turn = one.conflict.partition(" ")[0]
     by_av: dict[str, str] = {
         "rear-end": f"A {other} behind ran into the AV, which {did.removesuffix(' too late')}",
-        "turn": f"The AV turned {turn} in front of an oncoming {other} {away}",
-        "merging": f"The AV merged in front of a {other} from the {one.side} {away}",
-        "cut-in / lane change": f"The AV moved over in front of a {other} {_beside(one)} {away}",
+        "turn": f"The AV turned {turn} in front of an oncoming {other}{when}",
+        "merging": f"The AV merged in front of a {other} from the {one.side}{when}",
+        "cut-in / lane change": f"The AV moved over in front of a {other} {_beside(one)}{when}",
     }
     by_other: dict[str, str] = {
-        "rear-end": f"The AV {did} and ran into the {other} ahead, a danger {away}",
-        "turn": f"An oncoming {other} turned {turn} in front of the AV {away}",
-        "merging": f"A {other} from the {one.side} merged in front of the AV {away}",
-        "cut-in / lane change": f"A {other} {_beside(one)} moved over in front of the AV {away}",
-        "head-on": f"An oncoming {other} came into the way of the AV {away}",
+        "rear-end": f"The AV {did} and ran into the {other} ahead"
+        + f", although the danger began{when}" * bool(when),
+        "turn": f"An oncoming {other} turned {turn} in front of the AV{when}",
+        "merging": f"A {other} from the {one.side} merged in front of the AV{when}",
+        "cut-in / lane change": f"A {other} {_beside(one)} moved over in front of the AV{when}",
+        "head-on": f"An oncoming {other} came into the way of the AV{when}",
         "crossing": f"A {other} from the {one.side}{_right_of_way(one)} crossed in front of the AV"
-        f" {away}",
+        f"{when}",
     }
     name = "turn" if "turn across path" in one.conflict else one.conflict
     if one.turned == "AV" and name in by_av:

@@ -202,12 +202,12 @@ def sentence(**more):
 
 def test_the_sentence_is_that_of_an_engineer():
     assert sentence(conflict="left turn across path", turned="AV", onset_s=2.1, side="ahead") == (
-        "The AV turned left in front of an oncoming car 2.1 s away; a careful driver would have"
-        " waited."
+        "The AV turned left in front of an oncoming car 2.1 s before the hit; a careful driver"
+        " would have waited."
     )
     assert sentence(priority="AV", grade="B") == (
-        "A car from the left without priority crossed in front of the AV 2.0 s away, and the AV"
-        " held its speed; only braking or steering at once would have avoided it."
+        "A car from the left without priority crossed in front of the AV 2.0 s before the hit, and"
+        " the AV held its speed; only braking or steering at once would have avoided it."
     )
     assert sentence(
         conflict="rear-end", turned="AV", side="behind", action="braked", grade="A"
