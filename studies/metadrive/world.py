@@ -98,7 +98,7 @@ class Passenger:
         """Nothing."""
 
     def act(self, view: View) -> Command:  # noqa: ARG002
-        """A command that nobody follows."""
+        """A command without effect."""
         return Command(kind="sumo")
 
 
