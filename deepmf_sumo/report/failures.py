@@ -87,7 +87,7 @@ def sentence(group: Group) -> str:
 
 
 def _happened(one: Failure) -> str:
-    """What both did; ``when`` the first sign of it was seen."""
+    """What both did, and how long before the hit the first sign of it was there."""
     assert one.conflict is not None
     when = f" {one.onset_s:.1f} s before the hit" if one.onset_s else ""
     other, did = one.opponent, _DID[one.action or "held speed"]

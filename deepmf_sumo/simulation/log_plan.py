@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, RecordedCase, Scene, Tracks
+from deepmf_sumo.datatypes import Bools, Driver, Floats, RecordedCase, Scene, Tracks
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.network.matching import edge_route, lane_sequence, match
-from deepmf_sumo.simulation.frame import Body
+from deepmf_sumo.simulation.frame import Body, Frame
 
 _STANDS_M = 1.0
 """A vehicle that never moves farther than this from its first position stands."""
@@ -47,6 +47,21 @@ def recorded_body(tracks: Tracks, row: int) -> Body:
     """Kind and size of an agent as recorded."""
     length, width, height = (float(value) for value in tracks.size_m[row])
     return Body(kind=tracks.kinds[row], size_m=(length, width, height))
+
+
+def recorded_frame(tracks: Tracks, step: int, wanted: Bools) -> Frame:
+    """The wanted (A) agents that a recording has at a step; none after its end."""
+    if step >= tracks.steps:
+        return Frame.of_poses({})
+    rows = np.flatnonzero(tracks.valid[:, step] & wanted)
+    return Frame(
+        ids=[tracks.ids[row] for row in rows],
+        position_m=tracks.position_m[rows, step],
+        z_m=tracks.z_m[rows, step],
+        heading_rad=tracks.heading_rad[rows, step],
+        velocity_mps=tracks.velocity_mps[rows, step],
+        driver=np.full(len(rows), int(Driver.LOG), np.uint8),
+    )
 
 
 @lru_cache(maxsize=2)

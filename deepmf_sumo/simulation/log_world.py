@@ -11,7 +11,6 @@ import numpy as np
 from deepmf_sumo.datatypes import (
     DT_S,
     AgentId,
-    Bools,
     Command,
     Driver,
     Event,
@@ -25,7 +24,7 @@ from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.simulation.av import Av, ShownMotion, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.ignored_vehicles import IgnoredVehicles
-from deepmf_sumo.simulation.log_plan import Log, check_route, log_of, recorded_body
+from deepmf_sumo.simulation.log_plan import Log, check_route, log_of, recorded_body, recorded_frame
 from deepmf_sumo.simulation.observation import ReplayedSignals
 from deepmf_sumo.simulation.sumo_api import (
     ANY_ROUTE,
@@ -284,7 +283,7 @@ class LogWorld:
     def history(self) -> list[Frame]:
         """The recorded steps up to the current one."""
         everyone = np.ones(self._tracks.agents, bool)
-        return [self._logged(step, everyone) for step in range(self._now + 1)]
+        return [recorded_frame(self._tracks, step, everyone) for step in range(self._now + 1)]
 
     def body(self, agent: AgentId) -> Body:
         """Kind and size as recorded."""
@@ -323,7 +322,7 @@ class LogWorld:
         logged = np.ones(self._tracks.agents, bool)
         logged[[self._row[agent] for agent in extra] + [self._av_row]] = False
         logged[list(self._free.entered - self._free.lost)] = False
-        self._frame = self._logged(step, logged).with_poses(self._raised(extra))
+        self._frame = recorded_frame(self._tracks, step, logged).with_poses(self._raised(extra))
         return self._frame
 
     def _raised(
@@ -452,18 +451,3 @@ class LogWorld:
                 self._free.enter(row, step)
             elif not free or row in self._free.lost:
                 self._placed.put(row, step)
-
-    def _logged(self, step: int, wanted: Bools) -> Frame:
-        """The wanted agents that the log has at a step."""
-        tracks = self._tracks
-        if step >= tracks.steps:
-            return Frame.of_poses({})
-        rows = np.flatnonzero(tracks.valid[:, step] & wanted)
-        return Frame(
-            ids=[tracks.ids[row] for row in rows],
-            position_m=tracks.position_m[rows, step],
-            z_m=tracks.z_m[rows, step],
-            heading_rad=tracks.heading_rad[rows, step],
-            velocity_mps=tracks.velocity_mps[rows, step],
-            driver=np.full(len(rows), int(Driver.LOG), np.uint8),
-        )

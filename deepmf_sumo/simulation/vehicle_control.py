@@ -182,8 +182,8 @@ class Takeover:
         events: notes are added to it.
         positions: for a vehicle that SUMO cannot drive from its pose; None: the nearest lane, free
             or not.
-        may_remove: whether a vehicle without a free position is removed from the simulation; else
-            it is put on the nearest lane.
+        may_remove: whether a vehicle without a free position, or beyond the end of the network, is
+            removed from the simulation; else it is put on the nearest lane, or goes on.
     """
 
     def __init__(
@@ -212,11 +212,13 @@ class Takeover:
     def place(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> None:
         """Put the vehicle at the pose at the end of the coming step, or take it off the road.
 
-        In SUMO's traffic (with ``positions``) it leaves where the network ends, as all do.
+        In SUMO's traffic (with ``positions``, and where it may be removed) it leaves where the
+        network ends, as all do.
         """
         if not self._present(step, agent):
             return
-        if self._positions is not None and self._ends.passed(agent, pose, length_m):
+        traffic = self._positions is not None and self._may_remove
+        if traffic and self._ends.passed(agent, pose, length_m):
             self._api.vehicle.remove(agent, _ARRIVED)
             self._gone.add(agent)
             self._note(step, agent, "opponent_gone", "it left where the network ends")

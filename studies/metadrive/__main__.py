@@ -7,6 +7,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from deepmf_sumo import plugins, tasks
 from deepmf_sumo.datatypes import Attack, Budget, RecordedCase, Rollout
+from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.metrics import measure
 from deepmf_sumo.metrics.statistics import wilson
@@ -48,29 +50,8 @@ def planned(asked: argparse.Namespace, av: AvName, method: str) -> list[Task]:
     return tasks.plan([Spec.model_validate(values)], cache_folder())[: asked.scenes]
 
 
-def attacked(task: Task, case: RecordedCase, world: MetaDriveWorld | None) -> dict[str, Any]:
-    """A run in MetaDrive, or in SUMO without a world, in a line of the result."""
-    attack = _in_metadrive(task, case, world) if world else episode.attack_case(task, case)
-    rollout = attack.rollout
-    contact = rollout.first("av_opponent")
-    found = {one.name: one.value for one in measure(rollout, case)}
-    driven = rollout.tracks.position_m[rollout.tracks.row(rollout.av_id), rollout.now :]
-    return {
-        "scene": task.scene,
-        "simulator": "metadrive" if world else "sumo",
-        "opponent": rollout.opponent_id,
-        "outcome": rollout.outcome,
-        "contact_s": None if contact is None else (contact.step - rollout.now) * rollout.dt_s,
-        "av_m": float(np.hypot(*np.diff(driven, axis=0).T).sum()),
-        **{name: found[name] for name in _MEASURED},
-    }  # fmt: skip
-
-
-def _in_metadrive(task: Task, case: RecordedCase, world: MetaDriveWorld) -> Attack:
-    """The adversary's attack, of one simulation; MetaDrive drives the AV."""
-    choice = task.spec.adversary
-    settings = plugins.settings("adversaries", choice.name, choice.settings)
-    adversary: Any = plugins.load("adversaries", choice.name).build(settings, task.spec.weights)
+def attacked(adversary: Any, task: Task, case: RecordedCase, world: MetaDriveWorld) -> Attack:
+    """The adversary's attack in MetaDrive, of one simulation."""
 
     def simulate(policy: Policy | None) -> Rollout:
         rng = np.random.default_rng([*task.entropy(), 1])
@@ -81,6 +62,22 @@ def _in_metadrive(task: Task, case: RecordedCase, world: MetaDriveWorld) -> Atta
     return attack
 
 
+def line_of(simulator: str, task: Task, case: RecordedCase, rollout: Rollout) -> dict[str, Any]:
+    """What the result keeps of a run."""
+    contact = rollout.first("av_opponent")
+    found = {one.name: one.value for one in measure(rollout, case)}
+    driven = rollout.tracks.position_m[rollout.tracks.row(rollout.av_id), rollout.now :]
+    return {
+        "scene": task.scene,
+        "simulator": simulator,
+        "opponent": rollout.opponent_id,
+        "outcome": rollout.outcome,
+        "contact_s": None if contact is None else (contact.step - rollout.now) * rollout.dt_s,
+        "av_m": float(np.hypot(*np.diff(driven, axis=0).T).sum()),
+        **{name: found[name] for name in _MEASURED},
+    }
+
+
 def results(asked: argparse.Namespace, av: AvName, method: str) -> list[dict[str, Any]]:
     """The lines of all scenes in both simulators; those that the file has are kept."""
     file = asked.out / f"{av}_{method}.jsonl"
@@ -89,21 +86,42 @@ def results(asked: argparse.Namespace, av: AvName, method: str) -> list[dict[str
     known = {(one["simulator"], one["scene"]) for one in done}
     runs = planned(asked, av, method)
     cases = [cast("RecordedCase", episode.make_case(task, cache_folder())) for task in runs]
-    data = asked.out / "scenes"
-    if not data.exists():
-        written([case.scene for case in cases], data)
-    with file.open("a") as lines_of:
-        env = environment(data, len(runs), av)
+    written([case.scene for case in cases], asked.out / "scenes")
+    choice = runs[0].spec.adversary
+    settings = plugins.settings("adversaries", choice.name, choice.settings)
+    adversary = plugins.load("adversaries", choice.name).build(settings, asked.weights)
+    env = environment(asked.out / "scenes", len(runs), av)
+    with closing(env), file.open("a") as table_file:
         for number, (task, case) in enumerate(zip(runs, cases, strict=True)):
             for simulator in SIMULATORS:
                 if (simulator, task.scene) in known:
                     continue
-                world = MetaDriveWorld(env, number, case) if simulator == "metadrive" else None
-                done.append(attacked(task, case, world))
-                lines_of.write(f"{json.dumps(done[-1])}\n")
-                lines_of.flush()
-        env.close()
+                if simulator == "metadrive":
+                    attack = attacked(adversary, task, case, MetaDriveWorld(env, number, case))
+                else:
+                    attack = episode.attack_case(task, case)
+                done.append(line_of(simulator, task, case, attack.rollout))
+                table_file.write(f"{json.dumps(done[-1])}\n")
+                table_file.flush()
     return done
+
+
+def check(asked: argparse.Namespace) -> None:
+    """Raises UsageError without a recording, or for a folder with runs of other settings."""
+    if not asked.recording.exists():
+        raise UsageError(
+            f"{asked.recording}: no such recording; give a file or a folder of scenes."
+        )
+    asked.out.mkdir(parents=True, exist_ok=True)
+    file = asked.out / "asked.json"
+    values = {
+        "recording": str(asked.recording.resolve()), "weights": asked.weights,
+        "scenes": asked.scenes, "seed": asked.seed,
+    }  # fmt: skip
+    if file.exists() and (before := json.loads(file.read_text())) != values:
+        differ = ", ".join(key for key in values if before[key] != values[key])
+        raise UsageError(f"{asked.out} has runs with other values of {differ}: name another --out.")
+    file.write_text(json.dumps(values))
 
 
 def table(asked: argparse.Namespace) -> Iterator[str]:
@@ -145,8 +163,8 @@ def _mean(name: str, side: dict[str, dict[str, Any]]) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
-def main() -> None:
-    """The command line."""
+def main() -> int:
+    """The command line; 2 for what is wrong with it."""
     parser = argparse.ArgumentParser(prog="python -m studies.metadrive")
     parser.add_argument("recording", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="resumed where it exists")
@@ -156,10 +174,15 @@ def main() -> None:
     parser.add_argument("--planners", nargs="+", default=list(PLANNERS), choices=list(PLANNERS))
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
     asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    for line in table(asked):
-        sys.stdout.write(f"{line}\n")
+    try:
+        check(asked)
+        for line in table(asked):
+            sys.stdout.write(f"{line}\n")
+    except DeepmfError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -26,10 +26,11 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
     View,
 )
+from deepmf_sumo.errors import PluginError
 from deepmf_sumo.exporters.scenarionet import described, packed
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.simulation.log_plan import recorded_body
+from deepmf_sumo.simulation.log_plan import recorded_body, recorded_frame
 
 AvName = Literal["replay", "idm"]
 _STANDS_MPS: Final = 0.05
@@ -64,11 +65,17 @@ def from_now(scene: Scene) -> Scene:
 
 
 def environment(folder: Path, scenes: int, av: AvName) -> Any:
-    """MetaDrive with the scenes of a folder; nothing is drawn, and nothing ends an episode."""
-    from metadrive.component.navigation_module.trajectory_navigation import TrajectoryNavigation
-    from metadrive.envs.scenario_env import ScenarioEnv
-    from metadrive.policy.idm_policy import TrajectoryIDMPolicy
-    from metadrive.policy.replay_policy import ReplayEgoCarPolicy
+    """MetaDrive with the scenes of a folder; nothing is drawn, and nothing ends an episode.
+
+    Raises PluginError where MetaDrive is not installed.
+    """
+    try:
+        from metadrive.component.navigation_module.trajectory_navigation import TrajectoryNavigation
+        from metadrive.envs.scenario_env import ScenarioEnv
+        from metadrive.policy.idm_policy import TrajectoryIDMPolicy
+        from metadrive.policy.replay_policy import ReplayEgoCarPolicy
+    except ImportError:
+        raise PluginError("MetaDrive is not installed; install deepmf-sumo[metadrive].") from None
 
     return ScenarioEnv(
         {
@@ -132,7 +139,9 @@ class MetaDriveWorld:
 
     def history(self) -> list[Frame]:
         """The recorded steps up to the current one."""
-        return [self._logged(step) for step in range(self._case.scene.now + 1)]
+        everyone = np.ones(self._tracks.agents, bool)
+        steps = range(self._case.scene.now + 1)
+        return [recorded_frame(self._tracks, step, everyone) for step in steps]
 
     def body(self, agent: AgentId) -> Body:
         """Kind and size as recorded."""
@@ -151,7 +160,8 @@ class MetaDriveWorld:
             driven[opponent] = self._at_height(opponent, pose), Driver.POLICY
         self._env.step([0.0, 0.0])
         shown = {self._case.av_id: (self._pose(self._env.agent), Driver.PLANNER), **driven}
-        return self._logged(self._step, without=shown).with_poses(shown)
+        logged = np.array([agent not in shown for agent in self._tracks.ids])
+        return recorded_frame(self._tracks, self._step, logged).with_poses(shown)
 
     def _put(self, opponent: AgentId, pose: Pose) -> bool:
         """Change what MetaDrive replays of the opponent at this step; False: it is not there."""
@@ -197,22 +207,3 @@ class MetaDriveWorld:
             course_rad=float(np.arctan2(*velocity[::-1])) if speed > _STANDS_MPS else None,
         )
         return self._at_height(self._case.av_id, pose)
-
-    def _logged(self, step: int, without: dict[AgentId, Any] | None = None) -> Frame:
-        """The recorded agents at a step; none after the recording's end."""
-        tracks = self._tracks
-        if step >= tracks.steps:
-            return Frame.of_poses({})
-        rows = [
-            row
-            for row in np.flatnonzero(tracks.valid[:, step]).tolist()
-            if tracks.ids[row] not in (without or {})
-        ]
-        return Frame(
-            ids=[tracks.ids[row] for row in rows],
-            position_m=tracks.position_m[rows, step],
-            z_m=tracks.z_m[rows, step],
-            heading_rad=tracks.heading_rad[rows, step],
-            velocity_mps=tracks.velocity_mps[rows, step],
-            driver=np.full(len(rows), int(Driver.LOG), np.uint8),
-        )
