@@ -128,3 +128,17 @@ def test_a_network_ends_where_no_lane_leads_on_but_back(links, heading_rad, fron
     lanes.append("")  # SUMO takes it on no lane any more
     pose = Pose(x_m=float(x), y_m=float(y), heading_rad=heading_rad, speed_mps=5)
     assert ends.passed("ov", pose, 4.0) is passed
+
+
+@pytest.mark.parametrize("may_remove", [True, False])
+def test_only_a_vehicle_that_may_be_removed_leaves_at_the_end(may_remove):
+    events, there = [], ["ov"]
+    api = sumo(there)
+    api.vehicle.getLaneID = lambda _: "end_0"
+    api.vehicle.remove = lambda agent, reason: there.remove(agent)
+    api.edge = SimpleNamespace(getLaneNumber=lambda _: 1)
+    api.lane = SimpleNamespace(getLinks=lambda _: (), getShape=lambda _: [(0.0, 0.0), (100.0, 0.0)])
+    takeover = Takeover(api, events, object(), may_remove=may_remove)
+    takeover.place(1, "ov", Pose(x_m=110, y_m=0, heading_rad=0, speed_mps=5), 4.5)
+    assert there == ([] if may_remove else ["ov"])
+    assert [event.kind for event in events] == ["opponent_gone"] * may_remove
