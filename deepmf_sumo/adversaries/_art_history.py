@@ -18,10 +18,11 @@ from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, HISTORY_STEPS, AgentId, Bo
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
 from deepmf_sumo.predictors import anchors
-from deepmf_sumo.predictors.decoding import as_batch
+from deepmf_sumo.predictors.decoding import knot_matrix
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.kinematics import pose_of
+from deepmf_sumo.predictors.vectornet import as_batch
 
 _NEAR_M = 3.0  # a goal that comes closer to the AV by this counts e times as much
 _EVERY = 4  # goals are compared with the AV every 0.4 s
@@ -155,7 +156,8 @@ class Meeting:
 
     def loss(self, goals: Goals) -> Tensor:
         """(R) minus the log of sum over goals of P * exp(-nearest distance / 3 m)."""
-        residual = goals.knots[:, 0].transpose(3, 4) @ anchors.knot_matrix()[:, self._steps]
+        spread = torch.from_numpy(knot_matrix()).to(goals.knots)[:, self._steps]
+        residual = goals.knots[:, 0].transpose(3, 4) @ spread
         along = goals.along_m[..., self._steps] + residual[..., 0, :]
         position, _ = anchors.placed(goals.paths, along.clamp_min(0.0), residual[..., 1, :])
         apart = (position - self._av).norm(dim=-1)  # (R, P, profiles, times)

@@ -85,13 +85,16 @@ class ART:
 
     def load(self) -> None:
         """Load torch and the networks."""
+        from deepmf_sumo.predictors.weights import need
+
+        need("torch", "The adversary art, which follows gradients,")
         from deepmf_sumo.adversaries import _art_descent  # noqa: F401
 
         if self._settings.form == "history":
             from deepmf_sumo.adversaries import _art_history  # noqa: F401
             from deepmf_sumo.predictors.weights import cached_predictors
 
-            cached_predictors(self._weights)
+            cached_predictors(self._weights, "torch")
         self._opponent.load()
 
     def attack(
@@ -138,14 +141,17 @@ class ART:
     ) -> tuple[Floats, "Descent"]:
         """(R, 80, 2) the likeliest futures of the opponent under perturbed histories."""
         from deepmf_sumo.adversaries import _art_history
+        from deepmf_sumo.predictors.densetnt import DenseTNT
         from deepmf_sumo.predictors.weights import cached_predictors
 
         view, chosen, agent_id = scouted.view, self._settings, scouted.opponent_id
-        marginal = cached_predictors(self._weights).marginal
+        marginal = cached_predictors(self._weights, "torch").marginal  # for gradients
+        net = marginal.net
+        assert isinstance(net, DenseTNT)
         found = _art_history.perturb(
             view,
             agent_id,
-            marginal.net,
+            net,
             open_loop.continued(av, Start.of(view, view.av_id)),
             av.valid,
             self._bounds(chosen.history_reach_m),
@@ -154,7 +160,7 @@ class ART:
             deadline,
             rng,
         )
-        past = _art_history.Past(view, agent_id, marginal.net)
+        past = _art_history.Past(view, agent_id, net)
         forecasts = [
             marginal.predict(past.view(offset), agent_id).modes(chosen.modes)
             for offset in found.offset_m

@@ -83,6 +83,9 @@ class KING:
 
     def load(self) -> None:
         """Load torch and the network that chooses opponents."""
+        from deepmf_sumo.predictors.weights import need
+
+        need("torch", "The adversary king, which follows gradients,")
         from deepmf_sumo.adversaries import _king_descent  # noqa: F401
 
         self._opponent.load()

@@ -85,17 +85,20 @@ class STRIVE:
         )
 
     def check(self) -> None:
-        """Raises WeightsError if the set of weights has no motion prior."""
-        from deepmf_sumo.predictors.weights import cached_motion_prior  # imports torch
+        """Raises WeightsError if the set of weights has no motion prior, or without torch."""
+        from deepmf_sumo.predictors.weights import need
+
+        need("torch", "The adversary strive, which follows gradients,")
+        from deepmf_sumo.predictors.torch_networks import cached_motion_prior  # imports torch
 
         cached_motion_prior(self._weights)
 
     def load(self) -> None:
         """Load torch and the networks. Raises WeightsError if the set has no prior."""
+        self.check()
         # Imports torch, which a check of a spec's settings must not do.
         from deepmf_sumo.adversaries import _strive as strive  # noqa: F401
 
-        self.check()
         if self._opponent is not None:
             self._opponent.load()
 
@@ -103,7 +106,7 @@ class STRIVE:
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
         """The attack; trials are the rounds. Raises WeightsError if the set has no prior."""
-        from deepmf_sumo.predictors.weights import cached_motion_prior
+        from deepmf_sumo.predictors.torch_networks import cached_motion_prior
 
         chosen = self._settings
         self.load()  # not timed

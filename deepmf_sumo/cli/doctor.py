@@ -43,7 +43,7 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
         "netconvert": netconvert,
         "sumo-gui": sumo_gui,
         "SUMO_HOME": sumo_home,
-        "torch": torch,
+        "networks": networks,
         "libraries": libraries,
         "cores": cores,
         "memory": memory,
@@ -195,7 +195,7 @@ def _limit_mb() -> float | None:
 OLDEST_PYTHON: Final = (3, 11)
 SUMO: Final = ("libsumo", "eclipse-sumo", "sumolib", "traci")
 """They share file formats and a protocol: one version for all."""
-_LIBRARIES: Final = ("numpy", "pandas", "shapely", "pydantic", "safetensors", "matplotlib.pyplot")
+_LIBRARIES: Final = ("numpy", "pandas", "shapely", "pydantic", "matplotlib.pyplot")
 PROGRAM_S: Final = 60.0
 _PROGRAMS: Final = "import pathlib, sumo; print(pathlib.Path(sumo.SUMO_HOME))"
 
@@ -255,13 +255,19 @@ def sumo_home() -> Finding:
     return Finding("warning", f"{named} is {what}; here {own} is used")
 
 
-def torch() -> Finding:
-    """Whether the networks can be computed."""
+def networks() -> Finding:
+    """Whether the networks can be computed, and by what."""
     good, text = probe(
+        "import sys; from deepmf_sumo.errors import DeepmfError\n"
+        "from deepmf_sumo.predictors.weights import runtime_name\n"
+        "try: name = runtime_name()\n"
+        "except DeepmfError as error: sys.exit(str(error))\n"
+        "if name == 'onnx':\n"
+        " import onnxruntime; print(f'ONNX Runtime {onnxruntime.__version__}'); sys.exit()\n"
         "import torch; torch.ones(8, 8) @ torch.ones(8, 8);"
         " there = torch.cuda.is_available();"
         " gpu = torch.cuda.get_device_name() if there else 'no GPU (none needed)';"
-        " print(f'{torch.__version__}, {torch.get_num_threads()} threads, {gpu}')"
+        " print(f'torch {torch.__version__}, {torch.get_num_threads()} threads, {gpu}')"
     )
     return _loaded(good, text)
 

@@ -27,6 +27,8 @@ OLD_NAMES: Final = {
     "reproduce": "run paper", "scenes": "data list", "table": "show",
 }  # fmt: skip
 """Commands of the release before, which still work, and their names of now."""
+_INSTALLED_APART: Final = ("torch", "onnx", "onnxscript", "onnxruntime")
+"""Packages that the light installation or some extras leave out."""
 _FULL: Final = {errno.ENOSPC, errno.EDQUOT}
 _MAKE_ROOM: Final = (
     "make room where --out is, and give the same command again; sweeps go on with --resume, and"
@@ -124,6 +126,8 @@ def _told(error: Exception) -> tuple[str, int]:
         return f"{error.filename} cannot be used: {error.strerror}.", OutputError.exit_code
     if isinstance(error, OSError) and error.errno in _FULL:
         return f"{error.strerror}: {_MAKE_ROOM}.", OutputError.exit_code
+    if isinstance(error, ModuleNotFoundError) and error.name in _INSTALLED_APART:
+        return f"This needs {error.name}; run `pip install {error.name}`.", EXIT_CODES["failed"]
     where = "deepmf-sumo --debug ... shows where"
     return f"unexpected {type(error).__name__}: {error} ({where})", EXIT_CODES["failed"]
 

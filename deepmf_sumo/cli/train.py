@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from deepmf_sumo.cli._parameters import FiniteRange
 
@@ -15,7 +16,7 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
 
 @click.command(name="train", short_help="Train the predictors on recordings.")
 @click.argument(
-    "network", type=click.Choice(["opponent", "marginal", "conditional", "strive", "all"])
+    "network", type=click.Choice(["opponent", "marginal", "conditional", "strive", "all", "onnx"])
 )
 @click.option(
     "--data",
@@ -98,9 +99,15 @@ def command(network: str, name: str, **settings: Any) -> None:
     one place in ten are held out for early stopping and temperatures. Sources count by their
     samples, or by the weights given to them. The same command resumes an interrupted training, and
     keeps a network that is complete.
+
+    onnx trains nothing: it writes the graphs of the set --name, or of the folder --out, which
+    installations without torch read.
     """
     if Path(name).name != name:
         raise click.UsageError(f"--name {name} is not a plain name; give a folder with --out.")
+    if network == "onnx":
+        _write_graphs(settings["out"] or name)
+        return
     from deepmf_sumo.training import command as training
     from deepmf_sumo.training.config import Optimisation
 
@@ -113,3 +120,19 @@ def command(network: str, name: str, **settings: Any) -> None:
         **settings,
     )
     training.train_requested(request, click.echo)
+
+
+def _write_graphs(name: str | Path) -> None:
+    context = click.get_current_context()
+    own = {"network", "name", "out"}
+    for one in context.command.params:
+        given = context.get_parameter_source(one.name or "") is not ParameterSource.DEFAULT
+        if given and one.name not in own:
+            raise click.UsageError(f"{one.opts[0]} is for training; onnx takes --name and --out.")
+    from deepmf_sumo.predictors.weights import need
+
+    for package in ("torch", "onnx", "onnxscript", "onnxruntime"):
+        need(package, "Writing graphs")
+    from deepmf_sumo.training import onnx_graphs
+
+    onnx_graphs.write(name, click.echo)

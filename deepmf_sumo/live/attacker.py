@@ -135,7 +135,7 @@ def policy_of(spec: Spec) -> Policy:
             f"adversary.tries {settings.tries}: a running simulation cannot be tried again;"
             " leave it at 1."
         )
-    from deepmf_sumo.predictors import weights  # imports torch
+    from deepmf_sumo.predictors import weights
     from deepmf_sumo.predictors.weights import one_thread
 
     return OneThread(build(settings, weights.cached_predictors(spec.weights)), one_thread)

@@ -345,7 +345,7 @@ def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
         document.values.setdefault("adversary", {"name": spec.adversary.name}).update(more)
         spec = of_document(document)
     if "weights" in document.values:
-        from deepmf_sumo.predictors import weights  # brings torch along
+        from deepmf_sumo.predictors import weights
 
         weights.find(spec.weights)
         document.values["weights"] = spec.weights

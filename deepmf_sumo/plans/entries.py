@@ -258,7 +258,7 @@ def _check_installed(method: str, one: Spec) -> None:
         if isinstance(adversary, Checkable):
             adversary.check()
         if getattr(settings, "opponent", None) in SCORED:
-            from deepmf_sumo.predictors import weights  # brings torch along
+            from deepmf_sumo.predictors import weights
 
             weights.find(one.weights)
     except (PluginError, WeightsError) as error:

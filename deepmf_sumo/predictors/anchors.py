@@ -4,7 +4,6 @@ An anchor is a path and a speed profile, in the vehicle's frame. All arguments a
 code serves training and prediction. P paths, R profiles, S times.
 """
 
-from functools import cache
 from typing import Final
 
 import torch
@@ -26,21 +25,29 @@ BRAKING: Final = (
 Attacked drivers brake like this: to a stop, or briefly, and then keep the remaining speed.
 """
 START_SPEEDS_MPS: Final = (0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0, 11.0, 13.5, 16.0, 20.0, 25.0, 30.0)
-KNOTS_S: Final = (1.0, 2.0, 4.0, 6.0, 8.0)
-KNOT_STEPS: Final = tuple(round(second / DT_S) - 1 for second in KNOTS_S)
-"""Index in the 80 steps of each knot; index 0 is 0.1 s."""
 
 
 def profiles_at(table: Tensor, speed_mps: Tensor) -> Tensor:
     """Distances driven (B, R, 80) at start speeds (B); table (13, R, 80) of s(t) - v0 t."""
     knots = table.new_tensor(START_SPEEDS_MPS)
     clamped = speed_mps.clamp(0.0, START_SPEEDS_MPS[-1] - 1e-3)
-    low = torch.searchsorted(knots, clamped, right=True) - 1
+    low = (clamped.unsqueeze(-1) >= knots).sum(-1) - 1  # ONNX has no search in sorted tables
     share = ((clamped - knots[low]) / (knots[low + 1] - knots[low])).view(-1, 1, 1)
     relative = (1 - share) * table[low] + share * table[low + 1]
     time = torch.arange(1, FUTURE_STEPS + 1, device=table.device) * DT_S
     distance = relative + speed_mps.view(-1, 1, 1) * time
-    return distance.clamp_min(0.0).cummax(-1).values
+    return _never_back(distance.clamp_min(0.0))
+
+
+def _never_back(distance: Tensor) -> Tensor:
+    """(..., 80) the largest so far, as `torch.cummax`, which ONNX lacks."""
+    reach = 1
+    while reach < distance.shape[-1]:
+        before = distance[..., :-reach]
+        rest = torch.maximum(distance[..., reach:], before)
+        distance = torch.cat([distance[..., :reach], rest], -1)
+        reach *= 2
+    return distance
 
 
 def braking(speeds_mps: Tensor) -> Tensor:
@@ -103,41 +110,6 @@ def placed_on(
     point, tangent = look_up_on(paths, path, along_m)
     normal = torch.stack([-tangent[..., 1], tangent[..., 0]]).movedim(0, -1)
     return point + left_m.unsqueeze(-1) * normal, tangent
-
-
-@cache
-@torch.inference_mode(False)  # it is cached, and used where gradients are needed
-def knot_matrix() -> Tensor:
-    """(5, 80) maps values at the knots to all steps: Hermite, from 0 with slope 0 at time 0."""
-    times = torch.tensor((0.0, *KNOTS_S), dtype=torch.float64)
-    steps = torch.arange(1, FUTURE_STEPS + 1, dtype=torch.float64) * DT_S
-    count = len(times)
-    slope = torch.zeros(count, count, dtype=torch.float64)
-    for row in range(1, count):
-        before, after = row - 1, min(row + 1, count - 1)
-        span = times[after] - times[before]
-        slope[row, after] += 1 / span
-        slope[row, before] -= 1 / span
-    value = torch.eye(count, dtype=torch.float64)
-    segment = (torch.searchsorted(times, steps) - 1).clamp(0, count - 2)
-    width = times[segment + 1] - times[segment]
-    u = ((steps - times[segment]) / width).unsqueeze(-1)
-    width = width.unsqueeze(-1)
-    rows = (
-        (2 * u**3 - 3 * u**2 + 1) * value[segment]
-        + (u**3 - 2 * u**2 + u) * width * slope[segment]
-        + (3 * u**2 - 2 * u**3) * value[segment + 1]
-        + (u**3 - u**2) * width * slope[segment + 1]
-    )
-    return rows[:, 1:].T.float()
-
-
-def headings(position: Tensor, tangent: Tensor) -> Tensor:
-    """(..., 80) headings: of the motion where it is faster than 1 m/s, else of the path."""
-    origin = torch.zeros_like(position[..., :1, :])
-    step = torch.diff(torch.cat([origin, position], -2), dim=-2).movedim(-1, 0)
-    direction = torch.where(torch.hypot(step[0], step[1]) > DT_S, step, tangent.movedim(-1, 0))
-    return torch.atan2(direction[1], direction[0])
 
 
 GOAL: Final = 26

@@ -4,9 +4,12 @@ A prediction contains everything that the networks compute of a view. Callers th
 questions about one moment keep it and pass it on; predictors themselves keep nothing.
 """
 
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, OpponentScores, View
+from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.decoding import GoalSet, Singles
+from deepmf_sumo.predictors.features import Features
 
 MOST_MODES: Final = 96
 """In one forecast: a vehicle far from all lanes has five paths with 24 goals each by default."""
@@ -55,4 +58,44 @@ class ConditionalPredictor(Protocol):
         self, view: View, agent_id: AgentId, *, planner: bool = False
     ) -> ConditionalPrediction:
         """The prediction for an agent; ``planner``: an automated planner drives it."""
+        ...
+
+
+class TrajectoryNetwork(Protocol):
+    """A network that scores and completes goals: DenseTNT in torch, or its ONNX graphs."""
+
+    @property
+    def preset(self) -> Preset:
+        """Its sizes."""
+        ...
+
+    @property
+    def kernel_m(self) -> Singles:
+        """(5, 2) widths along and across of the Laplace kernels at the knots, metres."""
+        ...
+
+    def encoded(self, arrays: Features) -> Any:
+        """What no given future changes, for `decoded`."""
+        ...
+
+    def decoded(
+        self,
+        encoding: Any,
+        position_m: Singles | None = None,
+        heading_rad: Singles | None = None,
+    ) -> GoalSet:
+        """The goals, given positions (K, 80, 2) and headings (K, 80) in the vehicle's frame."""
+        ...
+
+
+class OpponentNetwork(Protocol):
+    """A network that scores the vehicles around the AV: in torch, or its ONNX graph."""
+
+    @property
+    def preset(self) -> Preset:
+        """Its sizes."""
+        ...
+
+    def scored(self, arrays: Features) -> Floats:
+        """(63, 2) logits of both heads, from `opponent.opponent_features`."""
         ...

@@ -6,12 +6,12 @@ feature it tells networks what braking in time amounts to; they learn how planne
 differ from it.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from deepmf_sumo.datatypes import DT_S
@@ -30,8 +30,6 @@ _LENGTH_M, _WIDTH_M, _MARGIN_M = 4.8, 2.0, 0.2
 _SLOW_MPS, _FREE_MPS = 3.0, 12.0
 """Least desired speed, and the desired speed where no limit is known."""
 _BESIDE_M, _SAME_M, _FAR_M = 1.8, 3.0, 1e3
-
-_Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,11 +65,17 @@ def relations(road: Road, along_m: Tensor, given: Condition) -> Tensor:
     """
     with torch.autocast(along_m.device.type, enabled=False):
         driven = followed(road, given)  # (B, K, P, 16)
-        apart = torch.cdist(along_m, driven.transpose(1, 2), p=1.0)  # (B, P, R, K)
-        off = -apart.permute(0, 3, 1, 2) / driven.shape[-1]
+        off = -_apart(along_m, driven) / driven.shape[-1]
         lead = along_m[..., 3::4].unsqueeze(1) - driven[..., 3::4].unsqueeze(3)
         at = (lead / 10.0).clamp_(-2.0, 2.0)  # (B, K, P, R, 4)
         return torch.cat([at, torch.stack([off.exp(), (off / 4.0).exp_()], -1)], -1)
+
+
+def _apart(along_m: Tensor, driven: Tensor) -> Tensor:
+    """(B, K, P, R) sums of the distances between (B, P, R, 16) and (B, K, P, 16)."""
+    if torch.compiler.is_exporting():  # ONNX has no such distance
+        return (along_m.unsqueeze(1) - driven.unsqueeze(3)).abs().sum(-1)
+    return torch.cdist(along_m, driven.transpose(1, 2), p=1.0).permute(0, 3, 1, 2)
 
 
 def followed(road: Road, given: Condition) -> Tensor:
@@ -80,35 +84,33 @@ def followed(road: Road, given: Condition) -> Tensor:
     free = torch.where(road.limit_mps > 0, road.limit_mps, _FREE_MPS).unsqueeze(1)
     start = road.speed_mps.view(-1, 1, 1)
     slowness = 1.0 / torch.maximum(free, start).clamp_min(_SLOW_MPS)  # (B, 1, P)
+    parts = ahead, pace, start, slowness
+    if torch.compiler.is_exporting():
+        return torch.stack(list(_driven(parts, torch)), -1)
     # a thousand small operations: numpy is five times as fast as torch
-    arrays = (each.cpu().numpy() for each in (ahead, pace, start, slowness))
-    return torch.from_numpy(_driven(*arrays)).to(ahead.device)
+    driven = np.stack(list(_driven([each.cpu().numpy() for each in parts], np)), -1)
+    return torch.from_numpy(driven).to(ahead.device)
 
 
-def _driven(ahead: _Singles, pace: _Singles, start: _Singles, slowness: _Singles) -> _Singles:
-    """The steps of the model, see `followed`."""
+def _driven(parts: Sequence[Any], of: Any) -> Iterator[Any]:
+    """(B, K, P) distances at 2 Hz, see `followed`; arrays of ``of``, numpy or torch."""
+    ahead, pace, start, slowness = parts
     seconds, brisk = EVERY * DT_S / _SUBSTEPS, 0.5 / (_ACCEL_MPS2 * _DECEL_MPS2) ** 0.5
-    along = np.zeros(ahead.shape[2:], np.float32)
+    along = of.zeros_like(ahead[0, 0])
     speed = along + start
-    out = np.empty((len(pace), *along.shape), np.float32)
-    for step, place in enumerate(ahead):
-        gap = place - along
-        gap[0, gap[0] < -_LENGTH_M] = _FAR_M  # passed: no leader any more
-        wanted = (speed - pace[step // _SUBSTEPS]) * brisk
-        wanted += _HEADWAY_S
-        wanted *= speed
-        wanted = np.maximum(wanted, 0.0, out=wanted)
-        wanted += _GAP_M
-        wanted /= np.maximum(gap, 0.1, out=gap)
-        use = np.maximum(wanted[0], wanted[1])
-        busy = np.square(speed * slowness)
+    for step in range(len(ahead)):
+        gap = ahead[step] - along
+        first = of.where(gap[0] < -_LENGTH_M, _FAR_M, gap[0])  # passed: no leader any more
+        keep = (speed - pace[step // _SUBSTEPS]) * brisk + _HEADWAY_S
+        wanted = (keep * speed).clip(0.0) + _GAP_M
+        use = of.maximum(wanted[0] / first.clip(0.1), wanted[1] / gap[1].clip(0.1))
+        busy = of.square(speed * slowness)
         gain = _ACCEL_MPS2 * (1.0 - busy * busy - use * use)
-        faster = np.maximum(speed + np.maximum(gain, -_HARD_MPS2) * seconds, 0.0)
+        faster = (speed + gain.clip(-_HARD_MPS2) * seconds).clip(0.0)
         along = along + (0.5 * seconds) * (speed + faster)
         speed = faster
         if step % _SUBSTEPS == _SUBSTEPS - 1:
-            out[step // _SUBSTEPS] = along
-    return np.moveaxis(out, 0, -1)
+            yield along
 
 
 def _ahead(road: Road, given: Condition) -> tuple[Tensor, Tensor]:

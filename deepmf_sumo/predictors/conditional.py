@@ -1,13 +1,12 @@
 """phi_C(X, Y_OV): where the AV may go if the opponent drives as given (paper, section IV-C2)."""
 
 from dataclasses import dataclass, replace
-
-import torch
-from torch import Tensor
+from typing import Any
 
 from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
-from deepmf_sumo.predictors import conditioning, decoding
-from deepmf_sumo.predictors.densetnt import DenseTNT, Encoding, Goals
+from deepmf_sumo.predictors import decoding
+from deepmf_sumo.predictors.base import TrajectoryNetwork
+from deepmf_sumo.predictors.decoding import GoalSet, Singles
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.kinematics import Pose, pose_of
 from deepmf_sumo.predictors.marginal import Marginal
@@ -21,19 +20,19 @@ class ConditionalPrediction:
     """One agent at one moment: everything that does not depend on the given futures.
 
     Attributes:
-        encoding: of the scene. gain: added to the logits (see `decoding.gain`).
+        encoding: of the scene, as the network gives it.
+        gain: added to the logits (see `decoding.gain`).
         alone: goals without condition and without the gain, if the gain was computed from them.
         temperature: of the probabilities.
     """
 
     pose: Pose
-    net: DenseTNT
-    encoding: Encoding
-    gain: Tensor | float
-    alone: Goals | None
+    net: TrajectoryNetwork
+    encoding: Any
+    gain: Singles | float
+    alone: GoalSet | None
     temperature: float
 
-    @torch.inference_mode()
     def given(
         self, futures: Futures | None, modes: int, *, chosen_at: int | None = None
     ) -> list[Forecast]:
@@ -51,19 +50,15 @@ class ConditionalPrediction:
             chosen_at=chosen_at,
         )
 
-    @torch.inference_mode()
     def end_density(self, futures: Futures | None, ends_m: Floats, kernel_m: float) -> Floats:
         """(Q) under the first given future, see `decoding.end_density`."""
         return decoding.end_density(self._goals(futures), self.pose, ends_m, kernel_m)
 
-    def _goals(self, futures: Futures | None) -> Goals:
+    def _goals(self, futures: Futures | None) -> GoalSet:
         if futures is None:
-            goals = self.alone or self.net.decode(self.encoding, None)
+            goals = self.alone or self.net.decoded(self.encoding)
         else:
-            position, heading = decoding.to_pose(self.pose, futures)
-            there = torch.ones(1, position.shape[1])
-            future = conditioning.encode(position, heading, there, self.net.preset)
-            goals = self.net.decode(self.encoding, future)
+            goals = self.net.decoded(self.encoding, *decoding.to_pose(self.pose, futures))
         return replace(goals, logits=goals.logits + self.gain)
 
 
@@ -80,18 +75,17 @@ class Conditional:
 
     def __init__(
         self,
-        net: DenseTNT,
+        net: TrajectoryNetwork,
         temperature: float,
         *,
         marginal: Marginal | None = None,
         share: float = 0.75,
     ) -> None:
-        self.net = net.eval()
+        self.net = net
         self.temperature = temperature
         self.marginal = marginal
         self.share = share
 
-    @torch.inference_mode()
     def predict(
         self, view: View, agent_id: AgentId, *, planner: bool = False
     ) -> ConditionalPrediction:
@@ -101,12 +95,12 @@ class Conditional:
         """
         pose = pose_of(view, agent_id)
         arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
-        encoding = self.net.encode(decoding.as_batch(arrays))
-        gain: Tensor | float = 0.0
+        encoding = self.net.encoded(arrays)
+        gain: Singles | float = 0.0
         alone = None
         if self.marginal is not None and not planner:
             images = self.marginal.net.preset.raster  # of its own size
             prior = self.marginal.predict(view, agent_id, None if images else arrays)
-            alone = self.net.decode(encoding)
+            alone = self.net.decoded(encoding)
             gain = self.share * decoding.gain(alone, prior.members)
         return ConditionalPrediction(pose, self.net, encoding, gain, alone, self.temperature)

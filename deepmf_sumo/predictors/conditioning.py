@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 
 from deepmf_sumo.datatypes import DT_S
-from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.anchors import look_up
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
 from deepmf_sumo.predictors.vectornet import POSITION_SCALE_M, SPEED_SCALE_MPS
+from deepmf_sumo.predictors.vgg import draw_future
 
 TOKEN: Final = 8
 PATH_RELATION: Final = 7
@@ -40,7 +40,7 @@ class Condition:
     @property
     def futures(self) -> int:
         """K."""
-        return int(self.given.shape[1])
+        return self.given.shape[1]
 
     @property
     def facing(self) -> Tensor:
@@ -53,7 +53,7 @@ def encode(position_m: Tensor, heading_rad: Tensor, given: Tensor, preset: Prese
     """A condition from positions (B, K, 80, 2) and headings (B, K, 80) in the target's frame."""
     image = None
     if preset.raster:
-        image = raster.draw_future(position_m, preset) * given.reshape(-1, 1, 1, 1)
+        image = draw_future(position_m, preset) * given.reshape(-1, 1, 1, 1)
     return Condition(
         tokens=_tokens(position_m, heading_rad).flatten(0, 1),
         image=image,

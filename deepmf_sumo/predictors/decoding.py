@@ -7,37 +7,76 @@ goals at once.
 products of experts by minimizing contrastive divergence", section 1). Both predict one vehicle in
 one view, so that their goals lie on the same paths; speed profiles and residuals may differ, so
 that goals are compared by how far along a path they end.
+
+Everything here is numpy: torch and ONNX Runtime both end in a `GoalSet`.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import Floats, Forecast, Futures
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Floats, Forecast, Futures, Ints
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.predictors import anchors
-from deepmf_sumo.predictors.densetnt import Goals
-from deepmf_sumo.predictors.features import Features
 from deepmf_sumo.predictors.kinematics import Pose
+from deepmf_sumo.predictors.paths import NODE_SPACING_M
 
+Singles = NDArray[np.float32]
+
+KNOTS_S: Final = (1.0, 2.0, 4.0, 6.0, 8.0)
+KNOT_STEPS: Final = tuple(round(second / DT_S) - 1 for second in KNOTS_S)
+"""Index in the 80 steps of each knot; index 0 is 0.1 s."""
 CAP_M: Final = 25.0
 """A larger distance to all modes costs no more than this one."""
 _SWAPS = 4
 """Rounds in which each mode moves to the median of the goals that are nearest to it."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GoalSet:
+    """All goals of one vehicle in its frame: P paths, R speed profiles, under K given futures.
+
+    Attributes:
+        logits: (K, P, R), -inf on paths that do not exist.
+        along_m: (P, R, 80) distances of the anchors.
+        knots: (K, P, R, 5, 2) residual along and to the left at 1, 2, 4, 6, 8 s, metres.
+        paths: (P, 121, 2).
+    """
+
+    logits: Singles
+    along_m: Singles
+    knots: Singles
+    paths: Singles
+
+    def at_knots(self) -> tuple[Singles, Singles]:
+        """Positions and path tangents (K, N, 5, 2) at 1, 2, 4, 6, 8 s; N = P * R goals."""
+        return self._at(slice(None))
+
+    def ends(self) -> Singles:
+        """End points (K, N, 2) at 8 s."""
+        return self._at(slice(-1, None))[0][:, :, 0]
+
+    def _at(self, knots: slice) -> tuple[Singles, Singles]:
+        along = self.along_m[..., list(KNOT_STEPS[knots])] + self.knots[..., knots, 0]
+        path = np.arange(len(self.paths))[:, None, None]
+        found = placed_on(self.paths, path, np.maximum(along, 0.0), self.knots[..., knots, 1])
+        futures, _, _, count, _ = found[0].shape
+        position, tangent = (each.reshape(futures, -1, count, 2) for each in found)
+        return position, tangent
+
+
 def select(
-    probability: Tensor,
-    ends_m: Tensor,
+    probability: Singles,
+    ends_m: Singles,
     modes: int,
     *,
     shortlist: int | None = None,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Ints, Singles]:
     """Chosen goals and their mass (K, M), most likely first.
 
     Args:
@@ -56,69 +95,74 @@ def select(
             f"{modes} modes of a forecast were asked for, but with these weights a vehicle here has"
             f" {size} goals; ask for fewer (candidates, reactions, modes)."
         )
-    weight, rows = probability.topk(size, dim=1)
-    ends = ends_m.gather(1, rows.unsqueeze(-1).expand(-1, -1, 2))
-    distance = torch.cdist(ends, ends, compute_mode="donot_use_mm_for_euclid_dist")
-    picked = _medoids(weight, distance.clamp_max(CAP_M), modes)
-    chosen = rows.gather(1, picked)
-    share = mass(probability, ends_m, ends.gather(1, picked.unsqueeze(-1).expand(-1, -1, 2)))
-    share, order = share.sort(dim=1, descending=True, stable=True)
-    return chosen.gather(1, order), share
+    rows = np.argsort(-probability, axis=1, kind="stable")[:, :size]
+    weight = np.take_along_axis(probability, rows, 1)
+    ends = np.take_along_axis(ends_m, rows[..., None], 1)
+    distance = np.minimum(_distances(ends, ends), CAP_M)
+    picked = _medoids(weight, distance, modes)
+    chosen = np.take_along_axis(rows, picked, 1)
+    share = mass(probability, ends_m, np.take_along_axis(ends, picked[..., None], 1))
+    order = np.argsort(-share, axis=1, kind="stable")
+    return np.take_along_axis(chosen, order, 1), np.take_along_axis(share, order, 1)
 
 
-def _medoids(weight: Tensor, distance: Tensor, modes: int) -> Tensor:
+def _distances(one_m: Singles, other_m: Singles) -> Singles:
+    """(..., N, M) distances between points (..., N, 2) and (..., M, 2)."""
+    x = one_m[..., :, None, 0] - other_m[..., None, :, 0]
+    y = one_m[..., :, None, 1] - other_m[..., None, :, 1]
+    x *= x
+    y *= y
+    x += y
+    return np.sqrt(x, out=x)
+
+
+def _medoids(weight: Singles, distance: Singles, modes: int) -> Ints:
     """(K, M) modes that lower the expected distance to the nearest mode.
 
     They are chosen greedily, and then moved together.
     """
-    least = torch.full_like(weight, CAP_M)
-    free = torch.ones_like(weight)
-    saved = torch.empty_like(distance)
-    picked = []
-    for _ in range(modes):
-        torch.sub(least.unsqueeze(1), distance, out=saved)
-        gain = saved.clamp_min_(0.0).mul_(weight.unsqueeze(1)).sum(-1)
-        best = ((gain + 1e-9) * free).argmax(1, keepdim=True)
-        free.scatter_(1, best, 0.0)
-        row = distance.gather(1, best.unsqueeze(-1).expand(-1, -1, distance.shape[2])).squeeze(1)
-        least = torch.minimum(least, row)
-        picked.append(best)
-    chosen = torch.cat(picked, 1)
+    every = np.arange(len(weight))
+    least = np.full_like(weight, CAP_M)
+    free = np.ones_like(weight)
+    saved = np.empty_like(distance)
+    picked = np.empty((len(weight), modes), np.int64)
+    for number in range(modes):
+        np.subtract(least[:, None], distance, out=saved)
+        np.maximum(saved, 0.0, out=saved)
+        gain = (saved @ weight[..., None])[..., 0]
+        best = ((gain + np.float32(1e-9)) * free).argmax(1)
+        free[every, best] = 0.0
+        least = np.minimum(least, distance[every, best])
+        picked[:, number] = best
     for _ in range(_SWAPS):
-        before, chosen = chosen, _medians(weight, distance, chosen)
-        if torch.equal(before, chosen):
+        before, picked = picked, _medians(weight, distance, picked)
+        if np.array_equal(before, picked):
             break
-    return chosen
+    return picked
 
 
-def _medians(weight: Tensor, distance: Tensor, chosen: Tensor) -> Tensor:
+def _medians(weight: Singles, distance: Singles, chosen: Ints) -> Ints:
     """(K, M) for each mode the goal with the least distance to all goals nearest to the mode.
 
     If two modes chose one goal, it counts for the first; the second mode does not move.
     """
-    modes, goals = chosen.shape[1], weight.shape[1]
-    nearest = distance.gather(2, chosen.unsqueeze(1).expand(-1, goals, -1)).argmin(2)
-    mine = nearest.unsqueeze(1) == torch.arange(modes, device=weight.device)[:, None]
-    cost = torch.bmm(mine * weight.unsqueeze(1), distance)
-    cost = cost.masked_fill(~mine, float("inf"))
-    best = cost.argmin(-1)
-    return torch.where(mine.any(-1), best, chosen)
+    nearest = np.take_along_axis(distance, chosen[:, None], 2).argmin(2)  # (K, N)
+    mine = nearest[:, None] == np.arange(chosen.shape[1])[:, None]  # (K, M, N)
+    cost = (mine * weight[:, None]) @ distance
+    cost[~mine] = np.inf
+    return np.where(mine.any(-1), cost.argmin(-1), chosen)
 
 
-def mass(probability: Tensor, ends_m: Tensor, modes_m: Tensor) -> Tensor:
+def mass(probability: Singles, ends_m: Singles, modes_m: Singles) -> Singles:
     """(K, M) probability of the goals nearest to each mode."""
-    distance = torch.cdist(ends_m, modes_m, compute_mode="donot_use_mm_for_euclid_dist")
-    share = torch.zeros(modes_m.shape[:2], dtype=probability.dtype, device=probability.device)
-    return share.scatter_add_(1, distance.argmin(-1), probability)
-
-
-def as_batch(features: Features) -> dict[str, Tensor]:
-    """A batch of one scene."""
-    return {name: torch.from_numpy(values)[None] for name, values in features.items()}
+    sets, modes = modes_m.shape[:2]
+    nearest = _distances(ends_m, modes_m).argmin(-1) + modes * np.arange(sets)[:, None]
+    share = np.bincount(nearest.ravel(), probability.ravel(), minlength=sets * modes)
+    return share.reshape(sets, modes).astype(np.float32)
 
 
 def forecasts(
-    goals: Goals,
+    goals: GoalSet,
     pose: Pose,
     modes: int,
     temperature: float,
@@ -132,11 +176,12 @@ def forecasts(
     likely the tails are. Modes are chosen by their positions at 8 s, or at the step ``chosen_at``
     (0 to 79).
     """
-    probability = (goals.logits[0].flatten(1) / temperature).softmax(-1)  # (K, N)
-    ends = goals.ends()[0] if chosen_at is None else _all_at(goals, chosen_at)  # (K, N, 2)
+    logits = goals.logits.reshape(len(goals.logits), -1) / np.float32(temperature)
+    probability = np.exp(log_softmax(logits))  # (K, N)
+    ends = goals.ends() if chosen_at is None else _all_at(goals, chosen_at)  # (K, N, 2)
     chosen, mass = select(probability, ends, modes, shortlist=shortlist)
     futures = to_scene(pose, *complete(goals, chosen))
-    shares = (mass / mass.sum(1, keepdim=True)).double().numpy()
+    shares = (mass / mass.sum(axis=1, keepdims=True)).astype(np.float64)
     return [
         Forecast(
             futures=Futures(agent_id=pose.agent_id, position_m=position, heading_rad=heading),
@@ -147,82 +192,152 @@ def forecasts(
     ]
 
 
-def end_density(goals: Goals, pose: Pose, ends_m: Floats, kernel_m: float) -> Floats:
+def end_density(goals: GoalSet, pose: Pose, ends_m: Floats, kernel_m: float) -> Floats:
     """(Q) log density of end points (Q, 2) of the scene's frame under the goals of future 0.
 
     A Gaussian of width ``kernel_m`` stands on each goal: for comparing networks.
     """
-    local = _tensor(pose.to_local(ends_m))
-    ends = goals.ends()[0, 0]  # (N, 2)
-    score = goals.logits[0, 0].flatten().log_softmax(-1)
-    square = torch.cdist(local, ends, compute_mode="donot_use_mm_for_euclid_dist") ** 2
-    log_kernel = -square / (2 * kernel_m**2) - float(np.log(2 * np.pi * kernel_m**2))
-    return (score + log_kernel).logsumexp(-1).double().numpy()
+    local = pose.to_local(ends_m).astype(np.float32)
+    score = log_softmax(goals.logits[0].ravel())
+    square = _distances(local, goals.ends()[0]) ** 2
+    log_kernel = -square / (2 * kernel_m**2) - math.log(2 * math.pi * kernel_m**2)
+    return logsumexp(score + log_kernel).astype(np.float64)
 
 
-def complete(goals: Goals, chosen: Tensor) -> tuple[Tensor, Tensor]:
+def complete(goals: GoalSet, chosen: Ints) -> tuple[Singles, Singles]:
     """Positions (K, M, 80, 2) and headings (K, M, 80) of goals (K, M), in the pose's frame."""
-    profiles = goals.along_m.shape[2]
-    path, profile = chosen // profiles, chosen % profiles
-    future = torch.arange(len(chosen))[:, None]
-    residual = goals.knots[0][future, path, profile].transpose(2, 3) @ anchors.knot_matrix()
-    along = goals.along_m[0][path, profile] + residual[..., 0, :]
-    along = along.clamp_min(0.0).cummax(-1).values  # (K, M, 80)
-    position, tangent = anchors.placed_on(
-        goals.paths[0], path.unsqueeze(-1), along, residual[..., 1, :]
-    )
-    return position, anchors.headings(position, tangent)
+    path, profile = np.divmod(chosen, goals.along_m.shape[1])
+    future = np.arange(len(chosen))[:, None]
+    knots = goals.knots[future, path, profile]  # (K, M, 5, 2)
+    ahead, left = knots[..., 0] @ knot_matrix(), knots[..., 1] @ knot_matrix()
+    along = np.maximum(goals.along_m[path, profile] + ahead, 0.0)
+    along = np.maximum.accumulate(along, axis=-1)  # (K, M, 80)
+    position, tangent = placed_on(goals.paths, path[..., None], along, left)
+    return position, _headings(position, tangent)
 
 
-def _all_at(goals: Goals, step: int) -> Tensor:
+def _all_at(goals: GoalSet, step: int) -> Singles:
     """(K, N, 2) positions of all goals at a step."""
-    _, futures, paths, profiles = goals.logits.shape
-    every = torch.arange(paths * profiles).expand(futures, -1)
+    futures, paths, profiles = goals.logits.shape
+    every = np.broadcast_to(np.arange(paths * profiles), (futures, paths * profiles))
     return complete(goals, every)[0][:, :, step]
 
 
-def to_scene(pose: Pose, position: Tensor, heading: Tensor) -> tuple[Floats, Floats]:
+def placed_on(
+    paths: Singles, path: Ints, along_m: Singles, left_m: Singles
+) -> tuple[Singles, Singles]:
+    """Points and unit tangents (..., 2) at coordinates (...) on the path (...) of (P, 121, 2).
+
+    As `anchors.placed_on`: straight on past the last node, and tangents change linearly between
+    nodes.
+    """
+    step = np.diff(paths, axis=1)
+    after = np.concatenate([step[:, 1:], step[:, -1:]], 1)
+    place = along_m * np.float32(1.0 / NODE_SPACING_M)
+    base = np.clip(np.floor(place), 0.0, step.shape[1] - 1)
+    share = place - base
+    row = (base.astype(np.int64) + path * step.shape[1]).ravel()
+    turned = np.clip(share - np.float32(0.5), 0.0, 0.5)
+    point, tangent = [], []
+    for axis in (0, 1):  # x and y apart, which is twice as fast
+        start, here, then = (
+            each[..., axis].ravel()[row].reshape(share.shape)
+            for each in (paths[:, :-1], step, after)
+        )
+        point.append(start + share * here)
+        tangent.append(here + turned * (then - here))
+    size = np.sqrt(np.maximum(tangent[0] ** 2 + tangent[1] ** 2, np.float32(1e-12)))
+    cos, sin = tangent[0] / size, tangent[1] / size
+    position = np.stack([point[0] - left_m * sin, point[1] + left_m * cos], -1)
+    return position, np.stack([cos, sin], -1)
+
+
+def _headings(position: Singles, tangent: Singles) -> Singles:
+    """(..., 80) headings: of the motion where it is faster than 1 m/s, else of the path."""
+    step = np.diff(position, axis=-2, prepend=np.float32(0.0))
+    moves = np.hypot(step[..., 0], step[..., 1]) > np.float32(DT_S)
+    direction = np.where(moves[..., None], step, tangent)
+    return np.arctan2(direction[..., 1], direction[..., 0])
+
+
+@cache
+def knot_matrix() -> Singles:
+    """(5, 80) maps values at the knots to all steps: Hermite, from 0 with slope 0 at time 0."""
+    times = np.array((0.0, *KNOTS_S))
+    steps = np.arange(1, FUTURE_STEPS + 1) * DT_S
+    count = len(times)
+    slope = np.zeros((count, count))
+    for row in range(1, count):
+        before, after = row - 1, min(row + 1, count - 1)
+        span = times[after] - times[before]
+        slope[row, after] += 1 / span
+        slope[row, before] -= 1 / span
+    value = np.eye(count)
+    segment = np.clip(np.searchsorted(times, steps) - 1, 0, count - 2)
+    width = times[segment + 1] - times[segment]
+    u = ((steps - times[segment]) / width)[:, None]
+    width = width[:, None]
+    rows = (
+        (2 * u**3 - 3 * u**2 + 1) * value[segment]
+        + (u**3 - 2 * u**2 + u) * width * slope[segment]
+        + (3 * u**2 - 2 * u**3) * value[segment + 1]
+        + (u**3 - u**2) * width * slope[segment + 1]
+    )
+    return np.ascontiguousarray(rows[:, 1:].T.astype(np.float32))
+
+
+def to_scene(pose: Pose, position: Singles, heading: Singles) -> tuple[Floats, Floats]:
     """Positions (..., 2) and headings (...) of the pose's frame in the scene's."""
     return (
-        frames.to_scene(position.double().numpy(), pose.position_m, pose.heading_rad),
-        frames.wrap(heading.double().numpy() + pose.heading_rad),
+        frames.to_scene(position.astype(np.float64), pose.position_m, pose.heading_rad),
+        frames.wrap(heading.astype(np.float64) + pose.heading_rad),
     )
 
 
-def to_pose(pose: Pose, futures: Futures) -> tuple[Tensor, Tensor]:
-    """Positions (1, K, F, 2) and headings (1, K, F) of futures in the pose's frame."""
-    local = pose.to_local(futures.position_m)
-    return _tensor(local)[None], _tensor(pose.turn_rad(futures.heading_rad))[None]
-
-
-def _tensor(values: Floats) -> Tensor:
-    return torch.from_numpy(np.asarray(values, np.float32))
+def to_pose(pose: Pose, futures: Futures) -> tuple[Singles, Singles]:
+    """Positions (K, F, 2) and headings (K, F) of futures in the pose's frame."""
+    local, turned = pose.to_local(futures.position_m), pose.turn_rad(futures.heading_rad)
+    return local.astype(np.float32), turned.astype(np.float32)
 
 
 _REACH_M: Final = 3.0
 """Scale of the Laplace kernel over distance along a path."""
 
 
-def gain(alone: Goals, others: Sequence[Goals]) -> Tensor:
-    """(1, 1, P, R) log of each goal's probability under others over that under a network, nats.
+def gain(alone: GoalSet, others: Sequence[GoalSet]) -> Singles:
+    """(P, R) log of each goal's probability under others over that under a network, nats.
 
     Args:
-        alone: goals of the first network without condition (1, 1, P, R).
-        others: of each member of the second network (1, 1, P, R'), a mixture in equal parts.
+        alone: goals of the first network without condition (1, P, R).
+        others: of each member of the second network (1, P, R'), a mixture in equal parts.
     """
     end_m = _end(alone)
-    known = torch.stack([_mass_near(each, end_m) for each in others]).logsumexp(0)
-    found = known - math.log(len(others)) - _mass_near(alone, end_m)
-    return found.masked_fill(alone.logits[0, 0].isneginf(), 0.0)[None, None]
+    known = logsumexp(np.stack([_mass_near(each, end_m) for each in others], -1))
+    with np.errstate(invalid="ignore"):  # of paths that do not exist, which gain nothing
+        found = known - np.float32(math.log(len(others))) - _mass_near(alone, end_m)
+    return np.where(np.isneginf(alone.logits[0]), np.float32(0.0), found)
 
 
-def _end(goals: Goals) -> Tensor:
+def _end(goals: GoalSet) -> Singles:
     """(P, R) distances along the paths at 8 s, metres."""
-    return goals.along_m[0, :, :, -1] + goals.knots[0, 0, :, :, -1, 0]
+    return goals.along_m[..., -1] + goals.knots[0, :, :, -1, 0]
 
 
-def _mass_near(goals: Goals, end_m: Tensor) -> Tensor:
+def _mass_near(goals: GoalSet, end_m: Singles) -> Singles:
     """(P, Q) log mass of goals near ends (P, Q) on the same paths, up to a constant."""
-    off = (end_m.unsqueeze(2) - _end(goals).unsqueeze(1)).abs() / _REACH_M  # (P, Q, R)
-    score = goals.logits[0, 0].flatten().log_softmax(-1).view(goals.logits.shape[2:])
-    return (score.unsqueeze(1) - off).logsumexp(-1)
+    off = np.abs(end_m[:, :, None] - _end(goals)[:, None]) / np.float32(_REACH_M)  # (P, Q, R)
+    score = log_softmax(goals.logits[0].ravel()).reshape(goals.logits.shape[1:])
+    return logsumexp(score[:, None] - off)
+
+
+def logsumexp(values: Singles) -> Singles:
+    """(...) of (..., N); -inf where all are."""
+    most = values.max(axis=-1, keepdims=True)
+    most = np.where(np.isfinite(most), most, np.float32(0.0))
+    with np.errstate(divide="ignore"):
+        return np.log(np.exp(values - most).sum(axis=-1)) + most[..., 0]
+
+
+def log_softmax(values: Singles) -> Singles:
+    """(..., N) of (..., N), which has a finite value in each row."""
+    return values - logsumexp(values)[..., None]

@@ -11,21 +11,17 @@ import torch
 from torch import Tensor, nn
 
 from deepmf_sumo.predictors import anchors, car_following, conditioning
-from deepmf_sumo.predictors.anchors import (
-    BRAKING,
-    GOAL,
-    KNOT_STEPS,
-    START_SPEEDS_MPS,
-    goal_features,
-)
+from deepmf_sumo.predictors.anchors import BRAKING, GOAL, START_SPEEDS_MPS, goal_features
 from deepmf_sumo.predictors.car_following import Road
 from deepmf_sumo.predictors.conditioning import EVERY, Condition
 from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles
+from deepmf_sumo.predictors.features import Features
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
-from deepmf_sumo.predictors.raster import unpack
-from deepmf_sumo.predictors.vectornet import Attention, SubGraph, VectorNet
-from deepmf_sumo.predictors.vgg import VGG16
+from deepmf_sumo.predictors.vectornet import Attention, SubGraph, VectorNet, as_batch
+from deepmf_sumo.predictors.vgg import VGG16, unpack
 
+_LEAST_KERNEL_M = 0.1
 _PATH_NODES = (0, 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 25, 30, 38, 47, 60, 80, 110)
 
 
@@ -47,19 +43,20 @@ class Goals:
 
     def at_knots(self) -> tuple[Tensor, Tensor]:
         """Positions and path tangents (B, K, P, R, 5, 2) at 1, 2, 4, 6, 8 s."""
-        return self._at(list(range(len(KNOT_STEPS))))
-
-    def ends(self) -> Tensor:
-        """End points (B, K, N, 2) at 8 s; N = P * R goals."""
-        return self._at([len(KNOT_STEPS) - 1])[0].flatten(4).flatten(2, 3)
-
-    def _at(self, knots: list[int]) -> tuple[Tensor, Tensor]:
-        steps = [KNOT_STEPS[knot] for knot in knots]
-        along = self.along_m[:, None, :, :, steps] + self.knots[..., knots, 0]
+        along = self.along_m[:, None, :, :, list(KNOT_STEPS)] + self.knots[..., 0]
         along = along.clamp_min(0.0).transpose(1, 2)  # (B, P, K, R, knots)
-        left = self.knots[..., knots, 1].transpose(1, 2)
+        left = self.knots[..., 1].transpose(1, 2)
         position, tangent = anchors.placed(self.paths, along, left)
         return position.transpose(1, 2), tangent.transpose(1, 2)
+
+    def sets(self) -> list[GoalSet]:
+        """The goals of each vehicle of the batch, for `decoding`."""
+        parts = (self.logits, self.along_m, self.knots, self.paths)
+        each = zip(*(part.cpu().numpy() for part in parts), strict=True)
+        return [
+            GoalSet(logits=logits, along_m=along_m, knots=knots, paths=paths)
+            for logits, along_m, knots, paths in each
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,11 +140,36 @@ class DenseTNT(nn.Module):
 
     def forward(self, batch: dict[str, Tensor], given: Condition | None = None) -> Goals:
         """Goals of a batch of `features.Features`, under K given futures if there are any."""
-        return self.decode(self.encode(batch), given)
+        return self.decode(self.encode(trimmed(batch)), given)
+
+    @property
+    def kernel_m(self) -> Singles:
+        """See `base.TrajectoryNetwork`."""
+        width: Singles = self.widths.detach().exp().clamp_min(_LEAST_KERNEL_M).numpy()
+        return width
+
+    @torch.inference_mode()
+    def encoded(self, arrays: Features) -> Encoding:
+        """See `base.TrajectoryNetwork`."""
+        return self.encode(trimmed(as_batch(arrays)))
+
+    @torch.inference_mode()
+    def decoded(
+        self,
+        encoding: Encoding,
+        position_m: Singles | None = None,
+        heading_rad: Singles | None = None,
+    ) -> GoalSet:
+        """See `base.TrajectoryNetwork`."""
+        given = None
+        if position_m is not None and heading_rad is not None:
+            position, heading = (torch.from_numpy(one)[None] for one in (position_m, heading_rad))
+            there = torch.ones(1, len(position_m))
+            given = conditioning.encode(position, heading, there, self.preset)
+        return self.decode(encoding, given).sets()[0]
 
     def encode(self, batch: dict[str, Tensor]) -> Encoding:
         """The encoding of a batch of `features.Features`, which no given future changes."""
-        batch = _trimmed(batch)
         paths, speed = batch["paths"], batch["motion"][:, 0]
         along = anchors.profiles_at(self.profiles, speed)  # (B, R, 80)
         along = along.unsqueeze(1).expand(-1, paths.shape[1], -1, -1)
@@ -221,7 +243,7 @@ class DenseTNT(nn.Module):
         x, y = position_m.unsqueeze(2).unbind(-1)  # (B, K, 1, 5)
         ahead = cos * x + sin * y - (cos * goal_x + sin * goal_y)
         left = cos * y - sin * x - (cos * goal_y - sin * goal_x)
-        width = self.widths.exp().clamp_min(0.1)
+        width = self.widths.exp().clamp_min(_LEAST_KERNEL_M)
         log_kernel = -ahead.abs() / width[:, 0] - left.abs() / width[:, 1]
         log_kernel = log_kernel - (4 * width[:, 0] * width[:, 1]).log()
         fit = (log_kernel * valid.unsqueeze(2)).sum(-1)  # (B, K, N)
@@ -296,7 +318,7 @@ def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
 
 
-def _trimmed(batch: dict[str, Tensor]) -> dict[str, Tensor]:
+def trimmed(batch: dict[str, Tensor]) -> dict[str, Tensor]:
     """The batch without path rows that no scene uses; valid paths come first."""
     used = max(int((batch["path_info"][..., 0] > 0).sum(1).max()), 1)
     cut = {name: batch[name][:, :used] for name in ("paths", "path_info", "path_agents")}

@@ -6,21 +6,20 @@ ensembles", section 2.4.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, View
+from deepmf_sumo.datatypes import AgentId, Floats, Forecast, View
 from deepmf_sumo.predictors import decoding
-from deepmf_sumo.predictors.anchors import KNOT_STEPS
-from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.predictors.base import TrajectoryNetwork
+from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax, logsumexp
 from deepmf_sumo.predictors.features import Features, features
 from deepmf_sumo.predictors.kinematics import Pose, pose_of
 
 
-def pooled(members: Sequence[Goals]) -> Goals:
+def pooled(members: Sequence[GoalSet]) -> GoalSet:
     """The goals of all members as goals of one network; those of a single member unchanged.
 
     The logits become log probabilities within each member, so that every member has the same mass.
@@ -28,42 +27,61 @@ def pooled(members: Sequence[Goals]) -> Goals:
     """
     if len(members) == 1:
         return members[0]
-    return Goals(
-        logits=torch.cat(_of_equal_mass(members), 2),
-        along_m=torch.cat([goals.along_m for goals in members], 1),
-        knots=torch.cat([goals.knots for goals in members], 2),
-        paths=torch.cat([goals.paths for goals in members], 1),
+    return GoalSet(
+        logits=np.concatenate([_of_equal_mass(one.logits) for one in members], 1),
+        along_m=np.concatenate([one.along_m for one in members]),
+        knots=np.concatenate([one.knots for one in members], 1),
+        paths=np.concatenate([one.paths for one in members]),
     )
 
 
 def log_density(
-    nets: Sequence[DenseTNT],
-    members: Sequence[Goals],
+    kernels_m: Sequence[Singles],
+    members: Sequence[GoalSet],
     temperature: float,
-    position_m: Tensor,
-    valid: Tensor,
-) -> Tensor:
-    """(B, K) log density of true positions at the knots, see `DenseTNT.log_density`.
+    position_m: Singles,
+    valid: Singles,
+) -> Singles:
+    """(K) log density of true positions (K, 5, 2) at the knots, see `kernels`.
 
-    The temperature applies to the pooled goals; each member's goals have that member's kernels.
+    The temperature applies to the pooled goals; each member's goals have that member's kernels
+    (5, 2). ``valid`` (5) knots count.
     """
-    warm = [
-        replace(goals, logits=logits / temperature)
-        for goals, logits in zip(members, _of_equal_mass(members), strict=True)
-    ]
-    mass = torch.stack([goals.logits.flatten(2).logsumexp(-1) for goals in warm])  # (M, B, K)
-    parts = [
-        net.log_density(goals, position_m, valid).flatten(2).logsumexp(-1)
-        for net, goals in zip(nets, warm, strict=True)
-    ]
-    return (torch.stack(parts) + mass.log_softmax(0)).logsumexp(0)
-
-
-def _of_equal_mass(members: Sequence[Goals]) -> list[Tensor]:
-    """Logits of each member, normalised to the same mass; those of a single one unchanged."""
+    warm = [_of_equal_mass(one.logits[0]) / np.float32(temperature) for one in members]
     if len(members) == 1:
-        return [members[0].logits]
-    return [goals.logits.flatten(2).log_softmax(-1).view_as(goals.logits) for goals in members]
+        warm = [members[0].logits[0] / np.float32(temperature)]
+    mass = log_softmax(np.array([logsumexp(logits.ravel()) for logits in warm]))
+    parts = [
+        logsumexp(log_softmax(logits.ravel()) + kernels(one, width, position_m, valid))
+        for one, logits, width in zip(members, warm, kernels_m, strict=True)
+    ]
+    return logsumexp(np.stack(parts, -1) + mass)
+
+
+def kernels(goals: GoalSet, width_m: Singles, position_m: Singles, valid: Singles) -> Singles:
+    """(K, N) log of the Laplace kernels of all goals at the knots, in log 1/m^2 each.
+
+    As in `densetnt.DenseTNT.log_density`: widths (5, 2) along and across, positions (K, 5, 2).
+    """
+    # Each axis by itself: numpy is slow at sums over an axis of length two.
+    centre, tangent = goals.at_knots()
+    (goal_x, goal_y), (cos, sin) = (np.moveaxis(each[0], -1, 0) for each in (centre, tangent))
+    x, y = position_m[:, None, :, 0], position_m[:, None, :, 1]  # (K, 1, 5)
+    ahead = cos * x
+    ahead += sin * y
+    ahead -= cos * goal_x + sin * goal_y
+    left = cos * y
+    left -= sin * x
+    left -= cos * goal_y - sin * goal_x
+    scale = valid / width_m.T  # (2, 5)
+    fit = np.abs(ahead, out=ahead) @ -scale[0] + np.abs(left, out=left) @ -scale[1]
+    area = np.log(4 * width_m[:, 0] * width_m[:, 1])
+    return fit - (area * valid).sum(dtype=np.float32)
+
+
+def _of_equal_mass(logits: Singles) -> Singles:
+    """Logits (..., P, R) of a member as log probabilities over all its goals."""
+    return log_softmax(logits.reshape(*logits.shape[:-2], -1)).reshape(logits.shape)
 
 
 _SHORTLIST: Final = 256
@@ -75,17 +93,16 @@ class MarginalPrediction:
     """All goals of one agent at one moment.
 
     Attributes:
-        nets: the members. members: goals of each of them. whole: the goals of all, pooled.
+        kernels_m: (5, 2) of each member. members: goals of each. whole: the goals of all, pooled.
         temperature: of the probabilities.
     """
 
     pose: Pose
-    nets: tuple[DenseTNT, ...]
-    members: list[Goals]
-    whole: Goals
+    kernels_m: tuple[Singles, ...]
+    members: list[GoalSet]
+    whole: GoalSet
     temperature: float
 
-    @torch.inference_mode()
     def modes(self, count: int, *, chosen_at: int | None = None) -> Forecast:
         """``count`` futures of 80 steps each, most likely first.
 
@@ -102,27 +119,20 @@ class MarginalPrediction:
         )
         return found
 
-    @torch.inference_mode()
     def end_density(self, ends_m: Floats, kernel_m: float) -> Floats:
         """(Q) see `decoding.end_density`."""
         return decoding.end_density(self.whole, self.pose, ends_m, kernel_m)
 
-    @torch.inference_mode()
     def log_density(self, position_m: Floats) -> Floats:
         """(K) log density of given trajectories (K, 80, 2) of the scene's frame.
 
         The mixture of all goals at the temperature, with the trained kernels (Laplace, wider the
         later) at 1, 2, 4, 6, 8 s. It is comparable within one prediction.
         """
-        given = Futures(
-            agent_id=self.pose.agent_id,
-            position_m=position_m,
-            heading_rad=position_m[..., 0] * 0.0,
-        )
-        local = decoding.to_pose(self.pose, given)[0][:, :, list(KNOT_STEPS)]  # (1, K, 5, 2)
-        valid = torch.ones(1, local.shape[1], len(KNOT_STEPS))
-        density = log_density(self.nets, self.members, self.temperature, local, valid)[0]
-        return density.double().numpy()
+        local = self.pose.to_local(position_m[:, list(KNOT_STEPS)]).astype(np.float32)
+        every = np.ones(len(KNOT_STEPS), np.float32)
+        found = log_density(self.kernels_m, self.members, self.temperature, local, every)
+        return found.astype(np.float64)
 
 
 class Marginal:
@@ -135,16 +145,15 @@ class Marginal:
         temperature: of the probabilities of the mixture.
     """
 
-    def __init__(self, nets: Sequence[DenseTNT], temperature: float) -> None:
-        self.nets = tuple(net.eval() for net in nets)
+    def __init__(self, nets: Sequence[TrajectoryNetwork], temperature: float) -> None:
+        self.nets = tuple(nets)
         self.temperature = temperature
 
     @property
-    def net(self) -> DenseTNT:
-        """The first member: for gradients, which are not taken through the choice of modes."""
+    def net(self) -> TrajectoryNetwork:
+        """The first member."""
         return self.nets[0]
 
-    @torch.inference_mode()
     def predict(
         self, view: View, agent_id: AgentId, arrays: Features | None = None
     ) -> MarginalPrediction:
@@ -155,6 +164,6 @@ class Marginal:
         pose = pose_of(view, agent_id)
         if arrays is None:
             arrays, _ = features(view, agent_id, self.net.preset)
-        batch = decoding.as_batch(arrays)
-        members = [net(batch) for net in self.nets]
-        return MarginalPrediction(pose, self.nets, members, pooled(members), self.temperature)
+        members = [net.decoded(net.encoded(arrays)) for net in self.nets]
+        kernels_m = tuple(net.kernel_m for net in self.nets)
+        return MarginalPrediction(pose, kernels_m, members, pooled(members), self.temperature)

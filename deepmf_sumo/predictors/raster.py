@@ -4,9 +4,10 @@ The image looks ahead along +x of the pose: a quarter of it lies behind. Pixel (
 x = (row - pixels/4) * metres and y = (column - pixels/2) * metres.
 """
 
+import math
+
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import AgentId, Bytes, Floats, Ints, SignalState, Tracks, View
 from deepmf_sumo.predictors.config import AGENT_CLASSES, Preset
@@ -48,51 +49,10 @@ def pack(image: Bytes) -> Bytes:
     return np.packbits(image.reshape(-1))
 
 
-def unpack(bits: Tensor, preset: Preset) -> Tensor:
-    """(B, bytes) uint8 -> (B, C, pixels, pixels) float."""
-    places = torch.arange(7, -1, -1, device=bits.device, dtype=torch.uint8)
-    flat = (bits.unsqueeze(-1) >> places) & 1
-    side = preset.raster_pixels
-    count = preset.raster_channels * side * side
-    return flat.reshape(len(bits), -1)[:, :count].reshape(len(bits), -1, side, side).float()
-
-
-def repack(image: Tensor) -> Tensor:
-    """(B, C, pixels, pixels) of zeros and ones -> (B, bytes) uint8: undoes `unpack`."""
-    flat = image.flatten(1).to(torch.uint8)
-    flat = torch.nn.functional.pad(flat, (0, -flat.shape[1] % 8)).view(len(flat), -1, 8)
-    places = torch.arange(7, -1, -1, device=image.device, dtype=torch.uint8)
-    return (flat << places).sum(-1).to(torch.uint8)
-
-
-def draw_future(position_m: Tensor, preset: Preset) -> Tensor:
-    """A future (B, K, F, 2) in the pose's frame as channels (B*K, C, side, side).
-
-    C intervals of equal length share the 8 s. The image has the resolution of VGG's feature map
-    after ``condition_stage`` blocks; each position is spread over the four nearest pixels, so that
-    motion below a pixel shows.
-    """
-    batch, futures, steps, _ = position_m.shape
-    side = preset.raster_pixels >> preset.condition_stage
-    metres = preset.raster_m * preset.raster_pixels / side
-    channels = preset.condition_channels
-    place = position_m.reshape(batch * futures, steps, 2) / metres
-    place = place + place.new_tensor([side / 4 - 0.5, side / 2 - 0.5])
-    base = place.floor()
-    part = place - base
-    interval = torch.arange(steps, device=place.device) * channels // steps
-    image = place.new_zeros(batch * futures, channels * side * side)
-    for down in (0, 1):
-        for right in (0, 1):
-            cell = base.long() + torch.tensor([down, right], device=place.device)
-            weight = (part[..., 0] if down else 1 - part[..., 0]) * (
-                part[..., 1] if right else 1 - part[..., 1]
-            )
-            inside = ((cell >= 0) & (cell < side)).all(-1)
-            cell = cell.clamp(0, side - 1)
-            slot = (interval * side + cell[..., 0]) * side + cell[..., 1]
-            image.scatter_add_(1, slot, weight * inside * channels / steps)
-    return image.reshape(batch * futures, channels, side, side)
+def unpacked(bits: Bytes, preset: Preset) -> NDArray[np.float32]:
+    """(C, pixels, pixels) of what `pack` made."""
+    shape = preset.raster_channels, preset.raster_pixels, preset.raster_pixels
+    return np.unpackbits(bits, count=math.prod(shape)).reshape(shape).astype(np.float32)
 
 
 def _classes(tracks: Tracks, target_id: AgentId, av_id: AgentId) -> Ints:

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.features import Features
 
 AGENT_VECTOR = 18
 LANE_VECTOR = 16
@@ -11,6 +12,11 @@ POSITION_SCALE_M = 30.0
 SPEED_SCALE_MPS = 15.0
 _UNSEEN = -1e4
 """Score of missing elements: their share is zero, and defined even if all are missing."""
+
+
+def as_batch(features: Features) -> dict[str, Tensor]:
+    """A batch of one scene."""
+    return {name: torch.from_numpy(values)[None] for name, values in features.items()}
 
 
 class SubGraph(nn.Module):

@@ -76,3 +76,52 @@ def _convolved(layer: nn.Conv2d, shared: Tensor, future: Tensor) -> Tensor:
     own = torch.nn.functional.conv2d(shared, scene, padding=1)
     both = seen.view(len(shared), -1, *seen.shape[1:]) + own.unsqueeze(1)
     return both.flatten(0, 1)
+
+
+def unpack(bits: Tensor, preset: Preset) -> Tensor:
+    """(B, bytes) uint8 -> (B, C, pixels, pixels) float; ONNX graphs get the image itself."""
+    if bits.is_floating_point():
+        return bits
+    places = torch.arange(7, -1, -1, device=bits.device, dtype=torch.uint8)
+    flat = (bits.unsqueeze(-1) >> places) & 1
+    side = preset.raster_pixels
+    count = preset.raster_channels * side * side
+    return flat.reshape(len(bits), -1)[:, :count].reshape(len(bits), -1, side, side).float()
+
+
+def repack(image: Tensor) -> Tensor:
+    """(B, C, pixels, pixels) of zeros and ones -> (B, bytes) uint8: undoes `unpack`."""
+    flat = image.flatten(1).to(torch.uint8)
+    flat = torch.nn.functional.pad(flat, (0, -flat.shape[1] % 8)).view(len(flat), -1, 8)
+    places = torch.arange(7, -1, -1, device=image.device, dtype=torch.uint8)
+    return (flat << places).sum(-1).to(torch.uint8)
+
+
+def draw_future(position_m: Tensor, preset: Preset) -> Tensor:
+    """A future (B, K, F, 2) in the pose's frame as channels (B*K, C, side, side).
+
+    C intervals of equal length share the 8 s. The image has the resolution of VGG's feature map
+    after ``condition_stage`` blocks; each position is spread over the four nearest pixels, so that
+    motion below a pixel shows.
+    """
+    batch, futures, steps, _ = position_m.shape
+    side = preset.raster_pixels >> preset.condition_stage
+    metres = preset.raster_m * preset.raster_pixels / side
+    channels = preset.condition_channels
+    place = position_m.reshape(batch * futures, steps, 2) / metres
+    place = place + place.new_tensor([side / 4 - 0.5, side / 2 - 0.5])
+    base = place.floor()
+    part = place - base
+    interval = torch.arange(steps, device=place.device) * channels // steps
+    image = place.new_zeros(batch * futures, channels * side * side)
+    for down in (0, 1):
+        for right in (0, 1):
+            cell = base.long() + torch.tensor([down, right], device=place.device)
+            weight = (part[..., 0] if down else 1 - part[..., 0]) * (
+                part[..., 1] if right else 1 - part[..., 1]
+            )
+            inside = ((cell >= 0) & (cell < side)).all(-1)
+            cell = cell.clamp(0, side - 1)
+            slot = (interval * side + cell[..., 0]) * side + cell[..., 1]
+            image.scatter_add_(1, slot, weight * inside * channels / steps)
+    return image.reshape(batch * futures, channels, side, side)

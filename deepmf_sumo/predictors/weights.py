@@ -20,33 +20,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, Literal
-
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load as tensors_of
-from torch import Tensor, nn
+from typing import Any, Final, Literal, Protocol
 
 from deepmf_sumo import files as files_module
 from deepmf_sumo.errors import WeightsError
+from deepmf_sumo.predictors.base import OpponentNetwork, TrajectoryNetwork
 from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.marginal import Marginal
-from deepmf_sumo.predictors.opponent import Opponent, OpponentNet
-from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
+from deepmf_sumo.predictors.opponent import Opponent
 
 Network = Literal["opponent", "marginal", "conditional", "strive"]
 NETWORKS: Final[tuple[Network, ...]] = ("opponent", "marginal", "conditional")
 """Networks of the paper, which every set contains."""
 BASELINES: Final[tuple[Network, ...]] = ("strive",)
 """Networks of single baselines, which a set may lack."""
+RUNTIME: Final = "DEEPMF_SUMO_RUNTIME"
+RUNTIMES: Final = ("torch", "onnx")
 FORMAT_VERSION: Final = 1
 DIGEST: Final = "tensors_sha256"
 """Key of a card: the digest of its tensor file."""
 _LARGEST_CARD: Final = 2**20
-_LARGEST_TENSORS: Final = 2**30
+LARGEST_TENSORS: Final = 2**30
 _MOST_MEMBERS: Final = 64
 _LARGEST_NUMBER: Final = 1e6
 """Of a temperature or offset; fitted ones are within 0.1 to 10."""
@@ -74,8 +71,11 @@ class Predictors:
     conditional: Conditional
 
 
-def load(name: str | Path) -> Predictors:
-    """The predictors of a name or folder. Raises WeightsError where they cannot be used."""
+def load(name: str | Path, computed_by: str | None = None) -> Predictors:
+    """The predictors of a name or folder; ``computed_by`` another runtime than `runtime_name`.
+
+    Raises WeightsError where they cannot be used.
+    """
     folder = find(name)
     lacking = unchecked(folder)
     if lacking:
@@ -84,11 +84,10 @@ def load(name: str | Path) -> Predictors:
             f" earlier version wrote ({', '.join(lacking)}): whether files were changed is not"
             " known\n"
         )
-    opponent, opponent_card = read_network(folder, "opponent")
-    marginal, marginal_card = _marginal(folder)
-    conditional, conditional_card = read_network(folder, "conditional")
-    assert isinstance(opponent, OpponentNet)
-    assert isinstance(conditional, DenseTNT)
+    read = runtime(computed_by or runtime_name())
+    opponent, opponent_card = read.opponent(folder)
+    marginal, marginal_card = _members(folder, read)
+    conditional, conditional_card = read.trajectory(folder, "conditional")
     alone = Marginal(marginal, marginal_card["temperature"])
     return Predictors(
         name=str(name),
@@ -104,6 +103,75 @@ def load(name: str | Path) -> Predictors:
     )
 
 
+class Runtime(Protocol):
+    """What computes the networks: reads them, with their cards.
+
+    The methods raise WeightsError where a network is not whole.
+    """
+
+    def opponent(self, folder: Path) -> tuple[OpponentNetwork, dict[str, Any]]:
+        """The opponent network."""
+        ...
+
+    def trajectory(
+        self, folder: Path, network: Network, number: int = 1
+    ) -> tuple[TrajectoryNetwork, dict[str, Any]]:
+        """The marginal or conditional network, or one member of it."""
+        ...
+
+
+def _members(folder: Path, read: Runtime) -> tuple[list[TrajectoryNetwork], dict[str, Any]]:
+    """The members of the marginal network, and the first one's card.
+
+    Raises WeightsError where one is missing, of other sizes, or not the one that the card lists.
+    """
+    first, card = read.trajectory(folder, "marginal")
+    nets = [first]
+    sizes = replace(first.preset, name="", dropout=0.0)  # all that features and tensors depend on
+    for number, digest in enumerate(members(folder, card)[1:], start=2):
+        stem = member("marginal", number)
+        net, own = read.trajectory(folder, "marginal", number)
+        if replace(net.preset, name="", dropout=0.0) != sizes:
+            raise broken(folder, stem, f"{stem}.json has other sizes than marginal.json")
+        if own.get("training_digest") != digest:
+            what = f"{stem}.safetensors is not the member that marginal.json lists, with which its"
+            raise broken(folder, stem, f"{what} temperature was fitted")
+        nets.append(net)
+    return nets, card
+
+
+def runtime_name() -> str:
+    """``torch`` or ``onnx``: what `load` computes networks with.
+
+    ``$DEEPMF_SUMO_RUNTIME`` if it is set, else torch where it is installed. Raises WeightsError for
+    other names.
+    """
+    name = os.environ.get(RUNTIME) or ("torch" if find_spec("torch") else "onnx")
+    if name not in RUNTIMES:
+        raise WeightsError(f"{RUNTIME} is {name!r:.80}; set it to {' or '.join(RUNTIMES)}.")
+    return name
+
+
+def need(package: str, what: str) -> None:
+    """Raise WeightsError where a package is not installed, which ``what`` needs."""
+    if find_spec(package) is None:
+        raise WeightsError(
+            f"{what} needs {package}, which is not installed; run `pip install {package}`."
+        )
+
+
+def runtime(name: str) -> Runtime:
+    """One of `RUNTIMES`. Raises WeightsError where it is not installed."""
+    need({"torch": "torch", "onnx": "onnxruntime"}[name], f"{RUNTIME}={name}")
+    if name == "torch":
+        from deepmf_sumo.predictors.torch_networks import TorchRuntime
+
+        return TorchRuntime()
+    from deepmf_sumo.predictors.onnx_networks import OnnxRuntime
+
+    return OnnxRuntime()
+
+
 def members(folder: Path, card: dict[str, Any]) -> list[str | None]:
     """Digest of the training of each member; a card without a list is that of a single network."""
     if "members" not in card:
@@ -112,7 +180,7 @@ def members(folder: Path, card: dict[str, Any]) -> list[str | None]:
     right = isinstance(listed, list) and all(isinstance(one, dict) for one in listed)
     if not (right and 0 < len(listed) <= _MOST_MEMBERS):
         what = f"marginal.json has members {str(listed)[:80]!r}; it must be a list of"
-        raise _broken(folder, "marginal", f"{what} 1 to {_MOST_MEMBERS} trained networks")
+        raise broken(folder, "marginal", f"{what} 1 to {_MOST_MEMBERS} trained networks")
     return [one.get("training_digest") for one in listed]
 
 
@@ -145,48 +213,6 @@ def unchecked(folder: Path) -> list[str]:
 def digest_of(content: bytes) -> str:
     """Of a tensor file, for its card."""
     return hashlib.sha256(content).hexdigest()
-
-
-def motion_prior(name: str | Path) -> MotionPrior:
-    """STRIVE's motion prior of a name or folder, in evaluation mode.
-
-    Raises WeightsError where the set has none, with the command that trains it.
-    """
-    net, _ = read_network(find(name), "strive")
-    assert isinstance(net, MotionPrior)
-    return net.eval().requires_grad_(False)
-
-
-def random(preset: Preset, seed: int) -> Predictors:
-    """Untrained predictors, for tests."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        nets = {network: build(network, preset) for network in NETWORKS}
-    for net in (nets["marginal"], nets["conditional"]):
-        assert isinstance(net, DenseTNT)
-        share = torch.linspace(-1.0, 1.0, net.profiles.shape[1])[:, None]
-        share = share * torch.linspace(0.1, 8.0, 80)
-        net.profiles.copy_(4.0 * share.expand_as(net.profiles))
-    opponent, marginal, conditional = nets.values()
-    assert isinstance(opponent, OpponentNet)
-    assert isinstance(marginal, DenseTNT)
-    assert isinstance(conditional, DenseTNT)
-    return Predictors(
-        name="random",
-        folder=None,
-        opponent=Opponent(opponent, 1.0, 1.0),
-        marginal=Marginal([marginal], 1.0),
-        conditional=Conditional(conditional, 1.0),
-    )
-
-
-def build(network: Network, preset: Preset) -> nn.Module:
-    """An untrained network."""
-    if network == "opponent":
-        return OpponentNet(preset)
-    if network == "strive":
-        return MotionPrior(preset)
-    return DenseTNT(preset, conditional=network == "conditional")
 
 
 def find(name: str | Path) -> Path:
@@ -222,7 +248,7 @@ def read_card(folder: Path, network: str) -> dict[str, Any]:
         card: Any = json.loads(files_module.content(file, _LARGEST_CARD))
         why = "" if isinstance(card, dict) else "no mapping"
     except FileNotFoundError:
-        raise _missing(folder, file) from None
+        raise missing(folder, file) from None
     except OSError as error:
         why = files_module.reason(error)
     except ValueError as error:
@@ -230,65 +256,30 @@ def read_card(folder: Path, network: str) -> dict[str, Any]:
     except RecursionError:
         why = "nested too deeply"
     if why:
-        raise _broken(folder, network, f"{file.name} is not a card ({why})")
+        raise broken(folder, network, f"{file.name} is not a card ({why})")
     version = card.get("format_version")
     if version != FORMAT_VERSION:
         what = f"{file.name} has format_version {version!r:.80}, not {FORMAT_VERSION}"
-        raise _broken(folder, network, what)
+        raise broken(folder, network, what)
     return card
 
 
-def tensors(folder: Path, network: str, digest: object = None) -> dict[str, Tensor]:
-    """The tensors of one network or `member`.
-
-    Raises WeightsError where they cannot be read, or have another digest than the one given.
-    """
-    file = folder / f"{network}.safetensors"
-    try:
-        content = files_module.content(file, _LARGEST_TENSORS)
-        if digest is None or digest == digest_of(content):
-            return tensors_of(content)
-        why = f", or of another training than its card: its digest is not the card's {DIGEST}"
-    except FileNotFoundError:
-        raise _missing(folder, file) from None
-    except OSError as error:
-        why = f" ({files_module.reason(error)})"
-    except (SafetensorError, ValueError, KeyError) as error:
-        why = f" ({error})"
-    raise _broken(folder, network, f"{file.name} is damaged{why}")
-
-
-def read_network(
-    folder: Path, network: Network, number: int = 1
-) -> tuple[nn.Module, dict[str, Any]]:
-    """One network, or one member of it, and its card. Raises WeightsError where it is not whole."""
-    stem = member(network, number)
+def network_card(folder: Path, network: Network, stem: str) -> tuple[dict[str, Any], Preset]:
+    """The card of a network's files ``stem``, and its sizes. Raises WeightsError for bad values."""
     card = read_card(folder, stem)
     for key in _TEMPERATURES[network]:
         value = card.get(key)
         if not (isinstance(value, int | float) and 0.0 < value <= _LARGEST_NUMBER):
             what = f"{stem}.json has {key} {value!r:.80}; it must be a number above 0, at most"
-            raise _broken(folder, stem, f"{what} {_LARGEST_NUMBER:g}")
+            raise broken(folder, stem, f"{what} {_LARGEST_NUMBER:g}")
     offset = card.get("offset", 0.0)
     if not (isinstance(offset, int | float) and abs(offset) <= _LARGEST_NUMBER):
         what = f"{stem}.json has offset {offset!r:.80}; it must be a number, at most"
-        raise _broken(folder, stem, f"{what} {_LARGEST_NUMBER:g}")
+        raise broken(folder, stem, f"{what} {_LARGEST_NUMBER:g}")
     try:
-        preset = Preset.from_record(card.get("sizes"))
+        return card, Preset.from_record(card.get("sizes"))
     except WeightsError as error:
         raise WeightsError(f"{folder / stem}.json: {error} {_again(folder, stem)}.") from None
-    net = build(network, preset)
-    try:
-        net.load_state_dict(tensors(folder, stem, card.get(DIGEST)))
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())[:200]
-        what = f"{stem}.safetensors does not fit the {network} network of preset '{preset.name}'"
-        raise _broken(folder, stem, f"{what} ({reason})") from None
-    for key, value in net.state_dict().items():
-        if not torch.isfinite(value).all():
-            what = f"{stem}.safetensors has numbers in '{key}' that are not finite"
-            raise _broken(folder, stem, what)
-    return net, card
 
 
 def _places(name: str | Path) -> tuple[Path, ...]:
@@ -299,34 +290,13 @@ def _places(name: str | Path) -> tuple[Path, ...]:
     return (home() / name, Path(".weights") / name, Path(name))
 
 
-def _marginal(folder: Path) -> tuple[list[DenseTNT], dict[str, Any]]:
-    """The members of the marginal network, and the first one's card.
-
-    Raises WeightsError where one is missing, of other sizes, or not the one that the card lists.
-    """
-    first, card = read_network(folder, "marginal")
-    assert isinstance(first, DenseTNT)
-    nets = [first]
-    sizes = replace(first.preset, name="", dropout=0.0)  # all that features and tensors depend on
-    for number, digest in enumerate(members(folder, card)[1:], start=2):
-        stem = member("marginal", number)
-        net, own = read_network(folder, "marginal", number)
-        assert isinstance(net, DenseTNT)
-        if replace(net.preset, name="", dropout=0.0) != sizes:
-            raise _broken(folder, stem, f"{stem}.json has other sizes than marginal.json")
-        if own.get("training_digest") != digest:
-            what = f"{stem}.safetensors is not the member that marginal.json lists, with which its"
-            raise _broken(folder, stem, f"{what} temperature was fitted")
-        nets.append(net)
-    return nets, card
-
-
-def _missing(folder: Path, file: Path) -> WeightsError:
+def missing(folder: Path, file: Path) -> WeightsError:
+    """The error for a file that a set lacks."""
     what = f"The weights in {folder} are incomplete: {file.name} is missing"
     return WeightsError(f"{what}; {_again(folder, file.stem)}.")
 
 
-def _broken(folder: Path, stem: str, what: str) -> WeightsError:
+def broken(folder: Path, stem: str, what: str) -> WeightsError:
     """The error for a file of a folder; ``what`` starts with the file's name."""
     return WeightsError(f"{folder}{os.sep}{what}; {_again(folder, stem)}.")
 
@@ -340,8 +310,8 @@ def _again(folder: Path, stem: str) -> str:
     )
 
 
-def cached_predictors(name: str | Path) -> Predictors:
-    """As `weights.load`; read again where a file of its networks has changed since.
+def cached_predictors(name: str | Path, computed_by: str | None = None) -> Predictors:
+    """As `load`; read again where a file of its networks has changed since.
 
     Raises WeightsError where they cannot be used.
     """
@@ -349,43 +319,34 @@ def cached_predictors(name: str | Path) -> Predictors:
     files = [
         file  # members of a network have names that begin like its own
         for network in NETWORKS
-        for suffix in ("safetensors", "json")
+        for suffix in ("safetensors", "onnx", "json")
         for file in sorted(folder.glob(f"{network}*.{suffix}"))
     ]
     changed = tuple((file.name, file.stat().st_mtime_ns) for file in files)
-    return _loaded(folder, changed)
-
-
-def cached_motion_prior(name: str | Path) -> MotionPrior:
-    """As `weights.motion_prior`; read again where its tensor file has changed since.
-
-    Raises WeightsError where the set has none, or it cannot be used.
-    """
-    folder = find(name).resolve()
-    file = folder / "strive.safetensors"
-    return _cached_motion_prior(folder, file.stat().st_mtime_ns if file.is_file() else 0)
-
-
-@lru_cache(maxsize=2)
-def _cached_motion_prior(folder: Path, changed: int) -> MotionPrior:  # noqa: ARG001 - part of the key
-    return motion_prior(folder)
+    return _loaded(folder, computed_by or runtime_name(), changed)
 
 
 @lru_cache(maxsize=4)
 def _loaded(
     folder: Path,
+    computed_by: str,
     changed: tuple[tuple[str, int], ...],  # noqa: ARG001 - part of the key
 ) -> Predictors:
-    return load(folder)
+    return load(folder, computed_by)
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One thread, and afterwards as many as before.
+    """One thread of torch, if it computes, and afterwards as many as before.
 
     The networks are small: on cores that SUMO and others use as well, several threads wait for one
     another most of the time. The number is the whole process's, which may be a user's script.
     """
+    if runtime_name() != "torch":
+        yield
+        return
+    import torch
+
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -122,7 +122,9 @@ _NUMBERED: Final = {"accident_type", "avoidance_grade"}
 """Metrics whose values are numbers of names: counted, since their mean says nothing."""
 _DIRECTIONS: Final = {"pdof"}
 """Directions: a mean across the jump from -pi to pi is not a direction between them."""
-_PACKAGES: Final = ("libsumo", "eclipse-sumo", "torch", "numpy", "pydantic", "shapely")
+_PACKAGES: Final = (
+    "libsumo", "eclipse-sumo", "torch", "onnxruntime", "numpy", "pydantic", "shapely",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

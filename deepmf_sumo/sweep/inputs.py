@@ -183,13 +183,13 @@ def _weights(name: str) -> list[Path]:
         return []
     folder = Path(name)
     if not folder.is_absolute():
-        from deepmf_sumo.predictors.weights import find  # brings torch along
+        from deepmf_sumo.predictors.weights import find
 
         try:
             folder = find(name).absolute()
         except WeightsError:
             return []
-    return sorted(file for file in folder.glob("*") if file.suffix in {".json", ".safetensors"})
+    return sorted(file for file in folder.glob("*") if file.suffix in {".json", ".onnx", ".safetensors"})
 
 
 def _origin(module: str) -> Path | None:

@@ -9,6 +9,7 @@ from torch import nn
 
 import deepmf_sumo
 from deepmf_sumo import tables
+from deepmf_sumo.predictors.torch_networks import tensors
 from deepmf_sumo.predictors.weights import (
     DIGEST,
     FORMAT_VERSION,
@@ -17,7 +18,6 @@ from deepmf_sumo.predictors.weights import (
     digest_of,
     listed,
     read_card,
-    tensors,
     unchecked,
 )
 from deepmf_sumo.training.fit import checkpoints

@@ -7,7 +7,7 @@ from typing import Final
 from torch import Tensor, nn
 
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training.samples.dataset import Progress
@@ -44,7 +44,7 @@ def file_of(
         if member > 1 and stem not in weights.listed(source):
             stem = network
         _check_sizes(source, stem, preset)
-        weights.tensors(source, stem)
+        torch_networks.tensors(source, stem)
         return source / f"{stem}.safetensors"
     if network != "conditional" or not (folder / "marginal.safetensors").is_file():
         return None
@@ -62,7 +62,7 @@ def check(
     """Raise the errors of `file_of` and `load`."""
     file = file_of(network, preset, folder, begin_from, report)
     if file is not None:
-        load(weights.build(network, preset), network, file)
+        load(torch_networks.build(network, preset), network, file)
 
 
 def digest(file: Path | None) -> str:
@@ -77,7 +77,7 @@ def load(net: nn.Module, network: Network, file: Path) -> None:
     condition. If the condition enters the image, its channels come after the shared ones. Tensors
     that an older set lacks start as zeros. Raises WeightsError if the tensors do not fit.
     """
-    found = weights.tensors(file.parent, file.stem)
+    found = torch_networks.tensors(file.parent, file.stem)
     own = net.state_dict()
     widens = network == "conditional" and file.stem == MARGINAL
     lacking = set() if widens else own.keys() - found.keys()

@@ -9,12 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.predictors import decoding, marginal, weights
-from deepmf_sumo.predictors.anchors import KNOT_STEPS
-from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.predictors import decoding, marginal, torch_networks, weights
+from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
+from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.training import cards, run
 from deepmf_sumo.training.fit.loop import in_batches
 from deepmf_sumo.training.networks import trajectory
@@ -75,7 +74,7 @@ def _measured(training: Training, report: Progress) -> dict[str, Any]:
     """The mixture's temperature and held-out figures."""
     nets = []
     for number in range(training.members):
-        net, _ = weights.read_network(training.folder, "marginal", number + 1)
+        net, _ = torch_networks.read_network(training.folder, "marginal", number + 1)
         assert isinstance(net, DenseTNT)
         nets.append(net.eval())
     dataset = run.open_dataset("marginal", training, report)
@@ -97,27 +96,30 @@ def mixture_errors(nets: Sequence[DenseTNT], dataset: Dataset) -> dict[str, Any]
         return {}
     sums: dict[str, float] = {}
     for batch in in_batches(dataset, rows, _BATCH):
-        members = [net(batch) for net in nets]
-        for name, chosen in (("", len(nets)), ("first_", 1)):
-            for key, value in _figures(nets[:chosen], members[:chosen], batch).items():
-                sums[name + key] = sums.get(name + key, 0.0) + float(value.sum())
+        members = [net(batch).sets() for net in nets]
+        truth = zip(batch["future"].numpy(), batch["future_valid"].numpy(), strict=True)
+        for each, (future, valid) in zip(zip(*members, strict=True), truth, strict=True):
+            for name, chosen in (("", len(nets)), ("first_", 1)):
+                found = _figures(nets[:chosen], each[:chosen], future, valid)
+                for key, value in found.items():
+                    sums[name + key] = sums.get(name + key, 0.0) + value
     return {"samples": len(rows)} | {
         key: round(value / len(rows), 4) for key, value in sums.items()
     }
 
 
 def _figures(
-    nets: Sequence[DenseTNT], members: Sequence[Goals], batch: dict[str, Tensor]
-) -> dict[str, Tensor]:
-    """(B) each."""
+    nets: Sequence[DenseTNT], members: Sequence[GoalSet], future: Singles, valid: Singles
+) -> dict[str, float]:
+    """Of one sample: its true future (80, 2), and where it is known (80)."""
     knots = list(KNOT_STEPS)
-    valid = batch["future_valid"][:, None, knots]
-    density = marginal.log_density(nets, members, 1.0, batch["future"][:, None, knots], valid)
-    found = {"loss": -density[:, 0]}
+    kernels_m = [net.kernel_m for net in nets]
+    density = marginal.log_density(kernels_m, members, 1.0, future[None, knots], valid[knots])
+    found = {"loss": -float(density[0])}
     goals = marginal.pooled(members)
-    weight, ends = goals.logits[:, 0].flatten(1).softmax(-1), goals.ends()[:, 0]
+    weight, ends = np.exp(log_softmax(goals.logits[0].reshape(1, -1))), goals.ends()
     for modes in _MODES:
         chosen, _ = decoding.select(weight, ends, modes)
-        at = ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2))
-        found[f"min_fde_{modes}"] = (at - batch["future"][:, -1:]).norm(dim=-1).amin(1)
+        off = np.hypot(*(ends[0, chosen[0]] - future[-1]).T)
+        found[f"min_fde_{modes}"] = float(off.min())
     return found

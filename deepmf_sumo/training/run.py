@@ -13,10 +13,10 @@ import torch
 from torch import nn
 
 from deepmf_sumo.errors import OutputError, RunError, WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT
-from deepmf_sumo.predictors.opponent import OpponentNet
+from deepmf_sumo.predictors.opponent_net import OpponentNet
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training import cards, initial_weights
@@ -140,7 +140,7 @@ def _prepared(
 ) -> tuple[nn.Module, Dataset]:
     """The network before its first step, and the samples to train it on."""
     torch.manual_seed(training.seed)
-    net = weights.build(network, training.preset)
+    net = torch_networks.build(network, training.preset)
     if initial is not None:
         initial_weights.load(net, network, initial)
     dataset = filter_drivers(network, open_dataset(network, training, report), report)
@@ -219,7 +219,7 @@ def _complete(folder: Path, stem: str, digest: str) -> bool:
     """Whether the folder contains the result of this training."""
     try:
         card = weights.read_card(folder, stem)
-        weights.tensors(folder, stem)
+        torch_networks.tensors(folder, stem)
     except WeightsError:
         return False
     return card.get("training_digest") == digest

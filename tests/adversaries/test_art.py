@@ -18,10 +18,10 @@ from deepmf_sumo.adversaries import _episodes as episodes
 from deepmf_sumo.adversaries._art_descent import Bounds
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.deepmf.tracking import Start
-from deepmf_sumo.predictors import anchors, weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import LIGHT, changed
-from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.vectornet import as_batch
 
 from tests.support.driven_world import NOW, World, driven_limits
 from tests.support.predictor_doubles import view_of
@@ -34,7 +34,7 @@ FOREVER = np.inf
 
 @pytest.fixture(scope="module")
 def predictors():
-    return distinct(weights.random(SMALL, seed=3))
+    return distinct(torch_networks.random(SMALL, seed=3))
 
 
 def distinct(made):
@@ -45,7 +45,7 @@ def distinct(made):
 
 @pytest.fixture
 def loaded(monkeypatch, predictors):
-    monkeypatch.setattr(weights, "cached_predictors", lambda name: predictors)
+    monkeypatch.setattr(weights, "cached_predictors", lambda *_: predictors)
 
 
 def attack(world, values=None, budget=None, seed=0):
@@ -206,10 +206,8 @@ class TestHistory:
             art_history, "as_batch",
             lambda arrays: {name: each.double() for name, each in doubled(arrays).items()},
         )  # fmt: skip
-        matrix = anchors.knot_matrix().double()
-        monkeypatch.setattr(anchors, "knot_matrix", lambda: matrix)
         view = turning_view()
-        net = distinct(weights.random(SMALL, seed=3)).marginal.net.double()
+        net = distinct(torch_networks.random(SMALL, seed=3)).marginal.net.double()
         past = art_history.Past(view, "b", net)
         av = np.stack([0.9 * np.arange(1, 81), np.zeros(80)], -1)
         meeting = art_history.Meeting(view, "b", av, np.ones(80, dtype=bool))

@@ -14,6 +14,7 @@ from deepmf_sumo.adversaries._strive import Costs, Path, Search, situation_of
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.planners import replay
+from deepmf_sumo.predictors import torch_networks
 from deepmf_sumo.predictors import weights as weights_module
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
@@ -65,7 +66,7 @@ def scouted(case):
 
 @pytest.fixture(autouse=True)
 def _no_weights(monkeypatch, net):
-    monkeypatch.setattr(weights_module, "cached_motion_prior", lambda name: net)
+    monkeypatch.setattr(torch_networks, "cached_motion_prior", lambda name: net)
     monkeypatch.setattr(weights_module, "cached_predictors", lambda name: Doubles())
 
 

@@ -118,7 +118,7 @@ def test_machine_is_read():
 BROKEN = {
     "libsumo.py": "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
     "torch.py": "raise OSError('libtorch.so: undefined symbol')",
-    "numpy.py": "raise ImportError('numpy.core failed to import')",
+    "matplotlib.py": "raise ImportError('_path failed to import')",
     "sumo.py": "raise ImportError('no binaries')",
 }
 """Modules that stand before the installed ones, as broken wheels do."""
@@ -138,8 +138,8 @@ def test_broken_wheels_are_lines(tmp_path):
     assert bad == {
         "libsumo": "cannot be loaded: its process was ended by signal 11",
         "netconvert": "networks cannot be built: ImportError: no binaries",
-        "torch": "cannot be loaded: OSError: libtorch.so: undefined symbol",
-        "libraries": "cannot be loaded: ImportError: numpy.core failed to import",
+        "networks": "cannot be loaded: OSError: libtorch.so: undefined symbol",
+        "libraries": "cannot be loaded: ImportError: _path failed to import",
     }
 
 
@@ -154,12 +154,12 @@ def test_other_weights_are_named(monkeypatch, tmp_path):
 
 def test_the_command_goes_on_after_a_broken_line(monkeypatch, capsys):
     fine = Finding("ok", "fine")
-    for name in ("libsumo", "netconvert", "sumo_gui", "torch", "libraries"):
+    for name in ("libsumo", "netconvert", "sumo_gui", "networks", "libraries"):
         monkeypatch.setattr(doctor, name, lambda: fine)
     monkeypatch.setattr(doctor, "weights_of_set", lambda name: fine)
     assert main._run(["doctor"]) == 0
-    monkeypatch.setattr(doctor, "torch", lambda: 1 / 0)
+    monkeypatch.setattr(doctor, "networks", lambda: 1 / 0)
     assert main._run(["doctor"]) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert "BAD  torch          ZeroDivisionError: division by zero" in lines
+    assert "BAD  networks       ZeroDivisionError: division by zero" in lines
     assert lines[-1].split()[1] == "cache"

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepmf_sumo.datatypes import Futures
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.features import features
 
@@ -19,7 +19,7 @@ MODES = 16
 
 def conditional(reactive):
     """A network with opinions, that is told of following or not."""
-    made = weights.random(replace(SMALL, reactive=reactive), 0).conditional
+    made = torch_networks.random(replace(SMALL, reactive=reactive), 0).conditional
     for layer in (made.net.score, made.net.motion):
         for value in layer.parameters():
             value.data *= 20.0

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards
 
@@ -17,13 +17,13 @@ SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), prof
 
 
 def member(seed, preset=SMALL):
-    return weights.random(preset, seed).marginal.net
+    return torch_networks.random(preset, seed).marginal.net
 
 
 @pytest.fixture
 def folder(tmp_path):
     """A set with two members."""
-    made, place = weights.random(SMALL, 1), tmp_path / "mine"
+    made, place = torch_networks.random(SMALL, 1), tmp_path / "mine"
     card = {"sizes": SMALL.record(), "temperature": 1.3, "partner_temperature": 1.1}
     cards.write(place, "marginal-2", member(2), card | {"training_digest": "b"})
     for network in weights.NETWORKS:

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from deepmf_sumo.predictors import decoding, marginal, weights
+from deepmf_sumo.predictors import decoding, marginal, torch_networks
 from deepmf_sumo.predictors.config import LIGHT
+from deepmf_sumo.predictors.decoding import log_softmax
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.kinematics import pose_of
 from deepmf_sumo.predictors.marginal import Marginal
@@ -20,7 +20,7 @@ SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4), prof
 @pytest.fixture(scope="module")
 def nets():
     """Two networks of other seeds and kernels, with opinions."""
-    made = [weights.random(SMALL, seed).marginal.net for seed in (0, 1)]
+    made = [torch_networks.random(SMALL, seed).marginal.net for seed in (0, 1)]
     for net in made:
         net.score.weight.data *= 20.0
     made[1].widths.data += 0.7
@@ -28,29 +28,29 @@ def nets():
 
 
 def goals_of(nets):
-    batch = decoding.as_batch(features(view(), "av", SMALL)[0])
-    with torch.inference_mode():
-        return [net(batch) for net in nets]
+    arrays, _ = features(view(), "av", SMALL)
+    return [net.decoded(net.encoded(arrays)) for net in nets]
+
+
+def shares_of(goals):
+    return np.exp(log_softmax(goals.logits.ravel())).reshape(goals.logits.shape)
 
 
 def test_members_have_equal_mass_and_one_is_as_it_is(nets):
     members = goals_of(nets)
     assert marginal.pooled(members[:1]) is members[0]
     whole = marginal.pooled(members)
-    paths = members[0].logits.shape[2]
-    share = whole.logits.flatten(2).softmax(-1).view_as(whole.logits)
-    assert share[:, :, :paths].sum().item() == pytest.approx(0.5, abs=1e-5)
-    own = members[1].logits.flatten(2).softmax(-1).view_as(members[1].logits)
-    assert torch.allclose(share[:, :, paths:], own / 2, atol=1e-6)
-    assert torch.equal(whole.ends(), torch.cat([goals.ends() for goals in members], 2))
+    paths = members[0].logits.shape[1]
+    share = shares_of(whole)
+    assert share[:, :paths].sum() == pytest.approx(0.5, abs=1e-5)
+    assert np.allclose(share[:, paths:], shares_of(members[1]) / 2, atol=1e-6)
+    assert np.array_equal(whole.ends(), np.concatenate([one.ends() for one in members], 1))
 
 
 def test_modes_are_goals_of_either_member(nets):
     pose, members = pose_of(view(), "av"), goals_of(nets)
     everything = [
-        decoding.to_scene(
-            pose, *decoding.complete(goals, torch.arange(goals.logits.numel())[None])
-        )[0][0]
+        decoding.to_scene(pose, *decoding.complete(goals, np.arange(goals.logits.size)[None]))[0][0]
         for goals in members
     ]
     modes = Marginal(nets, 1.0).predict(view(), "av").modes(16).futures.position_m
@@ -82,7 +82,7 @@ def test_the_temperature_is_that_of_all_goals_together(nets):
     warm = Marginal(nets, 3.0).predict(view(), "av").log_density(modes)
     share, members = [], goals_of(nets)
     for goals in members:
-        probability = goals.logits.flatten().double().softmax(-1) / 2
+        probability = shares_of(goals).astype(float) / 2
         share.append((probability ** (1 / 3.0)).sum())
     share = [float(one / sum(share)) for one in share]
     assert abs(share[0] - share[1]) > 0.01

@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from deepmf_sumo.datatypes import SignalState
-from deepmf_sumo.predictors import kinematics, weights
+from deepmf_sumo.predictors import kinematics, torch_networks
 from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.opponent import OTHERS, PAIR, Opponent, opponent_features, surroundings
 from deepmf_sumo.predictors.route_relations import MEETING, lane_columns
 from deepmf_sumo.predictors.routes import SPACING_M, lane_routes, on_lanes
+from deepmf_sumo.predictors.vectornet import as_batch
 
 from tests.support.synthetic import crossing, scene, view
 
@@ -19,7 +19,7 @@ from tests.support.synthetic import crossing, scene, view
 def net():
     """Random weights, those that begin at zero too."""
     torch.manual_seed(0)
-    made = weights.build("opponent", LIGHT).eval()
+    made = torch_networks.build("opponent", LIGHT).eval()
     for member in made.members:
         torch.nn.init.normal_(member.scene[-1].weight, std=0.1)
     return made
@@ -151,7 +151,7 @@ def test_each_encoder_acts_and_can_be_left_out(net, branch):
     whole, _ = opponent_features(view(), LIGHT)
     arrays, _ = opponent_features(view(), preset)
     assert set(arrays) < set(whole)
-    without = weights.build("opponent", preset).eval()
+    without = torch_networks.build("opponent", preset).eval()
     kept = {name: value for name, value in net.state_dict().items() if name in without.state_dict()}
     without.load_state_dict(kept)
     with torch.inference_mode():
@@ -161,7 +161,7 @@ def test_each_encoder_acts_and_can_be_left_out(net, branch):
 
 def test_the_network_begins_as_one_on_pairs_alone():
     torch.manual_seed(0)
-    made = weights.build("opponent", LIGHT).eval()
+    made = torch_networks.build("opponent", LIGHT).eval()
     arrays, _ = opponent_features(view(), LIGHT)
     batch = as_batch(arrays)
     other = {**batch, "raster": torch.zeros_like(batch["raster"])}

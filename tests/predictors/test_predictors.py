@@ -5,19 +5,21 @@ import pytest
 import torch
 
 from deepmf_sumo.datatypes import Futures, RoadMap
-from deepmf_sumo.predictors import conditioning, decoding, raster, weights
+from deepmf_sumo.predictors import conditioning, decoding, raster, torch_networks
 from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.predictors.features import features, lane_arrays
 from deepmf_sumo.predictors.kinematics import pose_of
 from deepmf_sumo.predictors.lanes import ROAD_CHANNELS, road_index
 from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.vectornet import as_batch
+from deepmf_sumo.predictors.vgg import unpack
 
 from tests.support.synthetic import lane, scene, straight, view
 
 
 @pytest.fixture(scope="module")
 def predictors():
-    return weights.random(LIGHT, 0)
+    return torch_networks.random(LIGHT, 0)
 
 
 def southern(shift=0.0):
@@ -61,7 +63,7 @@ def test_forecasts_turn_with_the_scene(predictors):
 @pytest.fixture(scope="module")
 def opinionated():
     """Scores that differ, so that few goals have most of the mass."""
-    net = weights.random(LIGHT, 0).marginal.net
+    net = torch_networks.random(LIGHT, 0).marginal.net
     net.score.weight.data *= 30.0
     return net
 
@@ -81,16 +83,15 @@ def test_modes_spread_wider_where_the_temperature_says_that_tails_are_likelier(o
 
 def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated):
     marginal = Marginal([opinionated], 1.0)
-    goals = opinionated(decoding.as_batch(features(view(), "av", LIGHT)[0]))
-    probability = goals.logits[0, 0].flatten().softmax(0)
-    every = decoding.complete(goals, torch.arange(len(probability))[None])
-    pose = pose_of(view(), "av")
-    all_m = decoding.to_scene(pose, *(each.detach() for each in every))[0][0, :, 29]
+    goals = opinionated.decoded(opinionated.encoded(features(view(), "av", LIGHT)[0]))
+    probability = np.exp(decoding.log_softmax(goals.logits.ravel()))
+    every = decoding.complete(goals, np.arange(len(probability))[None])
+    all_m = decoding.to_scene(pose_of(view(), "av"), *every)[0][0, :, 29]
 
     def expected_error(chosen_at):
         found = marginal.predict(view(), "av").modes(6, chosen_at=chosen_at)
         apart = np.linalg.norm(all_m[:, None] - found.futures.position_m[:, 29], axis=-1)
-        return float(apart.min(1) @ probability.detach().numpy())
+        return float(apart.min(1) @ probability)
 
     assert expected_error(29) < expected_error(None)
 
@@ -131,15 +132,16 @@ def test_the_given_future_acts_through_each_path_alone(predictors, path):
     pose = pose_of(view(), "av")
 
     def encoded(futures):
-        position, heading = decoding.to_pose(pose, futures)
+        local = decoding.to_pose(pose, futures)
+        position, heading = (torch.from_numpy(one)[None] for one in local)
         return conditioning.encode(position, heading, torch.ones(1, 1), LIGHT)
 
     with torch.inference_mode():
         base = encoded(southern())
         other = encoded(southern(-25.0))
         mixed = replace(base, **{path: getattr(other, path)})
-        plain = net(decoding.as_batch(arrays), base).logits
-        changed = net(decoding.as_batch(arrays), mixed).logits
+        plain = net(as_batch(arrays), base).logits
+        changed = net(as_batch(arrays), mixed).logits
     there = torch.isfinite(plain)
     assert (plain[there] - changed[there]).abs().max() > 1e-5
 
@@ -149,10 +151,11 @@ def test_without_a_condition_the_conditional_is_marginal(predictors):
     pose = pose_of(view(), "av")
     net = predictors.conditional.net
     with torch.inference_mode():
-        position, heading = decoding.to_pose(pose, southern())
+        local = decoding.to_pose(pose, southern())
+        position, heading = (torch.from_numpy(one)[None] for one in local)
         off = conditioning.encode(position, heading, torch.zeros(1, 1), LIGHT)
-        dropped = net(decoding.as_batch(arrays), off).logits
-        none = net(decoding.as_batch(arrays)).logits
+        dropped = net(as_batch(arrays), off).logits
+        none = net(as_batch(arrays)).logits
     assert torch.equal(dropped, none)
 
 
@@ -199,11 +202,11 @@ def test_the_image_shows_what_is_where():
     street = 8 + ROAD_CHANNELS.index("street")
     assert image[street, 14:40, 28].all()
     bits = torch.from_numpy(raster.pack(image))[None]
-    assert np.array_equal(raster.unpack(bits, LIGHT)[0].numpy(), image)
+    assert np.array_equal(unpack(bits, LIGHT)[0].numpy(), image)
 
 
 def test_paper_preset_has_the_published_sizes():
-    net = weights.build("conditional", PAPER)
+    net = torch_networks.build("conditional", PAPER)
     assert PAPER.raster_channels == 60
     assert net.image.blocks[0][0].weight.shape == (64, 140, 3, 3)
     kernels = [m for m in net.image.modules() if isinstance(m, torch.nn.Conv2d)]

@@ -9,9 +9,9 @@ from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.anchors import BRAKING
 from deepmf_sumo.predictors.conditioning import encode
 from deepmf_sumo.predictors.config import LIGHT, PAPER, VECTOR, Preset, changed
-from deepmf_sumo.predictors.decoding import as_batch
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.features import features
+from deepmf_sumo.predictors.vectornet import as_batch
 
 from tests.support.synthetic import view
 

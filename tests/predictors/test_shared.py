@@ -10,7 +10,7 @@ from deepmf_sumo.predictors import weights
 
 def test_one_copy_until_a_file_changes(tmp_path, monkeypatch):
     loaded = []
-    monkeypatch.setattr(weights, "load", lambda folder: loaded.append(folder) or object())
+    monkeypatch.setattr(weights, "load", lambda folder, _: loaded.append(folder) or object())
     file = tmp_path / "marginal.safetensors"
     file.write_bytes(b"")
     first = weights.cached_predictors(tmp_path)

@@ -1,9 +1,10 @@
 """What is made once for all given futures is what each future alone would give."""
 
+import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.predictors import anchors, conditioning
+from deepmf_sumo.predictors import anchors, conditioning, decoding
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.vectornet import Attention
 from deepmf_sumo.predictors.vgg import VGG16
@@ -59,21 +60,15 @@ def test_paths_of_no_length_have_a_gradient():
     assert (along.grad[0, 0] > 0).all()
 
 
-def test_the_knot_matrix_of_a_prediction_can_be_differentiated_with():
-    anchors.knot_matrix.cache_clear()
-    with torch.inference_mode():
-        anchors.knot_matrix()
-    knots = torch.ones(5, requires_grad=True)
-    (knots @ anchors.knot_matrix()).sum().backward()
-    assert knots.grad is not None
-
-
 def test_points_on_numbered_paths_are_those_of_each_path():
     torch.manual_seed(0)
     paths = torch.randn(1, 3, 121, 2).cumsum(2)
     path = torch.tensor([2, 0, 2, 1])
     along, left = torch.rand(4, 6) * 260, torch.randn(4, 6)
     point, tangent = anchors.placed_on(paths[0], path[:, None], along, left)
+    arrays = (each.numpy() for each in (paths[0], path[:, None], along, left))
+    for one, same in zip(decoding.placed_on(*arrays), (point, tangent), strict=True):
+        np.testing.assert_allclose(one, same, atol=1e-4)
     for row, number in enumerate(path.tolist()):
         one = anchors.placed(
             paths[:, number : number + 1], along[row][None, None], left[row][None, None]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.predictors.strive import bicycle, costs
 from deepmf_sumo.predictors.strive.graph import MEMBERS, NODES, SPACING_M, graph_of, members
@@ -170,14 +170,14 @@ def test_metres_off_the_road():
 
 def test_a_set_without_the_prior_names_the_command(tmp_path):
     with pytest.raises(WeightsError, match=r"strive\.json is missing.*deepmf-sumo train strive"):
-        weights.motion_prior(tmp_path)
+        torch_networks.motion_prior(tmp_path)
 
 
 def test_weights_go_through_a_file(net, tmp_path):
     card = {"network": "strive", "preset": "light", "sizes": LIGHT.record()}
     cards.write(tmp_path / "set", "strive", net, card)
     assert "## strive" in (tmp_path / "set" / "card.md").read_text()
-    again = weights.motion_prior(tmp_path / "set")
+    again = torch_networks.motion_prior(tmp_path / "set")
     assert not again.training
     batch = batch_of(view())
     with torch.no_grad():

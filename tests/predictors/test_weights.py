@@ -4,7 +4,7 @@ import math
 import pytest
 
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards
 
@@ -13,7 +13,7 @@ from tests.support.synthetic import view
 
 @pytest.fixture
 def folder(tmp_path):
-    made = weights.random(LIGHT, 1)
+    made = torch_networks.random(LIGHT, 1)
     for network in weights.NETWORKS:
         net = getattr(made, network).net
         card = {
@@ -28,7 +28,7 @@ def folder(tmp_path):
 
 def test_what_is_written_is_loaded(folder):
     found = weights.load(folder)
-    made = weights.random(LIGHT, 1)
+    made = torch_networks.random(LIGHT, 1)
     ends = view().history.position_m[:, -1]
     one, other = (
         each.marginal.predict(view(), "av").end_density(ends, 2.0) for each in (found, made)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.config import LIGHT
+from deepmf_sumo.predictors.vgg import repack, unpack
 from deepmf_sumo.training.networks import trajectory
 from deepmf_sumo.training.samples.trajectory import trajectory_samples
 
@@ -63,8 +63,8 @@ def test_rows_that_are_not_named_stay(batch):
 
 
 def test_an_image_survives_packing(batch):
-    image = raster.unpack(batch["raster"], LIGHT)
-    assert torch.equal(raster.repack(image), batch["raster"])
+    image = unpack(batch["raster"], LIGHT)
+    assert torch.equal(repack(image), batch["raster"])
     assert image.sum() > 0
 
 

@@ -9,7 +9,7 @@ import torch
 
 from deepmf_sumo import readers
 from deepmf_sumo.errors import OutputError, RunError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards, initial_weights, members, run
 from deepmf_sumo.training.config import Optimisation
@@ -108,7 +108,8 @@ def test_members_differ_by_seed_and_the_first_card_lists_them(trained, made):
     assert (trained.folder / "curves" / "marginal-2.csv").is_file()
     assert not list(trained.folder.glob("*.checkpoint*"))
     one, other = (
-        weights.tensors(trained.folder, name)["score.weight"] for name in ("marginal", "marginal-2")
+        torch_networks.tensors(trained.folder, name)["score.weight"]
+        for name in ("marginal", "marginal-2")
     )
     assert (one - other).abs().max() > 0.01
 
@@ -172,9 +173,9 @@ def test_members_begin_from_those_of_another_set(trained, tmp_path):
         for member in (1, 2, 3)
     ]
     assert names == ["marginal", "marginal-2", "marginal"]
-    net = weights.build("marginal", SMALL)
+    net = torch_networks.build("marginal", SMALL)
     initial_weights.load(net, "marginal", trained.folder / "marginal-2.safetensors")
-    own = weights.tensors(trained.folder, "marginal-2")["score.weight"]
+    own = torch_networks.tensors(trained.folder, "marginal-2")["score.weight"]
     assert torch.equal(net.score.weight, own.float())
 
 
@@ -193,7 +194,7 @@ def test_a_card_that_cannot_be_written_leaves_the_members(trained, monkeypatch):
 
 def test_the_mixture_predicts(trained):
     for network in ("opponent", "conditional"):
-        net = getattr(weights.random(SMALL, 0), network).net
+        net = getattr(torch_networks.random(SMALL, 0), network).net
         values = {"sizes": SMALL.record(), "temperature": 1.0, "partner_temperature": 1.0}
         cards.write(trained.folder, network, net, values)
     found = weights.load(trained.folder).marginal

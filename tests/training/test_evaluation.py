@@ -12,7 +12,7 @@ from deepmf_sumo import readers
 from deepmf_sumo.cli.evaluate import command
 from deepmf_sumo.datatypes import Forecast, Futures, OpponentScores, Source
 from deepmf_sumo.errors import OutputError, ReaderError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import cards, evaluation
@@ -371,7 +371,7 @@ def test_main_figures_go_onto_the_cards(predictors, given, tmp_path, monkeypatch
     given(*SCENES)
     monkeypatch.setattr(weights, "find", lambda _: tmp_path)
     for network in weights.NETWORKS:
-        net = getattr(weights.random(LIGHT, 0), network).net
+        net = getattr(torch_networks.random(LIGHT, 0), network).net
         cards.write(tmp_path, network, net, {"network": network})
     found = evaluation.run(
         [Path("here")], name="double", file=None, card=True, threads=None, report=print
@@ -404,7 +404,7 @@ def test_real_networks_and_clusters_are_measured(monkeypatch, given, tmp_path):
         rng.normal(size=(40, 80, 2)), np.ones((40, 80), bool), np.zeros((40, 6)), rng
     )
     clusters.write(fitted, tmp_path)
-    made = replace(weights.random(LIGHT, 0), folder=tmp_path)
+    made = replace(torch_networks.random(LIGHT, 0), folder=tmp_path)
     monkeypatch.setattr(weights, "load", lambda _: made)
     given(SCENES[0])
     found = evaluate()

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards, initial_weights
 
@@ -19,14 +19,14 @@ def folder(tmp_path):
     for seed, network in enumerate(("marginal", "conditional")):
         torch.manual_seed(seed)
         card = {"sizes": SMALL.record(), "preset": "small"}
-        cards.write(made, network, weights.build(network, SMALL), card)
+        cards.write(made, network, torch_networks.build(network, SMALL), card)
     return made
 
 
 def begin(network, folder, begin_from, preset=SMALL):
     lines = []
     file = initial_weights.file_of(network, preset, folder, begin_from, lines.append)
-    net = weights.build(network, preset)
+    net = torch_networks.build(network, preset)
     if file is not None:
         initial_weights.load(net, network, file)
     return net.state_dict(), file, lines
@@ -35,7 +35,7 @@ def begin(network, folder, begin_from, preset=SMALL):
 def test_a_network_begins_from_the_same_one_of_another_set(folder, tmp_path):
     for network in ("marginal", "conditional"):
         state, file, _ = begin(network, tmp_path / "new", str(folder))
-        saved = weights.tensors(folder, network)
+        saved = torch_networks.tensors(folder, network)
         assert state.keys() == saved.keys()
         assert all(torch.equal(state[name], saved[name].to(state[name])) for name in saved)
         assert initial_weights.name_of(file, "before") == "before"
@@ -43,7 +43,7 @@ def test_a_network_begins_from_the_same_one_of_another_set(folder, tmp_path):
 
 def test_the_conditional_network_begins_from_the_marginal_one_beside_it(folder):
     state, file, _ = begin("conditional", folder, None)
-    shared = weights.tensors(folder, "marginal")
+    shared = torch_networks.tensors(folder, "marginal")
     assert state.keys() > shared.keys()
     for name, value in shared.items():
         own = state[name][tuple(slice(size) for size in value.shape)]
@@ -96,7 +96,7 @@ def test_damaged_or_missing_tensors_are_refused(folder, tmp_path):
 
 def test_what_an_older_set_was_not_told_adds_nothing_at_first(folder, tmp_path):
     older = replace(SMALL, reactive=False)
-    made = weights.build("conditional", older)
+    made = torch_networks.build("conditional", older)
     cards.write(folder, "conditional", made, {"sizes": older.record(), "preset": "small"})
     state, _, _ = begin("conditional", tmp_path / "new", str(folder))
     assert not state["goal_follow.weight"].any()

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks
 from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training.networks import opponent
 from deepmf_sumo.training.samples import opponent as opponent_samples
@@ -79,7 +79,7 @@ def test_labels_are_those_of_all_times_against_all_times():
 @pytest.mark.slow_unit
 def test_training_on_a_few_samples_lowers_both_losses(samples):
     torch.manual_seed(0)
-    net = weights.build("opponent", replace(LIGHT, raster=False, vectors=False))
+    net = torch_networks.build("opponent", replace(LIGHT, raster=False, vectors=False))
     loss = opponent.loss_of(net)
     batch = {
         name: torch.from_numpy(np.stack([each[name] for each in samples])) for name in samples[0]
@@ -100,7 +100,7 @@ def test_training_on_a_few_samples_lowers_both_losses(samples):
 
 def test_both_encoders_learn_once_the_pairs_have_begun(samples):
     torch.manual_seed(0)
-    net = weights.build("opponent", LIGHT)
+    net = torch_networks.build("opponent", LIGHT)
     for member in net.members:
         torch.nn.init.normal_(member.scene[-1].weight, std=0.1)
     batch = {
@@ -113,7 +113,7 @@ def test_both_encoders_learn_once_the_pairs_have_begun(samples):
 
 
 def test_a_batch_without_any_named_partner_has_a_loss(samples):
-    net = weights.build("opponent", replace(LIGHT, raster=False, vectors=False))
+    net = torch_networks.build("opponent", replace(LIGHT, raster=False, vectors=False))
     batch = {
         name: torch.from_numpy(np.stack([each[name] for each in samples])) for name in samples[0]
     }

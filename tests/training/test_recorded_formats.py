@@ -6,7 +6,7 @@ import pickle
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks
 
 from tests.support import recordings_by_hand as by_hand
 
@@ -24,7 +24,7 @@ def test_tfrecords_and_scenarionet_folders_are_trained_on_together(tmp_path):
     sources = ["--data", f"{shard}=3", "--data", f"{folder}=1"]
     places = ["--out", str(tmp_path / "set"), "--cache", str(tmp_path / "cache")]
     assert main._run(["train", "opponent", "--steps", "2", *sources, *places]) == 0
-    _, card = weights.read_network(tmp_path / "set", "opponent")
+    _, card = torch_networks.read_network(tmp_path / "set", "opponent")
     assert [(one["name"], one["scenes"], one["share"]) for one in card["data"]] == [
         (shard.name, 3, 0.75),
         ("scenarionet", 2, 0.25),

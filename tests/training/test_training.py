@@ -10,7 +10,7 @@ from deepmf_sumo import readers
 from deepmf_sumo.cli.train import command
 from deepmf_sumo.datatypes import ROLLOUT
 from deepmf_sumo.errors import OutputError, RunError, UsageError, WeightsError
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import LIGHT, PAPER
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import run
@@ -76,7 +76,7 @@ def test_all_networks_are_trained_and_usable(training, recordings):
 def test_training_lowers_the_loss(training):
     made = run.open_dataset("marginal", training, print)
     torch.manual_seed(0)
-    net = weights.build("marginal", LIGHT)
+    net = torch_networks.build("marginal", LIGHT)
     trajectory.fit_profiles(net, made, 0)
     loss = trajectory.loss_of(net)
     schedule = loop.Schedule(steps=16, batch=8, evaluate_every=16)
@@ -159,7 +159,7 @@ def test_the_paper_preset_takes_one_step():
         name: torch.from_numpy(np.stack([each[name] for each in arrays])) for name in arrays[0]
     }
     torch.manual_seed(0)
-    net = weights.build("conditional", PAPER)
+    net = torch_networks.build("conditional", PAPER)
     given = trajectory.partner_condition(batch, PAPER, None)
     assert given.image.shape == (2, 80, 224, 224)
     goals = net(batch, given)
@@ -171,7 +171,7 @@ def test_the_paper_preset_takes_one_step():
 
 def test_the_loss_is_lower_for_what_happened(training):
     made = run.open_dataset("marginal", training, print)
-    net = weights.build("marginal", LIGHT)
+    net = torch_networks.build("marginal", LIGHT)
     trajectory.fit_profiles(net, made, 0)
     net.eval()
     batch = loop.tensors(made.batch(np.arange(8)))

@@ -114,7 +114,7 @@ def _weights(pages: Iterable[RunPage]) -> list[str]:
 
 def _licences(name: str) -> list[list[str]] | str:
     """Network, licence and day of training of each of a set's networks; or why not known."""
-    from deepmf_sumo.predictors import weights  # brings torch along
+    from deepmf_sumo.predictors import weights
 
     try:
         folder = weights.find(name)

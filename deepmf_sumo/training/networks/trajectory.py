@@ -13,10 +13,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from deepmf_sumo.predictors import anchors, conditioning, decoding, marginal, raster
-from deepmf_sumo.predictors.anchors import KNOT_STEPS
+from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.predictors import anchors, conditioning, decoding, marginal, vgg
 from deepmf_sumo.predictors.conditioning import Condition
 from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.networks import clusters
@@ -118,16 +119,21 @@ def fit_temperature(nets: Sequence[DenseTNT], dataset: Dataset, modes: int) -> f
         return 1.0
     nll = np.zeros(len(_TEMPERATURES))
     for batch in in_batches(dataset, rows, 64):
-        goals = marginal.pooled([net(batch, _given(net, batch)) for net in nets])
-        logits = goals.logits[:, 0].flatten(1)
-        ends = goals.ends()[:, 0]
-        chosen, _ = decoding.select(logits.softmax(-1), ends, modes)
-        at = ends.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2))
-        nearest = (at - batch["future"][:, -1:]).norm(dim=-1).argmin(1, keepdim=True)
-        for row, temperature in enumerate(_TEMPERATURES):
-            mass = decoding.mass((logits / temperature).softmax(-1), ends, at)
-            nll[row] -= float(mass.gather(1, nearest).clamp_min(1e-4).log().sum())
+        members = [net(batch, _given(net, batch)).sets() for net in nets]
+        for each, true in zip(zip(*members, strict=True), batch["future"][:, -1], strict=True):
+            nll += _negative_log_likelihoods(marginal.pooled(each), true.numpy(), modes)
     return float(_TEMPERATURES[nll.argmin()])
+
+
+def _negative_log_likelihoods(goals: GoalSet, end_m: Singles, modes: int) -> Floats:
+    """(T) of the mode nearest to a true end (2), at all temperatures."""
+    logits, ends = goals.logits[0].reshape(1, -1), goals.ends()
+    chosen, _ = decoding.select(np.exp(log_softmax(logits)), ends, modes)
+    at = ends[:, chosen[0]]  # (1, M, 2)
+    nearest = np.hypot(*(at[0] - end_m).T).argmin()
+    warm = [np.exp(log_softmax(logits / np.float32(one))) for one in _TEMPERATURES]
+    mass = np.array([decoding.mass(one, ends, at)[0, nearest] for one in warm])
+    return -np.log(np.maximum(mass.astype(np.float64), 1e-4))
 
 
 def mixture_loss(net: DenseTNT, goals: Goals, batch: dict[str, Tensor]) -> Tensor:
@@ -163,7 +169,7 @@ def mirrored(batch: dict[str, Tensor], rows: Tensor, preset: Preset) -> dict[str
         batch[name] = values * sign
     if preset.raster and rows.any():
         bits = batch["raster"].clone()
-        bits[rows] = raster.repack(raster.unpack(bits[rows], preset).flip(3))
+        bits[rows] = vgg.repack(vgg.unpack(bits[rows], preset).flip(3))
         batch["raster"] = bits
     return batch
 

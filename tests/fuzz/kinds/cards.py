@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import deepmf_sumo
-from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors import torch_networks, weights
 
 from tests.fuzz import mutators, runner
 
@@ -48,7 +48,7 @@ def _text(values: object) -> str:
 
 def _use(folder: Path, out: Path) -> None:
     weights.load(folder)
-    weights.motion_prior(folder)
+    torch_networks.motion_prior(folder)
     weights.unchecked(folder)
 
 

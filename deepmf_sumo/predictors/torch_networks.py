@@ -1,0 +1,138 @@
+"""The networks in torch: reading, building, and the runtime that computes with them."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as tensors_of
+from torch import Tensor, nn
+
+from deepmf_sumo import files
+from deepmf_sumo.predictors import weights
+from deepmf_sumo.predictors.base import OpponentNetwork, TrajectoryNetwork
+from deepmf_sumo.predictors.conditional import Conditional
+from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.densetnt import DenseTNT
+from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.opponent import Opponent
+from deepmf_sumo.predictors.opponent_net import OpponentNet
+from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
+from deepmf_sumo.predictors.weights import Network, Predictors, broken
+
+
+class TorchRuntime:
+    """See `weights.Runtime`."""
+
+    def opponent(self, folder: Path) -> tuple[OpponentNetwork, dict[str, Any]]:
+        """The opponent network."""
+        net, card = read_network(folder, "opponent")
+        assert isinstance(net, OpponentNet)
+        return net, card
+
+    def trajectory(
+        self, folder: Path, network: Network, number: int = 1
+    ) -> tuple[TrajectoryNetwork, dict[str, Any]]:
+        """The marginal or conditional network, or one member of it."""
+        net, card = read_network(folder, network, number)
+        assert isinstance(net, DenseTNT)
+        return net, card
+
+
+def build(network: Network, preset: Preset) -> nn.Module:
+    """An untrained network."""
+    if network == "opponent":
+        return OpponentNet(preset)
+    if network == "strive":
+        return MotionPrior(preset)
+    return DenseTNT(preset, conditional=network == "conditional")
+
+
+def random(preset: Preset, seed: int) -> Predictors:
+    """Untrained predictors, for tests."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        nets = {network: build(network, preset).eval() for network in weights.NETWORKS}
+    for net in (nets["marginal"], nets["conditional"]):
+        assert isinstance(net, DenseTNT)
+        share = torch.linspace(-1.0, 1.0, net.profiles.shape[1])[:, None]
+        share = share * torch.linspace(0.1, 8.0, 80)
+        net.profiles.copy_(4.0 * share.expand_as(net.profiles))
+    opponent, marginal, conditional = nets.values()
+    assert isinstance(opponent, OpponentNet)
+    assert isinstance(marginal, DenseTNT)
+    assert isinstance(conditional, DenseTNT)
+    return Predictors(
+        name="random",
+        folder=None,
+        opponent=Opponent(opponent, 1.0, 1.0),
+        marginal=Marginal([marginal], 1.0),
+        conditional=Conditional(conditional, 1.0),
+    )
+
+
+def tensors(folder: Path, network: str, digest: object = None) -> dict[str, Tensor]:
+    """The tensors of one network or `member`.
+
+    Raises WeightsError where they cannot be read, or have another digest than the one given.
+    """
+    file = folder / f"{network}.safetensors"
+    try:
+        content = files.content(file, weights.LARGEST_TENSORS)
+        if digest is None or digest == weights.digest_of(content):
+            return tensors_of(content)
+        why = ", or of another training than its card: its digest is not the card's "
+        why += weights.DIGEST
+    except FileNotFoundError:
+        raise weights.missing(folder, file) from None
+    except OSError as error:
+        why = f" ({files.reason(error)})"
+    except (SafetensorError, ValueError, KeyError) as error:
+        why = f" ({error})"
+    raise broken(folder, network, f"{file.name} is damaged{why}")
+
+
+def read_network(
+    folder: Path, network: Network, number: int = 1
+) -> tuple[nn.Module, dict[str, Any]]:
+    """One network, or one member of it, and its card. Raises WeightsError where it is not whole."""
+    stem = weights.member(network, number)
+    card, preset = weights.network_card(folder, network, stem)
+    net = build(network, preset)
+    try:
+        net.load_state_dict(tensors(folder, stem, card.get(weights.DIGEST)))
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())[:200]
+        what = f"{stem}.safetensors does not fit the {network} network of preset '{preset.name}'"
+        raise broken(folder, stem, f"{what} ({reason})") from None
+    for key, value in net.state_dict().items():
+        if not torch.isfinite(value).all():
+            what = f"{stem}.safetensors has numbers in '{key}' that are not finite"
+            raise broken(folder, stem, what)
+    return net.eval(), card
+
+
+def motion_prior(name: str | Path) -> MotionPrior:
+    """STRIVE's motion prior of a name or folder, in evaluation mode.
+
+    Raises WeightsError where the set has none, with the command that trains it.
+    """
+    net, _ = read_network(weights.find(name), "strive")
+    assert isinstance(net, MotionPrior)
+    return net.requires_grad_(False)
+
+
+def cached_motion_prior(name: str | Path) -> MotionPrior:
+    """As `motion_prior`; read again where its tensor file has changed since.
+
+    Raises WeightsError where the set has none, or it cannot be used.
+    """
+    folder = weights.find(name).resolve()
+    file = folder / "strive.safetensors"
+    return _cached_motion_prior(folder, file.stat().st_mtime_ns if file.is_file() else 0)
+
+
+@lru_cache(maxsize=2)
+def _cached_motion_prior(folder: Path, changed: int) -> MotionPrior:  # noqa: ARG001 - part of the key
+    return motion_prior(folder)
