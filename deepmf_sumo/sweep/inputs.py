@@ -189,7 +189,8 @@ def _weights(name: str) -> list[Path]:
             folder = find(name).absolute()
         except WeightsError:
             return []
-    return sorted(file for file in folder.glob("*") if file.suffix in {".json", ".onnx", ".safetensors"})
+    kinds = {".json", ".onnx", ".safetensors"}
+    return sorted(file for file in folder.glob("*") if file.suffix in kinds)
 
 
 def _origin(module: str) -> Path | None:
