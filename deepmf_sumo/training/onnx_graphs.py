@@ -5,6 +5,7 @@ random inputs of other sizes than those that they were traced with.
 """
 
 import json
+import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -200,6 +201,7 @@ def _exported(
     """
     traced = inputs(0, 5)
     shapes = {name: free.get(name, {}) for name in traced}
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it misses torchvision
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
