@@ -89,12 +89,29 @@ def encounter_s(av: Trip, other: Trip, dt_s: float) -> float:
 
     Paths on different levels do not meet. For paths that cross (by more than 30 degrees): the
     post-encroachment time. For paths that join (at most 30 degrees, and one vehicle came from
-    beside the other's lane in the last 4 s): the time to collision along the lane.
+    beside the other's lane in the last 4 s): the time to collision along the lane. 0 where they
+    touch after one of them came from beside the other's path.
     """
     if not _near(av, other):
         return float("inf")
     came = _came(av, other), _came(other, av)
+    if _touch(av, other, came):
+        return 0.0
     return min(_crossing_s(av, other, came, dt_s), _joining_s(av, other, came))
+
+
+def _touch(av: Trip, other: Trip, came: tuple[Bools, Bools]) -> bool:
+    """Whether their boxes overlap at a time, also in a sideswipe or head on."""
+    _, mine, theirs = np.intersect1d(av.step, other.step, return_indices=True)
+    apart = np.hypot(*(av.position_m[mine] - other.position_m[theirs]).T)
+    near = apart < (np.hypot(*av.size_m) + np.hypot(*other.size_m)) / 2
+    near &= (came[0][theirs] | came[1][mine]) & ~clear(_heights(av)[mine], _heights(other)[theirs])
+    mine, theirs = mine[near], theirs[near]
+    touch = boxes.overlap(
+        av.position_m[mine], av.heading_rad[mine], av.size_m,
+        other.position_m[theirs], other.heading_rad[theirs], other.size_m,
+    )  # fmt: skip
+    return bool(touch.any())
 
 
 def _near(av: Trip, other: Trip) -> bool:

@@ -22,6 +22,10 @@ OFFROAD_SHARE: Final = 0.05
 TTC_CEILING_S: Final = 10.0
 """`ttc_s` of an attacked run in which AV and opponent were never on a collision course."""
 
+SPARE: Final = "time_to_spare"
+_CONFLICT_S: Final = 5.0
+"""Longer post-encroachment times are not conflicts (Gettman et al., FHWA-HRT-08-051, 2008)."""
+
 _NEGLIGIBLE: Final = 0.05
 """s, m and m/s: rounding on another machine moves all runs a little, and all in one direction."""
 
@@ -152,6 +156,16 @@ def _ttc(result: Result) -> float | None:
         return None
     found = metric(result, "ttc_min")
     return TTC_CEILING_S if found is None else min(found, TTC_CEILING_S)
+
+
+def criticality(spare_s: float | None) -> float:
+    """1 in contact, 0 where the AV's encounters left 5 s or more, or no path crossed its own."""
+    return 0.0 if spare_s is None else max(0.0, 1.0 - spare_s / _CONFLICT_S)
+
+
+def _criticality(result: Result) -> float | None:
+    found = result["metrics"].get(SPARE)
+    return None if found is None else criticality(found["value"])
 
 
 def _inverse(name: str) -> Value:
@@ -303,6 +317,12 @@ QUANTITIES: Final = (
         definition="least time to collision of AV and opponent in an attacked run, at most"
         f" {TTC_CEILING_S:g} s",
     ),
+    Quantity(
+        name="criticality", unit="1", better="higher", value=_criticality, metric=SPARE,
+        in_table=False, rule_out=0.1,
+        definition="mean over attacked runs of 1 - value / 5 s, at least 0, and 0 without an"
+        " encounter: what places of the risk map are ranked by",
+    ),
     _mean(
         "required_braking_mps2", "m/s2", "higher", "required_deceleration",
         "hardest braking that the opponent asks of the AV, up to 1 s before a contact",
@@ -334,8 +354,9 @@ COMPARABLE: Final = {
     name: BY_NAME[name]
     for name in (
         "impact_mps", "av_collision_rate", "collision_rate", "valid_collision_rate",
-        "avoidable_rate", "av_at_fault_rate", "ttc_s", "min_gap_m", "required_braking_mps2",
-        "collision_speed_mps", "delta_v_mps", *(name for name, *_ in _OF_THE_AV), *_INVERSE,
+        "avoidable_rate", "av_at_fault_rate", "criticality", "ttc_s", "min_gap_m",
+        "required_braking_mps2", "collision_speed_mps", "delta_v_mps",
+        *(name for name, *_ in _OF_THE_AV), *_INVERSE,
     )
 }  # fmt: skip
 """What `check` and `compare` judge, by name: what is worse for the AV is said of each."""

@@ -13,24 +13,22 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import stored
+from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk import passing
 from deepmf_sumo.risk import places as places_module
 from deepmf_sumo.risk.conflict_types import ConflictType, Pose, conflict_type
-from deepmf_sumo.risk.criticality import criticality
 from deepmf_sumo.risk.passing import Traffic
 from deepmf_sumo.risk.places import Places, Spot
 from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
-
-_SPARE: Final = "time_to_spare"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,7 +165,7 @@ def _attacked(
         gap_m=part.metrics.get("min_gap"),
         delta_v_mps=part.metrics.get("delta_v"),
         against=against,
-        criticality=criticality(part.metrics[_SPARE]) if _SPARE in part.metrics else None,
+        criticality=criticality(part.metrics[SPARE]) if SPARE in part.metrics else None,
         kind=kind,
         pet_s=part.metrics.get("pet"),
         speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),

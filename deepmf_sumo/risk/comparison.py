@@ -106,7 +106,8 @@ def _networks(side: Mapping[str, Result]) -> dict[str, set[str]]:
 
 
 COMPARED: Final = (
-    "av_collision_rate", "collision_rate", "ttc_s", "min_gap_m", "required_braking_mps2",
+    "av_collision_rate", "collision_rate", "criticality", "ttc_s", "min_gap_m",
+    "required_braking_mps2",
 )  # fmt: skip
 CONFIDENCE: Final = 0.95
 _IDENTITY: Final = ("spec", "network", "method", "planner")

@@ -25,8 +25,6 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import betainc, betaln, softmax
 
-SPARE_S: Final = 5.0
-"""Longer post-encroachment times are not conflicts (Gettman et al., FHWA-HRT-08-051, 2008)."""
 _BOUND: Final = 1.645
 """Of a 90 % interval, in standard deviations."""
 _BORROWED: Final = 4
@@ -58,11 +56,6 @@ class Drawn(NamedTuple):
     def stands_out(self) -> bool:
         """Whether the whole interval is above the typical place."""
         return self.surely > 0
-
-
-def criticality(spare_s: float | None) -> float:
-    """1 in contact, 0 where the AV's encounters left 5 s or more, or no path crossed its own."""
-    return 0.0 if spare_s is None else max(0.0, 1.0 - spare_s / SPARE_S)
 
 
 def drawn(

@@ -57,7 +57,7 @@ class Row:
         ttc_s, gap_m: least of all attacks. delta_v_mps, delta_v_most_mps: mean and most of hits.
         risk: chance of such an event in an attack here, see `shrinkage`.
         rank: among the places of its kind, by the lower end of the risk; 1 is the worst.
-        criticality: mean of the attacks here, see `criticality`; None where it was not measured.
+        criticality: mean of the attacks here, see `quantities.criticality`; or None.
         rank_criticality: among the places of its kind, by how far its interval is above the
             typical place.
         passing: vehicles at a movement or an edge without an attack; None where that is not known.

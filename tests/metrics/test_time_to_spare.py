@@ -87,6 +87,21 @@ def test_contact_leaves_nothing():
     assert measured(paths).value == 0.0
 
 
+def test_a_sideswipe_and_a_contact_head_on_leave_nothing_either():
+    beside = straight(0, 3.5, 10)[:40]
+    beside[:, 1] -= 0.06 * np.arange(40)  # until corners touch
+    beside[:, 2] = -0.3
+    assert measured({"av": straight(0, 0, 10)[:27], "b": beside[:27]}).value == 0.0
+    head_on = straight(62, 3.0, 10, heading=np.pi)[:41]
+    head_on[:, 1] = np.linspace(3.0, 1.9, 41)
+    assert measured({"av": straight(0, 0, 10)[:41], "b": head_on}).value == 0.0
+
+
+def test_a_ram_from_behind_in_the_lane_is_no_encounter():
+    paths = {"av": straight(0, 0, 5)[:41], "b": straight(-20, 0, 10)[:41]}
+    assert measured(paths).value is None
+
+
 def test_nobody_attacked_is_a_reason():
     assert (
         measured({"av": straight(0, 0, 10)}, opponent_id=None).reason == "no vehicle was attacked"

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import risk
+from deepmf_sumo.results.quantities import criticality
 from deepmf_sumo.risk import places
-from deepmf_sumo.risk.criticality import criticality, drawn, ranks
+from deepmf_sumo.risk.criticality import drawn, ranks
 from deepmf_sumo.risk.places import Spot
 
 from tests.support.risk_doubles import NET
