@@ -106,10 +106,10 @@ class STRIVE:
         self, case: Case, simulate: Simulate, budget: Budget, rng: np.random.Generator
     ) -> Attack:
         """The attack; trials are the rounds. Raises WeightsError if the set has no prior."""
-        from deepmf_sumo.predictors.torch_networks import cached_motion_prior
-
         chosen = self._settings
         self.load()  # not timed
+        from deepmf_sumo.predictors.torch_networks import cached_motion_prior
+
         net = cached_motion_prior(self._weights)
         choose = nearest_vehicle if self._opponent is None else self._opponent.of(case)
         limit = limited(budget, chosen.rounds + 1, chosen.seconds)

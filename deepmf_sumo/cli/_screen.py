@@ -311,7 +311,7 @@ def announce_moments(request: Request, found: Found) -> None:
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     limit = "the limit of a million vehicle steps is reached; " * (request.scouting.until_s is None)
-    further = "" if found.complete or wish.at_s else f" ({limit}{wish.later})"
+    further = "" if found.complete or wish.at_s or wish.again else f" ({limit}{wish.later})"
     seen = counted(found.vehicles, "vehicle")
     click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)
     moments = counted(len(found.moments), "moment")

@@ -76,9 +76,7 @@ def command(ctx: click.Context, /, out: Path, overwrite: bool, **given: Any) -> 
         for kind in (Port, live.Wish, Stay)
     )
     with leaving() as stopped:
-        done = live.attach(
-            Port(**port), live.Wish(**wish), Stay(**stay), out,
-            overwrite=overwrite, stopped=stopped, tell=tell_attack,
-        )  # fmt: skip
+        prepared = live.prepare(live.Wish(**wish), out, overwrite=overwrite)
+        done = live.attach(Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell_attack)
     show_session(done, given["av"], out)
     ctx.exit(exit_code("interrupted") if done.end == "stopped" else 0)

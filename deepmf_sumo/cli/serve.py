@@ -56,6 +56,7 @@ def command(
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
     )
+    prepared = live.prepare(live.Wish(net=read.net, **wish), out, overwrite=overwrite)
     code = 0
     with leaving() as stopped, live.Server(config, port, ctx.meta[AFTER], gui=gui) as server:
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
@@ -64,12 +65,12 @@ def command(
         server.check()
         if server.joined.is_set():
             done = live.attach(
-                Port(number=server.inner), live.Wish(net=read.net, **wish),
-                Stay(patience_s=float("inf"), **stay), out,
-                overwrite=overwrite, stopped=stopped, tell=tell_attack,
+                Port(number=server.inner), prepared, Stay(patience_s=float("inf"), **stay),
+                stopped=lambda: stopped() or server.unused.is_set(), tell=tell_attack,
             )  # fmt: skip
             show_session(done, given["av"], out)
             code = exit_code("interrupted") if done.end == "stopped" else 0
+            code = exit_code("failed") if server.unused.is_set() else code
             server.stay(lambda: stopped() and done.end != "stopped")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)

@@ -118,7 +118,7 @@ def _compare(out: Path) -> None:
     from deepmf_sumo.risk import comparison
 
     before, after = (out / side for side in SIDES)
-    compared = comparison.compare(before, after, comparison.COMPARED, comparison.CONFIDENCE)
+    compared = comparison.compare(before, after, changed_on_purpose=True)
     names = str(before), str(after)
     screen.show_comparison(compared, names)
     files.write(out / "compared", compared, names)

@@ -99,6 +99,6 @@ def _rule(text: str) -> PydanticCustomError:
 
 def load(file: Path) -> tuple[Change, ...]:
     """The changes of a file. Raises SpecError with file, line and key."""
-    document = read(file)
+    document = read(file, "a file of changes begins with 'version: 1'")
     found: Changes = checked(Changes, document.values, (), document)
     return found.changes

@@ -322,13 +322,39 @@ class Attached:
     watched: bool
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prepared:
+    """All that a session needs except SUMO: the wish, and what it was made into."""
+
+    wish: Wish
+    spec: Spec
+    policy: Policy
+    record: Record
+
+
+def prepare(wish: Wish, out: Path, *, overwrite: bool = False) -> Prepared:
+    """Errors in a command show here, before SUMO waits for this client.
+
+    Args:
+        wish: the attacks that are wanted.
+        out: folder for the attacks.
+        overwrite: delete the results of an earlier command in it, when the session begins.
+
+    Raises SpecError and UsageError for a wrong command, WeightsError for weights, OutputError for a
+    folder that cannot be used.
+    """
+    triggers_of(wish)
+    spec = spec_of(wish)
+    policy = policy_of(spec)
+    record = Record(out, wish.av, spec, overwrite=overwrite)
+    return Prepared(wish=wish, spec=spec, policy=policy, record=record)
+
+
 def attach(
     port: Port,
-    wish: Wish,
+    prepared: Prepared,
     stay: Stay,
-    out: Path,
     *,
-    overwrite: bool = False,
     stopped: Callable[[], bool],
     tell: Callable[[dict[str, Any]], None],
 ) -> Attached:
@@ -336,20 +362,15 @@ def attach(
 
     Args:
         port: where SUMO listens.
-        wish: the attacks that are wanted.
+        prepared: see `prepare`.
         stay: how long to take part.
-        out: folder for the attacks.
-        overwrite: delete the results of an earlier command in it.
         stopped: whether to leave now.
         tell: called with each attack that is over.
 
     Raises UsageError for a wrong command, SimulationError if no SUMO listens, the connection is
-    lost or the AV never appears; attacks before that are in ``out``.
+    lost or the AV never appears; attacks before that are in the folder.
     """
-    triggers_of(wish)  # an error in the command shows before SUMO waits for this client
-    spec = spec_of(wish)
-    policy = policy_of(spec)
-    record = Record(out, wish.av, spec, overwrite=overwrite)
+    wish, record = prepared.wish, prepared.record
 
     def add(attack: LiveAttack) -> None:
         record.add(attack)
@@ -362,7 +383,7 @@ def attach(
         def driven() -> bool:
             return not clients or others(api) != 0
 
-        own = session(api, wish, spec, add, policy, driven)
+        own = session(api, wish, prepared.spec, add, prepared.policy, driven)
         collisions = str(api.simulation.getOption("collision.action"))
         record.begin(setting_of(own, wish, planner="sumo" if clients == 0 else "script"))
         steps = Lockstep(api, own, wish.av, stay, stopped)

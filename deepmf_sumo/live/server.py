@@ -31,6 +31,7 @@ LARGEST: Final = 64 * 2**20
 _OK: Final = b"\x00"
 _ERROR: Final = b"\xff"
 _START_S: Final = 60.0
+_END_S: Final = 3.0
 _AGAIN_S: Final = 0.05
 _LOOK_S: Final = 0.2
 _NO_LOAD: Final = (
@@ -53,7 +54,7 @@ class Server:
 
     Attributes:
         port: as given, or the one that was free. inner: the port for `attach`.
-        joined: set once the client has connected.
+        joined: set once the client has connected. unused: set once it has left without a step.
         complaints: sentences on clients that were refused or broke off.
 
     Raises UsageError for a port that is in use, SimulationError where SUMO does not start.
@@ -63,7 +64,7 @@ class Server:
         self, config: Path, port: int, options: Sequence[str] = (), *, gui: bool = False
     ) -> None:
         self.complaints: list[str] = []
-        self.joined = threading.Event()
+        self.joined, self.unused = threading.Event(), threading.Event()
         self._listener = _listening(port)
         self.port = int(self._listener.getsockname()[1])
         self.inner = _free_port()
@@ -106,7 +107,11 @@ class Server:
     ) -> None:
         self._listener.close()
         self._sumo.terminate()
-        self._sumo.wait()
+        try:
+            self._sumo.wait(_END_S)
+        except subprocess.TimeoutExpired:  # it does not listen while it waits for clients
+            self._sumo.kill()
+            self._sumo.wait()
 
     def _serve(self) -> None:
         """The client's life; others that come meanwhile are turned away."""
@@ -127,14 +132,18 @@ class Server:
 
     def _pass_on(self, client: socket.socket, sumo: socket.socket) -> None:
         """All that the client says, until it closes. Raises OSError."""
-        closed = False
+        closed = stepped = False
         try:
             for commands in _messages(client):
-                closed = closed or any(_number(one) == CLOSE for one in commands)
+                numbers = {_number(one) for one in commands}
+                closed, stepped = closed or CLOSE in numbers, stepped or STEP in numbers
                 _send(client, b"".join(_answered(sumo, one) for one in commands))
         except ProtocolError as error:
             self.complaints.append(f"the client was disconnected: {error}")
         finally:
+            if not stepped:
+                self.complaints.append("the client left before its first step: nothing happened")
+                self.unused.set()
             if not closed:  # SUMO ends for all where a client disappears
                 with suppress(OSError, ProtocolError):
                     _answered(sumo, _command(CLOSE, b""))

@@ -291,7 +291,7 @@ class Lockstep:
         session: attacks.
         av_id: the vehicle that it attacks.
         stay: how long to take part.
-        stopped: whether to leave now; called after each step.
+        stopped: whether to leave now; called before the first step and after each.
 
     Attributes:
         ended_s: the simulation's time at the end.
@@ -365,6 +365,8 @@ class Lockstep:
         )
 
     def _steps(self) -> End:
+        if self._stopped():
+            return "stopped"
         while True:
             self._session.before_step()
             self._api.simulationStep()
@@ -410,6 +412,7 @@ class Lockstep:
         nearest = difflib.get_close_matches(self._av, there, n=3)
         hint = f" Nearest: {', '.join(nearest)}." if nearest else ""
         known = f" Now there: {', '.join(there[:8])}{', ...' if len(there) > 8 else ''}."
+        known = known if there else " No vehicle is there now."
         raise SimulationError(
             f"Vehicle '{self._av}' has not appeared in {waited:.0f} s of the simulation"
             f"{' and all others have left' if none_left else ''}.{hint or known}"

@@ -1,6 +1,8 @@
 """Runs of result folders in formats of other programs: what is written, what is not, and why."""
 
+import shutil
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -144,7 +146,8 @@ def _exported(one: Chosen, path: Path, reason: str, form: Format) -> Export:
 
 
 def written(run: Run, path: Path, form: Format) -> Export:
-    """Write one run to ``path``; a failure is an `Export` with its reason."""
+    """Write one run to ``path``; a failure is an `Export` with its reason, and leaves nothing."""
+    made = [one for one in (path, *path.parents) if not one.exists()]
     try:
         with files.writing(path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -152,8 +155,21 @@ def written(run: Run, path: Path, form: Format) -> Export:
         form.exporter.write(content, path, form.settings)
         lost = content.around.lost if "around" in vars(content) else ""
     except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
+        _removed(made)
         return Export(run_id=run.run_id, path=path, outcome="failed", reason=_said(run, error))
     return Export(run_id=run.run_id, path=path, outcome="written", reason=lost)
+
+
+def _removed(made: Sequence[Path]) -> None:
+    """Remove what a failed export has made: its file or folder, and folders that are empty."""
+    for one in made:
+        with suppress(OSError):  # another export has written into it meanwhile
+            if one is made[0] and one.is_dir():
+                shutil.rmtree(one)
+            elif one.is_dir():
+                one.rmdir()
+            else:
+                one.unlink()
 
 
 def left_out(run: Run | None, only: Only | None) -> str:

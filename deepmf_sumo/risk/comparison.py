@@ -42,17 +42,20 @@ def check(sides: Sides, names: Sequence[Path]) -> None:
         )
 
 
-def notes(sides: Sides, *, planners_differ: bool, networks_differ: bool) -> Iterator[str]:
+def notes(
+    sides: Sides, *, planners_differ: bool, networks_differ: bool, changed_on_purpose: bool = False
+) -> Iterator[str]:
     """Sentences on what is not the same.
 
     Args:
         sides: A and B.
         planners_differ: in name or settings.
         networks_differ: in name.
+        changed_on_purpose: that a network is not the same needs no sentence.
     """
     old, new = (_networks(side) for side in sides)
     changed = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
-    for name in changed:
+    for name in [] if changed_on_purpose else changed:
         yield (
             f"the network {name} is not the same in A and B in spite of one name: a difference"
             " may be the network's"
@@ -156,7 +159,12 @@ class Compared:
 
 
 def compare(
-    a: Path, b: Path, quantities: Sequence[str] = COMPARED, confidence: float = CONFIDENCE
+    a: Path,
+    b: Path,
+    quantities: Sequence[str] = COMPARED,
+    confidence: float = CONFIDENCE,
+    *,
+    changed_on_purpose: bool = False,
 ) -> Compared:
     """Compare two result folders, or two folders that hold result folders.
 
@@ -165,6 +173,7 @@ def compare(
         b: what is.
         quantities: of `quantities.COMPARABLE`.
         confidence: of all intervals of a table together.
+        changed_on_purpose: see `notes`.
 
     Raises UsageError for a folder or a quantity that cannot be used, and where the sides were made
     by different versions of the program, or their attacks had different times.
@@ -188,6 +197,7 @@ def compare(
         (of_a, of_b),
         planners_differ="planner" in differs or bool(settings),
         networks_differ="network" in differs,
+        changed_on_purpose=changed_on_purpose,
     )
     old, new = (_alike(side, set(differs)) for side in (old, new))
     pairs = len(_moments(old) & _moments(new))

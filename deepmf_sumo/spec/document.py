@@ -62,8 +62,11 @@ class Document:
         self.places[path] = place
 
 
-def read(file: Path) -> Document:
-    """The file's values. Raises SpecError with file and line for all that is not a mapping."""
+def read(file: Path, begins: str = "specs and plans begin with 'version: 2'") -> Document:
+    """The file's values; ``begins``: how such files do.
+
+    Raises SpecError with file and line for all that is not a mapping.
+    """
     try:
         text = files.text(file, LARGEST_BYTES, "utf-8-sig")
     except OSError as error:
@@ -73,7 +76,7 @@ def read(file: Path) -> Document:
     places: dict[KeyPath, str] = {}
     values = _Loader(text, str(file), places, ()).read()
     if not isinstance(values, dict):
-        raise SpecError(f"{file}:1: must be a mapping; specs and plans begin with 'version: 2'.")
+        raise SpecError(f"{file}:1: must be a mapping; {begins}.")
     return Document(file=file, values=values, places=places)
 
 

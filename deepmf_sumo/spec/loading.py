@@ -139,6 +139,8 @@ def checked(
         rule = unknown_key(str(path[-1]), model)
     elif first["type"] == "missing":
         path.append(first["loc"][-1])
+    elif first["type"] == "too_short" and not first["input"]:
+        rule = "is empty"
     elif named:
         path += named.split(".")
     elif first["input"] is not values:

@@ -100,6 +100,18 @@ def test_a_run_that_cannot_be_written_does_not_lose_the_others(made, capsys):
     assert not list(made.rglob(".*part*"))
 
 
+@pytest.mark.parametrize("to", ["scene", "fcd"])
+def test_a_failed_export_leaves_nothing(made, tmp_path, to, capsys):
+    tracks = made / "runs" / "00-one" / "tracks.csv.gz"
+    tracks.write_bytes(tracks.read_bytes()[:60])
+    assert call("export", made, "--to", to, "--out", tmp_path / "elsewhere") == 3
+    assert "00-one cannot be exported" in capsys.readouterr().err
+    assert not (tmp_path / "elsewhere" / "runs" / "00-one").exists()
+    assert not [
+        one for one in (tmp_path / "elsewhere").rglob("*") if one.is_dir() and not [*one.iterdir()]
+    ]
+
+
 def test_a_run_whose_recording_and_network_are_gone_fails(made, capsys):
     for file in made.parent.glob("*.npz"):
         file.unlink()

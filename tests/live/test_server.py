@@ -3,6 +3,7 @@
 import functools
 import json
 import re
+import signal
 import socket
 import struct
 import subprocess
@@ -190,6 +191,51 @@ def test_a_client_that_misbehaves_or_dies_is_told_and_sumo_ends_well(talked, byt
     assert "Traceback" not in errors
     assert "the script left" in out
     assert told is None or told in errors
+
+
+@pytest.mark.parametrize("bytes_", [b"", b"GET / HTTP/1.1\r\n\r\n", struct.pack("!i", 8)])
+def test_a_client_that_leaves_before_its_first_step_starts_nothing(served, tmp_path, bytes_):
+    process, port = served("av", "--duration", "3")
+    with socket.create_connection(("localhost", port)) as client:
+        client.sendall(bytes_)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 3, errors
+    assert "the client left before its first step: nothing happened" in errors
+    assert not [*tmp_path.glob("live/runs/attack-*")]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--trigger", "foo=1"), "foo"),
+        (("--set", "adversary.version=Q9"), "Q9"),
+        (("--set", "weights=none"), "There are no weights 'none'"),
+    ],
+)
+def test_errors_of_the_command_show_before_a_client_can_come(tiny, tmp_path, capsys, options, told):
+    assert serve(tiny, tmp_path, "--port", 0, *options) == 2
+    found = capsys.readouterr().err
+    assert told in found
+    assert "listening" not in found
+
+
+def test_an_edge_that_is_not_there_ends_everybody(served):
+    process, port = served("av", "--trigger", "edge=nowhere")
+    with socket.create_connection(("localhost", port)) as client:
+        client.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+        _, errors = process.communicate(timeout=30)
+        assert process.returncode == 2, errors
+        assert "the network has no such edge" in errors
+        client.settimeout(10)
+        while client.recv(4096):  # until SUMO is gone
+            pass
+
+
+def test_a_signal_before_a_client_comes_ends_sumo_too(served):
+    process, _ = served()
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
 
 
 def test_a_second_client_is_turned_away(talked):
