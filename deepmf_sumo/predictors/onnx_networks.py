@@ -7,13 +7,13 @@ refused.
 """
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import onnxruntime
 
 from deepmf_sumo import files
 from deepmf_sumo.datatypes import FUTURE_STEPS, Floats
@@ -25,6 +25,11 @@ from deepmf_sumo.predictors.decoding import GoalSet, Singles
 from deepmf_sumo.predictors.features import Features
 from deepmf_sumo.predictors.opponent import OTHERS, SLOTS
 from deepmf_sumo.predictors.weights import Network
+
+# onnxruntime 1.32 sends telemetry unless told not to. Its thread would also keep workers from being
+# copied (`sweep.fork`), and without copies runs on a network depend on the runs before them.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+import onnxruntime  # noqa: E402
 
 ENCODE, DECODE = "encode", "decode"
 KERNEL: Final = "kernel_m"

@@ -106,6 +106,19 @@ def test_graphs_with_images_and_members_compute_what_torch_computes(small, tmp_p
     weights.load(small, "onnx")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+def test_a_process_with_the_graphs_has_one_thread_so_that_workers_can_be_copied():
+    code = (
+        "from pathlib import Path; from deepmf_sumo.predictors import weights;"
+        "weights.load('open', 'onnx'); print(sum(1 for _ in Path('/proc/self/task').iterdir()))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=100,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.stdout.strip() == "1"
+
+
 def test_a_set_without_graphs_says_how_to_write_them(tmp_path):
     made = torch_networks.random(SMALL, 1)
     card = {"sizes": SMALL.record(), "temperature": 1.3, "partner_temperature": 1.1}
