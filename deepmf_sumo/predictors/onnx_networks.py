@@ -29,7 +29,7 @@ from deepmf_sumo.predictors.weights import Network
 # onnxruntime 1.32 sends telemetry unless told not to. Its thread would also keep workers from being
 # copied (`sweep.fork`), and without copies runs on a network depend on the runs before them.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-import onnxruntime  # noqa: E402
+import onnxruntime
 
 ENCODE, DECODE = "encode", "decode"
 KERNEL: Final = "kernel_m"

@@ -106,6 +106,7 @@ def test_graphs_with_images_and_members_compute_what_torch_computes(small, tmp_p
     weights.load(small, "onnx")
 
 
+@pytest.mark.sumo  # it starts a process
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 def test_a_process_with_the_graphs_has_one_thread_so_that_workers_can_be_copied():
     code = (
