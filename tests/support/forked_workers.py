@@ -21,7 +21,8 @@ from deepmf_sumo.sweep import workers
 from tests.support import started_programs
 
 LOADED = [
-    "deepmf_sumo.sweep.episode", "deepmf_sumo.adversaries.deepmf", "deepmf_sumo.predictors.weights",
+    "deepmf_sumo.sweep.episode", "deepmf_sumo.adversaries.deepmf",
+    "deepmf_sumo.predictors.torch_networks",
     "deepmf_sumo.report.picture", "libsumo", "scipy.optimize",
 ]  # fmt: skip
 
