@@ -58,8 +58,14 @@ from deepmf_sumo.errors import exit_code
     help="Write the results into this folder.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Delete the results that the folder has.")
+@click.option(
+    "--http", type=click.IntRange(0, 65535), metavar="PORT",
+    help="Show what happens on this port of this machine, with a switch for new attacks.",
+)  # fmt: skip
 @click.pass_context
-def command(ctx: click.Context, /, out: Path, overwrite: bool, **given: Any) -> None:
+def command(
+    ctx: click.Context, /, out: Path, overwrite: bool, http: int | None, **given: Any
+) -> None:
     """Join a running sumo or sumo-gui, and attack a vehicle that another client drives.
 
     Start SUMO with --remote-port P --num-clients 2; the other client calls setOrder(1). Both step
@@ -67,7 +73,8 @@ def command(ctx: click.Context, /, out: Path, overwrite: bool, **given: Any) -> 
     opponent back to SUMO; a second Ctrl-C stops at once, which ends SUMO.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session, tell_attack
+    from deepmf_sumo.cli._live import watched
+    from deepmf_sumo.cli._screen import leaving, show_session
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.session import Stay
 
@@ -75,8 +82,10 @@ def command(ctx: click.Context, /, out: Path, overwrite: bool, **given: Any) -> 
         {field.name: given[field.name] for field in fields(kind)}
         for kind in (Port, live.Wish, Stay)
     )
-    with leaving() as stopped:
+    with leaving() as stopped, watched(http, given["av"]) as (watch, tell):
         prepared = live.prepare(live.Wish(**wish), out, overwrite=overwrite)
-        done = live.attach(Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell_attack)
+        done = live.attach(
+            Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell, watch=watch
+        )
     show_session(done, given["av"], out)
     ctx.exit(exit_code("interrupted") if done.end == "stopped" else 0)

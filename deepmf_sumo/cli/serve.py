@@ -37,6 +37,7 @@ def command(
     gui: bool,
     out: Path,
     overwrite: bool,
+    http: int | None,
     **given: Any,
 ) -> None:
     """Start SUMO with CONFIG, a .sumocfg, behind a port that any TraCI client takes for SUMO's.
@@ -46,7 +47,8 @@ def command(
     results are those of attach.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session, tell_attack
+    from deepmf_sumo.cli._live import watched
+    from deepmf_sumo.cli._screen import leaving, show_session
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.session import Stay
     from deepmf_sumo.simulation.sumo_config import read_configuration
@@ -58,7 +60,11 @@ def command(
     )
     prepared = live.prepare(live.Wish(net=read.net, **wish), out, overwrite=overwrite)
     code = 0
-    with leaving() as stopped, live.Server(config, port, ctx.meta[AFTER], gui=gui) as server:
+    with (
+        leaving() as stopped,
+        watched(http, given["av"]) as (watch, tell),
+        live.Server(config, port, ctx.meta[AFTER], gui=gui) as server,
+    ):
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
         while not (server.joined.wait(0.2) or stopped() or server.ended):
             pass
@@ -66,7 +72,7 @@ def command(
         if server.joined.is_set():
             done = live.attach(
                 Port(number=server.inner), prepared, Stay(patience_s=float("inf"), **stay),
-                stopped=lambda: stopped() or server.unused.is_set(), tell=tell_attack,
+                stopped=lambda: stopped() or server.unused.is_set(), tell=tell, watch=watch,
             )  # fmt: skip
             show_session(done, given["av"], out)
             code = exit_code("interrupted") if done.end == "stopped" else 0

@@ -2,5 +2,6 @@
 
 from deepmf_sumo.live.attacker import Attached, Attacker, Wish, attach, prepare
 from deepmf_sumo.live.server import Server
+from deepmf_sumo.live.status import StatusServer
 
-__all__ = ["Attached", "Attacker", "Server", "Wish", "attach", "prepare"]
+__all__ = ["Attached", "Attacker", "Server", "StatusServer", "Wish", "attach", "prepare"]

@@ -357,6 +357,7 @@ def attach(
     *,
     stopped: Callable[[], bool],
     tell: Callable[[dict[str, Any]], None],
+    watch: Callable[[Session], None] = lambda _: None,
 ) -> Attached:
     """Join a running SUMO as one more client, attack, and leave it as it was.
 
@@ -366,6 +367,7 @@ def attach(
         stay: how long to take part.
         stopped: whether to leave now.
         tell: called with each attack that is over.
+        watch: called with the session before the first step.
 
     Raises UsageError for a wrong command, SimulationError if no SUMO listens, the connection is
     lost or the AV never appears; attacks before that are in the folder.
@@ -386,6 +388,7 @@ def attach(
         own = session(api, wish, prepared.spec, add, prepared.policy, driven)
         collisions = str(api.simulation.getOption("collision.action"))
         record.begin(setting_of(own, wish, planner="sumo" if clients == 0 else "script"))
+        watch(own)
         steps = Lockstep(api, own, wish.av, stay, stopped)
     end: str = "failed"
     try:

@@ -55,6 +55,7 @@ class Session:
     Attributes:
         attacks, undriven: numbers of attacks so far.
         last_failure: why the last try to attack failed.
+        paused: set it, and no attack begins; one that goes on ends as it would.
 
     Raises UsageError if 0.1 s is not a multiple of the simulation's step.
     """
@@ -75,6 +76,7 @@ class Session:
         self.av_seen = False
         self.av_present = False
         self.last_failure = ""
+        self.paused = False
         self._scenery = scenery
         self._policy = policy
         self._call = AtTime(np.inf)
@@ -144,8 +146,13 @@ class Session:
             self._attack.look(sighting)
             if self._attack.turn is not None:
                 self._over()
-        elif len(self._history) == HISTORY_STEPS and self.time_s > self._next_s - 1e-6:
+        elif self._due():
             self._begin()
+
+    def _due(self) -> bool:
+        """Whether an attack may begin now."""
+        seen = len(self._history) == HISTORY_STEPS
+        return seen and not self.paused and self.time_s > self._next_s - 1e-6
 
     def hand_back(self) -> None:
         """End the current attack and begin no other; a step later the opponent is on its lane."""

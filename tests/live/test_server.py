@@ -9,6 +9,8 @@ import struct
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -44,7 +46,7 @@ def served(tiny, tmp_path):
     """Starts the command; gives the process and its port."""
     started = []
 
-    def start(av="av", *more):
+    def start(av="av", *more, status=False):
         command = [
             sys.executable, "-m", "deepmf_sumo.cli.main", "serve", tiny / "tiny.sumocfg",
             "--port", "0", "--av", av, "--out", tmp_path / "live", *more, "--", *OPTIONS,
@@ -53,8 +55,8 @@ def served(tiny, tmp_path):
             list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         started.append(process)
-        line = process.stderr.readline()
-        return process, int(re.search(r"listening on port (\d+)", line)[1])
+        line, said = process.stderr.readline(), "localhost:" if status else "listening on port "
+        return process, int(re.search(rf"{said}(\d+)", line)[1])
 
     yield start
     for process in started:
@@ -229,6 +231,45 @@ def test_an_edge_that_is_not_there_ends_everybody(served):
         client.settimeout(10)
         while client.recv(4096):  # until SUMO is gone
             pass
+
+
+def test_status_and_a_switch_over_http(served, tmp_path):
+    """New attacks are off before the first step: none begins; then they are on: one does."""
+
+    def ask(path, method="GET"):
+        request = urllib.request.Request(f"http://localhost:{http}{path}", method=method)
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.read().decode()
+
+    process, port = served("av", "--duration", "3", "--pause", "0", "--http", "0", status=True)
+    http, port = port, int(re.search(r"port (\d+)", process.stderr.readline())[1])
+    assert json.loads(ask("/status"))["last_failure"] == "the client has not come yet"
+    with pytest.raises(urllib.error.HTTPError, match="409"):
+        ask("/stop", "POST")
+    step = message(command(0x02, struct.pack("!d", 0.0)))
+
+    def steps(connection, count):
+        for _ in range(count):
+            connection.sendall(step)
+            assert connection.recv(4096)
+
+    with socket.create_connection(("localhost", port)) as connection:
+        steps(connection, 3)
+        assert json.loads(ask("/stop", "POST"))["new_attacks"] == "off"
+        steps(connection, 30)
+        found = json.loads(ask("/status"))
+        assert (found["attacks"], found["attacking"]) == (0, None)
+        assert found["time_s"] == pytest.approx(3.3, abs=0.15)
+        assert json.loads(ask("/start", "POST"))["new_attacks"] == "on"
+        steps(connection, 60)
+        assert json.loads(ask("/status"))["attacks"] + bool(json.loads(ask("/status"))["attacking"])
+        assert "<title>deepmf-sumo" in ask("/")
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            ask("/nowhere")
+        connection.sendall(message(command(0x7F)))
+        connection.recv(4096)
+    process.communicate(timeout=30)
+    assert process.returncode == 0
 
 
 def test_a_signal_before_a_client_comes_ends_sumo_too(served):

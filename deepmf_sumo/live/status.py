@@ -1,0 +1,152 @@
+"""A session over HTTP: what it does now, and a switch for new attacks.
+
+``GET /status`` is JSON, ``POST /start`` and ``POST /stop`` turn new attacks on and off and answer
+with the status, ``GET /`` is a page with both. Only this machine can connect.
+"""
+
+import json
+import threading
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Any, Final, Self
+
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.live.session import Session
+
+_PAGE: Final = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>deepmf-sumo: live attacks</title>
+<meta name="viewport" content="width=device-width">
+<style>
+body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem; color-scheme: light dark; }
+td, th { text-align: left; padding: .2rem 1.5rem .2rem 0; }
+button { font: inherit; padding: .3rem 1rem; margin: 1rem .5rem 0 0; }
+</style>
+<h1>Live attacks</h1>
+<table id="status"></table>
+<button data-do="start">Start attacks</button><button data-do="stop">Stop attacks</button>
+<script>
+const NAMES = {av: "AV", time_s: "time, s", attacking: "attacked by", attacks: "attacks",
+  contacts: "contacts", new_attacks: "new attacks", last_failure: "why none now"};
+function show(status) {
+  const rows = Object.entries(NAMES).map(([key, name]) => {
+    const row = document.createElement("tr");
+    for (const [tag, text] of [["th", name], ["td", status[key] ?? "-"]])
+      row.appendChild(document.createElement(tag)).textContent = text;
+    return row;
+  });
+  document.getElementById("status").replaceChildren(...rows);
+}
+async function ask(path, method) {
+  try { show(await (await fetch(path, {method})).json()); }
+  catch { show({last_failure: "the session has ended"}); }
+}
+for (const button of document.querySelectorAll("button"))
+  button.onclick = () => ask("/" + button.dataset.do, "POST");
+ask("/status", "GET");
+setInterval(() => ask("/status", "GET"), 1000);
+</script>
+"""
+
+
+class StatusServer:
+    """Answers while it is open; before `watch` there is no session to tell of.
+
+    Args:
+        port: of this machine; 0 takes a free one.
+        av: the attacked vehicle.
+
+    Attributes:
+        port: as given, or the one that was free. hits: contacts so far, counted by the caller.
+
+    Raises UsageError for a port that is in use.
+    """
+
+    def __init__(self, port: int, av: str) -> None:
+        self.hits = 0
+        self._av = av
+        self._session: Session | None = None
+        status = self
+
+        class Handler(_Handler):
+            of = status
+
+        try:
+            self._server = ThreadingHTTPServer(("localhost", port), Handler)
+        except OSError as error:
+            raise UsageError(f"--http {port} cannot be used: {error.strerror}.") from None
+        self.port = int(self._server.server_address[1])
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, name="status", daemon=True).start()
+
+    def watch(self, session: Session) -> None:
+        """Tell of this session, and switch its attacks."""
+        self._session = session
+
+    def status(self) -> dict[str, Any]:
+        """What ``GET /status`` answers."""
+        session = self._session
+        if session is None:
+            return {"av": self._av, "last_failure": "the client has not come yet"}
+        return {
+            "av": self._av,
+            "time_s": round(session.time_s, 3),
+            "attacking": session.attacking,
+            "attacks": session.attacks,
+            "contacts": self.hits,
+            "new_attacks": "off" if session.paused else "on",
+            "last_failure": session.last_failure,
+        }
+
+    def switch(self, *, on: bool) -> bool:
+        """Turn new attacks on or off; False where there is no session yet."""
+        if self._session is None:
+            return False
+        self._session.paused = not on
+        return True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    of: StatusServer
+
+    def do_GET(self) -> None:
+        if self.path == "/":
+            self._answer(_PAGE.encode(), "text/html; charset=utf-8")
+        elif self.path == "/status":
+            self._tell()
+        else:
+            self.send_error(HTTPStatus.NOT_FOUND, "there are /, /status, /start and /stop")
+
+    def do_POST(self) -> None:
+        if self.path not in {"/start", "/stop"}:
+            self.send_error(HTTPStatus.NOT_FOUND, "POST goes to /start and /stop")
+        elif self.of.switch(on=self.path == "/start"):
+            self._tell()
+        else:
+            self.send_error(HTTPStatus.CONFLICT, "the client has not come yet")
+
+    def _tell(self) -> None:
+        self._answer(json.dumps(self.of.status()).encode(), "application/json")
+
+    def _answer(self, body: bytes, kind: str) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - of the base class
+        """Requests are not logged: the terminal belongs to the attacks."""
