@@ -50,7 +50,7 @@ setInterval(() => ask("/status", "GET"), 1000);
 
 
 class StatusServer:
-    """Answers while it is open; before `watch` there is no session to tell of.
+    """Answers while it is open; until `watch` it has no session.
 
     Args:
         port: of this machine; 0 takes a free one.
@@ -99,7 +99,7 @@ class StatusServer:
         }
 
     def switch(self, *, on: bool) -> bool:
-        """Turn new attacks on or off; False where there is no session yet."""
+        """Turn new attacks on or off; False without a session."""
         if self._session is None:
             return False
         self._session.paused = not on
