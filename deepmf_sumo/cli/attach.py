@@ -1,13 +1,21 @@
 """``deepmf-sumo attach``: join a running SUMO and attack a vehicle in it."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from deepmf_sumo.cli._parameters import FiniteRange
 from deepmf_sumo.errors import exit_code
+
+if TYPE_CHECKING:
+    from deepmf_sumo.live.session import Session
+
+Watch = Callable[["Session"], None]
+Tell = Callable[[dict[str, Any]], None]
 
 
 @click.command(name="attach", short_help="Attack a vehicle in a SUMO that already runs.")
@@ -73,7 +81,6 @@ def command(
     opponent back to SUMO; a second Ctrl-C stops at once, which ends SUMO.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._live import watched
     from deepmf_sumo.cli._screen import leaving, show_session
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.session import Stay
@@ -89,3 +96,22 @@ def command(
         )
     show_session(done, given["av"], out)
     ctx.exit(exit_code("interrupted") if done.end == "stopped" else 0)
+
+
+@contextmanager
+def watched(http: int | None, av: str) -> Iterator[tuple[Watch, Tell]]:
+    """What is called with the session, and with each attack; ``http``: a port that shows both."""
+    from deepmf_sumo import live
+    from deepmf_sumo.cli._screen import tell_attack
+
+    if http is None:
+        yield lambda _: None, tell_attack
+        return
+    with live.StatusServer(http, av) as status:
+        click.echo(f"status on http://localhost:{status.port}/", err=True)
+
+        def tell(row: dict[str, Any]) -> None:
+            status.hits += row["contact"] is not None
+            tell_attack(row)
+
+        yield status.watch, tell

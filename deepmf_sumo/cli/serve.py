@@ -47,7 +47,6 @@ def command(
     results are those of attach.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._live import watched
     from deepmf_sumo.cli._screen import leaving, show_session
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.session import Stay
@@ -62,7 +61,7 @@ def command(
     code = 0
     with (
         leaving() as stopped,
-        watched(http, given["av"]) as (watch, tell),
+        attach.watched(http, given["av"]) as (watch, tell),
         live.Server(config, port, ctx.meta[AFTER], gui=gui) as server,
     ):
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
