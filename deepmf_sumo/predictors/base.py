@@ -74,11 +74,11 @@ class TrajectoryNetwork(Protocol):
         """(5, 2) widths along and across of the Laplace kernels at the knots, metres."""
         ...
 
-    def encoded(self, arrays: Features) -> Any:
-        """What no given future changes, for `decoded`."""
+    def scene_of(self, arrays: Features) -> Any:
+        """What no given future changes, for `goals_of`."""
         ...
 
-    def decoded(
+    def goals_of(
         self,
         encoding: Any,
         position_m: Singles | None = None,

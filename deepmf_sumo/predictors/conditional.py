@@ -56,9 +56,9 @@ class ConditionalPrediction:
 
     def _goals(self, futures: Futures | None) -> GoalSet:
         if futures is None:
-            goals = self.alone or self.net.decoded(self.encoding)
+            goals = self.alone or self.net.goals_of(self.encoding)
         else:
-            goals = self.net.decoded(self.encoding, *decoding.to_pose(self.pose, futures))
+            goals = self.net.goals_of(self.encoding, *decoding.to_pose(self.pose, futures))
         return replace(goals, logits=goals.logits + self.gain)
 
 
@@ -95,12 +95,12 @@ class Conditional:
         """
         pose = pose_of(view, agent_id)
         arrays, _ = features(view, agent_id, self.net.preset, planner=planner)
-        encoding = self.net.encoded(arrays)
+        encoding = self.net.scene_of(arrays)
         gain: Singles | float = 0.0
         alone = None
         if self.marginal is not None and not planner:
             images = self.marginal.net.preset.raster  # of its own size
             prior = self.marginal.predict(view, agent_id, None if images else arrays)
-            alone = self.net.decoded(encoding)
+            alone = self.net.goals_of(encoding)
             gain = self.share * decoding.gain(alone, prior.members)
         return ConditionalPrediction(pose, self.net, encoding, gain, alone, self.temperature)

@@ -149,12 +149,12 @@ class DenseTNT(nn.Module):
         return width
 
     @torch.inference_mode()
-    def encoded(self, arrays: Features) -> Encoding:
+    def scene_of(self, arrays: Features) -> Encoding:
         """See `base.TrajectoryNetwork`."""
         return self.encode(trimmed(as_batch(arrays)))
 
     @torch.inference_mode()
-    def decoded(
+    def goals_of(
         self,
         encoding: Encoding,
         position_m: Singles | None = None,

@@ -48,8 +48,6 @@ def log_density(
     (5, 2). ``valid`` (5) knots count.
     """
     warm = [_of_equal_mass(one.logits[0]) / np.float32(temperature) for one in members]
-    if len(members) == 1:
-        warm = [members[0].logits[0] / np.float32(temperature)]
     mass = log_softmax(np.array([logsumexp(logits.ravel()) for logits in warm]))
     parts = [
         logsumexp(log_softmax(logits.ravel()) + kernels(one, width, position_m, valid))
@@ -164,6 +162,6 @@ class Marginal:
         pose = pose_of(view, agent_id)
         if arrays is None:
             arrays, _ = features(view, agent_id, self.net.preset)
-        members = [net.decoded(net.encoded(arrays)) for net in self.nets]
+        members = [net.goals_of(net.scene_of(arrays)) for net in self.nets]
         kernels_m = tuple(net.kernel_m for net in self.nets)
         return MarginalPrediction(pose, kernels_m, members, pooled(members), self.temperature)

@@ -54,7 +54,8 @@ class OnnxRuntime:
         stem = weights.member(network, number)
         card, preset = weights.network_card(folder, network, stem)
         encode, decode = (Graph(folder, stem, part, card) for part in (ENCODE, DECODE))
-        return OnnxTrajectory(preset, encode, decode), card
+        kernel_m = np.array(json.loads(decode.metadata[KERNEL]), np.float32)
+        return OnnxTrajectory(preset, kernel_m, encode, decode), card
 
 
 class Graph:
@@ -110,21 +111,17 @@ class OnnxTrajectory:
     """See `base.TrajectoryNetwork`."""
 
     preset: Preset
+    kernel_m: Singles
     encode: Graph
     decode: Graph
 
-    @property
-    def kernel_m(self) -> Singles:
-        """(5, 2), see `base.TrajectoryNetwork`."""
-        return np.array(json.loads(self.decode.metadata[KERNEL]), np.float32)
-
-    def encoded(self, arrays: Features) -> dict[str, Any]:
+    def scene_of(self, arrays: Features) -> dict[str, Any]:
         """See `base.TrajectoryNetwork`."""
         used = max(int((arrays["path_info"][:, 0] > 0).sum()), 1)
         scene = _batch(arrays, PATHS, used, self.preset)
         return scene | self.encode.run(scene)
 
-    def decoded(
+    def goals_of(
         self,
         encoding: dict[str, Any],
         position_m: Singles | None = None,

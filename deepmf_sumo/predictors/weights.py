@@ -5,6 +5,9 @@ only by that baseline. The marginal network may have several members, each in it
 (``marginal``, ``marginal-2``, ...): the card of the first one lists them under ``members``, with
 the temperature of their mixture.
 
+Torch computes networks from their tensors, ONNX Runtime from graphs that are made of these
+(`onnx_networks`); `runtime_name` says which.
+
 A card contains the digest of its tensor file: a file that was changed, or belongs to another card,
 is refused. Cards of earlier versions have none; `load` warns of them (`unchecked`).
 

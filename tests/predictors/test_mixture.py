@@ -29,7 +29,7 @@ def nets():
 
 def goals_of(nets):
     arrays, _ = features(view(), "av", SMALL)
-    return [net.decoded(net.encoded(arrays)) for net in nets]
+    return [net.goals_of(net.scene_of(arrays)) for net in nets]
 
 
 def shares_of(goals):

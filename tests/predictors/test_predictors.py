@@ -83,7 +83,7 @@ def test_modes_spread_wider_where_the_temperature_says_that_tails_are_likelier(o
 
 def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated):
     marginal = Marginal([opinionated], 1.0)
-    goals = opinionated.decoded(opinionated.encoded(features(view(), "av", LIGHT)[0]))
+    goals = opinionated.goals_of(opinionated.scene_of(features(view(), "av", LIGHT)[0]))
     probability = np.exp(decoding.log_softmax(goals.logits.ravel()))
     every = decoding.complete(goals, np.arange(len(probability))[None])
     all_m = decoding.to_scene(pose_of(view(), "av"), *every)[0][0, :, 29]
