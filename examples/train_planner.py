@@ -29,6 +29,7 @@ from deepmf_sumo.datatypes import Case, Command, Floats, VehicleModel, View
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.gym import AttackEnv
 from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.results.reader import Results
 from deepmf_sumo.spec import Spec
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -250,28 +251,42 @@ def train(out: Path, steps: int, seed: int, jobs: int) -> None:
 
 
 def test(out: Path, jobs: int) -> int:
-    """Compare both drivers without attacks and under attacks; the last `compare`'s exit code."""
+    """Run both drivers and the IDM without attacks and under attack; the last `compare`'s code."""
     spec = out / "test.yaml"
     spec.write_text(
         "version: 2\nname: test\nduration_s: 8.0\ntraffic: sumo\n"
         f"source: {{recording: {(out / 'held_out').resolve()}}}\n"
         "adversary: {name: deepmf, version: S1, no_rear_end: true}\n"
     )
-    code = 0
+    planners = {
+        name: f"{{name: 'train_planner:Driver', policy: {(out / name).resolve()}.npz}}"
+        for name in ("plain", "attacked")
+    }
+    planners["idm"] = "{name: idm, perception: corridor}"
+    told, code = [], 0
     for part, more in (("calm", ("--set", "adversary=none")), ("under_attack", ())):
-        folders = []
-        for name in ("plain", "attacked"):
-            folders.append(out / part / name)
-            policy = (out / f"{name}.npz").resolve()
-            planner = f"planner={{name: 'train_planner:Driver', policy: {policy}}}"
+        folders = {name: out / part / name for name in planners}
+        for name, planner in planners.items():
             run(
-                "run", spec, *more, "--set", planner, "--out", folders[-1], "--jobs", jobs,
-                "--no-pictures", "--overwrite",
+                "run", spec, *more, "--set", f"planner={planner}", "--out", folders[name],
+                "--jobs", jobs, "--no-pictures", "--overwrite",
             )  # fmt: skip
+            told.append(f"{part:13} {name:9} {counted(folders[name])}")
         judged = ("av_collision_rate", "av_progress_m", "av_hardest_braking_mps2")
         quantities = [part for name in judged for part in ("--quantity", name)]
-        code = run("compare", *folders, *quantities)
+        code = run("compare", folders["plain"], folders["attacked"], *quantities)
+    print("\n".join(told))
     return code
+
+
+def counted(folder: Path) -> str:
+    """In how many runs the AV touched a vehicle, how many hits were avoidable, how far it drove."""
+    runs = Results.of(folder).done
+    contacts = [[one["kind"] for one in run.result["contacts"]] for run in runs]
+    touched = sum(any(kind.startswith("av_") for kind in kinds) for kinds in contacts)
+    avoidable = sum(run.metric("avoidable") == 1 for run in runs)
+    driven_m = np.mean([run.metric("av_progress") for run in runs])
+    return f"{touched} of {len(runs)} touched a vehicle, {avoidable} avoidable; {driven_m:.0f} m"
 
 
 def run(*arguments: object) -> int:
