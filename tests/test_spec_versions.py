@@ -183,7 +183,7 @@ def test_a_plan_of_another_version_or_with_a_useless_weight_is_refused(write, tm
 
 
 def test_without_a_file_the_rule_is_likeliest(tmp_path):
-    live = attacker.spec_of(attacker.Wish(av="ego"))
+    live = attacker.spec_of(attacker.Wish(avs=("ego",)))
     assert settings_of(live).rule == "likeliest"
     config = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
     [document] = search.documents([config], {"seed": 1}, count=3)
@@ -193,7 +193,7 @@ def test_without_a_file_the_rule_is_likeliest(tmp_path):
     saved = tmp_path / "saved.yaml"
     saved.write_text(yaml.safe_dump(document.values))
     assert spec.load(saved) == attacked
-    paper = attacker.spec_of(attacker.Wish(av="ego", sets=("adversary.form=paper",)))
+    paper = attacker.spec_of(attacker.Wish(avs=("ego",), sets=("adversary.form=paper",)))
     assert settings_of(paper).rule == "expected"
 
 

@@ -414,26 +414,36 @@ def _kind_cells(row: TypeRow) -> tuple[str, ...]:
 _ENDS: Final = {
     "until": "left at {time:.1f} s, as asked",
     "attacks": "left at {time:.1f} s, after {attacks}, as asked",
-    "av_gone": "vehicle '{av}' left the traffic at {time:.1f} s",
+    "av_gone": "{av} left the traffic at {time:.1f} s",
     "simulation_over": "the simulation ended at {time:.1f} s",
     "script_left": "the script left at {time:.1f} s",
     "stopped": "left at {time:.1f} s, stopped",
 }
-_LIVE_HEADINGS: Final = ("", "opponent", "from s", "to s", "ended", "least gap m", "contact m/s")
+_LIVE_HEADINGS: Final = (
+    "",
+    "AV",
+    "opponent",
+    "from s",
+    "to s",
+    "ended",
+    "least gap m",
+    "contact m/s",
+)
 
 
 def tell_attack(row: dict[str, Any]) -> None:
     """An attack is over."""
     Console(stderr=True, highlight=False).print(
         escape(
-            f"{row['begin_s']:.1f} to {row['end_s']:.1f} s: {row['opponent']}, {row['ended']}, "
+            f"{row['begin_s']:.1f} to {row['end_s']:.1f} s: {row['opponent']} on {row['av']}, "
+            f"{row['ended']}, "
             f"least gap {row['min_gap_m']:.1f} m"
         ),
         soft_wrap=True,
     )
 
 
-def show_session(done: Attached, av: str, out: Path) -> None:
+def show_session(done: Attached, avs: Sequence[str], out: Path) -> None:
     """The attacks, why it is over, and where the files are."""
     from deepmf_sumo.report.table import counted
 
@@ -441,14 +451,15 @@ def show_session(done: Attached, av: str, out: Path) -> None:
     if done.rows:
         grid = Table(box=None, pad_edge=False, header_style="bold")
         for number, heading in enumerate(_LIVE_HEADINGS):
-            grid.add_column(heading, justify="left" if number in {1, 4} else "right")
+            grid.add_column(heading, justify="left" if number in {1, 2, 5} else "right")
         for row in done.rows:
             grid.add_row(*map(escape, _live_cells(row)), style="red" if row["contact"] else "")
         console.print(grid)
     count = len(done.rows)
     attacks = counted(count, "attack")
     hits = sum(row["contact"] is not None for row in done.rows)
-    why = _ENDS[done.end].format(time=done.time_s, attacks=attacks, av=av)
+    named = f"vehicle{'s' * (len(avs) > 1)} {', '.join(repr(av) for av in avs)}"
+    why = _ENDS[done.end].format(time=done.time_s, attacks=attacks, av=named)
     why_none = f" ({done.last_failure})" if not count and done.last_failure else ""
     if done.undriven:
         why += ", before the attack under way was over, which is not counted"
@@ -475,6 +486,7 @@ def _live_cells(row: dict[str, Any]) -> list[str]:
     contact = row["contact"]
     return [
         str(row["number"]),
+        row["av"],
         row["opponent"],
         f"{row['begin_s']:.1f}",
         f"{row['end_s']:.1f}",

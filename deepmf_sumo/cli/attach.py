@@ -1,6 +1,6 @@
 """``deepmf-sumo attach``: join a running SUMO and attack a vehicle in it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -14,7 +14,7 @@ from deepmf_sumo.errors import exit_code
 if TYPE_CHECKING:
     from deepmf_sumo.live.session import Session
 
-Watch = Callable[["Session"], None]
+Watch = Callable[[Sequence["Session"]], None]
 Tell = Callable[[dict[str, Any]], None]
 
 
@@ -24,7 +24,10 @@ Tell = Callable[[dict[str, Any]], None]
     help="Connect to this port, SUMO's --remote-port.",
 )  # fmt: skip
 @click.option("--host", default="localhost", show_default=True, help="Connect to this machine.")
-@click.option("--av", metavar="ID", required=True, help="Attack this vehicle.")
+@click.option(
+    "--av", "avs", metavar="ID", required=True, multiple=True,
+    help="Attack this vehicle; may be repeated.",
+)  # fmt: skip
 @click.option(
     "--order", type=int, default=2, show_default=True, help="Register at SUMO under this number."
 )
@@ -78,40 +81,41 @@ def command(
 
     Start SUMO with --remote-port P --num-clients 2; the other client calls setOrder(1). Both step
     together. Ends when the vehicle leaves, at --until, after --attacks, or at Ctrl-C, and hands its
-    opponent back to SUMO; a second Ctrl-C stops at once, which ends SUMO.
+    opponent back to SUMO; a second Ctrl-C stops at once, which ends SUMO. Several vehicles are
+    attacked at the same time, each for itself.
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import leaving, show_session
     from deepmf_sumo.live.connection import Port
-    from deepmf_sumo.live.session import Stay
+    from deepmf_sumo.live.lockstep import Stay
 
     port, wish, stay = (
         {field.name: given[field.name] for field in fields(kind)}
         for kind in (Port, live.Wish, Stay)
     )
-    with leaving() as stopped, watched(http, given["av"]) as (watch, tell):
+    with leaving() as stopped, watched(http, given["avs"]) as (watch, tell):
         prepared = live.prepare(live.Wish(**wish), out, overwrite=overwrite)
         done = live.attach(
             Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell, watch=watch
         )
-    show_session(done, given["av"], out)
+    show_session(done, given["avs"], out)
     ctx.exit(exit_code("interrupted") if done.end == "stopped" else 0)
 
 
 @contextmanager
-def watched(http: int | None, av: str) -> Iterator[tuple[Watch, Tell]]:
-    """What is called with the session, and with each attack; ``http``: a port that shows both."""
+def watched(http: int | None, avs: Sequence[str]) -> Iterator[tuple[Watch, Tell]]:
+    """What is called with the sessions, and with each attack; ``http``: a port that shows both."""
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import tell_attack
 
     if http is None:
         yield lambda _: None, tell_attack
         return
-    with live.StatusServer(http, av) as status:
+    with live.StatusServer(http, avs) as status:
         click.echo(f"status on http://localhost:{status.port}/", err=True)
 
         def tell(row: dict[str, Any]) -> None:
-            status.hits += row["contact"] is not None
+            status.hits[row["av"]] += row["contact"] is not None
             tell_attack(row)
 
         yield status.watch, tell

@@ -24,8 +24,8 @@ _OTHERS: Final = {"number", "host", "order", "wait_s", "net", "patience_s"}
     "config", metavar="CONFIG", type=click.Path(exists=True, dir_okay=False, path_type=Path)
 )
 @click.option(
-    "--port", "-p", type=click.IntRange(0, 65535), default=8813, show_default=True,
-    help="Listen on this port of this machine; 0 takes a free one.",
+    "--port", "--remote-port", "-p", type=click.IntRange(0, 65535), default=8813,
+    show_default=True, help="Listen on this port of this machine; 0 takes a free one.",
 )  # fmt: skip
 @click.option("--gui", is_flag=True, help="Start sumo-gui.")
 @click.pass_context
@@ -44,15 +44,20 @@ def command(
 
     The client connects, steps and drives its vehicle as with SUMO alone; it needs neither setOrder
     nor another number of clients. Attacks happen in its steps. Ends when the client has left; the
-    results are those of attach.
+    results are those of attach. A script may also start it, with traci.start, in place of SUMO.
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import leaving, show_session
     from deepmf_sumo.live.connection import Port
-    from deepmf_sumo.live.session import Stay
+    from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
     read = read_configuration(config)
+    options = list(ctx.meta[AFTER])
+    if "--remote-port" in options[:-1]:  # where traci.start writes it
+        at = options.index("--remote-port")
+        port = click.IntRange(0, 65535).convert(options[at + 1], None, ctx)
+        del options[at : at + 2]
     wish, stay = (
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
@@ -61,23 +66,23 @@ def command(
     code = 0
     with (
         leaving() as stopped,
-        attach.watched(http, given["av"]) as (watch, tell),
-        live.Server(config, port, ctx.meta[AFTER], gui=gui) as server,
+        attach.watched(http, given["avs"]) as (watch, tell),
+        live.Server(config, port, options, gui=gui) as server,
     ):
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
-        while not (server.joined.wait(0.2) or stopped() or server.ended):
-            pass
+        server.await_client(stopped)
         server.check()
-        if server.joined.is_set():
+        if server.joined:
             done = live.attach(
                 Port(number=server.inner), prepared, Stay(patience_s=float("inf"), **stay),
-                stopped=lambda: stopped() or server.unused.is_set(), tell=tell, watch=watch,
+                stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
+                left=lambda: server.left,
             )  # fmt: skip
-            show_session(done, given["av"], out)
+            show_session(done, given["avs"], out)
             code = exit_code("interrupted") if done.end == "stopped" else 0
-            code = exit_code("failed") if server.unused.is_set() else code
+            code = exit_code("failed") if server.unused else code
             server.stay(lambda: stopped() and done.end != "stopped")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
         server.check()
-    ctx.exit(code if server.joined.is_set() else exit_code("interrupted"))
+    ctx.exit(code if server.joined else exit_code("interrupted"))

@@ -1,5 +1,6 @@
-"""Attacks on a vehicle of a simulation that another program steps: `Attacker` and `attach`."""
+"""Attacks on vehicles of a simulation that another program steps: `Attacker` and `attach`."""
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -25,9 +26,10 @@ from deepmf_sumo.live.connection import (
     shared,
 )
 from deepmf_sumo.live.engagement import Scenery, Surroundings
+from deepmf_sumo.live.lockstep import End, Lockstep, Stay
 from deepmf_sumo.live.observer import Observer
 from deepmf_sumo.live.record import Record, Setting
-from deepmf_sumo.live.session import End, LiveAttack, Lockstep, Session, Stay
+from deepmf_sumo.live.session import LiveAttack, Session
 from deepmf_sumo.live.triggers import AtEdge, Trigger, parse
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.spec import Spec, of_document
@@ -67,7 +69,7 @@ class Wish:
     """The attacks that are wanted.
 
     Attributes:
-        av: id of the vehicle.
+        avs: ids of the vehicles that are attacked, each for itself: none of them attacks another.
         triggers: ``time=S``, ``edge=ID``, ``ttc=S``; an attack begins when one of them fires.
             Empty: whenever a vehicle can attack.
         duration_s: maximum of an attack. pause_s: after it.
@@ -75,7 +77,7 @@ class Wish:
         net: the network file; None asks SUMO.
     """
 
-    av: AgentId
+    avs: tuple[AgentId, ...]
     triggers: tuple[str, ...] = ()
     duration_s: float = 15.0
     pause_s: float = 5.0
@@ -84,7 +86,13 @@ class Wish:
 
 
 def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
-    """When attacks begin. Raises UsageError for an invalid trigger, duration or pause."""
+    """When attacks on one AV begin.
+
+    Raises UsageError for an invalid trigger, duration or pause, and for an AV that is named twice.
+    """
+    for av in wish.avs:
+        if wish.avs.count(av) > 1:
+            raise UsageError(f"AV '{av}' is named {wish.avs.count(av)} times; name it once.")
     for name, value, least in (
         ("duration", wish.duration_s, _SHORTEST_S),
         ("pause", wish.pause_s, 0.0),
@@ -102,7 +110,7 @@ def spec_of(wish: Wish) -> Spec:
         "version": 2,
         "name": "live",
         # not used: the simulation runs already
-        "source": {"network": ".", "av": {"vehicle": wish.av}},
+        "source": {"network": ".", "av": {"vehicle": wish.avs[0]}},
         "adversary": {"name": "deepmf"},
     }
     document = Document(file=Path("deepmf-sumo attach"), values=values)
@@ -141,43 +149,53 @@ def policy_of(spec: Spec) -> Policy:
     return OneThread(build(settings, weights.cached_predictors(spec.weights)), one_thread)
 
 
-def session(
+def sessions(
     api: LiveApi,
     wish: Wish,
     spec: Spec,
     finished: Callable[[LiveAttack], None],
-    policy: Policy | None = None,
+    policies: Sequence[Policy] = (),
     driven: Callable[[], bool] = lambda: True,
-) -> Session:
-    """A session on a simulation that stands between two steps; ``driven`` as of `Session`."""
+) -> tuple[Session, ...]:
+    """A session for each AV of a simulation that stands between two steps.
+
+    ``policies``: one for each AV, instead of `policy_of`. ``driven``: as of `Session`.
+    """
     if wish.net is None:
         net, additional = road_files(api, Path.cwd())
     else:
         net, additional = wish.net, ()
         if not net.is_file():
             raise UsageError(f"There is no network '{net}'.")
-    triggers = triggers_of(wish)
-    _check_edges(api, triggers)
-    scenery = Scenery(
-        api=api,
-        av_id=wish.av,
-        observer=Observer(api, wish.av, _RADIUS_M),
-        surroundings=Surroundings(api, net, additional),
-        rules=TurnRules(longest_s=wish.duration_s),
-    )
-    return Session(
-        scenery,
-        policy or policy_of(spec),
-        triggers,
-        wish.pause_s,
-        np.random.default_rng([spec.seed, crc32(wish.av.encode())]),
-        finished,
-        driven,
-    )
+    _check_edges(api, triggers_of(wish))
+    surroundings = Surroundings(api, net, additional)
+    found: list[Session] = []
+
+    def taken(av: AgentId) -> set[AgentId]:
+        """The other AVs and their opponents."""
+        others = {one.av_id: one.driving for one in found if one.av_id != av}
+        return {*others, *filter(None, others.values())}
+
+    for av, policy in zip(wish.avs, policies or [policy_of(spec) for _ in wish.avs], strict=True):
+        scenery = Scenery(
+            api=api,
+            av_id=av,
+            observer=Observer(api, av, _RADIUS_M),
+            surroundings=surroundings,
+            rules=TurnRules(longest_s=wish.duration_s),
+        )
+        rng = np.random.default_rng([spec.seed, crc32(av.encode())])
+        found.append(
+            Session(
+                scenery, policy, triggers_of(wish), wish.pause_s, rng, finished, driven,
+                functools.partial(taken, av),
+            )
+        )  # fmt: skip
+    return tuple(found)
 
 
 def setting_of(session: Session, wish: Wish, planner: str = "script") -> Setting:
-    """Where the attacks of a session take place, and what drives the AV."""
+    """Where the attacks of sessions take place, and what drives the AV."""
     around = session.surroundings
     return Setting(net=around.net, road=around.road, longest_s=wish.duration_s, planner=planner)
 
@@ -196,7 +214,7 @@ _WAYS: Final = "overwrite=True deletes them, another folder for out keeps them"
 
 
 class Attacker:
-    """Attacks a vehicle of a simulation that the caller's script steps.
+    """Attacks a vehicle of a simulation that the caller's script steps, or several.
 
     ::
 
@@ -211,7 +229,7 @@ class Attacker:
 
     Args:
         conn: the module ``libsumo`` or ``traci``, or what ``traci.connect`` returned.
-        av: id of the vehicle under test; it may leave and return.
+        av: id of the vehicle under test, or several; it may leave and return.
         trigger: ``time=S``, ``edge=ID``, ``ttc=S``, several of them, or ``call``: only when
             `attack` is called. None: whenever a vehicle can attack.
         duration_s: maximum of an attack. pause_s: after it, before the next.
@@ -231,7 +249,7 @@ class Attacker:
     def __init__(
         self,
         conn: Any,
-        av: AgentId,
+        av: AgentId | Sequence[AgentId],
         *,
         trigger: str | Sequence[str] | None = None,
         duration_s: float = 15.0,
@@ -243,7 +261,7 @@ class Attacker:
     ) -> None:
         texts = (trigger,) if isinstance(trigger, str) else tuple(trigger or ())
         wish = Wish(
-            av=av,
+            avs=(av,) if isinstance(av, str) else tuple(av),
             triggers=texts,
             duration_s=duration_s,
             pause_s=pause_s,
@@ -253,10 +271,10 @@ class Attacker:
         api, spec = shared(conn), spec_of(wish)
         triggers_of(wish)
         self._record = Record(
-            None if out is None else Path(out), av, spec, overwrite=overwrite, ways=_WAYS
+            None if out is None else Path(out), wish.avs, spec, overwrite=overwrite, ways=_WAYS
         )
-        self._session = session(api, wish, spec, self._record.add)
-        self._record.begin(setting_of(self._session, wish))
+        self._sessions = sessions(api, wish, spec, self._record.add)
+        self._record.begin(setting_of(self._sessions[0], wish))
 
     @property
     def attacks(self) -> list[dict[str, Any]]:
@@ -264,26 +282,36 @@ class Attacker:
         return self._record.rows
 
     @property
-    def opponent(self) -> AgentId | None:
-        """The vehicle that attacks now, or None."""
-        return self._session.attacking
+    def opponents(self) -> dict[AgentId, AgentId]:
+        """The vehicles that attack now, by the AV that each of them attacks."""
+        return {one.av_id: one.attacking for one in self._sessions if one.attacking is not None}
 
-    def attack(self) -> None:
-        """Attack as soon as a vehicle can, whatever the trigger."""
-        self._session.attack()
+    @property
+    def opponent(self) -> AgentId | None:
+        """The vehicle that attacks now, or None; with several AVs see `opponents`."""
+        return next(iter(self.opponents.values()), None)
+
+    def attack(self, av: AgentId | None = None) -> None:
+        """Attack as soon as a vehicle can, whatever the trigger; one AV, or all of them."""
+        for one in self._sessions:
+            if av in {None, one.av_id}:
+                one.attack()
 
     def before_step(self) -> None:
-        """Drive the opponent in the coming step."""
-        self._session.before_step()
+        """Drive the opponents in the coming step."""
+        for one in self._sessions:
+            one.before_step()
 
     def after_step(self) -> None:
         """Observe the step."""
-        self._session.after_step()
+        for one in self._sessions:
+            one.after_step()
 
     def close(self) -> None:
-        """Hand the opponent back, and finish the files."""
-        self._session.close()
-        self._record.finish("closed", self._session.time_s)
+        """Hand the opponents back, and finish the files."""
+        for one in self._sessions:
+            one.close()
+        self._record.finish("closed", self._sessions[0].time_s)
 
     def __enter__(self) -> Self:
         return self
@@ -328,7 +356,7 @@ class Prepared:
 
     wish: Wish
     spec: Spec
-    policy: Policy
+    policies: tuple[Policy, ...]
     record: Record
 
 
@@ -345,9 +373,9 @@ def prepare(wish: Wish, out: Path, *, overwrite: bool = False) -> Prepared:
     """
     triggers_of(wish)
     spec = spec_of(wish)
-    policy = policy_of(spec)
-    record = Record(out, wish.av, spec, overwrite=overwrite)
-    return Prepared(wish=wish, spec=spec, policy=policy, record=record)
+    policies = tuple(policy_of(spec) for _ in wish.avs)
+    record = Record(out, wish.avs, spec, overwrite=overwrite)
+    return Prepared(wish=wish, spec=spec, policies=policies, record=record)
 
 
 def attach(
@@ -357,7 +385,8 @@ def attach(
     *,
     stopped: Callable[[], bool],
     tell: Callable[[dict[str, Any]], None],
-    watch: Callable[[Session], None] = lambda _: None,
+    watch: Callable[[Sequence[Session]], None] = lambda _: None,
+    left: Callable[[], bool] | None = None,
 ) -> Attached:
     """Join a running SUMO as one more client, attack, and leave it as it was.
 
@@ -367,7 +396,8 @@ def attach(
         stay: how long to take part.
         stopped: whether to leave now.
         tell: called with each attack that is over.
-        watch: called with the session before the first step.
+        watch: called with the sessions before the first step.
+        left: whether the script that drives the AV has left; None looks at SUMO's connections.
 
     Raises UsageError for a wrong command, SimulationError if no SUMO listens, the connection is
     lost or the AV never appears; attacks before that are in the folder.
@@ -380,28 +410,30 @@ def attach(
 
     api = connect(port, stopped)
     with _closed_where_it_fails(api):
-        clients = others(api)  # all of them are connected by now
+        clients = others(api) if left is None else 1  # all of them are connected by now
 
         def driven() -> bool:
+            if left is not None:
+                return not left()
             return not clients or others(api) != 0
 
-        own = session(api, wish, prepared.spec, add, prepared.policy, driven)
+        own = sessions(api, wish, prepared.spec, add, prepared.policies, driven)
         collisions = str(api.simulation.getOption("collision.action"))
-        record.begin(setting_of(own, wish, planner="sumo" if clients == 0 else "script"))
+        record.begin(setting_of(own[0], wish, planner="sumo" if clients == 0 else "script"))
         watch(own)
-        steps = Lockstep(api, own, wish.av, stay, stopped)
+        steps = Lockstep(api, own, stay, stopped)
     end: str = "failed"
     try:
-        end = left = steps.run()
+        end = why = steps.run()
     finally:
         record.finish(end, steps.ended_s)
     return Attached(
         rows=record.rows,
-        end=left,
+        end=why,
         time_s=steps.ended_s,
-        last_failure=own.last_failure,
+        last_failure=next((one.last_failure for one in own if one.last_failure), ""),
         collisions=collisions,
-        undriven=own.undriven,
+        undriven=sum(one.undriven for one in own),
         watched=clients is not None,
     )
 

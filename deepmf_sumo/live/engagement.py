@@ -92,6 +92,7 @@ class Engagement:
         policy: drives the opponent.
         rng: for the policy.
         tired: vehicles that attack only if no other can.
+        taken: vehicles that do not attack.
 
     Attributes:
         opponent_id: None if no vehicle can attack, or the AV overlaps an agent already.
@@ -106,6 +107,7 @@ class Engagement:
         policy: Policy,
         rng: np.random.Generator,
         tired: Collection[AgentId] = (),
+        taken: Collection[AgentId] = (),
     ) -> None:
         self._scenery = scenery
         observer, av = scenery.observer, scenery.av_id
@@ -122,7 +124,13 @@ class Engagement:
             recorder.add(frame)
 
         def schedule(view: View) -> AttackSchedule:
-            return _scheduled(policy, view, rng, scenery.rules, tired)
+            free = _without(view, taken)
+            rested = _without(free, tired)
+            if rested is not free:
+                found = AttackSchedule(policy, rested, rng, scenery.rules)
+                if found.attacker is not None:
+                    return found
+            return AttackSchedule(policy, free, rng, scenery.rules)
 
         road = scenery.surroundings.road
         self._record = EpisodeRecord(av, road, recorder, frame, longest, self._signals, schedule)
@@ -226,21 +234,12 @@ class Engagement:
         )
 
 
-def _scheduled(
-    policy: Policy,
-    view: View,
-    rng: np.random.Generator,
-    rules: TurnRules,
-    tired: Collection[AgentId],
-) -> AttackSchedule:
-    """With an opponent that is not tired, if the policy finds one."""
-    rested = [row for row, agent in enumerate(view.history.ids) if agent not in tired]
-    if len(rested) < view.history.agents:
-        shown = replace(view, history=view.history.select(rested))
-        schedule = AttackSchedule(policy, shown, rng, rules)
-        if schedule.attacker is not None:
-            return schedule
-    return AttackSchedule(policy, view, rng, rules)
+def _without(view: View, agents: Collection[AgentId]) -> View:
+    """The view as if these were not there; the same one where none of them is."""
+    kept = [row for row, agent in enumerate(view.history.ids) if agent not in agents]
+    if len(kept) == view.history.agents:
+        return view
+    return replace(view, history=view.history.select(kept))
 
 
 def _between(start: Pose, end: Pose, share: float) -> Pose:

@@ -10,6 +10,7 @@ import os
 import shutil
 import time
 import traceback
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -62,7 +63,7 @@ class Results:
 
     def add(self, attack: LiveAttack) -> None:
         """Measure an attack, and write its folder and the tables."""
-        run_id = f"attack-{attack.number:03d}"
+        run_id = f"attack-{len(self._found) + 1:03d}"
         folder = self._store.runs / run_id
         (folder / "sumo").mkdir(parents=True, exist_ok=True)
         write_tracks(folder / "tracks.csv.gz", attack.rollout)
@@ -135,7 +136,7 @@ def _finished(task: Task, attack: LiveAttack, setting: Setting, begin: float) ->
     return found
 
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 WAYS: Final = "--overwrite deletes them, another folder for --out keeps them"
 
 
@@ -144,7 +145,7 @@ class Record:
 
     Args:
         out: the folder; None writes nothing.
-        av: the attacked vehicle.
+        avs: the attacked vehicles.
         spec: the settings of the attacks.
         overwrite: delete the results of an earlier command in the folder.
         ways: what the user can do about them, for the message.
@@ -156,7 +157,7 @@ class Record:
     def __init__(
         self,
         out: Path | None,
-        av: AgentId,
+        avs: Sequence[AgentId],
         spec: Spec,
         *,
         overwrite: bool = False,
@@ -171,7 +172,7 @@ class Record:
             "format_version": FORMAT_VERSION,
             "tool": "deepmf-sumo",
             "version": deepmf_sumo.__version__,
-            "av": av,
+            "avs": list(avs),
             "adversary": spec.adversary.model_dump(mode="json"),
             "weights": spec.weights,
             "seed": spec.seed,
@@ -193,7 +194,7 @@ class Record:
 
     def add(self, attack: LiveAttack) -> None:
         """Add an attack that is over."""
-        self.rows.append(row(attack))
+        self.rows.append(row(attack, len(self.rows) + 1))
         if self._out is None or self._results is None:
             return
         lines = [json.dumps(one, sort_keys=True, ensure_ascii=False) for one in self.rows]
@@ -213,14 +214,15 @@ class Record:
         files.write_json(self._out / "session.json", values)
 
 
-def row(attack: LiveAttack) -> dict[str, Any]:
+def row(attack: LiveAttack, number: int) -> dict[str, Any]:
     """One attack as plain values; times are the simulation's."""
     rollout = attack.rollout
     contact = rollout.first("av_opponent")
     plans = [plan.reason for plan in rollout.plans if plan.reason]
     turn = rollout.turns[0]
     return {
-        "number": attack.number,
+        "number": number,
+        "av": rollout.av_id,
         "opponent": rollout.opponent_id,
         "begin_s": round(attack.begin_s, 3),
         "end_s": round(attack.end_s, 3),

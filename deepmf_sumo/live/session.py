@@ -1,23 +1,15 @@
-"""A session with a simulation that another program runs, in lockstep with it.
+"""Attacks on one AV of a simulation that another program runs, step by step."""
 
-It is one client among several: it steps with the others, attacks, and leaves without harm. SUMO
-waits at each step for all of its clients, and quits if one of them disconnects without closing. So
-whatever happens here, the opponent is handed back and the connection closed.
-"""
-
-import difflib
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, HISTORY_STEPS, AgentId, Rollout
-from deepmf_sumo.errors import RunError, SimulationError, UsageError
-from deepmf_sumo.live.connection import LiveApi, lost, of_sumo
+from deepmf_sumo.errors import RunError, UsageError
 from deepmf_sumo.live.engagement import Engagement, Scenery, Surroundings
 from deepmf_sumo.live.observer import Sighting
 from deepmf_sumo.live.triggers import AtTime, Moment, Trigger
@@ -33,7 +25,6 @@ _AGAIN_S: Final = 1.0
 class LiveAttack:
     """An attack that is over. ``begin_s``, ``end_s``: time of the simulation."""
 
-    number: int
     begin_s: float
     end_s: float
     rollout: Rollout
@@ -51,6 +42,7 @@ class Session:
         finished: called with each attack that is over.
         driven: whether the script that drives the AV is still connected. If it is not at the end
             of an attack, the attack counts in ``undriven`` alone: SUMO drove the AV in part of it.
+        taken: vehicles that others drive now, which do not attack here.
 
     Attributes:
         attacks, undriven: numbers of attacks so far.
@@ -69,6 +61,7 @@ class Session:
         rng: np.random.Generator,
         finished: Callable[[LiveAttack], None],
         driven: Callable[[], bool] = lambda: True,
+        taken: Callable[[], Collection[AgentId]] = tuple,
     ) -> None:
         self.attacks = 0
         self.undriven = 0
@@ -85,6 +78,7 @@ class Session:
         self._rng = rng
         self._finished = finished
         self._driven = driven
+        self._taken = taken
         self._counts = True
         self._parts = parts_of_a_step(float(scenery.api.simulation.getDeltaT()))
         self._part = 0
@@ -94,8 +88,14 @@ class Session:
         self._begin_s = 0.0
         self._ended_s: dict[AgentId, float] = {}
         self._next_s = -np.inf
+        self._asleep = False
         self._frames = 0
         self._start_s = self.time_s = float(scenery.api.simulation.getTime())
+
+    @property
+    def av_id(self) -> AgentId:
+        """The AV."""
+        return self._scenery.av_id
 
     @property
     def surroundings(self) -> Surroundings:
@@ -107,6 +107,11 @@ class Session:
         """The opponent, while an attack goes on."""
         attack = self._attack
         return attack.opponent_id if attack is not None and attack.turn is None else None
+
+    @property
+    def driving(self) -> AgentId | None:
+        """The opponent, also in the step in which it comes back onto its lane."""
+        return self._attack.opponent_id if self._attack is not None else None
 
     def attack(self) -> None:
         """Attack as soon as a vehicle can, whatever the triggers say."""
@@ -120,6 +125,20 @@ class Session:
         if self._part == 0:
             attack.decide()
         attack.place((self._part + 1) / self._parts)
+
+    def idle_frames(self) -> int:
+        """Number of times 0.1 s that one step may last, since nothing can happen here before."""
+        if not self._asleep or self._part:
+            return 0
+        until_s = self._due_s() - _WAKE_S - self.time_s
+        ask = _ASK_EVERY - self._frames % _ASK_EVERY
+        return ask if until_s > ask * DT_S else max(math.ceil(until_s / DT_S - 1e-6), 0)
+
+    def after_long_step(self, frames: int) -> None:
+        """Observe a step of at most `idle_frames` times 0.1 s."""
+        self._frames += frames - 1
+        self._part = self._parts - 1
+        self.after_step()
 
     def after_step(self) -> None:
         """Observe the step, and begin or end an attack."""
@@ -184,8 +203,12 @@ class Session:
 
     def _may_sleep(self) -> bool:
         """Whether no attack can begin before a second of history could be observed."""
-        due_s = max(self._next_s, min(one.not_before_s for one in self._triggers))
-        return self._attack is None and self.time_s < due_s - _WAKE_S
+        self._asleep = self._attack is None and self.time_s < self._due_s() - _WAKE_S
+        return self._asleep
+
+    def _due_s(self) -> float:
+        """Time before which no attack begins."""
+        return max(self._next_s, min(one.not_before_s for one in self._triggers))
 
     def _sleep(self) -> None:
         """Check only whether the AV is present, now and then."""
@@ -226,7 +249,7 @@ class Session:
             return
         try:
             attack = Engagement(
-                scenery, tuple(self._history), self._policy, self._rng, self._tired()
+                scenery, tuple(self._history), self._policy, self._rng, self._tired(), self._taken()
             )
         except RunError as error:
             self.last_failure = str(error)
@@ -255,9 +278,7 @@ class Session:
         rollout = attack.rollout()
         end_s = self._begin_s + (attack.turn.last_step - rollout.now) * DT_S
         self._ended_s[attack.turn.opponent_id] = end_s
-        self._finished(
-            LiveAttack(number=self.attacks, begin_s=self._begin_s, end_s=end_s, rollout=rollout)
-        )
+        self._finished(LiveAttack(begin_s=self._begin_s, end_s=end_s, rollout=rollout))
 
 
 def parts_of_a_step(step_s: float) -> int:
@@ -269,168 +290,3 @@ def parts_of_a_step(step_s: float) -> int:
             "it; start SUMO with --step-length 0.1 (or 0.05, 0.02, 0.01)."
         )
     return parts
-
-
-End = Literal["until", "attacks", "av_gone", "simulation_over", "script_left", "stopped"]
-
-_TOLERANCE_S: Final = 1e-6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stay:
-    """How long to take part; times are the simulation's.
-
-    Attributes:
-        until_s: leave then. attacks: leave after this number. None: no limit.
-        patience_s: an AV that has not appeared in this time is an error.
-    """
-
-    until_s: float | None = None
-    attacks: int | None = None
-    patience_s: float = 600.0
-
-
-class Lockstep:
-    """Steps a simulation together with its other clients.
-
-    Args:
-        api: a connection of its own.
-        session: attacks.
-        av_id: the vehicle that it attacks.
-        stay: how long to take part.
-        stopped: whether to leave now; called before the first step and after each.
-
-    Attributes:
-        ended_s: the simulation's time at the end.
-    """
-
-    def __init__(
-        self,
-        api: LiveApi,
-        session: Session,
-        av_id: AgentId,
-        stay: Stay,
-        stopped: Callable[[], bool],
-    ) -> None:
-        self._api, self._session, self._av = api, session, av_id
-        self._stay, self._stopped = stay, stopped
-        self._looks = 0
-        self._begin_s = self.ended_s = session.time_s
-        end_s = float(api.simulation.getOption("end"))
-        self._end_s = end_s if end_s >= 0 else math.inf
-
-    def run(self) -> End:
-        """Take part until one of the ends; the connection is closed then, whatever happens.
-
-        Raises SimulationError where the connection is lost or the AV never appears.
-        """
-        session, api = self._session, self._api
-        in_order = True  # else an answer of SUMO is pending, and it reads nothing before
-        try:
-            end = self._steps()
-            self.ended_s = session.time_s
-            session.hand_back()
-            api.simulationStep()  # in which a vehicle beside its lane comes back onto it
-            session.after_step()
-            return end
-        except KeyboardInterrupt:
-            in_order = False
-            raise
-        except Exception as error:
-            if not of_sumo(error):
-                raise
-            if not lost(error):
-                raise SimulationError(
-                    f"SUMO refused at {session.time_s:.1f} s of the simulation: "
-                    f"{str(error).strip()}"
-                ) from None
-            self.ended_s = session.time_s
-            if abs(session.time_s - self._end_s) <= 1.0:  # later SUMO goes on for its clients
-                return "simulation_over"
-            raise SimulationError(self._lost(str(error).strip())) from None
-        finally:
-            if in_order:
-                self._leave()
-
-    def _leave(self) -> None:
-        with _without_sumos_complaints():
-            self._session.close()
-        with suppress(OSError), _without_sumos_complaints():
-            self._api.close()
-
-    def _lost(self, reason: str) -> str:
-        """The message for a connection that is gone."""
-        time_s = self._session.time_s
-        if time_s == self._begin_s:
-            return (
-                f"SUMO ended before its first step ({reason}): every client needs a number of its "
-                "own, --order here and setOrder in a script, and SUMO one --num-clients for all."
-            )
-        return (
-            f"The connection was lost at {time_s:.1f} s of the simulation ({reason}): SUMO has "
-            "ended, or another of its clients broke off."
-        )
-
-    def _steps(self) -> End:
-        if self._stopped():
-            return "stopped"
-        while True:
-            self._session.before_step()
-            self._api.simulationStep()
-            self._session.after_step()
-            end = self._ending()
-            if end is not None:
-                return end
-
-    def _ending(self) -> End | None:
-        session, stay = self._session, self._stay
-        if self._stopped():
-            return "stopped"
-        if session.av_seen and not session.av_present and not self._elsewhere():
-            return "av_gone"
-        self._looks += 1
-        if self._looks % _ASK_EVERY == 0:
-            session.check_script()
-        if session.script_left:
-            return "script_left"
-        if stay.attacks is not None and session.attacks >= stay.attacks:
-            return "attacks"
-        if stay.until_s is not None and session.time_s >= stay.until_s - _TOLERANCE_S:
-            return "until"
-        if not session.av_seen:
-            self._look_for_av()
-        return None
-
-    def _elsewhere(self) -> bool:
-        """Whether the AV will be back: SUMO teleports vehicles that it takes for stuck."""
-        return self._av in self._api.simulation.getStartingTeleportIDList() or (
-            self._av not in self._api.simulation.getArrivedIDList() and self._av in self._loaded()
-        )
-
-    def _loaded(self) -> tuple[AgentId, ...]:
-        return tuple(self._api.vehicle.getLoadedIDList())
-
-    def _look_for_av(self) -> None:
-        waited = self._session.time_s - self._begin_s
-        none_left = self._api.simulation.getMinExpectedNumber() == 0
-        if waited < self._stay.patience_s and not none_left:
-            return
-        there = sorted(self._loaded())
-        nearest = difflib.get_close_matches(self._av, there, n=3)
-        hint = f" Nearest: {', '.join(nearest)}." if nearest else ""
-        known = f" Now there: {', '.join(there[:8])}{', ...' if len(there) > 8 else ''}."
-        known = known if there else " No vehicle is there now."
-        raise SimulationError(
-            f"Vehicle '{self._av}' has not appeared in {waited:.0f} s of the simulation"
-            f"{' and all others have left' if none_left else ''}.{hint or known}"
-        )
-
-
-@contextmanager
-def _without_sumos_complaints() -> Iterator[None]:
-    """Ignore what SUMO refuses while this client leaves."""
-    try:
-        yield
-    except Exception as error:
-        if not of_sumo(error):
-            raise

@@ -1,4 +1,4 @@
-"""A session over HTTP: what it does now, and a switch for new attacks.
+"""Sessions over HTTP: what they do now, and a switch for new attacks.
 
 ``GET /status`` is JSON, ``POST /start`` and ``POST /stop`` turn new attacks on and off and answer
 with the status, ``GET /`` is a page with both. Only this machine can connect.
@@ -6,14 +6,18 @@ with the status, ``GET /`` is a page with both. Only this machine can connect.
 
 import json
 import threading
+from collections import Counter
+from collections.abc import Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Final, Self
 
+from deepmf_sumo.datatypes import AgentId
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.live.session import Session
 
+_WAITING: Final = "the first step has not come yet"
 _PAGE: Final = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>deepmf-sumo: live attacks</title>
 <meta name="viewport" content="width=device-width">
@@ -23,23 +27,27 @@ td, th { text-align: left; padding: .2rem 1.5rem .2rem 0; }
 button { font: inherit; padding: .3rem 1rem; margin: 1rem .5rem 0 0; }
 </style>
 <h1>Live attacks</h1>
-<table id="status"></table>
+<p id="now"></p>
+<table>
+<thead><tr><th>AV<th>attacked by<th>attacks<th>contacts<th>why none now</thead><tbody></tbody>
+</table>
 <button data-do="start">Start attacks</button><button data-do="stop">Stop attacks</button>
 <script>
-const NAMES = {av: "AV", time_s: "time, s", attacking: "attacked by", attacks: "attacks",
-  contacts: "contacts", new_attacks: "new attacks", last_failure: "why none now"};
+const NAMES = ["av", "attacking", "attacks", "contacts", "last_failure"];
 function show(status) {
-  const rows = Object.entries(NAMES).map(([key, name]) => {
+  document.getElementById("now").textContent =
+    status.ended ?? `${status.time_s ?? 0} s, new attacks: ${status.new_attacks ?? "-"}`;
+  if (!status.avs) return;
+  document.querySelector("tbody").replaceChildren(...status.avs.map((one) => {
     const row = document.createElement("tr");
-    for (const [tag, text] of [["th", name], ["td", status[key] ?? "-"]])
-      row.appendChild(document.createElement(tag)).textContent = text;
+    for (const name of NAMES)
+      row.appendChild(document.createElement("td")).textContent = one[name] ?? "-";
     return row;
-  });
-  document.getElementById("status").replaceChildren(...rows);
+  }));
 }
 async function ask(path, method) {
   try { show(await (await fetch(path, {method})).json()); }
-  catch { show({last_failure: "the session has ended"}); }
+  catch { show({ended: "the session has ended"}); }
 }
 for (const button of document.querySelectorAll("button"))
   button.onclick = () => ask("/" + button.dataset.do, "POST");
@@ -50,22 +58,23 @@ setInterval(() => ask("/status", "GET"), 1000);
 
 
 class StatusServer:
-    """Answers while it is open; until `watch` it has no session.
+    """Answers while it is open; until `watch` it has no sessions.
 
     Args:
         port: of this machine; 0 takes a free one.
-        av: the attacked vehicle.
+        avs: the attacked vehicles.
 
     Attributes:
-        port: as given, or the one that was free. hits: contacts so far, counted by the caller.
+        port: as given, or the one that was free. hits: contacts so far by AV,
+            counted by the caller.
 
     Raises UsageError for a port that is in use.
     """
 
-    def __init__(self, port: int, av: str) -> None:
-        self.hits = 0
-        self._av = av
-        self._session: Session | None = None
+    def __init__(self, port: int, avs: Sequence[AgentId]) -> None:
+        self.hits: Counter[AgentId] = Counter()
+        self._avs = avs
+        self._sessions: Sequence[Session] = ()
         status = self
 
         class Handler(_Handler):
@@ -79,31 +88,36 @@ class StatusServer:
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, name="status", daemon=True).start()
 
-    def watch(self, session: Session) -> None:
-        """Tell of this session, and switch its attacks."""
-        self._session = session
+    def watch(self, sessions: Sequence[Session]) -> None:
+        """Tell of these sessions, and switch their attacks."""
+        self._sessions = sessions
 
     def status(self) -> dict[str, Any]:
         """What ``GET /status`` answers."""
-        session = self._session
-        if session is None:
-            return {"av": self._av, "last_failure": "the client has not come yet"}
+        if not self._sessions:
+            waiting = [{"av": av, "last_failure": _WAITING} for av in self._avs]
+            return {"time_s": None, "new_attacks": None, "avs": waiting}
+        first = self._sessions[0]
         return {
-            "av": self._av,
-            "time_s": round(session.time_s, 3),
-            "attacking": session.attacking,
-            "attacks": session.attacks,
-            "contacts": self.hits,
-            "new_attacks": "off" if session.paused else "on",
-            "last_failure": session.last_failure,
+            "time_s": round(first.time_s, 3),
+            "new_attacks": "off" if first.paused else "on",
+            "avs": [
+                {
+                    "av": one.av_id,
+                    "attacking": one.attacking,
+                    "attacks": one.attacks,
+                    "contacts": self.hits[one.av_id],
+                    "last_failure": one.last_failure,
+                }
+                for one in self._sessions
+            ],
         }
 
     def switch(self, *, on: bool) -> bool:
         """Turn new attacks on or off; False without a session."""
-        if self._session is None:
-            return False
-        self._session.paused = not on
-        return True
+        for one in self._sessions:
+            one.paused = not on
+        return bool(self._sessions)
 
     def __enter__(self) -> Self:
         return self
@@ -135,7 +149,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.of.switch(on=self.path == "/start"):
             self._tell()
         else:
-            self.send_error(HTTPStatus.CONFLICT, "the client has not come yet")
+            self.send_error(HTTPStatus.CONFLICT, _WAITING)
 
     def _tell(self) -> None:
         self._answer(json.dumps(self.of.status()).encode(), "application/json")

@@ -1,8 +1,9 @@
 """Costs and side effects of attacks in a foreign simulation: ``python -m tests.bench.live``.
 
 A grid with traffic is stepped by a script that drives nobody; a second client attaches. Printed:
-steps a second with a second client that only steps and with ours before any attack, and, with
-attacks, how many pairs of bystanders overlap that do not without us.
+steps a second with a second client that only steps and with ours before any attack; what a step
+takes the script behind `serve`, and with SUMO alone; and, with attacks, how many pairs of
+bystanders overlap that do not without us.
 """
 
 import argparse
@@ -29,17 +30,21 @@ PROGRAM = Path(sys.executable).with_name("deepmf-sumo")
 CLIENT = """
 import json, statistics, sys, time, traci
 port, order, seconds = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+questions = int(sys.argv[4]) if len(sys.argv) > 4 else 0
 for _ in range(300):
     try:
         api = traci.connect(port, numRetries=0)
         break
     except traci.exceptions.FatalTraCIError:
         time.sleep(0.1)
-api.setOrder(order)
+if order:
+    api.setOrder(order)
 steps, took = 0, []
 while 0.1 * steps < seconds - 0.05:
     begin = time.perf_counter()
     api.simulationStep()
+    for _ in range(questions):
+        api.vehicle.getIDCount()
     steps += 1
     if steps > 300:
         took.append(time.perf_counter() - begin)
@@ -57,16 +62,18 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--pause", type=float, default=5.0, help="seconds after an attack")
     parser.add_argument("--gui", action="store_true", help="sumo-gui in place of sumo")
-    parser.add_argument("--only", choices=["rate", "lockstep"])
+    parser.add_argument("--only", choices=["rate", "serve", "lockstep"])
     options = parser.parse_args()
     program = "sumo-gui" if options.gui else "sumo"
     os.environ["SUMO_HOME"] = sumo.SUMO_HOME
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         traffic(folder, options.seconds + 60)
-        if options.only != "lockstep":
+        if options.only in {None, "rate"}:
             rates(folder, program, min(options.seconds, 150.0), options.rounds)
-        if options.only != "rate":
+        if options.only in {None, "serve"}:
+            behind_serve(folder, min(options.seconds, 150.0), options.rounds)
+        if options.only in {None, "lockstep"}:
             lockstep(folder, program, options.seconds, options.pause)
 
 
@@ -91,6 +98,52 @@ def rates(folder: Path, program: str, seconds: float, rounds: int) -> None:
                 f"{1e3 * statistics.median(theirs):.2f} ms; share of the rate "
                 f"{statistics.median(shares):.2f} ({', '.join(f'{one:.2f}' for one in shares)})"
             )
+
+
+def behind_serve(folder: Path, seconds: float, rounds: int) -> None:
+    """What a step takes the script, with SUMO alone and behind `serve` before any attack."""
+    for trigger in ("time=1e9", "ttc=0.01"):
+        for questions in (0, 10):
+            found = []
+            for _ in range(rounds):
+                asked = [str(seconds), str(questions)]
+                found.append((alone(folder, asked), served(folder, asked, trigger)))
+            for name in ("fast", "middle"):
+                ours, theirs = ([one[side][name] for one in found] for side in (1, 0))
+                ratios = [a / b for a, b in zip(ours, theirs, strict=True)]
+                print(
+                    f"serve --trigger {trigger}, {name} step with {questions} questions: "
+                    f"{1e3 * statistics.median(ours):.2f} ms, SUMO alone "
+                    f"{1e3 * statistics.median(theirs):.2f} ms; ratio "
+                    f"{statistics.median(ratios):.2f} ({', '.join(f'{one:.2f}' for one in ratios)})"
+                )
+
+
+def alone(folder: Path, asked: list[str]) -> dict:
+    """What the script says of SUMO."""
+    port = str(free_port())
+    command = [BIN / "sumo", "-c", "grid.sumocfg", "--remote-port", port, "--no-step-log"]
+    with subprocess.Popen([*command, "--no-warnings"], cwd=folder, stdout=subprocess.DEVNULL):
+        return scripted(port, asked)
+
+
+def served(folder: Path, asked: list[str], trigger: str) -> dict:
+    """What the script says of `serve`."""
+    port = str(free_port())
+    command = [PROGRAM, "serve", "grid.sumocfg", "--port", port, "--av", "ego", "--overwrite",
+               "--trigger", trigger, "--out", "served",
+               "--", "--no-step-log", "--no-warnings"]  # fmt: skip
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, cwd=folder, **quiet):
+        return scripted(port, asked)
+
+
+def scripted(port: str, asked: list[str]) -> dict:
+    """What the script says."""
+    done = subprocess.run(
+        [sys.executable, "-c", CLIENT, port, "0", *asked], check=True, capture_output=True
+    )
+    return json.loads(done.stdout)
 
 
 def lockstep(folder: Path, program: str, seconds: float, pause_s: float) -> None:

@@ -85,7 +85,7 @@ def test_steps_with_the_script_and_leaves_it_alone(simulation, port, tmp_path, c
     assert script.communicate()[0].strip() == "AV at 6.0"
     assert (script.returncode, server.wait()) == (0, 0)
     shown = capsys.readouterr().out
-    assert "1  leader" in shown
+    assert "1  av  leader" in shown
     assert "left at 5.0 s, as asked" in shown
     (line,) = (tmp_path / "live" / "attacks.jsonl").read_text().splitlines()
     row = json.loads(line)
@@ -211,7 +211,7 @@ def test_a_connection_lost_before_the_first_step_is_one_line(port, tmp_path, cap
 
     api = SimpleNamespace(close=lost)
     monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
-    monkeypatch.setattr(attacker, "session", lost)
+    monkeypatch.setattr(attacker, "sessions", lost)
     monkeypatch.setattr(attacker, "connect", lambda *_: api)
     assert attach(port, tmp_path / "live", "--av", "av") == 3
     assert "lost before the first step (connection closed by SUMO)" in capsys.readouterr().err

@@ -144,9 +144,9 @@ def test_two_sessions_do_not_write_into_one_folder(started, policy, tmp_path):
     with deepmf_sumo.Attacker(started, av="av", out=out):
         with pytest.raises(OutputError, match="is being written by process"):
             deepmf_sumo.Attacker(started, av="leader", out=out)
-        assert json.loads((out / "session.json").read_text())["av"] == "av"
+        assert json.loads((out / "session.json").read_text())["avs"] == ["av"]
     with deepmf_sumo.Attacker(started, av="leader", out=out):
-        assert json.loads((out / "session.json").read_text())["av"] == "leader"
+        assert json.loads((out / "session.json").read_text())["avs"] == ["leader"]
 
 
 def test_an_earlier_session_is_deleted_only_where_that_is_asked_for(started, policy, tmp_path):

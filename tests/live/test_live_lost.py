@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.live.session import Lockstep, Stay
+from deepmf_sumo.live.lockstep import Lockstep, Stay
 
 # as libsumo and every copy of traci have one of their own
 Lost = type("FatalTraCIError", (Exception,), {})
@@ -18,13 +18,15 @@ def steps_lost_at(time_s, error=Lost):
         raise error("connection closed by SUMO")
 
     nothing = lambda: None  # noqa: E731
-    session = SimpleNamespace(time_s=0.0, before_step=nothing, after_step=nothing, close=nothing)
+    session = SimpleNamespace(
+        time_s=0.0, before_step=nothing, after_step=nothing, close=nothing, idle_frames=lambda: 0
+    )
     api = SimpleNamespace(
         simulationStep=lost,
         close=nothing,
         simulation=SimpleNamespace(getOption=lambda name: "25.0"),
     )
-    return Lockstep(api, session, "av", Stay(), lambda: False)
+    return Lockstep(api, [session], Stay(), lambda: False)
 
 
 def test_at_the_end_the_simulation_is_over():

@@ -53,7 +53,7 @@ def test_a_leader_that_brakes_is_driven_and_handed_back(folder, sumo):
     (one,) = fought
     rollout = one.rollout
     assert (rollout.opponent_id, rollout.ended) == ("leader", "plan_ended")
-    assert (one.number, one.begin_s) == (1, pytest.approx(1.1))
+    assert one.begin_s == pytest.approx(1.1)
     row = rollout.tracks.row("leader")
     drivers = rollout.driver[row, rollout.now + 1 :]
     assert (drivers[:20] == Driver.POLICY).all()
@@ -326,3 +326,32 @@ def test_persons_are_seen_from_when_they_come(folder, sumo):
     assert "walker" not in policy.views[0].history.ids
     row = policy.views[-1].history.row("walker")
     assert policy.views[-1].history.kinds[row] == "pedestrian"
+
+
+def test_while_nothing_can_happen_one_step_may_last_longer(folder, sumo):
+    """The same attack as in steps of 0.1 s, after a few long ones."""
+
+    def attacked(*, long):
+        api = sumo()
+        session, fought = session_on(
+            api, folder, Brake(), triggers=[AtTime(9.0)], pause_s=100.0, rules=None
+        )
+        steps = 0
+        while session.time_s < 14.0:
+            frames = session.idle_frames() if long else 0
+            if frames > 1:
+                api.simulationStep(session.time_s + 0.1 * frames)
+                session.after_long_step(frames)
+            else:
+                step(api, session, 1)
+            steps += 1
+        (one,) = fought
+        api.close()
+        return steps, one.begin_s, one.rollout
+
+    (short, begin_s, rollout), (fewer, again_s, same) = attacked(long=False), attacked(long=True)
+    sumo()
+    assert (short, begin_s) == (140, pytest.approx(9.0))
+    assert fewer < short - 60
+    assert again_s == begin_s
+    np.testing.assert_array_equal(same.tracks.position_m, rollout.tracks.position_m)

@@ -3,6 +3,7 @@
 import functools
 import json
 import re
+import shutil
 import signal
 import socket
 import struct
@@ -12,12 +13,13 @@ import time
 import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import sumo
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.live.server import LARGEST
+from deepmf_sumo.live.relay import LARGEST
 
 pytestmark = pytest.mark.sumo
 
@@ -139,6 +141,80 @@ def test_its_vehicle_is_attacked(served, tmp_path):
     assert seen[-1] == []  # nothing of what the attack has subscribed to
 
 
+LIBTRACI = r"""
+#include <libsumo/libtraci.h>
+#include <cstdio>
+#include <cstdlib>
+using namespace libtraci;
+int main(int, char** argv) {
+    Simulation::init(std::atoi(argv[1]), 50);
+    Vehicle::subscribeContext("av", libsumo::CMD_GET_VEHICLE_VARIABLE, 60.0, {libsumo::VAR_SPEED});
+    for (int step = 0; step < 60; ++step) {
+        Simulation::step();
+        for (const auto& one : Vehicle::getIDList()) {
+            const auto at = Vehicle::getPosition(one);
+            std::printf("at %s %.17g %.17g\n", one.c_str(), at.x, at.y);
+        }
+        std::printf("at %zu\n", Vehicle::getContextSubscriptionResults("av").size());
+    }
+    Simulation::close();
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler")
+def test_a_client_of_sumos_cpp_library_sees_what_it_sees_of_sumo(tiny, served, tmp_path):
+    home = Path(sumo.SUMO_HOME)
+    (tmp_path / "client.cpp").write_text(LIBTRACI)
+    library = [f"-L{home}/lib64", "-ltracicpp", f"-Wl,-rpath,{home}/lib64"]
+    subprocess.run(
+        ["g++", "-O0", "-o", "client", "client.cpp", f"-I{home}/include", *library],
+        cwd=tmp_path, check=True, capture_output=True,
+    )  # fmt: skip
+
+    def seen(port):
+        program = [tmp_path / "client", str(port)]
+        told = subprocess.run(program, check=True, capture_output=True, timeout=60).stdout
+        return [line for line in told.splitlines() if line.startswith(b"at ")]
+
+    process, port = served("nobody")
+    behind = seen(port)
+    process.communicate(timeout=60)
+    own = free_port()
+    command = [home / "bin/sumo", "-c", tiny / "tiny.sumocfg", "--remote-port", str(own), *OPTIONS]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL):
+        assert seen(own) == behind
+    assert any(b"leader" in line for line in behind)
+
+
+SCRIPT = """
+import sys, traci
+traci.start([*sys.argv[1:]])
+for _ in range(20):
+    traci.simulationStep()
+print(traci.simulation.getTime())
+traci.close()
+"""
+
+
+@pytest.mark.parametrize("options", [[], ["--", *OPTIONS]], ids=["none", "of SUMO"])
+def test_a_script_that_starts_sumo_itself_can_start_serve(tiny, tmp_path, options):
+    config = tmp_path / "tenths.sumocfg"
+    config.write_text(
+        f'<configuration><input><net-file value="{tiny / "tiny.net.xml"}"/>'
+        f'<route-files value="{tiny / "tiny.rou.xml"}"/></input>'
+        '<time><step-length value="0.1"/></time></configuration>'
+    )
+    command = [
+        sys.executable, "-c", SCRIPT, Path(sys.executable).with_name("deepmf-sumo"), "serve",
+        config, "--av", "nobody", "--out", tmp_path / "live", *options,
+    ]  # fmt: skip
+    done = subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, "2.0" in done.stdout.split("\n")) == (0, True), done.stderr
+
+
 def command(number, content=b""):
     return bytes((2 + len(content), number)) + content
 
@@ -243,7 +319,8 @@ def test_status_and_a_switch_over_http(served, tmp_path):
 
     process, port = served("av", "--duration", "3", "--pause", "0", "--http", "0", status=True)
     http, port = port, int(re.search(r"port (\d+)", process.stderr.readline())[1])
-    assert json.loads(ask("/status"))["last_failure"] == "the client has not come yet"
+    (waiting,) = json.loads(ask("/status"))["avs"]
+    assert waiting == {"av": "av", "last_failure": "the first step has not come yet"}
     with pytest.raises(urllib.error.HTTPError, match="409"):
         ask("/stop", "POST")
     step = message(command(0x02, struct.pack("!d", 0.0)))
@@ -258,11 +335,13 @@ def test_status_and_a_switch_over_http(served, tmp_path):
         assert json.loads(ask("/stop", "POST"))["new_attacks"] == "off"
         steps(connection, 30)
         found = json.loads(ask("/status"))
-        assert (found["attacks"], found["attacking"]) == (0, None)
+        (of_av,) = found["avs"]
+        assert (of_av["attacks"], of_av["attacking"]) == (0, None)
         assert found["time_s"] == pytest.approx(3.3, abs=0.15)
         assert json.loads(ask("/start", "POST"))["new_attacks"] == "on"
         steps(connection, 60)
-        assert json.loads(ask("/status"))["attacks"] + bool(json.loads(ask("/status"))["attacking"])
+        (of_av,) = json.loads(ask("/status"))["avs"]
+        assert of_av["attacks"] or of_av["attacking"]
         assert "<title>deepmf-sumo" in ask("/")
         with pytest.raises(urllib.error.HTTPError, match="404"):
             ask("/nowhere")
