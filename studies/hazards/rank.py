@@ -6,11 +6,15 @@ of its attacks is drawn to the typical place of its kind as far as the data are 
 ``risk.criticality``). Places are ranked by how far the lower end of the interval is above
 the typical one, as road authorities rank sites by reference populations: at a stop ways always
 cross, on a motorway never. Those that cannot be told from the typical one share one rank.
+
+``--conflicts OUT...``: folders of ``deepmf-sumo conflicts`` instead; places are ranked by how many
+conflicts they have more than the median place of their kind.
 """
 
 # ruff: noqa: INP001, T201 - a script beside data, not a package
 
 import argparse
+import csv
 import itertools
 import re
 import sys
@@ -77,6 +81,25 @@ def _place(one: Attacked) -> str:
     return found[0] if found else ""
 
 
+def ranked_by_conflicts(folders: Iterable[Path]) -> list[tuple[str, int, float, float]]:
+    """Place, conflicts, how many more than its kind's median, and rank; the worst first."""
+    counts = dict.fromkeys(PLACES, 0)
+    for folder in folders:
+        with (folder / "conflicts.csv").open(newline="", encoding="utf-8") as table:
+            for row in csv.DictReader(table):
+                found = re.match(r"[a-z]+\d+", row["place"])
+                if found and found[0] in counts:
+                    counts[found[0]] += 1
+    kinds = {
+        kind: float(np.median([counts[f"{kind}{number}"] for number in range(10)]))
+        for kind in KINDS
+    }
+    more = {name: counts[name] - kinds[name.rstrip("0123456789")] for name in PLACES}
+    rank = ranks(more)
+    order = sorted(PLACES, key=lambda name: (rank[name], name))
+    return [(name, counts[name], more[name], rank[name]) for name in order]
+
+
 def _print(table: Sequence[Place], flawed: Sequence[str]) -> None:
     print("place     rank  attacks  hits  criticality  of its kind  excess  drawn (90 % interval)")
     for place in table:
@@ -96,7 +119,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Rank the forty places by their criticality.")
     parser.add_argument("folders", metavar="OUT", nargs="+", type=Path)
     parser.add_argument("--flawed", nargs="*", default=FLAWED, metavar="PLACE", choices=PLACES)
+    parser.add_argument("--conflicts", action="store_true", help="OUT is of deepmf-sumo conflicts")
     given = parser.parse_args()
+    if given.conflicts:
+        print("place     rank  conflicts  more than the median of its kind")
+        for name, count, more, rank in ranked_by_conflicts(given.folders):
+            flawed = "  <- flawed" * (name in given.flawed)
+            print(f"{name:9} {rank:4.1f}  {count:9}  {more:+.1f}{flawed}")
+        return 0
     try:
         seeds = [[one for net in read([out]) for one in net.attacks] for out in given.folders]
     except DeepmfError as error:

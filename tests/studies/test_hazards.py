@@ -211,3 +211,14 @@ def test_a_study_ends_with_the_exit_code_of_what_went_wrong(tmp_path, monkeypatc
     monkeypatch.setattr(STUDY.subprocess, "run", run)
     monkeypatch.setattr("sys.argv", ["study.py", str(tmp_path)])
     assert STUDY.main() == 3
+
+
+def test_conflicts_of_plain_traffic_rank_places_against_their_kind(tmp_path):
+    places = ["stop8_mid", "stop8_mid", "stop8_mid", "merge0_lane", "elsewhere"]
+    places += [f"merge{number}_lane" for number in range(1, 10) for _ in range(2)]
+    rows = "".join(f"{one}\n" for one in places)
+    (tmp_path / "conflicts.csv").write_text(f"place\n{rows}")
+    table = {name: row for name, *row in RANK.ranked_by_conflicts([tmp_path])}
+    assert table["stop8"] == [3, 3.0, 1.0]
+    assert table["merge0"] == [1, -1.0, 40.0]
+    assert table["merge5"] == [2, 0.0, 20.5]
