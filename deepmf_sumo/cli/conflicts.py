@@ -53,6 +53,7 @@ _TOP: Final = 10
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Show the attacks of this result folder at the same places.",
 )  # fmt: skip
+@click.option("--trj", is_flag=True, help="Write the traffic as trajectories for FHWA's SSAM, too.")
 @click.option("--overwrite", is_flag=True, help="Replace the tables that the folder has.")
 @format_option
 @click.pass_context
@@ -62,6 +63,7 @@ def command(
     config: Path,
     out: Path,
     results: Path | None,
+    trj: bool,
     overwrite: bool,
     form: str,
     **given: Any,
@@ -71,7 +73,8 @@ def command(
     A conflict is, as in FHWA's SSAM, a time to collision and a post-encroachment time within the
     limits. All pairs of vehicles, bicycles and persons are looked at, every 0.1 s, by their boxes.
     Writes conflicts.csv, places.csv and conflicts.json, and shows the places with most conflicts;
-    with --beside also what attacks found there. --format prints the conflicts instead.
+    with --beside also what attacks found there. --format prints the conflicts instead. --trj also
+    writes traffic.trj, which SSAM opens.
     """
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.metrics.traffic_conflicts import Limits
@@ -81,7 +84,8 @@ def command(
     from deepmf_sumo.simulation.motion_survey import Survey
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
-    _refuse(out, overwrite)
+    named = (recording.TRAJECTORIES, recording.ROAD_USERS) if trj else ()
+    _refuse(out, (LIST, PLACES, ABOUT, *named), overwrite)
     options = ctx.meta[AFTER]
     configuration = read_configuration(config, options)
     seed = configuration.seed if given["seed"] is None else given["seed"]
@@ -92,18 +96,18 @@ def command(
         until_s=given["until_s"],
     )  # fmt: skip
     limits = Limits(ttc_s=given["ttc_s"], pet_s=given["pet_s"])
-    seen = recording.observe(wanted, limits)
+    seen = recording.observe(wanted, limits, out if trj else None)
     rows = conflicts.listed(seen, every)
     sites = conflicts.by_place(seen, rows, every, attacked)
     _write(out, rows, sites, _about(wanted, limits, seen), beside=attacked is not None)
     if form == "table":
-        _show(config.stem, seen, rows, sites, out)
+        _show(config.stem, seen, rows, sites, ", ".join((f"{out}/{LIST}", PLACES, ABOUT, *named)))
     else:
         screen.emit(form, rows, conflicts.LISTED)
 
 
-def _refuse(out: Path, overwrite: bool) -> None:
-    there = [name for name in (LIST, PLACES, ABOUT) if (out / name).exists()]
+def _refuse(out: Path, names: Sequence[str], overwrite: bool) -> None:
+    there = [name for name in names if (out / name).exists()]
     if there and not overwrite:
         raise OutputError(
             f"{out / there[0]} is there already: give --overwrite to replace it, or another --out."
@@ -160,7 +164,7 @@ def _show(
     seen: "Observation",
     rows: Sequence[dict[str, Any]],
     sites: "Sequence[PlaceConflicts]",
-    out: Path,
+    written: str,
 ) -> None:
     """Counts, the places with most conflicts, and where the tables are."""
     from deepmf_sumo.cli import _screen as screen
@@ -190,7 +194,7 @@ def _show(
         console.print(grid)
         if len(sites) > _TOP:
             console.print(f"and {len(sites) - _TOP} more in {PLACES}")
-    console.print(screen.escape(f"{out}/{LIST}, {PLACES}, {ABOUT}"), soft_wrap=True)
+    console.print(screen.escape(written), soft_wrap=True)
 
 
 def _cells(one: "PlaceConflicts") -> tuple[str, ...]:

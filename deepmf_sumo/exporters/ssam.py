@@ -10,6 +10,7 @@ conflict when the two have parted. So a contact near the end is followed by seco
 up: both stand, then the AV goes straight on, through the other where need be; no others are there.
 """
 
+import itertools
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from deepmf_sumo import files, plugins, tables
 from deepmf_sumo.datatypes import Contact, Floats, Rollout, Tracks
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.metrics.traffic_conflicts import Motions
 
 FILE: Final = "ssam/"
 TRAJECTORIES, VEHICLES, ABOUT = "run.trj", "vehicles.csv", "about.json"
@@ -58,11 +60,11 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
     """Write the folder ``path``; time 0 is the first step of history. Raises OutputError."""
     rollout = run.rollout
     tracks = _followed(rollout, settings.after_s)
-    origin = _origin(tracks)
+    motions = _motions(tracks, rollout.dt_s)
+    origin = origin_of(motions)
     with files.writing(path), files.whole_folder(path) as folder:
-        gained = _accelerations(tracks, rollout.tracks.steps, rollout.dt_s)
-        records = _records(tracks, gained, origin, rollout.dt_s, settings.version)
-        (folder / TRAJECTORIES).write_bytes(records)
+        content = trajectories(motions, origin, settings.version, rollout.tracks.steps)
+        (folder / TRAJECTORIES).write_bytes(content)
         (folder / VEHICLES).write_text(_vehicles(rollout), "utf-8")
         made_up = tracks.steps - rollout.tracks.steps
         files.write_json(folder / ABOUT, _about(run, settings) | {
@@ -106,56 +108,80 @@ def _going_on(tracks: Tracks, contact: Contact, rollout: Rollout, more: int) -> 
     return replace(longer, **arrays)
 
 
-def _origin(tracks: Tracks) -> Floats:
+def _motions(tracks: Tracks, dt_s: float) -> Motions:
+    step, row = np.nonzero(tracks.valid.T)
+    return Motions(
+        dt_s=dt_s,
+        size_m=tracks.size_m[:, :2],
+        step=step,
+        body=row,
+        position_m=tracks.position_m[row, step],
+        heading_rad=tracks.heading_rad[row, step],
+        speed_mps=tracks.speed_mps[row, step],
+        z_m=tracks.z_m[row, step],
+        lane=np.zeros(len(step), int),
+        edge_of_lane=np.zeros(1, int),
+    )
+
+
+def origin_of(motions: Motions) -> Floats:
     """(2) what coordinates count from: 0, or whole kilometres where they are large."""
-    there = tracks.position_m[tracks.valid]
+    there = motions.position_m
     if float(np.abs(there).max()) <= _FAR_M:
         return np.zeros(2)
     origin: Floats = np.floor(there.min(axis=0) / _ORIGIN_M) * _ORIGIN_M
     return origin
 
 
-def _accelerations(tracks: Tracks, happened: int, dt_s: float) -> Floats:
-    """(A, S) difference to the step before; at a vehicle's first step to the one after it.
+def trajectories(
+    motions: Motions,
+    origin_m: Floats,
+    version: Literal["1.04", "3.0"] = "1.04",
+    happened: int | None = None,
+) -> bytes:
+    """The content of a file; a road user's number is its index in the motions, plus 1.
 
-    0 from step ``happened`` on: standing at once after the contact is not braking.
+    From step ``happened`` on accelerations are 0: standing at once after a contact is not braking.
     """
-    speed, valid = tracks.speed_mps, tracks.valid
-    change = np.zeros(speed.shape)
-    both = valid[:, 1:] & valid[:, :-1]
-    differences = np.where(both, np.diff(speed, axis=1) / dt_s, 0.0)
-    change[:, 1:] = differences
-    first = np.zeros(valid.shape, bool)
-    first[:, :-1] = both
-    first[:, 1:] &= ~both
-    rows, steps = np.nonzero(first)
-    change[rows, steps] = differences[rows, steps]
-    change[:, happened:] = 0.0
-    return change
-
-
-def _records(tracks: Tracks, gained: Floats, origin: Floats, dt_s: float, version: str) -> bytes:
     high = version == "3.0"
-    centre, shape = tracks.position_m - origin, (*tracks.valid.shape, 1)
-    half = tracks.size_m[:, None, :1] / 2 * frames.unit(tracks.heading_rad)
+    half = motions.size_m[motions.body, :1] / 2 * frames.unit(motions.heading_rad)
+    centre = motions.position_m - origin_m
     front, rear = centre + half, centre - half
-    points = np.concatenate([front[tracks.valid], rear[tracks.valid]])
+    points = np.concatenate([front, rear])
     low = np.floor(points.min(axis=0) - _MARGIN_M).astype(int)
     top = np.ceil(points.max(axis=0) + _MARGIN_M).astype(int)
     parts = [struct.pack("<BBf", 0, _LITTLE_ENDIAN, float(version)) + b"\x01" * high]
     parts.append(struct.pack("<BBf4i", 1, METRIC, 1.0, *low.tolist(), *top.tolist()))
-    size = np.broadcast_to(tracks.size_m[:, None, :2], (*tracks.valid.shape, 2))
-    speed, z = tracks.speed_mps.reshape(shape), tracks.z_m.reshape(shape)
-    columns = [front, rear, size, speed, gained.reshape(shape), *[z, z] * high]
-    values = np.concatenate(columns, axis=-1)
-    vehicle = struct.Struct("<BiiB10f" if high else "<BiiB8f")
-    for step in range(tracks.steps):
-        parts.append(struct.pack("<Bf", 2, step * dt_s))
-        parts += [
-            vehicle.pack(3, row + 1, _UNKNOWN_LINK, 0, *values[row, step].tolist())
-            for row in np.flatnonzero(tracks.valid[:, step]).tolist()
-        ]
+    gained = _accelerations(motions)
+    gained[motions.step >= (motions.step[-1] + 1 if happened is None else happened)] = 0.0
+    z = motions.z_m[:, None]
+    columns = [front, rear, motions.size_m[motions.body], motions.speed_mps[:, None]]
+    values = np.concatenate([*columns, gained[:, None], *[z, z] * high], axis=1)
+    width = values.shape[1]
+    record = [("kind", "u1"), ("number", "<i4"), ("link", "<i4"), ("lane", "u1")]
+    vehicles = np.zeros(len(values), dtype=[*record, ("values", "<f4", (width,))])
+    vehicles["kind"], vehicles["number"], vehicles["link"] = 3, motions.body + 1, _UNKNOWN_LINK
+    vehicles["values"] = values
+    bounds = np.searchsorted(motions.step, np.arange(int(motions.step[-1]) + 2))
+    for step, (begin, end) in enumerate(itertools.pairwise(bounds.tolist())):
+        parts.append(struct.pack("<Bf", 2, step * motions.dt_s))
+        parts.append(vehicles[begin:end].tobytes())
     return b"".join(parts)
+
+
+def _accelerations(motions: Motions) -> Floats:
+    """(K) difference to the step before; at a vehicle's first step to the one after it."""
+    order = np.lexsort((motions.step, motions.body))
+    body, step, speed = motions.body[order], motions.step[order], motions.speed_mps[order]
+    next_one = (np.diff(body) == 0) & (np.diff(step) == 1)
+    differences = np.where(next_one, np.diff(speed) / motions.dt_s, 0.0)
+    change = np.zeros(len(order))
+    change[1:] = differences
+    first = np.flatnonzero(next_one & ~np.r_[False, next_one[:-1]])
+    change[first] = differences[first]
+    found = np.empty(len(order))
+    found[order] = change
+    return found
 
 
 def _vehicles(rollout: Rollout) -> str:

@@ -8,16 +8,22 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo import files
-from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
+from deepmf_sumo import files, tables
+from deepmf_sumo.errors import DeepmfError, OutputError, SimulationError, UsageError
+from deepmf_sumo.exporters import ssam
 from deepmf_sumo.metrics.traffic_conflicts import Limits, SsamType, TrafficConflict, find
 from deepmf_sumo.simulation.motion_survey import Survey, Surveyed, survey
 from deepmf_sumo.simulation.sumo_config import read_configuration
 from deepmf_sumo.sweep import workers
+
+TRAJECTORIES: Final = "traffic.trj"
+"""Time 0 is the begin of the observation, in steps of 0.1 s."""
+ROAD_USERS: Final = "road_users.csv"
+"""Which road user each number of the trajectories is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +91,7 @@ class _Task:
     wanted: Survey
     limits: Limits
     answer: Path
+    trajectories: Path | None
 
 
 def check(wanted: Survey) -> None:
@@ -103,19 +110,28 @@ def check(wanted: Survey) -> None:
         )
 
 
-def observe(wanted: Survey, limits: Limits) -> Observation:
+def observe(wanted: Survey, limits: Limits, trajectories: Path | None = None) -> Observation:
     """Simulate the configuration once, and find its conflicts.
 
-    Raises SimulationError, with SUMO's own message, where it cannot be run, or without traffic, and
-    UsageError for times that are not in it.
+    ``trajectories``: a folder for `TRAJECTORIES` and `ROAD_USERS`.
+
+    Raises SimulationError, with SUMO's own message, where it cannot be run, or without traffic,
+    UsageError for times that are not in it, and OutputError where the folder cannot be written.
     """
     check(wanted)
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
-        task = _Task(wanted=wanted, limits=limits, answer=Path(folder) / "found.json")
+        task = _Task(
+            wanted=wanted,
+            limits=limits,
+            answer=Path(folder) / "found.json",
+            trajectories=trajectories,
+        )
         (ending,) = workers.run(_observe, [task], jobs=1, timeout_s=None)
         if ending.status != "done":
             raise SimulationError(f"SUMO cannot run '{wanted.config}': {ending.reason}.")
         answer = json.loads(task.answer.read_text("utf-8"))
+    if "cannot_write" in answer:
+        raise OutputError(answer["cannot_write"])
     if "error" in answer:
         raise SimulationError(answer["error"])
     return _read(answer)
@@ -125,10 +141,37 @@ def _observe(task: _Task) -> None:
     """The worker's part."""
     workers.silence()  # what SUMO prints is in its errors, too
     try:
-        answer: dict[str, Any] = asdict(observation(survey(task.wanted), task.limits))
+        seen = survey(task.wanted)
+        if task.trajectories is not None:
+            write_trajectories(seen, task.trajectories)
+        answer: dict[str, Any] = asdict(observation(seen, task.limits))
+    except OutputError as error:
+        answer = {"cannot_write": str(error)}
     except DeepmfError as error:
         answer = {"error": str(error)}
     files.write_json(task.answer, answer)
+
+
+def write_trajectories(seen: Surveyed, folder: Path) -> None:
+    """Write the traffic for FHWA's SSAM, and which road user each number is. Raises OutputError."""
+    motions = seen.motions
+    origin = ssam.origin_of(motions)
+    rows = [
+        {
+            "number": number,
+            "id": name,
+            "type": kind,
+            "length_m": float(length),
+            "width_m": float(width),
+        }
+        for number, (name, kind, (length, width)) in enumerate(
+            zip(seen.names, seen.types, motions.size_m, strict=True), 1
+        )
+    ]
+    with files.writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        files.write(folder / TRAJECTORIES, ssam.trajectories(motions, origin))
+        files.write(folder / ROAD_USERS, tables.to_csv(rows))
 
 
 def observation(seen: Surveyed, limits: Limits) -> Observation:

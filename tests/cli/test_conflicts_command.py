@@ -2,13 +2,18 @@
 
 import csv
 import json
+import subprocess
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
+import sumo
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.risk.traffic_conflicts import LISTED, place_columns
 
+from tests.support.foreign_readers import read_trj
 from tests.support.risk_doubles import Attacks, eastward
 
 ROUNDABOUT = Path(__file__).resolve().parents[2] / "sumo_nets" / "roundabout" / "roundabout.sumocfg"
@@ -51,6 +56,46 @@ def test_conflicts_and_places_are_written_and_shown(tmp_path, capsys):
     assert told == (tmp_path / "a" / "conflicts.csv").read_text()
     for name in ("conflicts.csv", "places.csv", "conflicts.json"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+@pytest.mark.sumo
+def test_the_traffic_as_trajectories_is_where_sumo_s_own_output_has_it(tmp_path, capsys):
+    """Read by the format's description, against SUMO's FCD of the same seed."""
+    fcd = tmp_path / "fcd.xml"
+    asked = ROUNDABOUT, "--until", 60, "--from", 40, "--out", tmp_path / "a", "--trj"
+    subprocess.run(
+        [f"{sumo.SUMO_HOME}/bin/sumo", "-c", ROUNDABOUT, "--step-length", "0.1", "--end", "60.05",
+         "--fcd-output", fcd, "--precision", "6", "--no-step-log", "--no-warnings"],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    assert run(*asked) == 0
+    assert "conflicts.json, traffic.trj, road_users.csv" in capsys.readouterr().out
+    ids = {int(row["number"]): row for row in rows(tmp_path / "a" / "road_users.csv")}
+    _, steps = read_trj((tmp_path / "a" / "traffic.trj").read_bytes())
+    assert len(steps) == 201
+    seen, speeds = 0, {}
+    for moment in ET.parse(fcd).getroot():
+        # SUMO writes the state at the end of a step with the time of its begin
+        step = round((float(moment.get("time")) + 0.1 - 40.0) / 0.1)
+        if not 0 <= step <= 200:
+            continue
+        found = {ids[one.number]["id"]: one for one in steps[step][1]}
+        assert set(found) == {one.get("id") for one in moment}
+        for one in moment:
+            there = found[one.get("id")]
+            assert there.front == pytest.approx(
+                (float(one.get("x")), float(one.get("y"))), abs=2e-3
+            )
+            assert there.length == pytest.approx(float(ids[there.number]["length_m"]), abs=1e-3)
+            assert np.hypot(*np.subtract(there.front, there.rear)) == pytest.approx(
+                there.length, abs=1e-3
+            )
+            before = speeds.get((there.number, step - 1))
+            if before is not None:
+                assert there.acceleration == pytest.approx((there.speed - before) / 0.1, abs=1e-3)
+            speeds[there.number, step] = there.speed
+            seen += 1
+    assert seen > 500
 
 
 def test_tables_are_replaced_only_when_told(tmp_path, capsys):
