@@ -28,7 +28,8 @@ class Surroundings:
 
     Attributes:
         source: of the recording, with the data set `ROLLOUT`; of networks the configuration.
-        signals: of a recording, from the run's first step on; None where they are not known.
+        signals: from the run's first step on; of a network those near AV and opponent, from the
+            current step on. None where they are not known.
         lost: why the road is not the one that was attacked on; empty where it is.
     """
 
@@ -68,11 +69,12 @@ class Exportable:
         """A run that has just been simulated."""
         if isinstance(case, RecordedCase):
             source = replace(case.scene.source, dataset=ROLLOUT)
-            signals = case.scene.signals
+            signals: Signals | None = case.scene.signals
             net = NetFiles(net=case.net.file, additional=case.net.additional)
         else:
             source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
-            signals, net = None, NetFiles(net=case.net_file)
+            signals = signals_of(rollout, case.road)
+            net = NetFiles(net=case.net_file)
         around = Surroundings(road=case.road, source=source, signals=signals)
         return cls(
             name=case.name,
@@ -91,6 +93,48 @@ class Exportable:
     def net(self) -> NetFiles:
         """The SUMO network."""
         return self.find_net()
+
+
+_NEAR_M: Final = 200.0
+"""From what AV and opponent drive to the begin of the lane behind a light."""
+
+
+def lights_near(rollout: Rollout, road: RoadMap) -> list[str]:
+    """The lanes behind lights near AV and opponent, in the order in which the rollout has them."""
+    names = dict.fromkeys(name for lights in rollout.signals for name in lights)
+    known = [name for name in names if name in road.lanes]
+    tracks = rollout.tracks
+    main = [
+        row for row, one in enumerate(tracks.ids) if one in (rollout.av_id, rollout.opponent_id)
+    ]
+    driven = np.concatenate([tracks.position_m[row, tracks.valid[row]] for row in main])
+    if not known or not len(driven):
+        return []
+    stops = np.array([road.lanes[name].centre_m[0] for name in known])
+    low, high = driven.min(axis=0) - _NEAR_M, driven.max(axis=0) + _NEAR_M
+    inside = ((stops >= low) & (stops <= high)).all(axis=1)
+    return [name for name, near in zip(known, inside, strict=True) if near]
+
+
+def signals_of(rollout: Rollout, road: RoadMap) -> Signals | None:
+    """The lights near AV and opponent, on a network: a lane begins at its stop line."""
+    lanes = lights_near(rollout, road)
+    if not lanes:
+        return None
+    state = np.zeros((len(lanes), rollout.tracks.steps), np.uint8)
+    seen = np.zeros(state.shape, bool)
+    for number, lights in enumerate(rollout.signals, rollout.now):
+        for row, lane in enumerate(lanes):
+            if lane in lights:
+                state[row, number], seen[row, number] = lights[lane], True
+    starts = [road.lanes[lane] for lane in lanes]
+    return Signals(
+        lane_ids=tuple(lanes),
+        state=state,
+        seen=seen,
+        stop_m=np.array([lane.centre_m[0] for lane in starts]),
+        stop_z_m=np.array([lane.z_m[0] for lane in starts]),
+    )
 
 
 _HEIGHT_M: Final[dict[AgentKind, float]] = {

@@ -3,8 +3,9 @@
 Every road user follows its trajectory by time: what is played is the run, not a new attack. Poses
 are those of the rear axle, as the format defines a vehicle's; pedestrians and objects have theirs
 at the centre of the box. A road user that comes later is added and one that leaves is deleted: it
-would stand at its first or last place. The network is netconvert's OpenDRIVE of SUMO's; signals
-have no states, since a run does not keep them.
+would stand at its first or last place. The network is netconvert's OpenDRIVE of SUMO's; its
+signals near AV and opponent have the states of the run. Before the current step they are taken to
+be as at it: a run does not keep them.
 """
 
 import re
@@ -13,17 +14,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Bools, Floats, Rollout
+from deepmf_sumo.datatypes import Bools, Floats, Rollout, Signals, SignalState
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.network import sumo_tools
+from deepmf_sumo.network.sumo_road import signal_links
 
 FILE: Final = "openscenario/"
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"
@@ -36,6 +39,18 @@ _LONG_M: Final = 7.5
 _ROUTE_M: Final = 20.0
 """Between way points of the AV's route."""
 _LARGEST_NET: Final = 2**30
+_AFTER_S: Final = 3600.0
+"""How long the last phase lasts after the run."""
+_OFF: Final = ("off", "off;off;off")
+_STATES: Final = {
+    SignalState.STOP: ("red", "on;off;off"),
+    SignalState.ARROW_STOP: ("red", "on;off;off"),
+    SignalState.CAUTION: ("yellow", "off;on;off"),
+    SignalState.ARROW_CAUTION: ("yellow", "off;on;off"),
+    SignalState.GO: ("green", "off;off;on"),
+    SignalState.ARROW_GO: ("green", "off;off;on"),
+}
+"""As a word and as lamps from top to bottom. Lights that are off or flash are off."""
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
 _CONVERSION_S: Final = 600.0
 
@@ -47,9 +62,12 @@ class Settings(plugins.Settings):
         without_av: another program drives the AV, from its pose and speed at the step at which the
             simulation took over, which is then time 0; its route is what it drove. The others do
             what they did.
+        signals: how a state is written, which the format leaves to players: ``words`` (red, yellow,
+            green), ``lamps`` (``on;off;off``), or ``none``.
     """
 
     without_av: bool = False
+    signals: Literal["words", "lamps", "none"] = "words"
 
 
 def write(run: Exportable, path: Path, settings: Settings) -> None:
@@ -59,7 +77,7 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
     netconvert refuses it, and what `Exportable.net` raises.
     """
     road = _open_drive(run.net.net)
-    document = _document(run, settings.without_av)
+    document = _document(run, settings)
     ET.indent(document)
     text = ET.tostring(document, encoding="unicode")
     with files.writing(path), files.whole_folder(path) as folder:
@@ -148,8 +166,8 @@ def _stays(valid: Bools) -> tuple[tuple[int, int], ...]:
     return tuple(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
 
 
-def _document(run: Exportable, without_av: bool) -> ET.Element:
-    rollout = run.rollout
+def _document(run: Exportable, settings: Settings) -> ET.Element:
+    rollout, without_av = run.rollout, settings.without_av
     first = rollout.now if without_av else 0
     actors = list(_actors(rollout, first))
     root = ET.Element("OpenSCENARIO")
@@ -157,7 +175,10 @@ def _document(run: Exportable, without_av: bool) -> ET.Element:
          description=f"run {run.name}")  # fmt: skip
     _add(root, "ParameterDeclarations")
     _add(root, "CatalogLocations")
-    _add(_add(root, "RoadNetwork"), "LogicFile", filepath=ROAD)
+    network = _add(root, "RoadNetwork")
+    _add(network, "LogicFile", filepath=ROAD)
+    if settings.signals != "none":
+        _signals(network, run, first, settings.signals)
     entities = _add(root, "Entities")
     board = _add(root, "Storyboard")
     init = _add(_add(board, "Init"), "Actions")
@@ -180,6 +201,44 @@ def _document(run: Exportable, without_av: bool) -> ET.Element:
     _at_time(_add(act, "StartTrigger"), "begin", 0.0)
     _at_time(_add(board, "StopTrigger"), "end", last * rollout.dt_s)
     return root
+
+
+def _signals(network: ET.Element, run: Exportable, first: int, how: str) -> None:
+    """The states of each of SUMO's lights from step ``first`` on, as phases that do not repeat."""
+    signals = run.around.signals
+    lights: dict[str, dict[str, int]] = {}
+    links = signal_links(run.net.net) if signals is not None else {}
+    for row, lane in enumerate(signals.lane_ids if signals is not None else ()):
+        for link in links.get(lane, ()):
+            lights.setdefault(link.light, {})[f"{link.light}_{link.index}"] = row
+    if signals is None or not lights:
+        return
+    parent = _add(network, "TrafficSignals")
+    states = _known(signals)[:, first : run.rollout.tracks.steps]
+    for light, rows in sorted(lights.items()):
+        controller = _add(parent, "TrafficSignalController", name=light)
+        shown = states[sorted(rows.values())]
+        changes = 1 + np.flatnonzero((np.diff(shown, axis=1) != 0).any(axis=0))
+        begins = [0, *changes.tolist()]
+        ends = [*begins[1:], states.shape[1] + round(_AFTER_S / run.rollout.dt_s)]
+        for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+            phase = _add(controller, "Phase", name=f"phase {number}",
+                         duration=_m((end - begin) * run.rollout.dt_s))  # fmt: skip
+            for name, row in sorted(rows.items()):
+                word, lamps = _STATES.get(SignalState(states[row, begin]), _OFF)
+                _add(phase, "TrafficSignalState", trafficSignalId=name,
+                     state=word if how == "words" else lamps)  # fmt: skip
+
+
+def _known(signals: Signals) -> NDArray[np.uint8]:
+    """(L, T) states: where none is known the one before it, or else the first one."""
+    state = signals.state.copy()
+    for row, seen in enumerate(signals.seen):
+        known = np.flatnonzero(seen)
+        if len(known):
+            last = np.maximum.accumulate(np.where(seen, np.arange(len(seen)), known[0]))
+            state[row] = state[row, last]
+    return state
 
 
 def _describe(parent: ET.Element, actor: _Actor, rollout: Rollout) -> None:

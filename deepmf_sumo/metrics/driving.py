@@ -4,7 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Case, Floats, RecordedCase, Rollout, SignalState
+from deepmf_sumo.datatypes import (
+    Bools,
+    Case,
+    Floats,
+    RecordedCase,
+    RoadMap,
+    Rollout,
+    SignalState,
+)
 from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.geometry.lane_map import WIDTH_M
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
@@ -135,10 +143,28 @@ def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
         lanes = case.road.lanes
         points = {name: lanes[name].centre_m[0] for name in names if name in lanes}
     return [
-        _stop_line(case, lane_id, point)
+        _stop_line(case.road, lane_id, point)
         for lane_id, point in points.items()
         if lane_id in case.road.lanes and len(case.road.lanes[lane_id].centre_m) > 1
     ]
+
+
+def lights_passed(rollout: Rollout, road: RoadMap, row: int) -> set[SignalState]:
+    """States of the lights whose stop lines an agent's front crosses, as they were before the step.
+
+    A lane begins at its stop line. Of lights that are crossed together all are given.
+    """
+    found = set()
+    for lane_id in dict.fromkeys(name for lights in rollout.signals for name in lights):
+        lane = road.lanes.get(lane_id)
+        if lane is None or len(lane.centre_m) < 2:
+            continue
+        line = _stop_line(road, lane_id, lane.centre_m[0])
+        for step in np.flatnonzero(_crossing(rollout, row, line)).tolist():
+            number = step - 1 - rollout.now
+            if number >= 0 and lane_id in rollout.signals[number]:
+                found.add(rollout.signals[number][lane_id])
+    return found
 
 
 def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:
@@ -181,8 +207,8 @@ def _crossed(rollout: Rollout, case: Case, row: int, steps: Bools) -> dict[int, 
     return crossed
 
 
-def _stop_line(case: Case, lane_id: str, point: Floats) -> StopLine:
-    lane = case.road.lanes[lane_id]
+def _stop_line(road: RoadMap, lane_id: str, point: Floats) -> StopLine:
+    lane = road.lanes[lane_id]
     heading = float(polylines.project(lane.centre_m, point).heading_rad)
     return StopLine(lane_id, point, heading, (lane.width_m or WIDTH_M) / 2)
 

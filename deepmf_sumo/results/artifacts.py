@@ -17,7 +17,7 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     Rollout,
 )
-from deepmf_sumo.results import stored, tracks
+from deepmf_sumo.results import signals, stored, tracks
 from deepmf_sumo.results.tracks import read_tracks
 
 PLANS: Final = "plans.npz"
@@ -38,6 +38,7 @@ def read_rollout(folder: Path, contacts: Sequence[Contact], ended: str) -> Rollo
     Raises `stored.DAMAGE`.
     """
     found = read_tracks(folder / tracks.FILE)
+    steps = found.tracks.steps
     return Rollout(
         tracks=found.tracks,
         driver=found.driver,
@@ -49,6 +50,7 @@ def read_rollout(folder: Path, contacts: Sequence[Contact], ended: str) -> Rollo
         events=(),
         plans=_read_plans(folder / PLANS),
         ended=ended,
+        signals=signals.read_signals(folder / signals.FILE, found.now, steps),
     )
 
 

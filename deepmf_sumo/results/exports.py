@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, get_args
 from deepmf_sumo import files, network, plugins
 from deepmf_sumo.datatypes import ROLLOUT, Source
 from deepmf_sumo.errors import OutputError, RunError, UsageError
-from deepmf_sumo.exporters.base import Exportable, Exporter, NetFiles, Surroundings
+from deepmf_sumo.exporters.base import Exportable, Exporter, NetFiles, Surroundings, signals_of
 from deepmf_sumo.results import result, stored, tracks
 from deepmf_sumo.results.reader import Results, Run
 
@@ -218,7 +218,8 @@ def _around(run: Run) -> Surroundings:
         return Surroundings(road=road, source=source, signals=scene.signals)
     named = run.source.get("recording") or run.source.get("network") or run.result["network"]
     source = Source(dataset=ROLLOUT, file=str(named), record=0, sha256="")
-    return Surroundings(road=road, source=source, signals=None, lost=lost)
+    signals = None if lost else signals_of(run.rollout, road)
+    return Surroundings(road=road, source=source, signals=signals, lost=lost)
 
 
 def _net(run: Run) -> NetFiles:

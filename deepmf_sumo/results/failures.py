@@ -15,11 +15,12 @@ import numpy as np
 
 from deepmf_sumo.avoidability.encounter import onset_of
 from deepmf_sumo.avoidability.grading import GRADES, Grade
-from deepmf_sumo.datatypes import Contact, Floats, RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes import Contact, Floats, RoadMap, Rollout, SignalState, Tracks
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.metrics.collision import AccidentType, accident_type_of
+from deepmf_sumo.metrics.driving import lights_passed
 from deepmf_sumo.network.matching import match
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Results, Run
@@ -159,7 +160,7 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
     if first < contact.step:
         onset = onset_of(rollout, run.expected(), pair.other, first, contact.step)
     turned = pair.turned(conflict)
-    priority = _priority(run, pair, conflict, turned, road)
+    priority = _priority(run, rollout, pair, conflict, turned, road)
     grade = run.metric("avoidance_grade")
     return Failure(
         run=run,
@@ -299,15 +300,45 @@ def _steers(tracks: Tracks, row: int, first: int, last: int, road: RoadMap) -> b
     return bool(len(off) and np.ptp(off) > _STEERED_M)
 
 
-def _priority(run: Run, pair: _Pair, conflict: Conflict, turned: Who, road: RoadMap | None) -> Who:
-    """Which had priority: the one that does not turn, change lanes or follow; else by the map."""
+def _priority(
+    run: Run,
+    rollout: Rollout,
+    pair: _Pair,
+    conflict: Conflict,
+    turned: Who,
+    road: RoadMap | None,
+) -> Who:
+    """Which had priority: by the lights, or that which does not turn, change lanes or follow.
+
+    Else by the map.
+    """
     if run.metric("red_light"):
         return "AV"
     if conflict == "rear-end":
         return turned  # the follower has to keep its distance
+    by_lights = _by_lights(rollout, pair, road) if road and conflict in _AT_LIGHTS else ""
+    if by_lights:
+        return by_lights
     if conflict in {"cut-in / lane change", "left turn across path", "right turn across path"}:
         return "AV" if turned == "opponent" else "opponent"
     return _by_map(pair, road) if road and conflict != "head-on" else ""
+
+
+_AT_LIGHTS: Final = frozenset(
+    {"crossing", "merging", "left turn across path", "right turn across path"}
+)
+
+
+def _by_lights(rollout: Rollout, pair: _Pair, road: RoadMap) -> Who:
+    """The one whose light let it go, where that of the other did not."""
+    mine, theirs = (lights_passed(rollout, road, row) for row in (pair.av, pair.other))
+    goes, stops = (
+        {SignalState.GO, SignalState.ARROW_GO},
+        {SignalState.STOP, SignalState.ARROW_STOP},
+    )
+    if mine & goes and theirs and theirs <= stops:
+        return "AV"
+    return "opponent" if theirs & goes and mine and mine <= stops else ""
 
 
 def _by_map(pair: _Pair, road: RoadMap) -> Who:

@@ -46,7 +46,7 @@ from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.readers import RecordRef
-from deepmf_sumo.results import artifacts, result
+from deepmf_sumo.results import artifacts, result, signals
 from deepmf_sumo.results.result import Result, first_contact
 from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.simulation import sumo_api
@@ -169,6 +169,7 @@ class Episode:
         by_turn = result.judged(rollout, case, measure)
         write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
+        signals.write_signals(folder / signals.FILE, rollout, case.road)
         done = Exportable.of(rollout, case)
         if self.sumo or isinstance(task.spec.source, FromNetwork):
             fcd.write(done, folder / "sumo", fcd.Settings())

@@ -8,7 +8,7 @@ import pytest
 
 from deepmf_sumo import files
 from deepmf_sumo.cli import main
-from deepmf_sumo.datatypes import Lane, RoadMap
+from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
 from deepmf_sumo.report import failures as words
 from deepmf_sumo.results import failures as module
 from deepmf_sumo.results.failures import Failure, failure_of
@@ -110,6 +110,34 @@ def test_what_the_av_did(path, action):
     lane = Lane(id="a", kind="street", centre_m=line, z_m=np.zeros(2))
     tracks = rollout_of({"av": path, "b": straight(20, 0, 5, steps=51)}).tracks
     assert module._action(tracks, 0, 20, STEP, RoadMap(lanes={"a": lane})) == action
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "priority"),
+    [
+        (SignalState.STOP, SignalState.GO, "opponent"),
+        (SignalState.GO, SignalState.STOP, "AV"),
+        (SignalState.GO, SignalState.CAUTION, ""),
+        (SignalState.GO, SignalState.GO, ""),
+        (SignalState.STOP, None, ""),
+    ],
+)
+def test_that_whose_light_let_it_go_has_priority(mine, theirs, priority):
+    """Both pass their stop lines 10 m before they meet."""
+    rollout, pair = pair_of(MET["crossing"][0])
+    lanes = {
+        "av": np.array([[-10.0, 0.0], [20.0, 0.0]]),
+        "b": np.array([[2.0, 12.0], [2.0, -20.0]]),
+    }
+    road = RoadMap(
+        lanes={
+            name: Lane(id=name, kind="street", centre_m=line, z_m=np.zeros(2))
+            for name, line in lanes.items()
+        }
+    )
+    lights = {name: state for name, state in (("av", mine), ("b", theirs)) if state is not None}
+    rollout = replace(rollout, signals=(lights,) * (STEP - rollout.now))
+    assert module._by_lights(rollout, pair, road) == priority
 
 
 def test_who_yields_by_the_map_has_no_priority():

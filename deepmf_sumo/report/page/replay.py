@@ -7,7 +7,7 @@ restores them with ``unpacked`` and ``restored`` of ``assets/packing.js``.
 import base64
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import Bools, Contact, Driver, Floats, Ints, Rollout
+from deepmf_sumo.datatypes import (
+    Bools,
+    Contact,
+    Driver,
+    Floats,
+    Ints,
+    RoadMap,
+    Rollout,
+    SignalState,
+)
 from deepmf_sumo.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures.episode import met_at
 from deepmf_sumo.results import stored
@@ -52,6 +61,18 @@ FULL_TURN: Final = 1024
 """Headings are parts of a turn."""
 OTHERS_EVERY: Final = 2
 """Steps from one pose of the others to the next; the page draws lines between."""
+_SAME_PLACE_M: Final = 0.5
+_UNKNOWN_WIDTH_M: Final = 3.5
+_LIGHTS: Final = {
+    SignalState.STOP: "stop",
+    SignalState.ARROW_STOP: "stop",
+    SignalState.FLASHING_STOP: "stop",
+    SignalState.CAUTION: "caution",
+    SignalState.ARROW_CAUTION: "caution",
+    SignalState.GO: "go",
+    SignalState.ARROW_GO: "go",
+}
+"""Others are drawn as if they were off: a yellow that flashes asks to yield, as no light does."""
 
 
 def replay(
@@ -78,6 +99,39 @@ def replay(
         "contacts": [_contact(rollout, contact, origin) for contact in rollout.contacts],
         "timeline": _timeline(rollout, turns),
     }
+
+
+def lights(rollout: Rollout, road: RoadMap, origin: Floats) -> list[list[Any]]:
+    """Ends of each light's bar across its lane (x, y, x, y), and the steps of its changes.
+
+    Lanes that begin at one place, as those of a lane's turns, share its width: the left one is on
+    the left. Positions are relative to ``origin`` (2,).
+    """
+    groups: dict[tuple[float, float], list[str]] = {}
+    for name in dict.fromkeys(name for each in rollout.signals for name in each):
+        if name in road.lanes and len(road.lanes[name].centre_m) > 1:
+            x, y = np.rint(road.lanes[name].centre_m[0] / _SAME_PLACE_M).tolist()
+            groups.setdefault((x, y), []).append(name)
+    return [bar for names in groups.values() for bar in _bars(rollout, road, names, origin)]
+
+
+def _bars(rollout: Rollout, road: RoadMap, names: list[str], origin: Floats) -> Iterator[list[Any]]:
+    lanes = [road.lanes[name] for name in names]
+    stop, width = lanes[0].centre_m[0], lanes[0].width_m or _UNKNOWN_WIDTH_M
+    approach = next((road.lanes[one] for one in lanes[0].previous if one in road.lanes), None)
+    towards = approach.centre_m[-2:] if approach is not None else lanes[0].centre_m[:2]
+    x, y = towards[-1] - towards[0]
+    left = np.array([-y, x]) / np.hypot(x, y)
+    lanes.sort(key=lambda lane: float((lane.centre_m[-1] - stop) @ left))
+    for number, lane in enumerate(lanes):
+        sides = (number + np.array([0.08, 0.92])) / len(lanes) - 0.5
+        ends = stop - origin + width * sides[:, None] * left
+        changes: list[list[Any]] = []
+        for step, each in enumerate(rollout.signals, rollout.now):
+            shown = _LIGHTS.get(each[lane.id], "off") if lane.id in each else None
+            if shown is not None and (not changes or changes[-1][1] != shown):
+                changes.append([step, shown])
+        yield [*np.round(ends.ravel(), 2).tolist(), changes]
 
 
 def main_places(rollout: Rollout) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from deepmf_sumo.datatypes import Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.page.columns import run_row
-from deepmf_sumo.report.page.replay import main_places, packed, reasons, replay
+from deepmf_sumo.report.page.replay import lights, main_places, packed, reasons, replay
 from deepmf_sumo.report.page.roads import Roads, element
 from deepmf_sumo.report.table import OUTCOMES
 from deepmf_sumo.results import artifacts, stored
@@ -98,6 +98,7 @@ def _shown(
     origin = np.rint(places[0])
     shown = {
         "replay": replay(rollout, origin, turns),
+        "lights": lights(rollout, road, origin) if road is not None else [],
         "reasons": reasons(run.folder / artifacts.PLANS, origin),
         "road": number,
         "road_note": note,

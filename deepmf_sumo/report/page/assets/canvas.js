@@ -55,6 +55,7 @@ function drawMoment(canvas, scene, camera, step, shown, candidate) {
   );
   const brush = { context, colour, metre: 1 / scale };
   if (shown.map) drawRoad(brush, scene.shapes);
+  if (shown.lights) drawLights(brush, scene.lights, step);
   const plan = planAt(scene, step);
   if (plan) drawPlan(brush, plan, shown, candidate);
   if (shown.driven)
@@ -98,6 +99,20 @@ function drawRoad({ context, colour, metre }, shapes) {
         kind === "lane" ? shape.width : kind === "edge" ? 1.4 * metre : 0.9 * metre;
       context.stroke();
     }
+  }
+}
+
+/** A bar across each lane at its stop line. */
+function drawLights({ context, colour, metre }, lights, step) {
+  for (const [x, y, toX, toY, changes] of lights) {
+    const state = lightAt(changes, step);
+    if (!state) continue;
+    const ends = [
+      [x, y],
+      [toX, toY],
+    ];
+    line(context, ends, colour("ground"), Math.max(1.1, 6 * metre));
+    line(context, ends, colour(`light-${state}`), Math.max(0.8, 4 * metre));
   }
 }
 

@@ -93,7 +93,7 @@ function loop(canvas, scene) {
   const first = Math.max(0, contact - BEFORE_S / scene.dt);
   const last = Math.min(scene.steps - 1, contact + AFTER_S / scene.dt);
   const bounds = nearBounds(scene, first, last);
-  const layers = { map: true, driven: true, candidates: false, reactions: false, scores: false };
+  const layers = { map: true, lights: true, driven: true };
   const draw = (step) => {
     drawMoment(canvas, scene, fitting(canvas, bounds), step, layers, null);
   };

@@ -2,6 +2,7 @@
 
 const LAYERS = {
   map: "road",
+  lights: "traffic lights",
   driven: "paths driven",
   candidates: "candidates",
   reactions: "predicted reactions of the AV",
@@ -9,7 +10,8 @@ const LAYERS = {
 };
 
 function layers(scene, draw) {
-  const boxes = Object.entries(LAYERS).map(([name, label]) =>
+  const named = Object.entries(LAYERS).filter(([name]) => name !== "lights" || scene.lights.length);
+  const boxes = named.map(([name, label]) =>
     layer(label, playing.shown[name], (on) => {
       playing.shown[name] = on;
       draw();

@@ -21,6 +21,7 @@ function sceneOf(details, road) {
     av: agents.find((agent) => agent.role === "av"),
     opponent: agents.find((agent) => agent.role === "opponent"),
     plans: details.reasons.map(planOf),
+    lights: details.lights ?? [],
     shapes: road ? shapesOf(road, replay.origin) : [],
     timeline: timelineOf(replay.timeline),
   };
@@ -60,6 +61,13 @@ function shapesOf(road, origin) {
 function timelineOf(timeline) {
   if (typeof timeline === "string") return timeline;
   return { step: restored(timeline.step, 1), gap: restored(timeline.gap, 0.01), ttc: timeline.ttc };
+}
+
+/** What a light shows at a step: stop, caution, go or off; null before anything is known. */
+function lightAt(changes, step) {
+  let shown = null;
+  for (const [first, state] of changes) if (first <= step + 1e-6) shown = state;
+  return shown;
 }
 
 /** Pose {x, y, heading} of an agent at a step with fractions; null where it is not there. */
