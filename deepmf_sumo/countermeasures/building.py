@@ -55,7 +55,8 @@ def build(config: Path, changes: Sequence[Change], out: Path) -> Built:
     """Write the changed configuration to ``out/after``, the patch to ``out/patch``.
 
     Raises SimulationError for a configuration that cannot be read, UsageError for a change that
-    names nothing in the network or cannot be made, ConversionError of netconvert, OutputError.
+    names nothing in the network or cannot be made, and where nothing changes, ConversionError of
+    netconvert, OutputError.
     """
     given = read_configuration(config)
     with files.writing(out):
@@ -71,6 +72,7 @@ class _Work:
         self.name = config.net.name.removesuffix(".gz")
         self.patches: dict[str, ET.Element] = {}
         self.done: list[str] = []
+        self.effective = False
         self._check_names()
 
     @cached_property
@@ -88,9 +90,12 @@ class _Work:
         if rebuilt:
             for change in self.changes:
                 self._patch(change)
+            if all(one.control for one in self.changes):
+                self._check_effect()  # before anything is written
             nets = {side: self._converted(side) for side in ("before", "after")}
             before = self._configuration("before", nets["before"], {})
         trees = self._changed(nets["after"])
+        self._check_effect()
         after = self._configuration("after", nets["after"], trees)
         self._write_patch()
         return Built(
@@ -111,6 +116,13 @@ class _Work:
                     raise UsageError(
                         f"no {kind} '{name}' is in '{self.config.net}'.{nearest(name, known)}"
                     )
+
+    def _check_effect(self) -> None:
+        if not self.effective:
+            raise UsageError(
+                f"nothing changes: {'; '.join(self.done)}. There is nothing to compare; ask for"
+                " more than the network has."
+            )
 
     def _junctions(self) -> Iterator[str]:
         for change in self.changes:
@@ -133,6 +145,7 @@ class _Work:
         """What netconvert needs to know of a change; nothing for others."""
         if change.control:
             node = self.net.getNode(change.junction)
+            self.effective |= node.getType() != change.control
             self.done.append(f"{change.what}: {node.getType()} becomes {change.control}")
             self._add("nod", "nodes", "node", id=change.junction or "", type=change.control)
         if change.ending_lane_m:
@@ -164,6 +177,7 @@ class _Work:
         self._add("nod", "nodes", "node", id=edge.getToNode().getID(), x=f"{x:.2f}", y=f"{y:.2f}")
         self._add("edg", "edges", "edge", id=name, shape=_shape(shape))
         self._add("edg", "edges", "edge", id=behind[0].getID(), shape=_shape(rest))
+        self.effective = True
         self.done.append(f"edge '{name}': {first:g} m becomes {length_m:g} m")
 
     def _converted(self, side: str) -> Path:
@@ -194,6 +208,7 @@ class _Work:
     def _limit(self, tree: "Tree[ET.Element]", change: Change) -> None:
         edge = next(one for one in tree.iter("edge") if one.get("id") == change.edge)
         old = {lane.get("speed", "") for lane in edge.iter("lane")}
+        self.effective |= any(abs(float(one) - (change.limit or 0.0)) >= 0.005 for one in old)
         for lane in edge.iter("lane"):
             lane.set("speed", f"{change.limit:.2f}")
         self._add("edg", "edges", "edge", id=change.edge or "", speed=f"{change.limit:.2f}")
@@ -224,6 +239,7 @@ class _Work:
         for program in programs:
             before, after = signals.changed(change.signal or "", program, change, lefts, foes)
             signals.write(program, after)
+            self.effective |= before != after
             said = "stays as it is" if before == after else f"becomes {' '.join(map(str, after))}"
             cycle = " ".join(map(str, before))
             self.done.append(f"{change.what}, program {program.get('programID')}: {cycle} {said}")

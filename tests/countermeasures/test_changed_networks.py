@@ -129,6 +129,8 @@ def test_lengths_and_right_of_way_are_built_by_netconvert(hazards, tmp_path):
         ("{edge: merge3_lane, ending_lane_m: 300}", "must be above its length .* at most 95.5 m"),
         ("{edge: merge3_in, ending_lane_m: 200}", "leads into one other edge with fewer lanes"),
         ("{signal: signal6, yellow_s: 12}", "would leave 3 s"),
+        ("{signal: signal5, yellow_s: 1}", "nothing changes: .*stays as it is.*ask for more"),
+        ("{junction: stop1_mid, control: priority_stop}", "nothing changes: junction"),
     ],
 )
 def test_changes_that_cannot_be_made_are_one_sentence(hazards, tmp_path, change, told):
