@@ -185,6 +185,8 @@ def test_a_plan_of_another_version_or_with_a_useless_weight_is_refused(write, tm
 def test_without_a_file_the_rule_is_likeliest(tmp_path):
     live = attacker.spec_of(attacker.Wish(avs=("ego",)))
     assert settings_of(live).rule == "likeliest"
+    assert settings_of(live).no_rear_end
+    assert settings_of(live).constraints == ("on_road",)
     config = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
     [document] = search.documents([config], {"seed": 1}, count=3)
     attacked = search.spec_of(document)
@@ -195,6 +197,10 @@ def test_without_a_file_the_rule_is_likeliest(tmp_path):
     assert spec.load(saved) == attacked
     paper = attacker.spec_of(attacker.Wish(avs=("ego",), sets=("adversary.form=paper",)))
     assert settings_of(paper).rule == "expected"
+    rams = attacker.spec_of(
+        attacker.Wish(avs=("ego",), sets=("adversary=S2", "adversary.no_rear_end=false"))
+    )
+    assert (settings_of(rams).period_s, settings_of(rams).no_rear_end) == (2.0, False)
 
 
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))

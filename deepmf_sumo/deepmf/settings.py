@@ -18,7 +18,7 @@ from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.errors import nearest
 from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.predictors.base import MOST_MODES
-from deepmf_sumo.spec import VERSIONS
+from deepmf_sumo.spec import VERSIONS, Spec
 
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
@@ -281,3 +281,22 @@ class Settings(plugins.Settings):
     def wanted_sector(self) -> int | None:
         """0..7; None for any."""
         return SECTORS.index(self.sector) if isinstance(self.sector, str) else self.sector
+
+
+def unasked(spec: Spec, *, all_conflicts: bool = False) -> dict[str, Any]:
+    """Wishes of an attack on traffic for which a spec says nothing.
+
+    The opponent does not ram the AV from behind (``all_conflicts``: it may), and does not leave the
+    road to hit it. Empty for other adversaries and for the form of the paper.
+    """
+    chosen = spec.adversary.settings
+    if spec.adversary.name != "deepmf" or chosen.get("form") == "paper" or chosen.get("lawful"):
+        return {}
+    more: dict[str, Any] = {}
+    said = "no_rear_end" in chosen or "no_rear_end" in chosen.get("constraints", ())
+    wanted = chosen.get("sector") in {"rear", SECTORS.index("rear")}
+    if not (said or wanted or all_conflicts):
+        more["no_rear_end"] = True
+    if "constraints" not in chosen and chosen.get("goal") != "avoidable":
+        more["constraints"] = ["on_road"]
+    return more

@@ -14,6 +14,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Plan, TurnRules, View
 from deepmf_sumo.deepmf.policy import Settings, build
+from deepmf_sumo.deepmf.settings import unasked
 from deepmf_sumo.errors import SimulationError, UsageError, nearest
 from deepmf_sumo.live.connection import (
     LiveApi,
@@ -105,7 +106,10 @@ def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
 
 
 def spec_of(wish: Wish) -> Spec:
-    """The settings as a spec would have them. Raises SpecError or UsageError."""
+    """The settings as a spec would have them, with the wishes of `attack` where nothing is said.
+
+    Raises SpecError or UsageError.
+    """
     values: dict[str, Any] = {
         "version": 2,
         "name": "live",
@@ -125,6 +129,10 @@ def spec_of(wish: Wish) -> Spec:
             values["adversary"] = {"version": values["adversary"]}
         document.assign(assignment)
     spec = of_document(document)
+    more = unasked(spec)
+    if more:
+        values["adversary"] = {"name": spec.adversary.name, **spec.adversary.settings, **more}
+        spec = of_document(document)
     if spec.adversary.name != "deepmf":
         raise UsageError(
             f"adversary '{spec.adversary.name}' tries attacks in simulations of its own; in a "

@@ -13,8 +13,8 @@ from typing import Any, Final
 from zlib import crc32
 
 from deepmf_sumo import files, tables
+from deepmf_sumo.deepmf.settings import unasked
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
-from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.moments.area import Area, area_of, inside
 from deepmf_sumo.moments.choice import LONG_S, choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
@@ -336,11 +336,7 @@ def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
             "--all-conflicts allows rams from behind, and adversary.no_rear_end forbids them: leave"
             " one of them out."
         )
-    more: dict[str, Any] = {}
-    if not all_conflicts and _may_ram(spec):
-        more[_NOT_BEHIND] = True
-    if _may_leave_road(spec):
-        more["constraints"] = ["on_road"]
+    more = unasked(spec, all_conflicts=all_conflicts)
     if more:
         document.values.setdefault("adversary", {"name": spec.adversary.name}).update(more)
         spec = of_document(document)
@@ -362,24 +358,6 @@ def _never_rams(spec: Spec) -> bool:
     """Whether the spec itself says that it does not ram the AV from behind."""
     chosen = spec.adversary.settings
     return bool(chosen.get(_NOT_BEHIND)) or _NOT_BEHIND in chosen.get("constraints", ())
-
-
-def _may_ram(spec: Spec) -> bool:
-    """Whether it may ram the AV from behind, and nothing in it says that it should."""
-    if spec.adversary.name != "deepmf":
-        return False
-    chosen = spec.adversary.settings
-    said = _NOT_BEHIND in chosen or _NOT_BEHIND in chosen.get("constraints", ())
-    wanted = chosen.get("sector") in {"rear", SECTORS.index("rear")}
-    return not (said or wanted or chosen.get("lawful") or chosen.get("form") == "paper")
-
-
-def _may_leave_road(spec: Spec) -> bool:
-    """Whether it may hit the AV beside the road, and nothing in it says that it should."""
-    chosen = spec.adversary.settings
-    kept = chosen.get("lawful") or chosen.get("goal") == "avoidable"
-    ours = spec.adversary.name == "deepmf" and chosen.get("form") != "paper"
-    return ours and "constraints" not in chosen and not kept
 
 
 def tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:
