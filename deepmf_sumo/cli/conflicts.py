@@ -76,6 +76,7 @@ def command(
     with --beside also what attacks found there. --format prints the conflicts instead. --trj also
     writes traffic.trj, which SSAM opens.
     """
+    from deepmf_sumo import files
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.metrics.traffic_conflicts import Limits
     from deepmf_sumo.recording import conflicts as recording
@@ -96,6 +97,10 @@ def command(
         until_s=given["until_s"],
     )  # fmt: skip
     limits = Limits(ttc_s=given["ttc_s"], pet_s=given["pet_s"])
+    if overwrite and not trj:
+        for name in (recording.TRAJECTORIES, recording.ROAD_USERS):
+            with files.writing(out):
+                (out / name).unlink(missing_ok=True)  # of another traffic
     seen = recording.observe(wanted, limits, out if trj else None)
     rows = conflicts.listed(seen, every)
     sites = conflicts.by_place(seen, rows, every, attacked)

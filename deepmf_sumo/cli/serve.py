@@ -52,17 +52,18 @@ def command(
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
-    read = read_configuration(config)
     options = list(ctx.meta[AFTER])
     if "--remote-port" in options[:-1]:  # where traci.start writes it
         at = options.index("--remote-port")
         port = click.IntRange(0, 65535).convert(options[at + 1], None, ctx)
         del options[at : at + 2]
+    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
+        read_configuration(config)  # what is wrong with it shows before a client comes
     wish, stay = (
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
     )
-    prepared = live.prepare(live.Wish(net=read.net, **wish), out, overwrite=overwrite)
+    prepared = live.prepare(live.Wish(**wish), out, overwrite=overwrite)
     code = 0
     with (
         leaving() as stopped,
@@ -71,7 +72,8 @@ def command(
     ):
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
         server.await_client(stopped)
-        server.check()
+        if not stopped():
+            server.check()
         if server.joined:
             done = live.attach(
                 Port(number=server.inner), prepared, Stay(patience_s=float("inf"), **stay),
@@ -82,6 +84,7 @@ def command(
             code = exit_code("interrupted") if done.end == "stopped" else 0
             code = exit_code("failed") if server.unused else code
             server.stay(lambda: stopped() and done.end != "stopped")
+            code = exit_code("interrupted") if stopped() else code
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
         server.check()

@@ -58,6 +58,8 @@ class Lockstep:
     ) -> None:
         self._api, self._sessions = api, tuple(sessions)
         self._stay, self._stopped = stay, stopped
+        for session in self._sessions:
+            session.enough = self._enough
         self._since_asked = 0
         self._begin_s = self.ended_s = self._time_s
         end_s = float(api.simulation.getOption("end"))
@@ -66,6 +68,11 @@ class Lockstep:
     @property
     def _time_s(self) -> float:
         return self._sessions[0].time_s
+
+    def _enough(self) -> bool:
+        """Whether no other attack may begin: that many are over or under way."""
+        begun = [one.attacks + (one.driving is not None) for one in self._sessions]
+        return self._stay.attacks is not None and sum(begun) >= self._stay.attacks
 
     def run(self) -> End:
         """Take part until one of the ends; the connection is closed then, whatever happens.
@@ -179,6 +186,8 @@ class Lockstep:
 
     def _look_for_av(self, av: AgentId) -> None:
         waited = self._time_s - self._begin_s
+        if math.isinf(self._stay.patience_s):
+            return
         none_left = self._api.simulation.getMinExpectedNumber() == 0
         if waited < self._stay.patience_s and not none_left:
             return

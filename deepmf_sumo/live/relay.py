@@ -9,6 +9,7 @@ commands; a command is its length (1 byte, or 0 and 4 bytes), its number and its
 """
 
 import contextlib
+import multiprocessing
 import os
 import signal
 import socket
@@ -104,15 +105,17 @@ def _yield() -> None:
     getattr(os, "sched_yield", lambda: time.sleep(0))()
 
 
-def relay(listener: socket.socket, inner: int, said: Connection) -> None:
+def relay(listener: socket.socket, inner: int, said: Connection, sumo_pid: int) -> None:
     """One client's life; others that come meanwhile are turned away. Then the process ends.
 
     Args:
         listener: where the client comes.
         inner: SUMO's port on this machine.
         said: what happens is told there.
+        sumo_pid: SUMO's process, which ends where the parent is killed.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this
+    threading.Thread(target=_end_with_parent, args=(sumo_pid,), daemon=True).start()
     one_at_a_time = threading.Lock()
 
     def tell(kind: Literal["joined", "unused", "left", "complaint"], text: str = "") -> None:
@@ -146,6 +149,8 @@ def _pass_on(client: Wire, sumo: Wire, tell: Callable[..., None]) -> None:
                 client.send(b"".join(_answered(sumo, one) for one in commands))
             else:
                 client.send(_asked(sumo, body))
+            if closed:
+                return
     except ProtocolError as error:
         tell("complaint", f"the client was disconnected: {error}")
     finally:
@@ -156,6 +161,16 @@ def _pass_on(client: Wire, sumo: Wire, tell: Callable[..., None]) -> None:
             tell("left")
             with contextlib.suppress(OSError, ProtocolError):
                 _asked(sumo, _command(CLOSE, b""))
+
+
+def _end_with_parent(sumo_pid: int) -> None:
+    """End SUMO and this process with a parent that can no longer do it."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        with contextlib.suppress(OSError):
+            os.kill(sumo_pid, signal.SIGTERM)
+        os._exit(1)
 
 
 def _refuse(listener: socket.socket, tell: Callable[..., None]) -> None:

@@ -53,14 +53,19 @@ class Server:
             [str(program), "-c", str(config), *ports, *start, *options],
             env=sumo_tools.environment(),
             stdout=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C in a terminal is for this process alone
         )
         spawn = multiprocessing.get_context("spawn")  # this process may have threads
         self._hears, says = spawn.Pipe(duplex=False)
         self._relay = spawn.Process(
-            target=relay, args=(self._listener, self.inner, says), name="traci relay", daemon=True
+            target=relay,
+            args=(self._listener, self.inner, says, self._sumo.pid),
+            name="traci relay",
+            daemon=True,
         )
         self._relay.start()
         says.close()
+        self._listener.close()  # it is the relay's now
 
     @property
     def joined(self) -> bool:
@@ -94,8 +99,13 @@ class Server:
             raise SimulationError(f"SUMO ended with exit code {code}; see what it printed.")
 
     def await_client(self, stopped: Callable[[], bool]) -> None:
-        """Until a client has connected, SUMO has ended, or until ``stopped``."""
+        """Until a client has connected, SUMO has ended, or until ``stopped``.
+
+        Raises SimulationError where nothing listens any more.
+        """
         while not (self.joined or stopped() or self.ended):
+            if not self._relay.is_alive():
+                raise SimulationError("the process that listens on the port has ended.")
             with suppress(OSError):
                 self._hears.poll(_LOOK_S)
 
@@ -115,7 +125,6 @@ class Server:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._listener.close()
         self._relay.terminate()
         self._relay.join()
         self._hears.close()

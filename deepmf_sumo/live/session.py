@@ -48,6 +48,7 @@ class Session:
         attacks, undriven: numbers of attacks so far.
         last_failure: why the last try to attack failed.
         paused: set it, and no attack begins; one that goes on ends as it would.
+        enough: whether no other attack may begin; may be replaced.
 
     Raises UsageError if 0.1 s is not a multiple of the simulation's step.
     """
@@ -70,6 +71,7 @@ class Session:
         self.av_present = False
         self.last_failure = ""
         self.paused = False
+        self.enough: Callable[[], bool] = lambda: False
         self._scenery = scenery
         self._policy = policy
         self._call = AtTime(np.inf)
@@ -171,7 +173,8 @@ class Session:
     def _due(self) -> bool:
         """Whether an attack may begin now."""
         seen = len(self._history) == HISTORY_STEPS
-        return seen and not self.paused and self.time_s > self._next_s - 1e-6
+        may = not (self.paused or self.enough())
+        return seen and may and self.time_s > self._next_s - 1e-6
 
     def hand_back(self) -> None:
         """End the current attack and begin no other; a step later the opponent is on its lane."""
@@ -271,11 +274,13 @@ class Session:
         if attack is None or attack.turn is None:
             return
         self._attack = None
+        rollout = attack.rollout()
+        if attack.turn.last_step <= rollout.now:
+            return  # it was stopped before its first step
         if not self._counts:
             self.undriven += 1
             return
         self.attacks += 1
-        rollout = attack.rollout()
         end_s = self._begin_s + (attack.turn.last_step - rollout.now) * DT_S
         self._ended_s[attack.turn.opponent_id] = end_s
         self._finished(LiveAttack(begin_s=self._begin_s, end_s=end_s, rollout=rollout))

@@ -149,22 +149,27 @@ def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
     ]
 
 
-def lights_passed(rollout: Rollout, road: RoadMap, row: int) -> set[SignalState]:
+def lights_passed(
+    rollout: Rollout, road: RoadMap, row: int, place_m: Floats, within_m: float
+) -> set[SignalState]:
     """States of the lights whose stop lines an agent's front crosses, as they were before the step.
 
-    A lane begins at its stop line. Of lights that are crossed together all are given.
+    Those of its last crossing alone, and only where the line is near the place (2). A lane begins
+    at its stop line. Of lights that are crossed together all are given.
     """
-    found = set()
+    found: dict[int, set[SignalState]] = {}
     for lane_id in dict.fromkeys(name for lights in rollout.signals for name in lights):
         lane = road.lanes.get(lane_id)
         if lane is None or len(lane.centre_m) < 2:
+            continue
+        if np.hypot(*(lane.centre_m[0] - place_m)) > within_m:
             continue
         line = _stop_line(road, lane_id, lane.centre_m[0])
         for step in np.flatnonzero(_crossing(rollout, row, line)).tolist():
             number = step - 1 - rollout.now
             if number >= 0 and lane_id in rollout.signals[number]:
-                found.add(rollout.signals[number][lane_id])
-    return found
+                found.setdefault(step, set()).add(rollout.signals[number][lane_id])
+    return found[max(found)] if found else set()
 
 
 def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:

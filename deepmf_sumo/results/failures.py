@@ -324,6 +324,8 @@ def _priority(
     return _by_map(pair, road) if road and conflict != "head-on" else ""
 
 
+_JUNCTION_M: Final = 50.0
+"""From the contact to the stop lines of its junction, at most."""
 _AT_LIGHTS: Final = frozenset(
     {"crossing", "merging", "left turn across path", "right turn across path"}
 )
@@ -331,7 +333,10 @@ _AT_LIGHTS: Final = frozenset(
 
 def _by_lights(rollout: Rollout, pair: _Pair, road: RoadMap) -> Who:
     """The one whose light let it go, where that of the other did not."""
-    mine, theirs = (lights_passed(rollout, road, row) for row in (pair.av, pair.other))
+    place = pair.tracks.position_m[pair.av, pair.contact]
+    mine, theirs = (
+        lights_passed(rollout, road, row, place, _JUNCTION_M) for row in (pair.av, pair.other)
+    )
     goes, stops = (
         {SignalState.GO, SignalState.ARROW_GO},
         {SignalState.STOP, SignalState.ARROW_STOP},

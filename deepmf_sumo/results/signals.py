@@ -12,6 +12,8 @@ from deepmf_sumo.exporters.base import lights_near
 from deepmf_sumo.results import stored
 
 FILE: Final = "signals.csv.gz"
+UNSEEN: Final = "unseen"
+"""A light whose state is not known from here on, as in a recording with gaps."""
 COLUMNS: Final = ("step", "time_s", "lane", "state")
 
 
@@ -20,15 +22,17 @@ def write_signals(path: Path, rollout: Rollout, road: RoadMap) -> None:
 
     A state holds from the step of its row on. A light is named by the lane behind it.
     """
-    rows, shown = [], dict[str, SignalState]()
+    rows, shown = [], dict[str, SignalState | None]()
     near = lights_near(rollout, road)
     for number, lights in enumerate(rollout.signals):
         time_s = f"{number * rollout.dt_s:.1f}"
         for lane in near:
             state = lights.get(lane)
-            if state is not None and shown.get(lane) != state:
-                shown[lane] = state
-                rows.append((rollout.now + number, time_s, lane, state.name.lower()))
+            if shown.get(lane) == state:
+                continue
+            shown[lane] = state
+            said = UNSEEN if state is None else state.name.lower()
+            rows.append((rollout.now + number, time_s, lane, said))
     if rows:
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
@@ -43,18 +47,19 @@ def read_signals(file: Path, now: int, steps: int) -> tuple[dict[str, SignalStat
     """
     if not file.is_file():
         return ()
-    changes: dict[int, dict[str, SignalState]] = {}
+    changes: dict[int, dict[str, SignalState | None]] = {}
     with stored.tracks(file) as text:
         for row in csv.DictReader(text):
-            state = SignalState[row["state"].upper()]
+            said = row["state"]
+            state = None if said == UNSEEN else SignalState[said.upper()]
             changes.setdefault(int(row["step"]), {})[row["lane"]] = state
     return tuple(_states(changes, now, steps))
 
 
 def _states(
-    changes: dict[int, dict[str, SignalState]], now: int, steps: int
+    changes: dict[int, dict[str, SignalState | None]], now: int, steps: int
 ) -> Iterator[dict[str, SignalState]]:
-    states: dict[str, SignalState] = {}
+    states: dict[str, SignalState | None] = {}
     for step in range(now, steps - 1):
         states = states | changes.get(step, {})
-        yield states
+        yield {lane: state for lane, state in states.items() if state is not None}

@@ -351,6 +351,54 @@ def test_status_and_a_switch_over_http(served, tmp_path):
     assert process.returncode == 0
 
 
+ADDS = """
+import sys, traci
+api = traci.connect(int(sys.argv[1]), numRetries=50, waitBetweenRetries=0.1)
+for step in range(30):
+    if step == 5:
+        api.route.add("way", ["ab"])
+        api.vehicle.add("av", "way", departPos="20")
+    api.simulationStep()
+print(api.vehicle.getIDList())
+api.close()
+"""
+
+
+def test_a_client_may_add_its_vehicle_later(tiny, tmp_path):
+    """SUMO's traffic is over, as far as SUMO knows, before the vehicle comes."""
+    config = tmp_path / "empty.sumocfg"
+    net = tiny / "tiny.net.xml"
+    config.write_text(f'<configuration><input><net-file value="{net}"/></input></configuration>')
+    command = [
+        sys.executable, "-m", "deepmf_sumo.cli.main", "serve", config, "--port", "0", "--av", "av",
+        "--out", tmp_path / "live", "--", *OPTIONS,
+    ]  # fmt: skip
+    with subprocess.Popen(
+        list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        port = re.search(r"port (\d+)", process.stderr.readline())[1]
+        script = [sys.executable, "-c", ADDS, port]
+        done = subprocess.run(script, capture_output=True, text=True, check=False, timeout=60)
+        _, told = process.communicate(timeout=60)
+    assert ("('av',)" in done.stdout, process.returncode) == (True, 0), (done.stderr, told)
+
+
+def test_a_client_that_keeps_its_socket_after_closing_is_let_go(talked):
+    step = command(0x02, struct.pack("!d", 0.0))
+
+    def talk(connect):
+        with connect() as connection:
+            connection.settimeout(30)
+            connection.sendall(message(step))
+            assert connection.recv(4096)
+            connection.sendall(message(command(0x7F)))
+            while connection.recv(4096):  # until the other side closes
+                pass
+
+    code, _, told = talked(talk)
+    assert code == 0, told
+
+
 def test_a_signal_before_a_client_comes_ends_sumo_too(served):
     process, _ = served()
     process.send_signal(signal.SIGINT)

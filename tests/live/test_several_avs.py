@@ -11,6 +11,8 @@ import deepmf_sumo
 from deepmf_sumo.datatypes import Plan
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.live import attacker as attacker_module
+from deepmf_sumo.live.connection import shared
+from deepmf_sumo.live.lockstep import Lockstep, Stay
 
 pytestmark = pytest.mark.sumo
 
@@ -123,6 +125,19 @@ def test_with_one_other_vehicle_one_of_them_is_attacked(attacked):
 
 def test_with_none_nobody_attacks(attacked):
     assert attacked(others=0) == ([{}] * 60, [])
+
+
+def test_no_more_attacks_begin_than_are_asked_for(traffic, monkeypatch):
+    """Also while another is under way, and without a pause."""
+    monkeypatch.setattr(attacker_module, "policy_of", lambda spec: Nearest())
+    libsumo.start(["sumo", "-c", str(traffic(2)), *OPTIONS])
+    wish = attacker_module.Wish(avs=("rear", "front"), duration_s=3.0, pause_s=0.0)
+    done = []
+    api = shared(libsumo)
+    own = attacker_module.sessions(api, wish, attacker_module.spec_of(wish), done.append)
+    assert Lockstep(api, own, Stay(attacks=3), lambda: False).run() == "attacks"
+    assert len(done) == 3
+    assert all(one.end_s > one.begin_s for one in done)
 
 
 def test_an_av_that_is_named_twice_is_refused():

@@ -56,6 +56,19 @@ def test_changes_are_written_and_states_are_read_back(rollout, road, tmp_path):
     assert list(found) == known
 
 
+def test_a_light_that_is_not_seen_any_more_is_not_known(rollout, road, tmp_path):
+    gap = ({LEFT: STOP},) * 5 + ({},) * 5 + ({LEFT: GO},) * 10
+    file = tmp_path / signals.FILE
+    signals.write_signals(file, replace(rollout, signals=gap), road)
+    assert signals.read_signals(file, rollout.now, rollout.tracks.steps) == gap
+
+
+def test_a_lane_without_a_direction_has_no_bar(rollout, road):
+    place = road.lanes[LEFT].centre_m[0]
+    still = replace(road.lanes[LEFT], centre_m=np.tile(place, (3, 1)), previous=())
+    assert not lights(rollout, replace(road, lanes={LEFT: still}), place)
+
+
 def test_no_file_is_written_without_lights_near(rollout, road, tmp_path):
     file = tmp_path / signals.FILE
     signals.write_signals(file, replace(rollout, signals=()), road)

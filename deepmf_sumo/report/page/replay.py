@@ -119,8 +119,11 @@ def _bars(rollout: Rollout, road: RoadMap, names: list[str], origin: Floats) -> 
     lanes = [road.lanes[name] for name in names]
     stop, width = lanes[0].centre_m[0], lanes[0].width_m or _UNKNOWN_WIDTH_M
     approach = next((road.lanes[one] for one in lanes[0].previous if one in road.lanes), None)
-    towards = approach.centre_m[-2:] if approach is not None else lanes[0].centre_m[:2]
-    x, y = towards[-1] - towards[0]
+    line = approach.centre_m[::-1] if approach is not None else lanes[0].centre_m
+    away = line[np.hypot(*(line - line[0]).T) > _SAME_PLACE_M]
+    if not len(away):
+        return  # it has no direction
+    x, y = (line[0] - away[0]) if approach is not None else (away[0] - line[0])
     left = np.array([-y, x]) / np.hypot(x, y)
     lanes.sort(key=lambda lane: float((lane.centre_m[-1] - stop) @ left))
     for number, lane in enumerate(lanes):
