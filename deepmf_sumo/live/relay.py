@@ -34,6 +34,7 @@ _OK: Final = b"\x00"
 _ERROR: Final = b"\xff"
 _START_S: Final = 60.0
 _AGAIN_S: Final = 0.05
+_END_S: Final = 3.0
 _AWAKE_S: Final = 0.001
 _PIECE: Final = 2**16
 _NO_LOAD: Final = (
@@ -170,6 +171,8 @@ def _end_with_parent(sumo_pid: int) -> None:
         parent.join()
         with contextlib.suppress(OSError):
             os.kill(sumo_pid, signal.SIGTERM)
+            time.sleep(_END_S)  # it does not listen while it waits for clients
+            os.kill(sumo_pid, getattr(signal, "SIGKILL", signal.SIGTERM))
         os._exit(1)
 
 

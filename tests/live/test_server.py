@@ -406,6 +406,21 @@ def test_a_signal_before_a_client_comes_ends_sumo_too(served):
     assert process.returncode == 130
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="its processes have no groups")
+def test_nothing_is_left_where_the_command_is_killed(served):
+    process, port = served()
+    process.kill()
+    process.communicate(timeout=30)
+    end = time.monotonic() + 30
+    while time.monotonic() < end:
+        try:
+            with socket.create_connection(("localhost", port)):
+                time.sleep(0.2)
+        except OSError:
+            return
+    raise AssertionError("the port is still open")
+
+
 def test_a_second_client_is_turned_away(talked):
     def talk(connect):
         with connect() as connection:
