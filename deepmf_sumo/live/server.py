@@ -143,7 +143,7 @@ class Server:
                 self._said.add(said[0])
                 if said[0] == "complaint":
                     self._complaints.append(said[1])
-        except (EOFError, OSError):  # it has ended: nobody is connected any more
+        except (EOFError, OSError):  # it has ended: no client is connected any more
             self._said.add("left")
         return kind in self._said
 

@@ -61,7 +61,7 @@ class Nearest:
 
 @pytest.fixture
 def traffic(tiny, tmp_path):
-    """Two AVs behind each other, and so many others before them."""
+    """Two AVs behind each other, and a number of others ahead of them."""
 
     def write(others):
         ids = ["rear", "front", *(f"other{row}" for row in range(others))]
