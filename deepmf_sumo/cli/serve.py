@@ -1,5 +1,6 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
@@ -52,11 +53,7 @@ def command(
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
-    options = list(ctx.meta[AFTER])
-    if "--remote-port" in options[:-1]:  # where traci.start writes it
-        at = options.index("--remote-port")
-        port = click.IntRange(0, 65535).convert(options[at + 1], None, ctx)
-        del options[at : at + 2]
+    port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
     if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
         read_configuration(config)  # what is wrong with it shows before a client comes
     wish, stay = (
@@ -81,11 +78,22 @@ def command(
                 left=lambda: server.left,
             )  # fmt: skip
             show_session(done, given["avs"], out)
-            code = exit_code("interrupted") if done.end == "stopped" else 0
-            code = exit_code("failed") if server.unused else code
             server.stay(lambda: stopped() and done.end != "stopped")
-            code = exit_code("interrupted") if stopped() else code
+            if stopped():
+                code = exit_code("interrupted")
+            elif server.unused:
+                code = exit_code("failed")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
         server.check()
     ctx.exit(code if server.joined else exit_code("interrupted"))
+
+
+def _port_and_options(port: int, after: Sequence[str], ctx: click.Context) -> tuple[int, list[str]]:
+    """SUMO's options without the port that ``traci.start`` writes behind all others."""
+    options = list(after)
+    if "--remote-port" in options[:-1]:
+        at = options.index("--remote-port")
+        port = click.IntRange(0, 65535)(options[at + 1], ctx=ctx)
+        del options[at : at + 2]
+    return port, options

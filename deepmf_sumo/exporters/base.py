@@ -68,19 +68,14 @@ class Exportable:
     def of(cls, rollout: Rollout, case: Case) -> Self:
         """A run that has just been simulated."""
         if isinstance(case, RecordedCase):
-            source = replace(case.scene.source, dataset=ROLLOUT)
-            signals: Signals | None = case.scene.signals
             net = NetFiles(net=case.net.file, additional=case.net.additional)
         else:
-            source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
-            signals = signals_of(rollout, case.road)
             net = NetFiles(net=case.net_file)
-        around = Surroundings(road=case.road, source=source, signals=signals)
         return cls(
             name=case.name,
             rollout=rollout,
             duration_steps=case.duration_steps,
-            look=lambda: around,
+            look=lambda: _around(rollout, case),
             find_net=lambda: net,
         )
 
@@ -93,6 +88,14 @@ class Exportable:
     def net(self) -> NetFiles:
         """The SUMO network."""
         return self.find_net()
+
+
+def _around(rollout: Rollout, case: Case) -> Surroundings:
+    if isinstance(case, RecordedCase):
+        source = replace(case.scene.source, dataset=ROLLOUT)
+        return Surroundings(road=case.road, source=source, signals=case.scene.signals)
+    source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
+    return Surroundings(road=case.road, source=source, signals=signals_of(rollout, case.road))
 
 
 _NEAR_M: Final = 200.0

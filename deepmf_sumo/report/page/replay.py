@@ -62,7 +62,8 @@ FULL_TURN: Final = 1024
 OTHERS_EVERY: Final = 2
 """Steps from one pose of the others to the next; the page draws lines between."""
 _SAME_PLACE_M: Final = 0.5
-_UNKNOWN_WIDTH_M: Final = 3.5
+UNKNOWN_WIDTH_M: Final = 3.5
+"""Of a lane whose width the source does not state."""
 _LIGHTS: Final = {
     SignalState.STOP: "stop",
     SignalState.ARROW_STOP: "stop",
@@ -117,7 +118,7 @@ def lights(rollout: Rollout, road: RoadMap, origin: Floats) -> list[list[Any]]:
 
 def _bars(rollout: Rollout, road: RoadMap, names: list[str], origin: Floats) -> Iterator[list[Any]]:
     lanes = [road.lanes[name] for name in names]
-    stop, width = lanes[0].centre_m[0], lanes[0].width_m or _UNKNOWN_WIDTH_M
+    stop, width = lanes[0].centre_m[0], lanes[0].width_m or UNKNOWN_WIDTH_M
     approach = next((road.lanes[one] for one in lanes[0].previous if one in road.lanes), None)
     line = approach.centre_m[::-1] if approach is not None else lanes[0].centre_m
     away = line[np.hypot(*(line - line[0]).T) > _SAME_PLACE_M]

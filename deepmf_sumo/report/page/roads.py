@@ -16,7 +16,7 @@ from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.lane_map import per_road
 from deepmf_sumo.report.drawing import junctions
-from deepmf_sumo.report.page.replay import packed, stepwise
+from deepmf_sumo.report.page.replay import UNKNOWN_WIDTH_M, packed, stepwise
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Run
 
@@ -25,7 +25,6 @@ AROUND_M: Final = 60.0
 UNIT_M: Final = 0.1
 _TOLERANCE_M: Final = 0.12
 """Lines may deviate by this where points are left out."""
-_UNKNOWN_WIDTH_M: Final = 3.5
 _KEPT: Final = 8
 """Road maps in memory: runs of one scene come one after the other, or a sweep has few scenes."""
 
@@ -106,7 +105,7 @@ def _keep(
 def _features(road: RoadMap) -> list[tuple[str, int, float, shapely.LineString]]:
     """Kind, number, width in metres and line of all that is drawn."""
     rows = [
-        ("lane", lane.width_m or _UNKNOWN_WIDTH_M, lane.centre_m) for lane in road.lanes.values()
+        ("lane", lane.width_m or UNKNOWN_WIDTH_M, lane.centre_m) for lane in road.lanes.values()
     ]
     # After each ring back to the first point: filled by the even-odd rule, islands are free.
     rows += [
