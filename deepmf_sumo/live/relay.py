@@ -179,8 +179,8 @@ def _end_with_parent(sumo_pid: int) -> None:
 def _refuse(listener: socket.socket, tell: Callable[..., None]) -> None:
     while True:
         other, _ = listener.accept()
-        other.close()
         tell("complaint", "a second client was turned away: there is one place")
+        other.close()  # now: the first client may end this process as soon as it sees that
 
 
 def _to_sumo(inner: int) -> socket.socket:
