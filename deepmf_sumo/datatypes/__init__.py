@@ -23,6 +23,7 @@ from deepmf_sumo.datatypes.interface import (
 from deepmf_sumo.datatypes.plan import (
     Forecast,
     Futures,
+    Heat,
     OpponentScores,
     Plan,
     PlanReason,
@@ -84,6 +85,7 @@ __all__ = [
     "Floats",
     "Forecast",
     "Futures",
+    "Heat",
     "Ints",
     "Lane",
     "LanePiece",

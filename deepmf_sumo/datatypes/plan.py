@@ -38,6 +38,18 @@ class Forecast(Frozen):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Heat(Frozen):
+    """Where an agent may be 8 s later: the likeliest dense goals of a forecast.
+
+    Attributes:
+        position_m: (N, 2). probability: (N), likeliest first.
+    """
+
+    position_m: Floats
+    probability: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpponentScores(Frozen):
     """Suitability of each surrounding vehicle as an opponent.
 
@@ -79,6 +91,7 @@ class PlanReason:
         allowed: by name of the constraint what it allows: (N1) candidates if an attack requires it
             (``fair``, ``lawful``), (N1, N2) pairs if it is a preference (``sector``).
         unmet: names of the constraints that no candidate meets.
+        heat: where the opponent may be; None unless its predictor has dense goals.
     """
 
     scores: OpponentScores | None
@@ -97,6 +110,7 @@ class PlanReason:
     sector: Ints | None = None
     allowed: dict[str, Bools] = field(default_factory=dict)
     unmet: tuple[str, ...] = ()
+    heat: Heat | None = None
 
     @property
     def fair(self) -> Bools | None:

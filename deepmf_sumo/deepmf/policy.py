@@ -16,6 +16,7 @@ from deepmf_sumo.datatypes import (
     AgentId,
     AvDriver,
     Forecast,
+    Heat,
     OpponentScores,
     Plan,
     PlanReason,
@@ -189,7 +190,7 @@ class DeepMF:
             attack.last,
             self._experience.last,
         )
-        own = self._generate(situation, attack.constraints, watch)
+        own, heat = self._generate(situation, attack.constraints, watch)
         predicted = self._reactions(av, own)
         watch.lap("conditional")
         reactions, counts = self._experience.informed(situation, own, predicted)
@@ -205,13 +206,13 @@ class DeepMF:
         choice, masks = self._choose(situation, attack, own, reactions, pairs, watch)
         watch.lap("select")
         self.seconds += watch.seconds
-        reason = self._reason(own, reactions, pairs, choice, masks, watch)
+        reason = self._reason(own, heat, reactions, pairs, choice, masks, watch)
         return _planned(situation, own, choice, reason)
 
     def _generate(
         self, situation: Situation, attack_constraints: Sequence[Constraint], watch: Stopwatch
-    ) -> Candidates:
-        """Drivable candidates of the opponent with their probabilities P(OV)."""
+    ) -> tuple[Candidates, Heat | None]:
+        """Drivable candidates of the opponent with their probabilities P(OV), and its heat map."""
         settings, limits, start = self._settings, situation.limits, situation.start
         prediction = self._predictors.marginal.predict(situation.view, situation.opponent_id)
         modes = prediction.modes(settings.candidates)
@@ -237,7 +238,7 @@ class DeepMF:
             most, without = settings.most_candidates, settings.constrained
             own = candidates.shortlisted(situation, own, most, without)
         watch.lap("collision")
-        return own
+        return own, prediction.heat()
 
     def _reactions(self, av: _Av, own: Candidates) -> list[Forecast]:
         """The AV's futures given each candidate; without condition the same ones for all."""
@@ -274,6 +275,7 @@ class DeepMF:
     def _reason(
         self,
         own: Candidates,
+        heat: Heat | None,
         reactions: list[Forecast],
         pairs: Pairs,
         choice: Choice,
@@ -297,6 +299,7 @@ class DeepMF:
             sector=pairs.sector,
             allowed={mask.name: mask.allowed for mask in masks},
             unmet=choice.unmet,
+            heat=heat,
         )
 
 

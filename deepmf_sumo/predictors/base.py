@@ -6,7 +6,7 @@ questions about one moment keep it and pass it on; predictors themselves keep no
 
 from typing import Any, Final, Protocol
 
-from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, OpponentScores, View
+from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Futures, Heat, OpponentScores, View
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.decoding import GoalSet, Singles
 from deepmf_sumo.predictors.features import Features
@@ -32,6 +32,10 @@ class Prediction(Protocol):
 
     def log_density(self, position_m: Floats) -> Floats:
         """(K) log density of futures (K, 80, 2); comparable within this prediction."""
+        ...
+
+    def heat(self) -> Heat | None:
+        """Where the agent may be in 8 s; None without dense goals."""
         ...
 
 

@@ -41,6 +41,8 @@ class Preset:
         profiles: speed profiles a path that are fitted on data; a conditional network has those of
             `anchors.BRAKING` in addition. At least 7: `evaluate` asks for 32 modes, and a vehicle
             has at least five paths.
+        head: goals of the trajectory networks: ``paths`` (paths and speed profiles), or ``dense``
+            as published (see `goal_grid`), without profiles.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Preset:
     vectors: bool = True
     reactive: bool = False
     profiles: Annotated[int, Field(ge=7, le=1024)] = 24
+    head: Literal["paths", "dense"] = "paths"
 
     @property
     def raster_channels(self) -> int:
@@ -119,13 +122,17 @@ PAPER: Final = Preset(
     condition_stage=0,
     condition_channels=80,
     reactive=True,
+    head="dense",
 )
 """VGG16 at full width on 60 channels at 1 m, as M2I sizes DenseTNT's encoder; needs a GPU."""
 
 VECTOR: Final = replace(LIGHT, name="vector", raster=False)
 """Without images: as good as `LIGHT` where few scenes are to learn from."""
 
-PRESETS: Final = {preset.name: preset for preset in (LIGHT, PAPER, VECTOR)}
+DENSE: Final = replace(VECTOR, name="dense", head="dense")
+"""`VECTOR` with DenseTNT's goals."""
+
+PRESETS: Final = {preset.name: preset for preset in (LIGHT, PAPER, VECTOR, DENSE)}
 
 
 def preset_named(name: str) -> Preset:

@@ -46,12 +46,15 @@ class GoalSet:
         along_m: (P, R, 80) distances of the anchors.
         knots: (K, P, R, 5, 2) residual along and to the left at 1, 2, 4, 6, 8 s, metres.
         paths: (P, 121, 2).
+        block: number of goals of a path, one after the other, of which at most one becomes a mode:
+            dense goals are too many to be compared with one another.
     """
 
     logits: Singles
     along_m: Singles
     knots: Singles
     paths: Singles
+    block: int = 1
 
     def at_knots(self) -> tuple[Singles, Singles]:
         """Positions and path tangents (K, N, 5, 2) at 1, 2, 4, 6, 8 s; N = P * R goals."""
@@ -76,27 +79,31 @@ def select(
     modes: int,
     *,
     shortlist: int | None = None,
+    block: int = 1,
 ) -> tuple[Ints, Singles]:
     """Chosen goals and their mass (K, M), most likely first.
 
     Args:
-        probability: (K, N).
-        ends_m: (K, N, 2) end points.
+        probability: (K, P, R).
+        ends_m: (K, N, 2) end points, N = P * R.
         modes: M, at most N.
         shortlist: number of likeliest goals that may become modes; None: all.
+        block: see `GoalSet`.
 
     Raises RunError where there are fewer goals than modes.
 
     A mode's mass is the probability of all goals that are nearer to it than to other modes.
     """
-    size = min(max(modes, shortlist or probability.shape[1]), probability.shape[1])
+    likely, place = _blocks(probability, block)
+    probability = probability.reshape(len(probability), -1)
+    size = min(max(modes, shortlist or likely.shape[1]), likely.shape[1])
     if size < modes:
         raise RunError(
             f"{modes} modes of a forecast were asked for, but with these weights a vehicle here has"
             f" {size} goals; ask for fewer (candidates, reactions, modes)."
         )
-    rows = np.argsort(-probability, axis=1, kind="stable")[:, :size]
-    weight = np.take_along_axis(probability, rows, 1)
+    best = np.argsort(-likely, axis=1, kind="stable")[:, :size]
+    weight, rows = np.take_along_axis(likely, best, 1), np.take_along_axis(place, best, 1)
     ends = np.take_along_axis(ends_m, rows[..., None], 1)
     distance = np.minimum(_distances(ends, ends), CAP_M)
     picked = _medoids(weight, distance, modes)
@@ -104,6 +111,15 @@ def select(
     share = mass(probability, ends_m, np.take_along_axis(ends, picked[..., None], 1))
     order = np.argsort(-share, axis=1, kind="stable")
     return np.take_along_axis(chosen, order, 1), np.take_along_axis(share, order, 1)
+
+
+def _blocks(probability: Singles, block: int) -> tuple[Singles, Ints]:
+    """(K, M) mass of the blocks of goals (K, P, R), and the likeliest goal of each."""
+    futures, paths, goals = probability.shape
+    first = np.arange(paths)[:, None] * goals + np.arange(0, goals, block)
+    filled = np.pad(probability, ((0, 0), (0, 0), (0, -goals % block)))
+    parts = filled.reshape(futures, -1, block)
+    return parts.sum(-1), first.ravel() + parts.argmax(-1)
 
 
 def _distances(one_m: Singles, other_m: Singles) -> Singles:
@@ -179,7 +195,8 @@ def forecasts(
     logits = goals.logits.reshape(len(goals.logits), -1) / np.float32(temperature)
     probability = np.exp(log_softmax(logits))  # (K, N)
     ends = goals.ends() if chosen_at is None else _all_at(goals, chosen_at)  # (K, N, 2)
-    chosen, mass = select(probability, ends, modes, shortlist=shortlist)
+    whole = probability.reshape(goals.logits.shape)
+    chosen, mass = select(whole, ends, modes, shortlist=shortlist, block=goals.block)
     futures = to_scene(pose, *complete(goals, chosen))
     shares = (mass / mass.sum(axis=1, keepdims=True)).astype(np.float64)
     return [

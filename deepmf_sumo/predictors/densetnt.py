@@ -1,27 +1,36 @@
 """DenseTNT (Gu et al. 2021) on the lane graph: score dense goals, complete the best ones.
 
-A goal is a (path, speed profile) anchor: it carries a whole timed trajectory, so that completion is
-a small residual in path coordinates, which joins the present pose and stays smooth. Shapes: B
-scenes, K given futures (1 without condition), P paths, R profiles, H hidden, E elements.
+With the head ``paths`` a goal is a (path, speed profile) anchor. With the head ``dense`` it is a
+place of `goal_grid` on one of the likeliest paths; goals attend to the elements as published. Both
+carry a whole timed trajectory, so that completion is a residual in path coordinates, which joins
+the present pose and stays smooth. Shapes: B scenes, K given futures (1 without condition), P paths,
+R goals a path, H hidden, E elements.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor, nn
 
-from deepmf_sumo.predictors import anchors, car_following, conditioning
+from deepmf_sumo.predictors import anchors, car_following, conditioning, goal_grid
 from deepmf_sumo.predictors.anchors import BRAKING, GOAL, START_SPEEDS_MPS, goal_features
 from deepmf_sumo.predictors.car_following import Road
 from deepmf_sumo.predictors.conditioning import EVERY, Condition
 from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles
+from deepmf_sumo.predictors.decoding import KNOT_STEPS, KNOTS_S, GoalSet, Singles
 from deepmf_sumo.predictors.features import Features
+from deepmf_sumo.predictors.goal_grid import Grid
 from deepmf_sumo.predictors.paths import NODE_SPACING_M
 from deepmf_sumo.predictors.vectornet import Attention, SubGraph, VectorNet, as_batch
 from deepmf_sumo.predictors.vgg import VGG16, unpack
 
 _LEAST_KERNEL_M = 0.1
+_REACH: Final = ((1.0, 0.5), (2.0, 1.0), (4.0, 2.0), (6.0, 3.0), (8.0, 4.0))
+_DENSE_REACH: Final = ((2.0, 1.0), (5.0, 1.5), (12.0, 2.0), (8.0, 2.0), (0.0, 0.0))
+"""Largest residuals along and to the left at the knots, m; a dense goal fixes the end."""
+_PLACE: Final = 5
+"""Columns of `_places`."""
 _PATH_NODES = (0, 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 25, 30, 38, 47, 60, 80, 110)
 
 
@@ -34,12 +43,14 @@ class Goals:
         along_m: (B, P, R, 80) distances of the anchors.
         knots: (B, K, P, R, 5, 2) residual along and to the left at 1, 2, 4, 6, 8 s, metres.
         paths: (B, P, 121, 2).
+        lanes: (B, P) scores of the paths; None unless the head is dense.
     """
 
     logits: Tensor
     along_m: Tensor
     knots: Tensor
     paths: Tensor
+    lanes: Tensor | None = None
 
     def at_knots(self) -> tuple[Tensor, Tensor]:
         """Positions and path tangents (B, K, P, R, 5, 2) at 1, 2, 4, 6, 8 s."""
@@ -53,8 +64,9 @@ class Goals:
         """The goals of each vehicle of the batch, for `decoding`."""
         parts = (self.logits, self.along_m, self.knots, self.paths)
         each = zip(*(part.cpu().numpy() for part in parts), strict=True)
+        block = 1 if self.lanes is None else goal_grid.block(self.logits.shape[-1])
         return [
-            GoalSet(logits=logits, along_m=along_m, knots=knots, paths=paths)
+            GoalSet(logits=logits, along_m=along_m, knots=knots, paths=paths, block=block)
             for logits, along_m, knots, paths in each
         ]
 
@@ -69,6 +81,7 @@ class Encoding:
         target, around: (B, 1, H) the vehicle, and the elements it attends to.
         road: input of the car-following model.
         image: (B, C, S', S') of the blocks of VGG16 that all given futures share.
+        grid, lanes: the dense goals, and scores of the paths (B, P).
     """
 
     paths: Tensor
@@ -81,14 +94,17 @@ class Encoding:
     around: Tensor
     road: Road
     image: Tensor | None
+    grid: Grid | None = None
+    lanes: Tensor | None = None
 
 
 class DenseTNT(nn.Module):
     """Scores and completes the dense goals of one vehicle; ``conditional`` takes given futures.
 
     Buffers ``profiles`` (13, R, 80) and ``prior`` (13, R) come from training data; a
-    conditional network also has those of `anchors.BRAKING`, as the last six; ``widths``
-    (5, 2) are the log scales of the Laplace kernels along and across at the knots.
+    conditional network also has those of `anchors.BRAKING`, as the last six; the head ``dense``
+    has neither. ``widths`` (5, 2) are the log scales of the Laplace kernels along and across at the
+    knots.
     """
 
     profiles: Tensor
@@ -100,13 +116,10 @@ class DenseTNT(nn.Module):
         hidden = preset.hidden
         self.preset = preset
         self.conditional = conditional
-        speeds = len(START_SPEEDS_MPS)
-        profiles = preset.profiles + (len(BRAKING) if conditional else 0)
-        self.register_buffer("profiles", torch.zeros(speeds, profiles, 80))
-        self.register_buffer("prior", torch.zeros(speeds, profiles))
-        reach = [[1.0, 0.5], [2.0, 1.0], [4.0, 2.0], [6.0, 3.0], [8.0, 4.0]]
+        self.dense = preset.head == "dense"
+        reach = _DENSE_REACH if self.dense else _REACH
         self.register_buffer("reach", torch.tensor(reach))
-        self.widths = nn.Parameter(torch.tensor(reach).mul(0.4).log())
+        self.widths = nn.Parameter(torch.tensor(_REACH).mul(0.4).log())
         self.vectors = VectorNet(preset) if preset.vectors else None
         self.image = VGG16(preset, conditional=conditional) if preset.raster else None
         self.motion = _mlp(7, hidden, hidden)
@@ -115,8 +128,16 @@ class DenseTNT(nn.Module):
         self.path_to_elements = Attention(hidden, preset.heads)
         self.path_to_paths = Attention(hidden, preset.heads)
         self.target_to_elements = Attention(hidden, preset.heads)
-        self.goal = nn.Linear(GOAL, hidden)
-        self.profile = nn.Parameter(torch.zeros(profiles, hidden))
+        if self.dense:
+            self.lane = _mlp(hidden, hidden, 1)
+            self.goal = nn.Linear(GOAL + _PLACE, hidden)
+            self.goal_to_elements = Attention(hidden, preset.heads)
+        else:
+            profiles = preset.profiles + (len(BRAKING) if conditional else 0)
+            self.register_buffer("profiles", torch.zeros(len(START_SPEEDS_MPS), profiles, 80))
+            self.register_buffer("prior", torch.zeros(len(START_SPEEDS_MPS), profiles))
+            self.goal = nn.Linear(GOAL, hidden)
+            self.profile = nn.Parameter(torch.zeros(profiles, hidden))
         self.goal_path = nn.Linear(hidden, hidden)
         self.goal_target = nn.Linear(3 * hidden, hidden)
         self.goal_hidden = nn.Sequential(
@@ -138,14 +159,29 @@ class DenseTNT(nn.Module):
         nn.init.zeros_(self.complete.bias)
         nn.init.normal_(self.complete.weight, std=0.01)
 
-    def forward(self, batch: dict[str, Tensor], given: Condition | None = None) -> Goals:
-        """Goals of a batch of `features.Features`, under K given futures if there are any."""
-        return self.decode(self.encode(trimmed(batch)), given)
+    def forward(
+        self,
+        batch: dict[str, Tensor],
+        given: Condition | None = None,
+        grid: Grid | None = None,
+    ) -> Goals:
+        """Goals of a batch of `features.Features`, under K given futures if there are any.
+
+        ``grid``: only these dense goals, on all paths that the batch uses.
+        """
+        return self.decode(self.encode(trimmed(batch), grid), given)
 
     @property
     def kernel_m(self) -> Singles:
         """See `base.TrajectoryNetwork`."""
-        width: Singles = self.widths.detach().exp().clamp_min(_LEAST_KERNEL_M).numpy()
+        width: Singles = self._kernels().detach().numpy()
+        return width
+
+    def _kernels(self) -> Tensor:
+        """(5, 2) widths of the kernels. A dense goal stands for a square metre around its end."""
+        width = self.widths.exp().clamp_min(_LEAST_KERNEL_M)
+        if self.dense:
+            width = torch.cat([width[:-1], torch.full_like(width[-1:], goal_grid.SPACING_M / 2)])
         return width
 
     @torch.inference_mode()
@@ -168,28 +204,56 @@ class DenseTNT(nn.Module):
             given = conditioning.encode(position, heading, there, self.preset)
         return self.decode(encoding, given).sets()[0]
 
-    def encode(self, batch: dict[str, Tensor]) -> Encoding:
+    def encode(self, batch: dict[str, Tensor], grid: Grid | None = None) -> Encoding:
         """The encoding of a batch of `features.Features`, which no given future changes."""
-        paths, speed = batch["paths"], batch["motion"][:, 0]
-        along = anchors.profiles_at(self.profiles, speed)  # (B, R, 80)
-        along = along.unsqueeze(1).expand(-1, paths.shape[1], -1, -1)
         elements, there = self._elements(batch)  # (B, E, H)
         lines = self._lines(batch, elements, there)  # (B, P, H)
-        goals = self.goal(goal_features(batch, along, self.log_prior(speed)))
+        lanes = None
+        if self.dense:
+            exists = batch["path_info"][..., 0] > 0
+            lanes = self.lane(lines).squeeze(-1).masked_fill(~exists, float("-inf"))
+            if grid is None:
+                batch, lines, lanes = _likeliest(batch, lines, lanes)
+                grid = goal_grid.every(batch["paths"], lanes.isfinite(), batch["motion"][:, 0])
+        along, goals = self._goals(batch, lines, grid, elements, there)
         target = elements[:, :1] + self.motion(self._motion(batch["motion"])).unsqueeze(1)
         image = self.image.shared(unpack(batch["raster"], self.preset)) if self.image else None
         return Encoding(
-            paths=paths,
+            paths=batch["paths"],
             exists=batch["path_info"][..., 0] > 0,
             along_m=along,
             elements=elements,
             there=there,
-            goals=goals + self.goal_path(lines).unsqueeze(2) + self.profile,
+            goals=goals,
             target=target,
             around=self.target_to_elements(target, elements, there),
             road=Road.of(batch),
             image=image,
+            grid=grid,
+            lanes=lanes,
         )
+
+    def _goals(
+        self,
+        batch: dict[str, Tensor],
+        lines: Tensor,
+        grid: Grid | None,
+        elements: Tensor,
+        there: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """Distances (B, P, R, 80) and features (B, P, R, H) of the goals."""
+        paths, speed = batch["paths"], batch["motion"][:, 0]
+        line = self.goal_path(lines).unsqueeze(2)
+        if grid is None:
+            along = anchors.profiles_at(self.profiles, speed)  # (B, R, 80)
+            along = along.unsqueeze(1).expand(-1, paths.shape[1], -1, -1)
+            goals = self.goal(goal_features(batch, along, self.log_prior(speed)))
+            return along, goals + line + self.profile
+        along = goal_grid.driven(grid.along_m, speed)
+        none = along.new_zeros(along.shape[0], along.shape[2])  # they have no frequency
+        shape = torch.cat([goal_features(batch, along, none), _places(paths, grid)], -1)
+        goals = self.goal(shape) + line
+        return along, self.goal_to_elements(goals.flatten(1, 2), elements, there).view_as(goals)
 
     def decode(self, scene: Encoding, given: Condition | None = None) -> Goals:
         """Goals under K given futures if there are any."""
@@ -208,9 +272,21 @@ class DenseTNT(nn.Module):
         else:
             goals = scene.goals.unsqueeze(1) + context.unsqueeze(3)
         score, residual = self._heads(self.goal_hidden(goals))
-        logits = score.masked_fill(~scene.exists[:, None, :, None], float("-inf"))
         knots = self.reach * residual.tanh()
-        return Goals(logits=logits, along_m=scene.along_m, knots=knots, paths=scene.paths)
+        exists = scene.exists[:, None, :, None]
+        if scene.grid is not None:
+            exists = scene.grid.there.unsqueeze(1)
+            score = score + scene.grid.log_count.unsqueeze(1)
+            ease = knots.new_tensor(KNOTS_S) / KNOTS_S[-1]
+            left = scene.grid.left_m[:, None, :, :, None] * ease.square() * (3.0 - 2.0 * ease)
+            knots = torch.stack([knots[..., 0], knots[..., 1] + left], -1)
+        return Goals(
+            logits=score.masked_fill(~exists, float("-inf")),
+            along_m=scene.along_m,
+            knots=knots,
+            paths=scene.paths,
+            lanes=scene.lanes,
+        )
 
     def _heads(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Scores (B, K, P, R) and residuals (B, K, P, R, 5, 2) of goals (B, K, P, R, H).
@@ -243,7 +319,7 @@ class DenseTNT(nn.Module):
         x, y = position_m.unsqueeze(2).unbind(-1)  # (B, K, 1, 5)
         ahead = cos * x + sin * y - (cos * goal_x + sin * goal_y)
         left = cos * y - sin * x - (cos * goal_y - sin * goal_x)
-        width = self.widths.exp().clamp_min(_LEAST_KERNEL_M)
+        width = self._kernels()
         log_kernel = -ahead.abs() / width[:, 0] - left.abs() / width[:, 1]
         log_kernel = log_kernel - (4 * width[:, 0] * width[:, 1]).log()
         fit = (log_kernel * valid.unsqueeze(2)).sum(-1)  # (B, K, N)
@@ -323,3 +399,19 @@ def trimmed(batch: dict[str, Tensor]) -> dict[str, Tensor]:
     used = max(int((batch["path_info"][..., 0] > 0).sum(1).max()), 1)
     cut = {name: batch[name][:, :used] for name in ("paths", "path_info", "path_agents")}
     return {**batch, **cut}
+
+
+def _likeliest(
+    batch: dict[str, Tensor], lines: Tensor, lanes: Tensor
+) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+    """The batch, features and scores of the `goal_grid.LANES` likeliest paths, in their order."""
+    best = lanes.topk(min(goal_grid.LANES, lanes.shape[1]), -1).indices.sort(-1).values
+    row = torch.arange(len(best), device=best.device).unsqueeze(1)
+    cut = {name: batch[name][row, best] for name in ("paths", "path_info", "path_agents")}
+    return {**batch, **cut}, lines[row, best], lanes[row, best]
+
+
+def _places(paths: Tensor, grid: Grid) -> Tensor:
+    """(B, P, R, 5) where the dense goals are, and in which direction their paths go."""
+    position, tangent = anchors.placed(paths, grid.along_m, grid.left_m)
+    return torch.cat([position / 60.0, tangent, grid.left_m.unsqueeze(-1) / 2.0], -1)

@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Floats, Forecast, View
+from deepmf_sumo.datatypes import AgentId, Floats, Forecast, Heat, View
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors import decoding
 from deepmf_sumo.predictors.base import TrajectoryNetwork
 from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax, logsumexp
@@ -32,6 +33,7 @@ def pooled(members: Sequence[GoalSet]) -> GoalSet:
         along_m=np.concatenate([one.along_m for one in members]),
         knots=np.concatenate([one.knots for one in members], 1),
         paths=np.concatenate([one.paths for one in members]),
+        block=members[0].block,
     )
 
 
@@ -84,6 +86,7 @@ def _of_equal_mass(logits: Singles) -> Singles:
 
 _SHORTLIST: Final = 256
 """Number of likeliest goals that may become modes: nearly always all goals of one network."""
+_HEATED: Final = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +123,19 @@ class MarginalPrediction:
     def end_density(self, ends_m: Floats, kernel_m: float) -> Floats:
         """(Q) see `decoding.end_density`."""
         return decoding.end_density(self.whole, self.pose, ends_m, kernel_m)
+
+    def heat(self) -> Heat | None:
+        """The likeliest goals that have `_HEATED` of the mass; None unless they are dense."""
+        if self.whole.block == 1:
+            return None
+        share = np.exp(log_softmax(self.whole.logits[0].ravel() / np.float32(self.temperature)))
+        best = np.argsort(-share, kind="stable")
+        best = best[: int(np.searchsorted(np.cumsum(share[best]), _HEATED)) + 1]
+        ends = self.whole.ends()[0, best].astype(np.float64)
+        return Heat(
+            position_m=frames.to_scene(ends, self.pose.position_m, self.pose.heading_rad),
+            probability=share[best].astype(np.float64),
+        )
 
     def log_density(self, position_m: Floats) -> Floats:
         """(K) log density of given trajectories (K, 80, 2) of the scene's frame.

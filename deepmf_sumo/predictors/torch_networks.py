@@ -56,6 +56,8 @@ def random(preset: Preset, seed: int) -> Predictors:
         nets = {network: build(network, preset).eval() for network in weights.NETWORKS}
     for net in (nets["marginal"], nets["conditional"]):
         assert isinstance(net, DenseTNT)
+        if net.dense:
+            continue
         share = torch.linspace(-1.0, 1.0, net.profiles.shape[1])[:, None]
         share = share * torch.linspace(0.1, 8.0, 80)
         net.profiles.copy_(4.0 * share.expand_as(net.profiles))

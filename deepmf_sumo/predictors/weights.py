@@ -102,8 +102,17 @@ def load(name: str | Path, computed_by: str | None = None) -> Predictors:
             opponent_card.get("offset", 0.0),
         ),
         marginal=alone,
-        conditional=Conditional(conditional, conditional_card["temperature"], marginal=alone),
+        conditional=Conditional(
+            conditional,
+            conditional_card["temperature"],
+            marginal=alone if _same_paths(alone.net, conditional) else None,
+        ),
     )
+
+
+def _same_paths(*nets: TrajectoryNetwork) -> bool:
+    """Whether all networks have goals on all paths; of dense goals each chooses paths itself."""
+    return all(net.preset.head == "paths" for net in nets)
 
 
 class Runtime(Protocol):

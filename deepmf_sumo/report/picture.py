@@ -24,7 +24,7 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
-from deepmf_sumo.report.palette import AV, CANDIDATE, OPPONENT, REACTION, STAR, UNSCORED
+from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 from deepmf_sumo.results.failures import Conflict, Side, conflict_of
 
@@ -167,6 +167,10 @@ def _reasoning(axes: Axes, plan: Plan) -> None:
     """
     reason = plan.reason
     assert reason is not None
+    if reason.heat:
+        x, y = reason.heat.position_m.T
+        size = 12.0 * reason.heat.probability / reason.heat.probability.max()
+        axes.scatter(x, y, s=size, color=HEAT, alpha=0.6, lw=0, zorder=2.5)
     ends = reason.collision_step.min(axis=1).astype(int) + 1
     futures = reason.candidates.futures.position_m
     candidates = [path[:end] for path, end in zip(futures, ends, strict=True)]
@@ -275,6 +279,10 @@ def _handles(
         at = (plan.first_step - 1 - rollout.now) * rollout.dt_s
         yield Line2D([], [], color=CANDIDATE, lw=0.8, label=f"its candidates at {at:.1f} s")
         yield Line2D([], [], color=OPPONENT, lw=2.6, ls="--", label="the chosen one")
+        if plan.reason.heat:
+            dot = {"marker": "o", "markersize": 5, "markeredgewidth": 0}
+            label = "where it may be in 8 s"
+            yield Line2D([], [], color=HEAT, ls="", label=label, **dot)  # type: ignore[arg-type]
         if plan.reason.reactions:
             yield Line2D([], [], color=REACTION, lw=1, label="the AV's predicted reactions")
     if scores:

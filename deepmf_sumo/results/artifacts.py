@@ -119,6 +119,9 @@ def _reason(reason: PlanReason) -> dict[str, NDArray[Any]]:
         positions = np.stack([one.futures.position_m for one in reactions])
         arrays["reaction_position_m"] = positions.astype("float32")
         arrays["reaction_probability"] = np.stack([one.probability for one in reactions])
+    if reason.heat:
+        arrays["heat_position_m"] = reason.heat.position_m.astype("float32")
+        arrays["heat_probability"] = reason.heat.probability.astype("float32")
     if reason.scores:
         arrays["score_ids"] = np.array(reason.scores.ids, dtype=str)
         arrays["score_logits"] = reason.scores.logits

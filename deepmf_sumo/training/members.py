@@ -117,9 +117,10 @@ def _figures(
     density = marginal.log_density(kernels_m, members, 1.0, future[None, knots], valid[knots])
     found = {"loss": -float(density[0])}
     goals = marginal.pooled(members)
-    weight, ends = np.exp(log_softmax(goals.logits[0].reshape(1, -1))), goals.ends()
+    weight = np.exp(log_softmax(goals.logits.reshape(1, -1))).reshape(goals.logits.shape)
+    ends = goals.ends()
     for modes in _MODES:
-        chosen, _ = decoding.select(weight, ends, modes)
+        chosen, _ = decoding.select(weight, ends, modes, block=goals.block)
         off = np.hypot(*(ends[0, chosen[0]] - future[-1]).T)
         found[f"min_fde_{modes}"] = float(off.min())
     return found

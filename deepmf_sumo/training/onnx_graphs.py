@@ -61,6 +61,11 @@ def _graphs(net: nn.Module) -> Iterator[tuple[str, onnx.ModelProto]]:
     if isinstance(net, OpponentNet):
         yield "", opponent_graph(net)
     if isinstance(net, DenseTNT):
+        if net.dense:
+            raise WeightsError(
+                "Networks with the head 'dense' have no ONNX graphs; use torch, or networks with"
+                " the head 'paths'."
+            )
         yield ENCODE, encode_graph(net)
         yield DECODE, decode_graph(net)
 

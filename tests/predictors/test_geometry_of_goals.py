@@ -59,7 +59,7 @@ def test_residuals_pass_their_knots_and_start_flat():
 def test_medoids_cover_and_masses_sum_to_one():
     ends = np.array([[[0.0, 0], [1, 0], [50, 0], [51, 0], [100, 0]]], np.float32)
     weight = np.array([[0.3, 0.25, 0.2, 0.15, 0.1]], np.float32)
-    chosen, mass = decoding.select(weight, ends, 3)
+    chosen, mass = decoding.select(weight[:, None], ends, 3)
     assert chosen.tolist() == [[0, 2, 4]]
     assert mass.flatten().tolist() == pytest.approx([0.55, 0.35, 0.1])
 
@@ -75,7 +75,7 @@ def test_medoids_are_nearly_the_best_of_all_choices(seed):
     ends = rng.random((14, 2), np.float32) * 60
     weight = np.exp(rng.random(14, np.float32))
     weight /= weight.sum()
-    chosen, _ = decoding.select(weight[None], ends[None], 3)
+    chosen, _ = decoding.select(weight[None, None], ends[None], 3)
     found = expected(weight, ends, chosen[0])
     every = [list(rows) for rows in itertools.combinations(range(14), 3)]
     assert found < 1.05 * min(expected(weight, ends, rows) for rows in every)
@@ -83,14 +83,14 @@ def test_medoids_are_nearly_the_best_of_all_choices(seed):
 
 def test_a_first_medoid_between_two_groups_moves_into_one():
     ends = np.array([[[0.0, 0], [10, 0], [20, 0]]], np.float32)
-    chosen, mass = decoding.select(np.array([[0.35, 0.3, 0.35]], np.float32), ends, 2)
+    chosen, mass = decoding.select(np.array([[[0.35, 0.3, 0.35]]], np.float32), ends, 2)
     assert sorted(chosen[0].tolist()) == [0, 2]
     assert mass.sum() == pytest.approx(1.0)
 
 
 def test_too_many_modes_are_refused():
     with pytest.raises(RunError, match="9 modes"):
-        decoding.select(np.ones((1, 4)) / 4, np.zeros((1, 4, 2)), 9)
+        decoding.select(np.ones((1, 1, 4)) / 4, np.zeros((1, 4, 2)), 9)
 
 
 @pytest.mark.parametrize("preset", [LIGHT, PAPER])

@@ -110,6 +110,9 @@ class FanPrediction:
     def given(self, futures, modes):
         return [self.modes(modes)] * (1 if futures is None else len(futures.position_m))
 
+    def heat(self):
+        return None
+
     def log_density(self, position_m):
         """A mixture of Gaussians round the fan's positions at 2, 4, 6, 8 s."""
         position, _, probability = fan(self.view, self.agent_id, 32)

@@ -257,6 +257,8 @@ UNIT_M: Final = 0.1
 MOST_A_RUN: Final = 160
 """Candidates of all plans of a run that are kept: so the page stays small."""
 FEWEST_A_PLAN, MOST_A_PLAN = 6, 64
+MOST_HEATED: Final = 400
+"""Dense goals of a plan that are kept."""
 _Arrays = Mapping[str, NDArray[Any]]
 
 
@@ -294,6 +296,8 @@ def _plan(arrays: _Arrays, most: int, origin: Floats) -> dict[str, Any]:
         "unmet": arrays["unmet"].tolist() if "unmet" in arrays else [],
         "candidates": [_candidate(arrays, int(number), origin) for number in kept],
     }
+    if "heat_position_m" in arrays:
+        plan["heat"] = _heat(arrays, origin)
     if "score_ids" in arrays:
         chance = 1.0 / (1.0 + np.exp(-arrays["score_logits"]))
         ids = arrays["score_ids"].tolist()
@@ -333,6 +337,13 @@ def _candidate(arrays: _Arrays, number: int, origin: Floats) -> dict[str, Any]:
             for mode in modes
         ]
     return candidate
+
+
+def _heat(arrays: _Arrays, origin: Floats) -> list[list[float]]:
+    """Of the likeliest dense goals x, y in metres, and the probability over the largest one."""
+    chance = arrays["heat_probability"][:MOST_HEATED]
+    place = np.round(arrays["heat_position_m"][:MOST_HEATED] - origin, 1)
+    return np.column_stack([place, np.round(chance / chance.max(), 2)]).astype(float).tolist()
 
 
 def _digits(value: Any) -> float:

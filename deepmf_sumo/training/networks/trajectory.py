@@ -1,4 +1,4 @@
-"""Training of the marginal and the conditional network: profiles, loss, augmentation, temperature.
+"""Training of the marginal and the conditional network: losses, augmentation, temperature.
 
 Augmented samples are consistent: a mirrored sample is mirrored everywhere. Only other vehicles and
 the map are hidden, never the target, its paths, or a given future. The history of the vehicle with
@@ -6,6 +6,7 @@ the given future may be hidden, since its route can be known without its history
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -14,11 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.predictors import anchors, conditioning, decoding, marginal, vgg
+from deepmf_sumo.predictors import anchors, conditioning, decoding, goal_grid, marginal, vgg
 from deepmf_sumo.predictors.conditioning import Condition
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
-from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
+from deepmf_sumo.predictors.densetnt import DenseTNT, Goals, trimmed
 from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.samples.dataset import Dataset
@@ -32,6 +33,8 @@ CONDITION_LAYERS = ("given_line", "target_to_given", "film", "goal_met", "goal_f
 """Layers with random initial weights if the conditional network starts from the marginal one."""
 _TEMPERATURES = np.round(np.arange(0.7, 3.01, 0.1), 1)
 _SAMPLES: Final = 600
+DRAWN: Final = 32
+"""Dense goals of each path in a step of training."""
 MIRRORED: Final = 0.3
 AGENT_DROPPED: Final = 0.1
 LANE_DROPPED: Final = 0.05
@@ -51,7 +54,9 @@ _LEFT_COLUMNS: Final = {
 
 
 def fit_profiles(net: DenseTNT, dataset: Dataset, seed: int) -> None:
-    """Fit the network's speed profiles to the training samples."""
+    """Fit the network's speed profiles to the training samples; dense goals have none."""
+    if net.dense:
+        return
     rows = dataset.rows(held_out=False)
     known = rows[np.asarray(dataset.arrays["future_valid"][rows]).all(1)]
     table = clusters.speed_profiles(
@@ -70,12 +75,14 @@ def fit_profiles(net: DenseTNT, dataset: Dataset, seed: int) -> None:
 
 
 def loss_of(net: DenseTNT) -> Loss:
-    """Negative log likelihood of the mixture; a conditional network gets most partners' futures."""
+    """Negative log likelihood of the goals; a conditional network gets most partners' futures."""
 
     def loss(batch: dict[str, Tensor], generator: torch.Generator) -> Tensor:
         if net.training:
             batch = augmented(batch, net.preset, generator)
         given = partner_condition(batch, net.preset, generator) if net.conditional else None
+        if net.dense:
+            return dense_loss(net, batch, given, generator).mean()
         return mixture_loss(net, net(batch, given), batch).mean()
 
     return loss
@@ -128,7 +135,8 @@ def fit_temperature(nets: Sequence[DenseTNT], dataset: Dataset, modes: int) -> f
 def _negative_log_likelihoods(goals: GoalSet, end_m: Singles, modes: int) -> Floats:
     """(T) of the mode nearest to a true end (2), at all temperatures."""
     logits, ends = goals.logits[0].reshape(1, -1), goals.ends()
-    chosen, _ = decoding.select(np.exp(log_softmax(logits)), ends, modes)
+    likely = np.exp(log_softmax(logits)).reshape(goals.logits.shape)
+    chosen, _ = decoding.select(likely, ends, modes, block=goals.block)
     at = ends[:, chosen[0]]  # (1, M, 2)
     nearest = np.hypot(*(at[0] - end_m).T).argmin()
     warm = [np.exp(log_softmax(logits / np.float32(one))) for one in _TEMPERATURES]
@@ -146,6 +154,36 @@ def mixture_loss(net: DenseTNT, goals: Goals, batch: dict[str, Tensor]) -> Tenso
     true = batch["future"][:, None, knots]
     valid = batch["future_valid"][:, None, knots]
     return -net.log_density(goals, true, valid).flatten(1).logsumexp(1)
+
+
+def dense_loss(
+    net: DenseTNT,
+    batch: dict[str, Tensor],
+    given: Condition | None,
+    generator: torch.Generator,
+) -> Tensor:
+    """(B) negative log density of the true motion under dense goals, as DenseTNT trains them.
+
+    Where the motion is known for 8 s: of its goal among all, of its path among all (in training),
+    and of the completion of the true goal (teacher forcing). Else that of the mixture, as in
+    `mixture_loss`. Goals are drawn, `DRAWN` of each path, and count for those that were not.
+    """
+    batch = trimmed(batch)
+    paths, exists = batch["paths"], batch["path_info"][..., 0] > 0
+    known = batch["future_valid"][:, -1] > 0
+    every = goal_grid.every(paths, exists, batch["motion"][:, 0])
+    true, path = goal_grid.nearest(paths, every, batch["future"][:, -1])
+    mine = torch.arange(paths.shape[1], device=paths.device) == path.unsqueeze(1)  # (B, P)
+    true = replace(true, there=true.there & (mine & known.unsqueeze(1)).unsqueeze(2))
+    goals = net(batch, given, goal_grid.joined(true, goal_grid.drawn(every, DRAWN, generator)))
+    knots = list(KNOT_STEPS)
+    valid = batch["future_valid"][:, None, knots]
+    density = net.log_density(goals, batch["future"][:, None, knots], valid)[:, 0]  # (B, P, R)
+    row = torch.arange(len(path), device=path.device)
+    found = torch.where(known, density[row, path, 0], density.flatten(1).logsumexp(1))
+    if net.training and goals.lanes is not None:
+        found = found + goals.lanes.log_softmax(-1)[row, path] * known
+    return -found
 
 
 def augmented(

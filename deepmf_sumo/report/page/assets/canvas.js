@@ -119,6 +119,14 @@ function drawLights({ context, colour, metre }, lights, step) {
 function drawPlan({ context, colour, metre }, plan, shown, number) {
   const picked =
     plan.candidates.find((one) => one.number === number) ?? plan.candidates[plan.chosen];
+  if (shown.heat) {
+    context.fillStyle = colour("heat");
+    for (const [x, y, share] of plan.heat ?? []) {
+      context.globalAlpha = 0.7 * share;
+      context.fillRect(x - 0.5, y - 0.5, 1, 1);
+    }
+    context.globalAlpha = 1;
+  }
   if (shown.candidates) {
     const most = Math.max(...plan.candidates.map((one) => one.value));
     for (const one of plan.candidates) {

@@ -4,13 +4,16 @@ const LAYERS = {
   map: "road",
   lights: "traffic lights",
   driven: "paths driven",
+  heat: "where the opponent may be in 8 s",
   candidates: "candidates",
   reactions: "predicted reactions of the AV",
   scores: "opponent scores",
 };
 
 function layers(scene, draw) {
-  const named = Object.entries(LAYERS).filter(([name]) => name !== "lights" || scene.lights.length);
+  const heat = scene.plans.some((plan) => plan.heat);
+  const missing = { lights: !scene.lights.length, heat: !heat };
+  const named = Object.entries(LAYERS).filter(([name]) => !missing[name]);
   const boxes = named.map(([name, label]) =>
     layer(label, playing.shown[name], (on) => {
       playing.shown[name] = on;
@@ -41,6 +44,7 @@ function layers(scene, draw) {
     key("av", `AV (${scene.av.id})`),
     scene.opponent ? key("opponent", `opponent (${attackersOf(scene)}), with a star`) : null,
     key("opponent", "its plan", "stroke dashed"),
+    heat ? key("heat", "where it may be in 8 s; stronger colour: likelier") : null,
     key("candidate", "candidates; stronger colour: higher value", "stroke"),
     key("reaction", "reactions; solid line: collides", "stroke"),
     make(

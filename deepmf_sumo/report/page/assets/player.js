@@ -3,7 +3,15 @@
 const SPEEDS = ["0.25", "0.5", "1", "2", "4"];
 /** Choices that hold for the next run, too. */
 const playing = {
-  shown: { map: true, lights: true, driven: true, candidates: true, reactions: true, scores: true },
+  shown: {
+    map: true,
+    lights: true,
+    driven: true,
+    heat: true,
+    candidates: true,
+    reactions: true,
+    scores: true,
+  },
   speed: "1",
   follow: false,
 };
