@@ -121,6 +121,12 @@ womd-light-weights: womd-weights  ## besides, the set `womd-light`: all networks
 	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(TRAIN) conditional --preset light --steps 2500 --precision auto $(WOMD_DATA) --out $(LIGHT) $(WOMD_SET)
 
+DENSE = .weights/womd-dense
+womd-dense-weights: womd-weights  ## besides, the set `womd-dense`: DenseTNT's goals, as in the paper
+	mkdir -p $(DENSE) && cp .weights/womd/opponent.* $(DENSE)
+	$(TRAIN) marginal --preset dense --data $(WOMD)/train --out $(DENSE) $(WOMD_SET)
+	$(TRAIN) conditional --preset dense $(WOMD_DATA) --out $(DENSE) $(WOMD_SET)
+
 womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
 	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
@@ -136,4 +142,4 @@ gallery: $(READY)  ## make the pictures of README and docs/gallery.md again
 	$(PY) -m tests.docs.gallery
 	$(PY) -m tests.docs.front_page
 
-.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-strive docs test-docs gallery
+.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-strive docs test-docs gallery

@@ -48,7 +48,7 @@ class Options:
     cache: Path | None = None
     jobs: int = 1
     threads: int | None = None
-    device: Literal["cpu", "cuda"] = "cpu"
+    device: Literal["cpu", "cuda", "auto"] = "cpu"
     command: str = ""
 
 

@@ -29,8 +29,8 @@ from deepmf_sumo.errors import exit_code
     help="Train with this number of CPU threads.  [default: torch's own]",
 )  # fmt: skip
 @click.option(
-    "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
-    help="Train on this device.",
+    "--device", type=click.Choice(["cpu", "cuda", "auto"]), default="cpu", show_default=True,
+    help="Train on this device; auto: on a GPU where there is one.",
 )  # fmt: skip
 @click.option(
     "--cache",

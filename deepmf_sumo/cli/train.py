@@ -39,7 +39,7 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
 @click.option("--from", "begin_from", metavar="NAME", help="Start from this set of weights.")
 @click.option(
     "--preset",
-    help="Choose the sizes: light, paper or vector (light without images).  [default: vector for"
+    help="Choose the sizes: vector, dense, light or paper (docs: Train).  [default: vector for"
     " marginal and conditional, light for the others]",
 )
 @click.option(
@@ -70,8 +70,8 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
     "--seed", type=click.IntRange(min=0, max=2**31 - 1), help="Seed everything.  [default: 0]"
 )
 @click.option(
-    "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
-    help="Train on this device.",
+    "--device", type=click.Choice(["cpu", "cuda", "auto"]), default="cpu", show_default=True,
+    help="Train on this device; auto: on a GPU where there is one.",
 )  # fmt: skip
 @click.option(
     "--threads", type=click.IntRange(min=1),

@@ -174,7 +174,7 @@ class DenseTNT(nn.Module):
     @property
     def kernel_m(self) -> Singles:
         """See `base.TrajectoryNetwork`."""
-        width: Singles = self._kernels().detach().numpy()
+        width: Singles = self._kernels().detach().cpu().numpy()
         return width
 
     def _kernels(self) -> Tensor:
@@ -187,7 +187,7 @@ class DenseTNT(nn.Module):
     @torch.inference_mode()
     def scene_of(self, arrays: Features) -> Encoding:
         """See `base.TrajectoryNetwork`."""
-        return self.encode(trimmed(as_batch(arrays)))
+        return self.encode(trimmed(as_batch(arrays, self.widths.device)))
 
     @torch.inference_mode()
     def goals_of(
@@ -199,8 +199,10 @@ class DenseTNT(nn.Module):
         """See `base.TrajectoryNetwork`."""
         given = None
         if position_m is not None and heading_rad is not None:
-            position, heading = (torch.from_numpy(one)[None] for one in (position_m, heading_rad))
-            there = torch.ones(1, len(position_m))
+            device = self.widths.device
+            parts = (torch.from_numpy(one)[None] for one in (position_m, heading_rad))
+            position, heading = (each.to(device) for each in parts)
+            there = torch.ones(1, len(position_m), device=device)
             given = conditioning.encode(position, heading, there, self.preset)
         return self.decode(encoding, given).sets()[0]
 

@@ -104,7 +104,8 @@ class OpponentNet(nn.Module):
     @torch.inference_mode()
     def scored(self, arrays: Features) -> Floats:
         """See `base.OpponentNetwork`."""
-        logits: Floats = self(as_batch(arrays)).mean(0)[0].double().numpy()
+        device = next(self.parameters()).device
+        logits: Floats = self(as_batch(arrays, device)).mean(0)[0].cpu().double().numpy()
         return logits
 
     def forward(self, batch: dict[str, Tensor]) -> Tensor:

@@ -1,8 +1,9 @@
 """The networks in torch: reading, building, and the runtime that computes with them."""
 
+import os
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from safetensors import SafetensorError
@@ -10,6 +11,7 @@ from safetensors.torch import load as tensors_of
 from torch import Tensor, nn
 
 from deepmf_sumo import files
+from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.base import OpponentNetwork, TrajectoryNetwork
 from deepmf_sumo.predictors.conditional import Conditional
@@ -22,6 +24,21 @@ from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.predictors.weights import Network, Predictors, broken
 
 
+def device(name: str | None = None) -> Literal["cpu", "cuda"]:
+    """``cpu`` or ``cuda`` for a name of `weights.DEVICES`; None: ``$DEEPMF_SUMO_DEVICE``, else cpu.
+
+    Raises WeightsError for other names, and for cuda where there is no such device.
+    """
+    named = name or os.environ.get(weights.DEVICE) or "cpu"
+    place = "--device" if name else weights.DEVICE
+    if named not in weights.DEVICES:
+        raise WeightsError(f"{place} is {named!r:.80}; set it to {', '.join(weights.DEVICES)}.")
+    there = named != "cpu" and torch.cuda.is_available()
+    if named == "cuda" and not there:
+        raise WeightsError(f"There is no CUDA device for {place} cuda; use cpu or auto.")
+    return "cuda" if there else "cpu"
+
+
 class TorchRuntime:
     """See `weights.Runtime`."""
 
@@ -29,7 +46,7 @@ class TorchRuntime:
         """The opponent network."""
         net, card = read_network(folder, "opponent")
         assert isinstance(net, OpponentNet)
-        return net, card
+        return net.to(device()), card
 
     def trajectory(
         self, folder: Path, network: Network, number: int = 1
@@ -37,7 +54,7 @@ class TorchRuntime:
         """The marginal or conditional network, or one member of it."""
         net, card = read_network(folder, network, number)
         assert isinstance(net, DenseTNT)
-        return net, card
+        return net.to(device()), card
 
 
 def build(network: Network, preset: Preset) -> nn.Module:

@@ -14,9 +14,9 @@ _UNSEEN = -1e4
 """Score of missing elements: their share is zero, and defined even if all are missing."""
 
 
-def as_batch(features: Features) -> dict[str, Tensor]:
+def as_batch(features: Features, device: torch.device | str = "cpu") -> dict[str, Tensor]:
     """A batch of one scene."""
-    return {name: torch.from_numpy(values)[None] for name, values in features.items()}
+    return {name: torch.from_numpy(values)[None].to(device) for name, values in features.items()}
 
 
 class SubGraph(nn.Module):

@@ -6,7 +6,7 @@ only by that baseline. The marginal network may have several members, each in it
 the temperature of their mixture.
 
 Torch computes networks from their tensors, ONNX Runtime from graphs that are made of these
-(`onnx_networks`); `runtime_name` says which.
+(`onnx_networks`); `runtime_name` says which, and ``$DEEPMF_SUMO_DEVICE`` where torch does.
 
 A card contains the digest of its tensor file: a file that was changed, or belongs to another card,
 is refused. Cards of earlier versions have none; `load` warns of them (`unchecked`).
@@ -42,6 +42,8 @@ BASELINES: Final[tuple[Network, ...]] = ("strive",)
 """Networks of single baselines, which a set may lack."""
 RUNTIME: Final = "DEEPMF_SUMO_RUNTIME"
 RUNTIMES: Final = ("torch", "onnx")
+DEVICE: Final = "DEEPMF_SUMO_DEVICE"
+DEVICES: Final = ("cpu", "cuda", "auto")
 FORMAT_VERSION: Final = 1
 DIGEST: Final = "tensors_sha256"
 """Key of a card: the digest of its tensor file."""

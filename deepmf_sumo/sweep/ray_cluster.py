@@ -184,7 +184,12 @@ _TOKEN: Final = Path(".ray") / "auth_token"
 _LONGEST_CAUSE: Final = 300
 """Characters of Ray's message that are shown, from its end."""
 
-_ENVIRONMENT: Final = ("DEEPMF_SUMO_HOME", "DEEPMF_SUMO_RUNTIME", "XDG_DATA_HOME")
+_ENVIRONMENT: Final = (
+    "DEEPMF_SUMO_DEVICE",
+    "DEEPMF_SUMO_HOME",
+    "DEEPMF_SUMO_RUNTIME",
+    "XDG_DATA_HOME",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

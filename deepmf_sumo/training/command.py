@@ -42,7 +42,7 @@ class Request:
     licence: str | None = None
     members: int | None = None
     optimisation: Mapping[str, Any] = field(default_factory=dict)
-    device: Literal["cpu", "cuda"] = "cpu"
+    device: Literal["cpu", "cuda", "auto"] = "cpu"
     threads: int | None = None
     cache: Path | None = None
     jobs: int = 1

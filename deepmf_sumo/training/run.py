@@ -63,7 +63,7 @@ class Training:
     optimisation: Mapping[Network, Optimisation] = field(default_factory=dict)
     begin_from: str | None = None
     seed: int = 0
-    device: Literal["cpu", "cuda"] = "cpu"
+    device: Literal["cpu", "cuda", "auto"] = "cpu"
     jobs: int = 1
     again: bool = False
     licence: str = ""
@@ -82,9 +82,8 @@ def train(network: Network, training: Training, report: Progress, member: int = 
         RunError: no pairs for the conditional network, or a loss that is not finite.
         OutputError: the weights cannot be written; the last checkpoint stays.
     """
-    if training.device == "cuda" and not torch.cuda.is_available():
-        raise WeightsError("There is no CUDA device for --device cuda; use --device cpu.")
-    training = replace(training, seed=training.seed + member - 1)
+    device = torch_networks.device(training.device)
+    training = replace(training, seed=training.seed + member - 1, device=device)
     stem = weights.member(network, member)
     initial = initial_weights.file_of(
         network, training.preset, training.folder, training.begin_from, report, member
@@ -103,8 +102,9 @@ def train(network: Network, training: Training, report: Progress, member: int = 
         **_card(network, net, training, dataset, schedule, outcome),
         "began_from": initial_weights.name_of(initial, training.begin_from),
         "training_digest": digest,
-        **_fitted(network, net, dataset),
+        **_fitted(network, net, dataset, training.device),
     }
+    net.cpu()
     _write(training, stem, net, dataset, card)
     checkpoints.clear()
     report(f"{stem}: best step {outcome.best_step}, written to {training.folder}")
@@ -286,11 +286,12 @@ def _rounded(loss: float | None) -> float | None:
     return None if loss is None else round(loss, 4)
 
 
-def _fitted(network: Network, net: nn.Module, dataset: Dataset) -> dict[str, Any]:
+def _fitted(network: Network, net: nn.Module, dataset: Dataset, device: str) -> dict[str, Any]:
+    if isinstance(net, DenseTNT):
+        modes = MODES[network]
+        return {"temperature": trajectory.fit_temperature([net], dataset, modes, device)}
     net.cpu()
     if isinstance(net, MotionPrior):
         return {"held_out_errors_m": motion_prior.held_out_errors(net, dataset)}
-    if isinstance(net, DenseTNT):
-        return {"temperature": trajectory.fit_temperature([net], dataset, MODES[network])}
     assert isinstance(net, OpponentNet)
     return asdict(opponent.calibrate(net, dataset))

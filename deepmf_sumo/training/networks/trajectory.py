@@ -114,20 +114,24 @@ def known_held_out(dataset: Dataset) -> NDArray[np.int64]:
 
 
 @torch.inference_mode()
-def fit_temperature(nets: Sequence[DenseTNT], dataset: Dataset, modes: int) -> float:
+def fit_temperature(
+    nets: Sequence[DenseTNT], dataset: Dataset, modes: int, device: str = "cpu"
+) -> float:
     """The temperature at which the modes nearest to true endpoints have the highest likelihood.
 
     On held-out scenes, for one network or the mixture of several.
     """
     for net in nets:
-        net.eval().cpu()
+        net.eval().to(device)
     rows = known_held_out(dataset)
     if len(rows) == 0:
         return 1.0
     nll = np.zeros(len(_TEMPERATURES))
-    for batch in in_batches(dataset, rows, 64):
+    for batch in in_batches(dataset, rows, 64, device):
         members = [net(batch, _given(net, batch)).sets() for net in nets]
-        for each, true in zip(zip(*members, strict=True), batch["future"][:, -1], strict=True):
+        for each, true in zip(
+            zip(*members, strict=True), batch["future"][:, -1].cpu(), strict=True
+        ):
             nll += _negative_log_likelihoods(marginal.pooled(each), true.numpy(), modes)
     return float(_TEMPERATURES[nll.argmin()])
 
