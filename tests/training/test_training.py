@@ -201,8 +201,14 @@ def test_the_command_makes_a_named_set(recordings, tmp_path, monkeypatch):
     assert "step 1 of 1: loss" in found.output
 
 
-def test_cuda_that_is_not_there_is_refused(training):
-    if torch.cuda.is_available():
-        pytest.skip("there is a CUDA device")
-    with pytest.raises(WeightsError, match="--device cpu"):
+def test_cuda_that_is_not_there_is_refused(training, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(WeightsError, match="no CUDA device for --device cuda; use cpu or auto"):
         run.train("opponent", replace(training, device="cuda"), print)
+    assert torch_networks.device("auto") == "cpu"
+    monkeypatch.setenv(weights.DEVICE, "cuda")
+    with pytest.raises(WeightsError, match="no CUDA device for DEEPMF_SUMO_DEVICE cuda"):
+        weights.load("open", "torch")
+    monkeypatch.setenv(weights.DEVICE, "gpu")
+    with pytest.raises(WeightsError, match="is 'gpu'; set it to cpu, cuda, auto"):
+        torch_networks.device()
