@@ -1,7 +1,7 @@
 """``deepmf-sumo attach``: join a running SUMO and attack a vehicle in it."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,8 +93,11 @@ def command(
         {field.name: given[field.name] for field in fields(kind)}
         for kind in (Port, live.Wish, Stay)
     )
-    with leaving() as stopped, watched(http, given["avs"]) as (watch, tell):
-        prepared = live.prepare(live.Wish(**wish), out, overwrite=overwrite)
+    with (
+        leaving() as stopped,
+        watched(http, given["avs"]) as (watch, tell),
+        closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
+    ):
         done = live.attach(
             Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell, watch=watch
         )

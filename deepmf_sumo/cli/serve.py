@@ -1,6 +1,7 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
@@ -9,7 +10,7 @@ import click
 
 from deepmf_sumo.cli import attach
 from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
-from deepmf_sumo.errors import exit_code
+from deepmf_sumo.errors import SimulationError, exit_code
 
 _OTHERS: Final = {"number", "host", "order", "wait_s", "net", "patience_s"}
 """Options of `attach` on where SUMO is, and how long to wait for it."""
@@ -44,8 +45,9 @@ def command(
     """Start SUMO with CONFIG, a .sumocfg, behind a port that any TraCI client takes for SUMO's.
 
     The client connects, steps and drives its vehicle as with SUMO alone; it needs neither setOrder
-    nor another number of clients. Attacks happen in its steps. Ends when the client has left; the
-    results are those of attach. A script may also start it, with traci.start, in place of SUMO.
+    nor another number of clients. Attacks happen in its steps. After load, SUMO starts anew, and
+    attacks go on there. Ends when the client has left; the results are those of attach. A script
+    may also start it, with traci.start, in place of SUMO.
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import leaving, show_session
@@ -60,9 +62,9 @@ def command(
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
     )
-    prepared = live.prepare(live.Wish(**wish), out, overwrite=overwrite)
     code = 0
     with (
+        closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
         leaving() as stopped,
         attach.watched(http, given["avs"]) as (watch, tell),
         live.Server(config, port, options, gui=gui) as server,
@@ -71,15 +73,25 @@ def command(
         server.await_client(stopped)
         if not stopped():
             server.check()
-        if server.joined:
-            done = live.attach(
-                Port(number=server.inner), prepared, Stay(patience_s=float("inf"), **stay),
-                stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
-                left=lambda: server.left,
-            )  # fmt: skip
-            show_session(done, given["avs"], out)
-            server.stay(lambda: stopped() and done.end != "stopped")
-            if stopped():
+        more = server.joined
+        while more:
+            try:
+                done = live.attach(
+                    Port(number=server.inner), prepared,
+                    Stay(patience_s=float("inf"), **stay).after(len(prepared.record.rows)),
+                    stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
+                    left=lambda: server.left,
+                )  # fmt: skip
+            except SimulationError:
+                server.check()  # what SUMO ended with says more
+                raise
+            if not server.loads:
+                show_session(done, given["avs"], out)
+            server.stay(lambda: stopped() and done.end != "stopped")  # noqa: B023 - called here
+            more = not stopped() and server.load()
+            if more:
+                click.echo("the client has loaded another simulation", err=True)
+            elif stopped():
                 code = exit_code("interrupted")
             elif server.unused:
                 code = exit_code("failed")

@@ -5,7 +5,7 @@ Units are SI and part of the field names; headings are radians counter-clockwise
 (-pi, pi]; a pose is the centre of the box; arrays are read-only.
 """
 
-from deepmf_sumo.datatypes._arrays import Bools, Bytes, Floats, Ints, frozen
+from deepmf_sumo.datatypes._arrays import Bools, Bytes, Floats, Ints, dtype_of, frozen
 from deepmf_sumo.datatypes.interface import (
     AvDriver,
     Case,
@@ -114,5 +114,6 @@ __all__ = [
     "TurnRules",
     "VehicleModel",
     "View",
+    "dtype_of",
     "frozen",
 ]

@@ -15,6 +15,14 @@ Bytes = NDArray[np.uint8]
 _DTYPES: dict[Any, Any] = {Floats: np.float64, Bools: np.bool_, Bytes: np.uint8}
 
 
+def dtype_of(kind: Any) -> Any:
+    """The dtype of one of the types above, which `Frozen` copies; None for all others.
+
+    What ``NDArray[...]`` is made of depends on numpy's version, so types are compared as wholes.
+    """
+    return _DTYPES.get(kind)
+
+
 def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     """A read-only, C-contiguous copy of ``values`` with the given dtype."""
     array = np.array(values, dtype=dtype, order="C")
@@ -36,5 +44,5 @@ class Frozen:
 @cache
 def _arrays_of(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
     """Names and dtypes of the array fields of a dataclass."""
-    listed = [(field.name, _DTYPES.get(field.type)) for field in fields(kind)]
+    listed = [(field.name, dtype_of(field.type)) for field in fields(kind)]
     return tuple((name, dtype) for name, dtype in listed if dtype is not None)

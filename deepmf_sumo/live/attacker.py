@@ -164,10 +164,12 @@ def sessions(
     finished: Callable[[LiveAttack], None],
     policies: Sequence[Policy] = (),
     driven: Callable[[], bool] = lambda: True,
+    number: int = 1,
 ) -> tuple[Session, ...]:
     """A session for each AV of a simulation that stands between two steps.
 
-    ``policies``: one for each AV, instead of `policy_of`. ``driven``: as of `Session`.
+    ``policies``: one for each AV, instead of `policy_of`. ``driven``: as of `Session`. ``number``:
+    of the simulation; each has random numbers of its own.
     """
     if wish.net is None:
         net, additional = road_files(api, Path.cwd())
@@ -192,7 +194,7 @@ def sessions(
             surroundings=surroundings,
             rules=TurnRules(longest_s=wish.duration_s),
         )
-        rng = np.random.default_rng([spec.seed, crc32(av.encode())])
+        rng = np.random.default_rng([spec.seed, crc32(av.encode()), *range(2, number + 1)])
         found.append(
             Session(
                 scenery, policy, triggers_of(wish), wish.pause_s, rng, finished, driven,
@@ -320,6 +322,7 @@ class Attacker:
         for one in self._sessions:
             one.close()
         self._record.finish("closed", self._sessions[0].time_s)
+        self._record.close()
 
     def __enter__(self) -> Self:
         return self
@@ -367,6 +370,10 @@ class Prepared:
     policies: tuple[Policy, ...]
     record: Record
 
+    def close(self) -> None:
+        """Give the folder free, after the last `attach`."""
+        self.record.close()
+
 
 def prepare(wish: Wish, out: Path, *, overwrite: bool = False) -> Prepared:
     """Errors in a command show here, before SUMO waits for this client.
@@ -398,6 +405,8 @@ def attach(
 ) -> Attached:
     """Join a running SUMO as one more client, attack, and leave it as it was.
 
+    May be called again with another SUMO: its attacks come into the same folder.
+
     Args:
         port: where SUMO listens.
         prepared: see `prepare`.
@@ -425,7 +434,8 @@ def attach(
                 return not left()
             return not clients or others(api) != 0
 
-        own = sessions(api, wish, prepared.spec, add, prepared.policies, driven)
+        number = record.simulations + 1
+        own = sessions(api, wish, prepared.spec, add, prepared.policies, driven, number)
         collisions = str(api.simulation.getOption("collision.action"))
         record.begin(setting_of(own[0], wish, planner="sumo" if clients == 0 else "script"))
         watch(own)

@@ -8,8 +8,8 @@ import difflib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Final, Literal
+from dataclasses import dataclass, replace
+from typing import Final, Literal, Self
 
 from deepmf_sumo.datatypes import DT_S, AgentId
 from deepmf_sumo.errors import SimulationError
@@ -34,6 +34,12 @@ class Stay:
     until_s: float | None = None
     attacks: int | None = None
     patience_s: float = 600.0
+
+    def after(self, attacks: int) -> Self:
+        """The same after a number of attacks."""
+        if self.attacks is None:
+            return self
+        return replace(self, attacks=max(self.attacks - attacks, 0))
 
 
 class Lockstep:

@@ -55,8 +55,9 @@ class Results:
     """The result folder ``out``, complete after each attack."""
 
     def __init__(self, out: Path, spec: Spec, setting: Setting) -> None:
-        self._store, self._spec, self._setting = Store(out), spec, setting
+        self._store, self._spec, self.setting = Store(out), spec, setting
         self._keys: dict[str, str] = {}
+        self._nets: dict[Path, Path] = {}
         self._found: list[Result] = []
         self._store.runs.mkdir(exist_ok=True)
         self._write()
@@ -85,7 +86,7 @@ class Results:
         """The row of the attack; one that cannot be measured has the reason instead."""
         begin = time.perf_counter()
         try:
-            found = _finished(task, attack, self._setting, begin)
+            found = _finished(task, attack, self.setting, begin)
         except Exception as error:  # noqa: BLE001 - it must not end the user's simulation
             traceback.print_exc()
             reason = f"not measured: {type(error).__name__}: {error}"
@@ -93,23 +94,24 @@ class Results:
         found["settings"]["planner"] = {}
         return {
             **found,
-            "network": self._setting.name,
-            "planner": self._setting.planner,
-            "planner_label": self._setting.planner,
+            "network": self.setting.name,
+            "planner": self.setting.planner,
+            "planner_label": self.setting.planner,
             "perception": None,
             "parameters": None,
             "expectations_broken": [],
         }
 
     def _keep_net(self, folder: Path) -> None:
-        """Link the network into the folder of each run; only the first has a copy."""
-        net = self._setting.net
+        """Link the network into the folder of each run; only the first on it has a copy."""
+        net = self.setting.net
         kept = folder / f"net.net.xml{'.gz' * (net.suffix == '.gz')}"
-        first = self._store.runs / "attack-001" / "sumo" / kept.name
-        with suppress(OSError):  # a file system without hard links, or the first one
-            os.link(first, kept)
-            return
+        if net in self._nets:
+            with suppress(OSError):  # a file system without hard links
+                os.link(self._nets[net], kept)
+                return
         shutil.copyfile(net, kept)
+        self._nets[net] = kept
 
 
 def _finished(task: Task, attack: LiveAttack, setting: Setting, begin: float) -> Result:
@@ -141,7 +143,9 @@ WAYS: Final = "--overwrite deletes them, another folder for --out keeps them"
 
 
 class Record:
-    """The attacks of a session; the files are complete after each of them.
+    """The attacks of a session, or of one after the other in another simulation each.
+
+    The files are complete after each attack.
 
     Args:
         out: the folder; None writes nothing.
@@ -164,6 +168,7 @@ class Record:
         ways: str = WAYS,
     ) -> None:
         self.rows: list[dict[str, Any]] = []
+        self.simulations = 0
         self._out, self._spec = out, spec
         self._overwrite, self._ways = overwrite, ways
         self._results: Results | None = None
@@ -181,20 +186,24 @@ class Record:
             folder.check(out, resume=False, overwrite=overwrite, ways=ways)
 
     def begin(self, setting: Setting) -> None:
-        """Start the session; only now earlier results in the folder are deleted.
+        """Start a session; only with the first one earlier results in the folder are deleted.
 
         Raises OutputError as the class.
         """
-        if self._out is not None:
+        self.simulations += 1
+        if self._results is not None:
+            self._results.setting = setting
+        elif self._out is not None:
             self._held.enter_context(
                 folder.opened(self._out, resume=False, overwrite=self._overwrite, ways=self._ways)
             )
             self._results = Results(self._out, self._spec, setting)
+        if self._out is not None:
             self._write("going on", None)
 
     def add(self, attack: LiveAttack) -> None:
         """Add an attack that is over."""
-        self.rows.append(row(attack, len(self.rows) + 1))
+        self.rows.append(row(attack, len(self.rows) + 1, self.simulations))
         if self._out is None or self._results is None:
             return
         lines = [json.dumps(one, sort_keys=True, ensure_ascii=False) for one in self.rows]
@@ -204,24 +213,34 @@ class Record:
 
     def finish(self, end: str, time_s: float) -> None:
         """End the session."""
-        if self._out is not None:
+        if self._out is not None and self._results is not None:
             self._write(end, time_s)
+
+    def close(self) -> None:
+        """Give the folder free: no other session follows."""
         self._held.close()
 
     def _write(self, end: str, time_s: float | None) -> None:
         assert self._out is not None
-        values = {**self._about, "ended": end, "time_s": time_s, "attacks": len(self.rows)}
+        values = {
+            **self._about,
+            "ended": end,
+            "time_s": time_s,
+            "attacks": len(self.rows),
+            "simulations": self.simulations,
+        }
         files.write_json(self._out / "session.json", values)
 
 
-def row(attack: LiveAttack, number: int) -> dict[str, Any]:
-    """One attack as plain values; times are the simulation's."""
+def row(attack: LiveAttack, number: int, simulation: int) -> dict[str, Any]:
+    """One attack as plain values; times are those of the simulation of this number."""
     rollout = attack.rollout
     contact = rollout.first("av_opponent")
     plans = [plan.reason for plan in rollout.plans if plan.reason]
     turn = rollout.turns[0]
     return {
         "number": number,
+        "simulation": simulation,
         "av": rollout.av_id,
         "opponent": rollout.opponent_id,
         "begin_s": round(attack.begin_s, 3),

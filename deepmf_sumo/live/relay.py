@@ -1,6 +1,8 @@
 """TraCI between a client and SUMO, which has a second client behind it: a process of its own.
 
-Messages go to SUMO, and SUMO's answers go back, without what `attach` has subscribed to. Between
+Messages go to SUMO, and SUMO's answers go back, without what `attach` has subscribed to. ``load``
+ends SUMO, and the parent process starts it anew: SUMO's own ``load`` waits for ever where another
+of its clients is within a step of several seconds. Between
 two messages it looks for the next one for a while before it sleeps: waking up a process costs more
 than SUMO needs for most commands.
 
@@ -9,6 +11,7 @@ commands; a command is its length (1 byte, or 0 and 4 bytes), its number and its
 """
 
 import contextlib
+import json
 import multiprocessing
 import os
 import signal
@@ -26,20 +29,19 @@ LOAD, STEP, ORDER, CLOSE = 0x01, 0x02, 0x03, 0x7F
 """TraCI's numbers of commands."""
 LARGEST: Final = 64 * 2**20
 """Bytes of a message."""
-Said = tuple[Literal["joined", "unused", "left", "complaint"], str]
-"""What the parent process is told, and the sentence of a complaint."""
+Kind = Literal["joined", "unused", "left", "load", "complaint"]
+Said = tuple[Kind, str]
+"""What the parent process is told, and the sentence of a complaint, or JSON of what to load."""
+Tell = Callable[..., None]
 
 _OURS: Final = frozenset({LOAD, STEP, ORDER, CLOSE})
 _OK: Final = b"\x00"
-_ERROR: Final = b"\xff"
+_STRINGS: Final = 0x0E
 _START_S: Final = 60.0
 _AGAIN_S: Final = 0.05
 _END_S: Final = 3.0
 _AWAKE_S: Final = 0.001
 _PIECE: Final = 2**16
-_NO_LOAD: Final = (
-    "deepmf-sumo serve attacks one simulation: end it and start serve again with the other one"
-)
 _INT: Final = struct.Struct("!i")
 
 
@@ -106,37 +108,65 @@ def _yield() -> None:
     getattr(os, "sched_yield", lambda: time.sleep(0))()
 
 
-def relay(listener: socket.socket, inner: int, said: Connection, sumo_pid: int) -> None:
+def relay(listener: socket.socket, inner: int, parent: Connection, sumo_pid: int) -> None:
     """One client's life; others that come meanwhile are turned away. Then the process ends.
 
     Args:
         listener: where the client comes.
         inner: SUMO's port on this machine.
-        said: what happens is told there.
+        parent: what happens is told there; after ``load`` it answers with the port and the process
+            of the SUMO that it has started.
         sumo_pid: SUMO's process, which ends where the parent is killed.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this
-    threading.Thread(target=_end_with_parent, args=(sumo_pid,), daemon=True).start()
+    pids = [sumo_pid]
+    threading.Thread(target=_end_with_parent, args=(pids,), daemon=True).start()
     one_at_a_time = threading.Lock()
 
-    def tell(kind: Literal["joined", "unused", "left", "complaint"], text: str = "") -> None:
+    def tell(kind: Kind, text: str = "") -> None:
         with one_at_a_time, contextlib.suppress(OSError):
-            said.send((kind, text))
+            parent.send((kind, text))
 
     client, _ = listener.accept()
     tell("joined")
     threading.Thread(target=_refuse, args=(listener, tell), daemon=True).start()
     with client:
         try:
-            with _to_sumo(inner) as sumo:
-                _pass_on(Wire(client), Wire(sumo), tell)
-        except OSError as error:
+            with contextlib.closing(_Sumo(inner, parent, pids, tell)) as sumo:
+                _pass_on(Wire(client), sumo, tell)
+        except (OSError, EOFError) as error:
             tell("complaint", f"the connection broke off: {error}")
             tell("left")
 
 
-def _pass_on(client: Wire, sumo: Wire, tell: Callable[..., None]) -> None:
-    """All that the client says, until it closes. Raises OSError."""
+class _Sumo:
+    """SUMO as its first client, which `load` replaces by another. Raises OSError, EOFError."""
+
+    def __init__(self, inner: int, parent: Connection, pids: list[int], tell: Tell) -> None:
+        self._parent, self._pids, self._tell = parent, pids, tell
+        self._socket = _to_sumo(inner)
+        self._wire = Wire(self._socket)
+
+    def asked(self, commands: bytes) -> bytes:
+        """SUMO's answer. Raises ProtocolError where it has ended."""
+        return _asked(self._wire, commands)
+
+    def load(self, arguments: list[str]) -> None:
+        """Go on with a SUMO of these arguments, once `attach` has left the one before."""
+        self._tell("load", json.dumps(arguments))  # before SUMO knows: `attach` goes on at once
+        self.asked(_command(CLOSE, b""))
+        self.close()
+        inner, self._pids[0] = self._parent.recv()
+        self._socket = _to_sumo(inner)
+        self._wire = Wire(self._socket)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
+
+
+def _pass_on(client: Wire, sumo: _Sumo, tell: Tell) -> None:
+    """All that the client says, until it closes. Raises OSError, EOFError."""
     closed = stepped = False
     try:
         while (body := client.receive()) is not None:
@@ -149,7 +179,7 @@ def _pass_on(client: Wire, sumo: Wire, tell: Callable[..., None]) -> None:
             if numbers & _OURS:
                 client.send(b"".join(_answered(sumo, one) for one in commands))
             else:
-                client.send(_asked(sumo, body))
+                client.send(sumo.asked(body))
             if closed:
                 return
     except ProtocolError as error:
@@ -161,22 +191,22 @@ def _pass_on(client: Wire, sumo: Wire, tell: Callable[..., None]) -> None:
         if not closed:  # SUMO ends for all where a client disappears
             tell("left")
             with contextlib.suppress(OSError, ProtocolError):
-                _asked(sumo, _command(CLOSE, b""))
+                sumo.asked(_command(CLOSE, b""))
 
 
-def _end_with_parent(sumo_pid: int) -> None:
-    """End SUMO and this process with a parent that can no longer do it."""
+def _end_with_parent(pids: list[int]) -> None:
+    """End SUMO (its only one is in ``pids``) and this process with a parent that cannot do it."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
         with contextlib.suppress(OSError):
-            os.kill(sumo_pid, signal.SIGTERM)
+            os.kill(pids[0], signal.SIGTERM)
             time.sleep(_END_S)  # it does not listen while it waits for clients
-            os.kill(sumo_pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+            os.kill(pids[0], getattr(signal, "SIGKILL", signal.SIGTERM))
         os._exit(1)
 
 
-def _refuse(listener: socket.socket, tell: Callable[..., None]) -> None:
+def _refuse(listener: socket.socket, tell: Tell) -> None:
     while True:
         other, _ = listener.accept()
         tell("complaint", "a second client was turned away: there is one place")
@@ -239,20 +269,38 @@ def _asked(sumo: Wire, commands: bytes) -> bytes:
     return answer
 
 
-def _answered(sumo: Wire, command: bytes) -> bytes:
+def _answered(sumo: _Sumo, command: bytes) -> bytes:
     """The answer to one command; some do not reach SUMO as they are."""
     number = number_of(command)
     if number == ORDER:
-        return _status(ORDER, _OK, "")  # the number of the client is ours to give
+        return _done(ORDER)  # the number of the client is ours to give
     if number == LOAD:
-        return _status(LOAD, _ERROR, _NO_LOAD)
-    answer = _asked(sumo, command)
+        sumo.load(_strings(command))
+        return _done(LOAD)
+    answer = sumo.asked(command)
     return _without_ours(answer) if number == STEP else answer
 
 
-def _status(number: int, result: bytes, text: str) -> bytes:
-    encoded = text.encode()
-    content = bytes((number,)) + result + _INT.pack(len(encoded)) + encoded
+def _strings(command: bytes) -> list[str]:
+    """The list of strings that a command contains. Raises ProtocolError."""
+    at = 2 if command[0] else 6
+    try:
+        (kind, count), at = struct.unpack_from("!Bi", command, at), at + 5
+        found = []
+        for _ in range(count):
+            (size,) = _INT.unpack_from(command, at)
+            found.append(command[at + 4 : at + 4 + size].decode())
+            at += 4 + size
+    except (struct.error, UnicodeDecodeError):
+        kind = None
+    if kind != _STRINGS or at != len(command):
+        raise ProtocolError("load is not followed by a list of strings")
+    return found
+
+
+def _done(number: int) -> bytes:
+    """The status of a command that is done."""
+    content = bytes((number,)) + _OK + _INT.pack(0)
     return bytes((1 + len(content),)) + content
 
 

@@ -5,6 +5,7 @@ of several clients (``setOrder``); the `Server` gives it for its client, which n
 `relay` passes its messages on, in a process of its own: `attach` computes in this one.
 """
 
+import json
 import multiprocessing
 import socket
 import subprocess
@@ -20,6 +21,8 @@ from deepmf_sumo.live.relay import Said, relay
 from deepmf_sumo.network import sumo_tools
 
 _END_S: Final = 3.0
+_OUTPUT_S: Final = 60.0
+"""Until SUMO has written its output after its clients have left."""
 _LOOK_S: Final = 0.2
 
 
@@ -43,20 +46,13 @@ class Server:
     ) -> None:
         self._said: set[str] = set()
         self._complaints: list[str] = []
+        self._wanted: list[str] | None = None
+        self._gui = gui
         self._listener = _listening(port)
         self.port = int(self._listener.getsockname()[1])
-        self.inner = _free_port()
-        program = sumo_tools.program("sumo-gui" if gui else "sumo")
-        ports = ["--remote-port", str(self.inner), "--num-clients", "2"]
-        start = ["--start", "--quit-on-end"] if gui else []
-        self._sumo = subprocess.Popen(
-            [str(program), "-c", str(config), *ports, *start, *options],
-            env=sumo_tools.environment(),
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C in a terminal is for this process alone
-        )
+        self._start(["-c", str(config), *options])
         spawn = multiprocessing.get_context("spawn")  # this process may have threads
-        self._hears, says = spawn.Pipe(duplex=False)
+        self._hears, says = spawn.Pipe()
         self._relay = spawn.Process(
             target=relay,
             args=(self._listener, self.inner, says, self._sumo.pid),
@@ -72,10 +68,43 @@ class Server:
         """Whether the client has connected."""
         return self._heard("joined")
 
+    def _start(self, arguments: Sequence[str]) -> None:
+        """Start SUMO for two clients, on a free port."""
+        self.inner = _free_port()
+        program = sumo_tools.program("sumo-gui" if self._gui else "sumo")
+        ports = ["--remote-port", str(self.inner), "--num-clients", "2"]
+        start = ["--start", "--quit-on-end"] if self._gui else []
+        self._sumo = subprocess.Popen(
+            [str(program), *arguments, *ports, *start],
+            env=sumo_tools.environment(),
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C in a terminal is for this process alone
+        )
+
+    @property
+    def loads(self) -> bool:
+        """Whether the client waits for another simulation: see `load`."""
+        self._heard("load")
+        return self._wanted is not None
+
+    def load(self) -> bool:
+        """Start the simulation that the client waits for, once SUMO has ended; False: it does not.
+
+        `attach` has to join it, as the first one.
+        """
+        if not self.loads:
+            return False
+        assert self._wanted is not None
+        self._ended_sumo(_OUTPUT_S)
+        self._start(self._wanted)
+        self._wanted = None
+        self._hears.send((self.inner, self._sumo.pid))
+        return True
+
     @property
     def left(self) -> bool:
-        """Whether it has closed or broken off, as of what SUMO has been told by now."""
-        return self._heard("left")
+        """Whether it has left this simulation, as of what SUMO has been told by now."""
+        return self._heard("left") or self.loads
 
     @property
     def unused(self) -> bool:
@@ -110,8 +139,8 @@ class Server:
                 self._hears.poll(_LOOK_S)
 
     def stay(self, stopped: Callable[[], bool]) -> None:
-        """Until the client has left and SUMO has ended, or until ``stopped``."""
-        while not stopped() and (self._relay.is_alive() or not self.ended):
+        """Until the client has left and SUMO has ended, or until it `loads`, or ``stopped``."""
+        while not (stopped() or self.loads) and (self._relay.is_alive() or not self.ended):
             self._relay.join(_LOOK_S)
             with suppress(subprocess.TimeoutExpired):
                 self._sumo.wait(_LOOK_S)
@@ -129,8 +158,12 @@ class Server:
         self._relay.join()
         self._hears.close()
         self._sumo.terminate()
+        self._ended_sumo(_END_S)
+
+    def _ended_sumo(self, patience_s: float) -> None:
+        """Wait for the end of SUMO, and kill it where that takes longer."""
         try:
-            self._sumo.wait(_END_S)
+            self._sumo.wait(patience_s)
         except subprocess.TimeoutExpired:  # it does not listen while it waits for clients
             self._sumo.kill()
             self._sumo.wait()
@@ -143,6 +176,8 @@ class Server:
                 self._said.add(said[0])
                 if said[0] == "complaint":
                     self._complaints.append(said[1])
+                if said[0] == "load":
+                    self._wanted = json.loads(said[1])
         except (EOFError, OSError):  # it has ended: no client is connected any more
             self._said.add("left")
         return kind in self._said

@@ -18,7 +18,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
@@ -36,6 +36,7 @@ from deepmf_sumo.datatypes import (
     Source,
     StopSign,
     Tracks,
+    dtype_of,
 )
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import _checks, _single_file
@@ -155,11 +156,8 @@ def _hints(kind: type) -> dict[str, Any]:
 
 def _letters(kind: type) -> dict[str, str]:
     """The fields that are arrays, with numpy's letter for the kind of their numbers."""
-    return {
-        name: np.dtype(get_args(get_args(hint)[1])[0]).kind
-        for name, hint in _hints(kind).items()
-        if get_origin(hint) is np.ndarray
-    }
+    dtypes = {name: dtype_of(hint) for name, hint in _hints(kind).items()}
+    return {name: np.dtype(one).kind for name, one in dtypes.items() if one is not None}
 
 
 @functools.cache

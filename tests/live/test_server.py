@@ -19,6 +19,7 @@ import pytest
 import sumo
 
 from deepmf_sumo.cli import main
+from deepmf_sumo.errors import exit_code
 from deepmf_sumo.live.relay import LARGEST
 
 pytestmark = pytest.mark.sumo
@@ -226,11 +227,11 @@ def message(*commands):
 
 def test_several_commands_in_one_message_are_answered_in_one(talked):
     step = command(0x02, struct.pack("!d", 0.0))
-    order, load = command(0x03, struct.pack("!i", 7)), command(0x01, struct.pack("!i", 0))
+    order = command(0x03, struct.pack("!i", 7))
 
     def talk(connect):
         with connect() as connection:
-            connection.sendall(message(order, step, load, command(0x00)))
+            connection.sendall(message(order, step, command(0x00)))
             (length,) = struct.unpack("!i", connection.recv(4))
             answer = b""
             while len(answer) < length - 4:
@@ -238,14 +239,100 @@ def test_several_commands_in_one_message_are_answered_in_one(talked):
             statuses = [(answer[at + 1], answer[at + 2]) for at in (0, 7)]
             assert statuses == [(0x03, 0x00), (0x02, 0x00)]
             at = 7 + 7 + 4  # the number of subscriptions is behind the step
-            assert (answer[at + 1], answer[at + 2]) == (0x01, 0xFF)
-            assert b"end it and start serve again" in answer[at : at + answer[at]]
-            assert answer[at + answer[at] + 1] == 0x00
+            assert answer[at + 1] == 0x00
             connection.sendall(message(command(0x7F)))
             connection.recv(4096)
 
     code, _, told = talked(talk)
     assert code == 0, told
+
+
+LOADING = """
+import json, sys, traci
+api, seen = traci.connect(int(sys.argv[1]), numRetries=50, waitBetweenRetries=0.1), []
+def go(until_s):
+    while api.simulation.getTime() < until_s:
+        api.simulationStep()
+        seen.append([api.simulation.getTime(), sorted(
+            (one, *api.vehicle.getPosition(one)) for one in api.vehicle.getIDList())])
+for turn in range(3):
+    go(1.0 + turn)
+    api.load(json.loads(sys.argv[2]))
+go(6.0)
+json.dump(seen, open(sys.argv[3], "w"))
+api.close()
+"""
+
+
+def loading(port, tiny, file):
+    options = json.dumps(["-c", str(tiny / "tiny.sumocfg"), *OPTIONS])
+    done = subprocess.run(
+        [sys.executable, "-c", LOADING, str(port), options, str(file)],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(file.read_text())
+
+
+def test_a_client_that_loads_sees_what_it_sees_of_sumo(tiny, served, tmp_path):
+    process, port = served("nobody")
+    seen = loading(port, tiny, tmp_path / "served.json")
+    out, told = process.communicate(timeout=60)
+    assert process.returncode == 0, out
+    assert told.count("the client has loaded another simulation") == 3
+    own = free_port()
+    program = [f"{sumo.SUMO_HOME}/bin/sumo", "-c", tiny / "tiny.sumocfg", *OPTIONS]
+    with subprocess.Popen([*program, "--remote-port", str(own)], stdout=subprocess.DEVNULL):
+        assert seen == loading(own, tiny, tmp_path / "alone.json")
+
+
+def test_attacks_go_on_in_the_simulation_that_is_loaded(tiny, served, tmp_path):
+    wish = ["--duration", "3", "--pause", "0", "--attacks", "2", "--set", "adversary=G"]
+    process, port = served("av", *wish)
+    loading(port, tiny, tmp_path / "seen.json")
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 0, told
+    rows = [json.loads(one) for one in (tmp_path / "live/attacks.jsonl").read_text().splitlines()]
+    assert [row["number"] for row in rows] == list(range(1, len(rows) + 1))
+    assert 0 < len(rows) <= 2
+    assert {row["simulation"] for row in rows} <= {2, 3, 4}  # the first one is over too soon
+    assert {row["opponent"] for row in rows} == {"leader"}
+    session = json.loads((tmp_path / "live/session.json").read_text())
+    assert (session["simulations"], session["attacks"]) == (4, len(rows))
+    assert (tmp_path / "live/runs/attack-001/sumo/net.net.xml").is_file()
+
+
+@pytest.mark.parametrize(
+    "content", [b"", struct.pack("!i", 0), b"\x0e" + struct.pack("!ii", 1, 99) + b"-c"]
+)
+def test_what_is_no_list_to_load_is_refused(talked, content):
+    def talk(connect):
+        with connect() as connection:
+            connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+            connection.recv(4096)
+            connection.sendall(message(command(0x01, content)))
+            assert connection.recv(4096) == b""
+
+    code, _, told = talked(talk)
+    assert code == 0
+    assert "load is not followed by a list of strings" in told
+
+
+def test_a_simulation_that_cannot_be_loaded_ends_the_service(talked):
+    words = [b"-c", b"nowhere.sumocfg"]
+    listed = b"".join(struct.pack("!i", len(one)) + one for one in words)
+    content = b"\x0e" + struct.pack("!i", len(words)) + listed
+
+    def talk(connect):
+        with connect() as connection:
+            connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+            connection.recv(4096)
+            connection.sendall(message(command(0x01, content)))
+            assert connection.recv(4096) == b""
+
+    code, _, told = talked(talk)
+    assert code == exit_code("failed")
+    assert "SUMO ended with exit code 1" in told
 
 
 @pytest.mark.parametrize(
