@@ -12,6 +12,15 @@ if TYPE_CHECKING:
     from deepmf_sumo.results.exports import Only
 
 
+_ELSEWHERE = {
+    "geojson": "risk OUT --gis geojson",
+    "geopackage": "risk OUT --gis gpkg",
+    "gpkg": "risk OUT --gis gpkg",
+    "csv": "risk OUT",
+}
+"""Formats of what is not a run, and the commands that write them."""
+
+
 @click.command("export", short_help="Write runs in the format of another program.")
 @click.argument(
     "folders", metavar="OUT...", nargs=-1, required=True,
@@ -30,6 +39,10 @@ if TYPE_CHECKING:
     "--set", "sets", metavar="KEY=VALUE", multiple=True,
     help="Set a setting of the format; may be repeated.",
 )  # fmt: skip
+@click.option(
+    "--without-av", is_flag=True,
+    help="Leave the AV to another program: short for --set without_av=true (openscenario).",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace what was written before.")
 @click.pass_context
 def command(
@@ -39,6 +52,7 @@ def command(
     only: "Only | None",
     out: Path | None,
     sets: tuple[str, ...],
+    without_av: bool,
     overwrite: bool,
 ) -> None:
     """Write the runs of OUT... in a format that another program reads.
@@ -51,7 +65,12 @@ def command(
     """
     from deepmf_sumo.results import exports
 
-    form = exports.Format.named(name, _values(sets))
+    if name in _ELSEWHERE:
+        raise UsageError(
+            f"--to {name}: that is one file of all runs; `deepmf-sumo {_ELSEWHERE[name]}` writes it."
+        )
+    values = _values((*sets, "without_av=true") if without_av else sets)
+    form = exports.Format.named(name, values)
     runs = exports.chosen(folders)
     found = list(exports.export(runs, form, out=out, only=only, overwrite=overwrite))
     show_exports(name, found)

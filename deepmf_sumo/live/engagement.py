@@ -138,6 +138,7 @@ class Engagement:
         self.opponent_id = None if touching else self._record.schedule.attacker
         self._from: Pose | None = None
         self._to: Pose | None = None
+        self._lights: list[dict[str, SignalState]] = []
 
     @property
     def turn(self) -> Turn | None:
@@ -147,6 +148,7 @@ class Engagement:
 
     def decide(self) -> None:
         """Choose the opponent's pose 0.1 s from now; the policy plans if that is due."""
+        self._lights.append(self._signals())
         self._record.replan()
         self._from = self._to or self._opponent_pose()
         self._to = self._record.schedule.advance(self._record.step + 1)
@@ -184,7 +186,7 @@ class Engagement:
     def rollout(self) -> Rollout:
         """What happened, with the last second before it; only after the end."""
         assert self.turn is not None
-        return self._record.rollout(self.turn.ended, self._events)
+        return self._record.rollout(self.turn.ended, self._events, signals=self._lights)
 
     def _let_go(self, opponent: AgentId | None) -> None:
         if opponent is not None and self._takeover.placed() is not None:

@@ -1,8 +1,8 @@
 """The files of a live session: ``attacks.jsonl``, ``session.json``, and a result folder.
 
 `table`, `risk`, `report`, `check` and `compare` read the result folder. What only a run of its own
-knows (the planner and its settings, the lights, the vehicles that the AV followed) is empty, or a
-metric with the reason why it has no value.
+knows (the planner and its settings, the vehicles that the AV followed) is empty, or a metric with
+the reason why it has no value.
 """
 
 import json
@@ -22,7 +22,7 @@ from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.live.session import LiveAttack
 from deepmf_sumo.metrics import measure
-from deepmf_sumo.results import artifacts, folder, result
+from deepmf_sumo.results import artifacts, folder, result, signals
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.tracks import write_tracks
@@ -68,6 +68,7 @@ class Results:
         folder = self._store.runs / run_id
         (folder / "sumo").mkdir(parents=True, exist_ok=True)
         write_tracks(folder / "tracks.csv.gz", attack.rollout)
+        signals.write_signals(folder / signals.FILE, attack.rollout, self.setting.road)
         artifacts.write_plans(folder / "plans.npz", attack.rollout)
         self._keep_net(folder / "sumo")
         scene = f"{attack.rollout.av_id}-{attack.begin_s:g}s"

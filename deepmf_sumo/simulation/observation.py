@@ -184,5 +184,6 @@ class LiveSignals:
             link = links[0]
             if link.light not in lights:
                 lights[link.light] = self._api.trafficlight.getRedYellowGreenState(link.light)
-            states[lane] = _STATE[lights[link.light][link.index]]
+            if link.index < len(lights[link.light]):  # a program may have fewer states than links
+                states[lane] = _STATE[lights[link.light][link.index]]
         return states

@@ -16,6 +16,7 @@ from deepmf_sumo.live import attacker as attacker_module
 from deepmf_sumo.live import record
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.report import comparison
+from deepmf_sumo.results.reader import Results
 
 from tests.support.live_policies import Keep
 
@@ -234,3 +235,41 @@ def test_wrong_settings(started, policy, wrong, error, said):
 def test_what_is_no_simulation():
     with pytest.raises(UsageError, match="A dict is not a simulation; give the module libsumo"):
         deepmf_sumo.Attacker({}, av="av")
+
+
+def test_lights_are_kept_as_sumo_has_them(tmp_path):
+    """Of each step of an attack beside lights; what SUMO says is asked apart."""
+    config = Path(__file__).parents[2] / "sumo_nets/four_way/four_way.sumocfg"
+    libsumo.start(["sumo", "-c", str(config), *OPTIONS, "--remote-port", "0"])
+    try:
+        for _ in range(300):
+            libsumo.simulationStep()
+        av = max(libsumo.vehicle.getIDList(), key=libsumo.vehicle.getSpeed)
+        wish = {"trigger": "call", "duration_s": 6.0, "out": tmp_path / "live"}
+        told = []
+        with deepmf_sumo.Attacker(libsumo, av=av, **wish) as attacker:
+            drive(libsumo, attacker, 12)
+            attacker.attack()
+            while not attacker.attacks and len(told) < 200:
+                (light,) = libsumo.trafficlight.getIDList()
+                state = libsumo.trafficlight.getRedYellowGreenState(light)
+                told.append((round(libsumo.simulation.getTime(), 1), state))
+                drive(libsumo, attacker, 1)
+            (row,) = attacker.attacks
+        links = libsumo.trafficlight.getControlledLinks(light)
+    finally:
+        libsumo.close()
+    run = tmp_path / "live/runs/attack-001"
+    (found,) = Results.open(tmp_path / "live").runs
+    rollout = found.rollout
+    assert len(rollout.signals) == rollout.tracks.steps - 1 - rollout.now
+    assert (run / "signals.csv.gz").is_file()
+    states, colour = dict(told), {"g": "GO", "G": "GO", "y": "CAUTION", "r": "STOP"}
+    first = {via: number for number, ((_, _, via), *_) in reversed(list(enumerate(links)))}
+    checked = 0
+    for number, lights in enumerate(rollout.signals):
+        state = states[round(row["begin_s"] + number * 0.1, 1)]
+        for lane, seen in lights.items():
+            assert seen.name == colour[state[first[lane]]], (number, lane)
+            checked += 1
+    assert checked > 100

@@ -1,13 +1,15 @@
 """What a rollout keeps of what the AV's planner looked at."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import SignalState
+from deepmf_sumo.datatypes import SignalLink, SignalState
 from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
 from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.simulation.observation import LiveSignals
 
 from tests.support import tiny_network
 from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
@@ -86,3 +88,12 @@ def test_lights_of_a_network_are_those_before_each_step():
     assert len(rollout.signals) == 21
     assert [rollout.signals[step] for step in (0, 10, 20)] == onlooker.seen
     assert {SignalState.STOP, SignalState.GO} <= set(onlooker.seen[0].values())
+
+
+def test_a_program_with_fewer_states_than_links_leaves_those_unknown():
+    api = SimpleNamespace(
+        trafficlight=SimpleNamespace(getRedYellowGreenState=lambda light: {"j": "rG"}[light])
+    )
+    links = {name: (SignalLink(light="j", index=row),) for row, name in enumerate("abc")}
+    states = LiveSignals(api, links).states()
+    assert states == {"a": SignalState.STOP, "b": SignalState.GO}
