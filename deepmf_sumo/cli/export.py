@@ -67,7 +67,8 @@ def command(
 
     if name in _ELSEWHERE:
         raise UsageError(
-            f"--to {name}: that is one file of all runs; `deepmf-sumo {_ELSEWHERE[name]}` writes it."
+            f"--to {name}: not a file of each run, but of all: `deepmf-sumo {_ELSEWHERE[name]}`"
+            " writes it."
         )
     values = _values((*sets, "without_av=true") if without_av else sets)
     form = exports.Format.named(name, values)

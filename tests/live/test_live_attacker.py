@@ -105,8 +105,7 @@ def test_deepmf_attacks_and_the_vehicle_is_sumos_again(started, tmp_path):
         "script", "tiny", {},
     )  # fmt: skip
     assert result["metrics"]["min_gap"]["value"] == pytest.approx(row["min_gap_m"], abs=1e-3)
-    assert result["metrics"]["red_light"]["value"] is None
-    assert "lights" in result["metrics"]["red_light"]["reason"]
+    assert result["metrics"]["red_light"]["value"] == 0.0  # there are no lights
     (line,) = comparison.compare(comparison.groups([out])).to_dict("records")
     assert (line["planner"], line["runs"], line["version"]) == ("script", 1, "S1")
     (network,) = risk.read([out])
