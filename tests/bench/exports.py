@@ -5,12 +5,14 @@ Runs: 10 on recordings of our own networks, 10 of `scenarios/`, 10 on the networ
 format: runs read back by a reader that is not the exporter's, the largest error of a corner of a
 box, and contacts of the AV in which the boxes overlap from the same step on. ``--out`` keeps the
 runs for the next time. Ends with 1 where a run is lost, a corner is off by more than 2 cm, or a
-contact is at another step. Formats whose extra is not installed are named and left out.
+contact is at another step. Formats whose extra is not installed are named and left out; ``esmini``
+plays what `openscenario` writes, where it is on the path, and judges contacts itself.
 """
 
 import argparse
 import os
 import pickle
+import shutil
 import sys
 import tempfile
 import time
@@ -99,7 +101,9 @@ def others(out: Path, count: int) -> list[Path]:
 def row(name: str, read: Callable[[Path, Run], Any], runs: Sequence[Run], folder: Path) -> bool:
     """Print the line of a format; whether all is as it should be."""
     try:
-        form = exports.Format.named(name, SETTINGS.get(name))
+        if name == ESMINI and not PLAYER:
+            raise PluginError("esmini is not on the path")
+        form = exports.Format.named(FORMATS.get(name, name), SETTINGS.get(name))
     except PluginError as lacks:
         print(f"{name}: {lacks}")
         return True
@@ -115,8 +119,9 @@ def row(name: str, read: Callable[[Path, Run], Any], runs: Sequence[Run], folder
         found, expected = read(path, run), foreign.boxes_of(run.rollout.tracks)
         if name in SINCE_NOW:
             expected = {key: box for key, box in expected.items() if key[0] >= run.rollout.now}
+        shown = found.of(expected) if isinstance(found, foreign.Played) else found
         back += 1
-        error = max(error, foreign.largest_error_m(found, expected))
+        error = max(error, foreign.largest_error_m(shown, expected))
         if run.contact is not None:
             contacts += 1
             same += at_its_step(found, run)
@@ -130,6 +135,9 @@ def at_its_step(found: Any, run: Run) -> bool:
     contact = run.contact
     assert contact is not None
     pair = contact.first_id, contact.second_id
+    if isinstance(found, foreign.Played):
+        before = found.touching.get((contact.step - 1, pair[0]), set())
+        return pair[1] in found.touching[contact.step, pair[0]] - before
     near = {key: box for key, box in found.items()
             if key[1] in pair and key[0] in (contact.step - 1, contact.step)}  # fmt: skip
     return foreign.first_contact(near, *pair) == contact.step
@@ -156,6 +164,17 @@ def openscenario(path: Path, run: Run) -> Any:
     return {(step, ids[name]): box for (step, name), box in found.items()}
 
 
+def esmini(path: Path, run: Run) -> Any:
+    """Of what esmini plays, with the ids that the entities have as a property."""
+    assert PLAYER
+    ids = foreign.xosc_ids(path / "scenario.xosc")
+    found = foreign.played(PLAYER, path)
+    boxes = {(step, ids[name]): box for (step, name), box in found.boxes.items()}
+    touching = {(step, ids[name]): {ids[one] for one in others}
+                for (step, name), others in found.touching.items()}  # fmt: skip
+    return foreign.Played(boxes, touching)
+
+
 def womd(path: Path, run: Run) -> Any:
     """Of the Scenario, up to the end of the episode."""
     steps = run.rollout.tracks.steps
@@ -169,6 +188,8 @@ def commonroad(path: Path, run: Run) -> Any:
     return {(step + now, name): box for (step, name), box in found if step + now < steps}
 
 
+ESMINI, PLAYER = "esmini", shutil.which("esmini")
+FORMATS = {ESMINI: "openscenario"}
 SETTINGS = {"commonroad": {"av": "obstacle"}}
 SINCE_NOW = {"commonroad"}
 """Formats without what was before the attack."""
@@ -177,6 +198,7 @@ READERS: dict[str, Callable[[Path, Run], Any]] = {
     "scene": scene,
     "ssam": lambda path, _: foreign.ssam_boxes(path),
     "openscenario": openscenario,
+    ESMINI: esmini,
     "scenarionet": scenarionet,
     "womd": womd,
     "commonroad": commonroad,

@@ -1,5 +1,6 @@
 """OpenSCENARIO and OpenDRIVE, read back by their description, and by ASAM's checker where it is."""
 
+import gzip
 import re
 import shutil
 import subprocess
@@ -16,13 +17,22 @@ from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.network.sumo_net import read_once
 
 from tests.exporters.test_ssam import collision
-from tests.support.foreign_readers import boxes_of, first_contact, largest_error_m, xosc_boxes
+from tests.support.foreign_readers import (
+    boxes_of,
+    esmini_log,
+    first_contact,
+    largest_error_m,
+    played,
+    xosc_boxes,
+)
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight
 
 pytestmark = pytest.mark.sumo
 
 NET = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.net.xml"
 CHECKER = shutil.which("qc_openscenario")
+ESMINI = shutil.which("esmini")
+PLAYED = Path(__file__).parent / "esmini"
 
 
 def written(rollout, folder, **settings):
@@ -62,6 +72,26 @@ def test_boxes_and_contact_are_those_of_the_run(rollout_of_kind, tmp_path):
     found = xosc_boxes(written(rollout, tmp_path) / "scenario.xosc")
     assert largest_error_m(found, expected(rollout)) < 1e-3
     assert first_contact(found, "av", "b") == rollout.contacts[0].step
+
+
+def check_played(found, rollout):
+    wanted = expected(rollout)
+    assert largest_error_m(found.of(wanted), wanted) < 1e-3
+    assert found.first_contact("av", "b") == rollout.contacts[0].step
+
+
+@pytest.mark.parametrize("rollout_of_kind", [collision, with_gap])
+@pytest.mark.skipif(ESMINI is None, reason="esmini is not on the path")
+def test_esmini_plays_the_run(rollout_of_kind, tmp_path):
+    rollout = rollout_of_kind()
+    check_played(played(ESMINI, written(rollout, tmp_path)), rollout)
+
+
+@pytest.mark.parametrize("rollout_of_kind", [collision, with_gap])
+def test_esmini_has_played_the_run(rollout_of_kind):
+    """By its log, kept from esmini 3.6.0 (77028d83) and the files of the test above."""
+    text = gzip.decompress((PLAYED / f"{rollout_of_kind.__name__}.csv.gz").read_bytes()).decode()
+    check_played(esmini_log(text), rollout_of_kind())
 
 
 def test_the_reference_point_is_the_rear_axle(tmp_path):

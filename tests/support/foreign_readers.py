@@ -6,6 +6,7 @@ Each gives boxes by step and id, so that poses and contacts can be compared with
 import csv
 import json
 import struct
+import subprocess
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
@@ -163,6 +164,60 @@ def xosc_boxes(file):
         for vertex in event.iter("Vertex"):
             poses[round(float(vertex.get("time")) / DT_S), name] = _world(vertex.find("Position"))
     return {(step, name): _xosc_box(pose, *shapes[name]) for (step, name), pose in poses.items()}
+
+
+_ESMINI = 31
+"""Columns of an entity in esmini's log."""
+
+
+@dataclass
+class Played:
+    """What esmini has shown: (step, entity) -> box, and -> entities that it found in contact."""
+
+    boxes: dict
+    touching: dict
+
+    def first_contact(self, one, other):
+        """The first step at which it found the two in contact; None without one."""
+        steps = [step for (step, name), found in self.touching.items()
+                 if name == one and other in found]  # fmt: skip
+        return min(steps, default=None)
+
+    def of(self, expected):
+        """The boxes, where entities that come and go are there as expected.
+
+        esmini adds and deletes entities in the step in which the action begins, and shows this in
+        the next one.
+        """
+        came = {key for key in expected if key[0] and (key[0] - 1, key[1]) not in expected}
+        went = {(step + 1, name) for step, name in expected} - expected.keys()
+        kept = {key: box for key, box in self.boxes.items() if key not in went}
+        return kept | {key: expected[key] for key in came - kept.keys()}
+
+
+def played(program, folder):
+    """What esmini plays of a folder of `export --to openscenario`."""
+    options = ["--headless", "--fixed_timestep", str(DT_S), "--collision", "--disable_stdout"]
+    files = ["--osc", "scenario.xosc", "--csv_logger", "esmini.csv"]
+    subprocess.run([program, *options, *files], cwd=folder, check=True, capture_output=True,
+                   timeout=300)  # fmt: skip
+    return esmini_log((folder / "esmini.csv").read_text(encoding="utf-8"))
+
+
+def esmini_log(text):
+    """esmini's CSV log with its collisions."""
+    boxes, touching = {}, {}
+    for row in csv.reader(text.splitlines()):
+        if not row[0].isdecimal():
+            continue
+        step, cells = round(float(row[1]) / DT_S), [cell.strip() for cell in row[2:]]
+        groups = [cells[at : at + _ESMINI] for at in range(0, len(cells) - 1, _ESMINI)]
+        names = {group[1]: group[0] for group in groups}
+        for group in groups:
+            centre, length, width, x, y, heading = (float(group[n]) for n in (5, 8, 9, 11, 12, 24))
+            boxes[step, group[0]] = _xosc_box((x, y, heading), centre, length, width)
+            touching[step, group[0]] = {names[one] for one in group[30].split()}
+    return Played(boxes, touching)
 
 
 def _xosc_step(event):
