@@ -119,9 +119,8 @@ def row(name: str, read: Callable[[Path, Run], Any], runs: Sequence[Run], folder
         found, expected = read(path, run), foreign.boxes_of(run.rollout.tracks)
         if name in SINCE_NOW:
             expected = {key: box for key, box in expected.items() if key[0] >= run.rollout.now}
-        shown = found.of(expected) if isinstance(found, foreign.Played) else found
         back += 1
-        error = max(error, foreign.largest_error_m(shown, expected))
+        error = max(error, foreign.largest_error_m(found, expected))
         if run.contact is not None:
             contacts += 1
             same += at_its_step(found, run)
@@ -169,10 +168,12 @@ def esmini(path: Path, run: Run) -> Any:
     assert PLAYER
     ids = foreign.xosc_ids(path / "scenario.xosc")
     found = foreign.played(PLAYER, path)
-    boxes = {(step, ids[name]): box for (step, name), box in found.boxes.items()}
-    touching = {(step, ids[name]): {ids[one] for one in others}
-                for (step, name), others in found.touching.items()}  # fmt: skip
-    return foreign.Played(boxes, touching)
+    return foreign.Played(
+        {(step, ids[name]): place for (step, name), place in found.reference_m.items()},
+        {ids[name]: ahead for name, ahead in found.ahead_m.items()},
+        {(step, ids[name]): {ids[one] for one in others}
+         for (step, name), others in found.touching.items()},
+    )  # fmt: skip
 
 
 def womd(path: Path, run: Run) -> Any:

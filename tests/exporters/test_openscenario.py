@@ -75,8 +75,7 @@ def test_boxes_and_contact_are_those_of_the_run(rollout_of_kind, tmp_path):
 
 
 def check_played(found, rollout):
-    wanted = expected(rollout)
-    assert largest_error_m(found.of(wanted), wanted) < 1e-3
+    assert largest_error_m(found, expected(rollout)) < 1e-3
     assert found.first_contact("av", "b") == rollout.contacts[0].step
 
 

@@ -4,6 +4,7 @@ Each gives boxes by step and id, so that poses and contacts can be compared with
 """
 
 import csv
+import itertools
 import json
 import struct
 import subprocess
@@ -48,7 +49,12 @@ def boxes_of(tracks):
 
 
 def largest_error_m(found, expected):
-    """Largest distance of corners; infinite where a box is missing or there is one more."""
+    """Largest distance of corners; infinite where a box is missing or there is one more.
+
+    Of what esmini has played see `Played.largest_error_m`.
+    """
+    if isinstance(found, Played):
+        return found.largest_error_m(expected)
     if found.keys() != expected.keys():
         return float("inf")
     differences = [found[key].corners - expected[key].corners for key in expected]
@@ -166,15 +172,23 @@ def xosc_boxes(file):
     return {(step, name): _xosc_box(pose, *shapes[name]) for (step, name), pose in poses.items()}
 
 
+_SLOW_MPS = 2.0
 _ESMINI = 31
 """Columns of an entity in esmini's log."""
 
 
 @dataclass
 class Played:
-    """What esmini has shown: (step, entity) -> box, and -> entities that it found in contact."""
+    """What esmini has shown.
 
-    boxes: dict
+    Attributes:
+        reference_m: (step, entity) -> place of the reference point, x, y.
+        ahead_m: entity -> centre of its box ahead of that point.
+        touching: (step, entity) -> entities that esmini found in contact with it.
+    """
+
+    reference_m: dict
+    ahead_m: dict
     touching: dict
 
     def first_contact(self, one, other):
@@ -183,16 +197,34 @@ class Played:
                  if name == one and other in found]  # fmt: skip
         return min(steps, default=None)
 
-    def of(self, expected):
-        """The boxes, where entities that come and go are there as expected.
+    def largest_error_m(self, expected):
+        """Of the reference points above 2 m/s; infinite where an entity is missing or one too many.
 
-        esmini adds and deletes entities in the step in which the action begins, and shows this in
-        the next one.
+        esmini turns boxes gradually between two vertices of a trajectory, and brakes slow vehicles
+        to a stop by a model of its own. It adds and deletes entities in the step in which the
+        action begins, and shows this in the next one.
         """
         came = {key for key in expected if key[0] and (key[0] - 1, key[1]) not in expected}
         went = {(step + 1, name) for step, name in expected} - expected.keys()
-        kept = {key: box for key, box in self.boxes.items() if key not in went}
-        return kept | {key: expected[key] for key in came - kept.keys()}
+        shown = self.reference_m.keys()
+        if not (expected.keys() - came <= shown and shown - went <= expected.keys()):
+            return float("inf")
+        return max(
+            np.hypot(
+                expected[key].x - self.ahead_m[key[1]] * np.cos(expected[key].heading) - x,
+                expected[key].y - self.ahead_m[key[1]] * np.sin(expected[key].heading) - y,
+            )
+            for key, (x, y) in self.reference_m.items()
+            if _speed_mps(expected, *key) > _SLOW_MPS
+        )
+
+
+def _speed_mps(boxes, step, name):
+    """Least speed to and from the step; 0 where it is alone."""
+    near = [boxes.get((one, name)) for one in (step - 1, step, step + 1)]
+    if any(box is None for box in near):
+        return 0.0
+    return min(np.hypot(b.x - a.x, b.y - a.y) / DT_S for a, b in itertools.pairwise(near))
 
 
 def played(program, folder):
@@ -201,23 +233,25 @@ def played(program, folder):
     files = ["--osc", "scenario.xosc", "--csv_logger", "esmini.csv"]
     subprocess.run([program, *options, *files], cwd=folder, check=True, capture_output=True,
                    timeout=300)  # fmt: skip
-    return esmini_log((folder / "esmini.csv").read_text(encoding="utf-8"))
+    offset = ET.parse(folder / "road.xodr").find("header/offset")
+    moved = (0.0, 0.0) if offset is None else (float(offset.get("x")), float(offset.get("y")))
+    return esmini_log((folder / "esmini.csv").read_text(encoding="utf-8"), moved)
 
 
-def esmini_log(text):
-    """esmini's CSV log with its collisions."""
-    boxes, touching = {}, {}
+def esmini_log(text, moved=(0.0, 0.0)):
+    """esmini's CSV log with its collisions; the offset of the road's header is added to places."""
+    reference, ahead, touching = {}, {}, {}
     for row in csv.reader(text.splitlines()):
         if not row[0].isdecimal():
             continue
         step, cells = round(float(row[1]) / DT_S), [cell.strip() for cell in row[2:]]
         groups = [cells[at : at + _ESMINI] for at in range(0, len(cells) - 1, _ESMINI)]
         names = {group[1]: group[0] for group in groups}
-        for group in groups:
-            centre, length, width, x, y, heading = (float(group[n]) for n in (5, 8, 9, 11, 12, 24))
-            boxes[step, group[0]] = _xosc_box((x, y, heading), centre, length, width)
-            touching[step, group[0]] = {names[one] for one in group[30].split()}
-    return Played(boxes, touching)
+        for name, *group in groups:
+            ahead[name] = float(group[4])
+            reference[step, name] = float(group[10]) - moved[0], float(group[11]) - moved[1]
+            touching[step, name] = {names[one] for one in group[29].split()}
+    return Played(reference, ahead, touching)
 
 
 def _xosc_step(event):
