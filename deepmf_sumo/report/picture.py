@@ -169,8 +169,8 @@ def _reasoning(axes: Axes, plan: Plan) -> None:
     assert reason is not None
     if reason.heat:
         x, y = reason.heat.position_m.T
-        size = 12.0 * reason.heat.probability / reason.heat.probability.max()
-        axes.scatter(x, y, s=size, color=HEAT, alpha=0.6, lw=0, zorder=2.5)
+        share = reason.heat.probability / reason.heat.probability.max()
+        axes.scatter(x, y, s=9.0, color=HEAT, alpha=0.1 + 0.8 * np.sqrt(share), lw=0, zorder=2.5)
     ends = reason.collision_step.min(axis=1).astype(int) + 1
     futures = reason.candidates.futures.position_m
     candidates = [path[:end] for path, end in zip(futures, ends, strict=True)]
