@@ -47,7 +47,8 @@ class GoalSet:
         knots: (K, P, R, 5, 2) residual along and to the left at 1, 2, 4, 6, 8 s, metres.
         paths: (P, 121, 2).
         block: number of goals of a path, one after the other, of which at most one becomes a mode:
-            dense goals are too many to be compared with one another.
+            dense goals, the only ones with more than 1, are too many to be compared with one
+            another.
     """
 
     logits: Singles
@@ -86,7 +87,7 @@ def select(
     Args:
         probability: (K, P, R).
         ends_m: (K, N, 2) end points, N = P * R.
-        modes: M, at most N.
+        modes: M, at most the number of blocks.
         shortlist: number of likeliest goals that may become modes; None: all.
         block: see `GoalSet`.
 
@@ -228,6 +229,8 @@ def complete(goals: GoalSet, chosen: Ints) -> tuple[Singles, Singles]:
     knots = goals.knots[future, path, profile]  # (K, M, 5, 2)
     ahead, left = knots[..., 0] @ knot_matrix(), knots[..., 1] @ knot_matrix()
     along = np.maximum(goals.along_m[path, profile] + ahead, 0.0)
+    if goals.block > 1:  # the goal is where the vehicle is at the end
+        along = np.minimum(along, along[..., -1:])
     along = np.maximum.accumulate(along, axis=-1)  # (K, M, 80)
     position, tangent = placed_on(goals.paths, path[..., None], along, left)
     return position, _headings(position, tangent)

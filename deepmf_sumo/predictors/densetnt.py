@@ -44,6 +44,7 @@ class Goals:
         knots: (B, K, P, R, 5, 2) residual along and to the left at 1, 2, 4, 6, 8 s, metres.
         paths: (B, P, 121, 2).
         lanes: (B, P) scores of the paths; None unless the head is dense.
+        counts: (B) number of goals of a path that are within the vehicle's reach, likewise.
     """
 
     logits: Tensor
@@ -51,6 +52,7 @@ class Goals:
     knots: Tensor
     paths: Tensor
     lanes: Tensor | None = None
+    counts: Tensor | None = None
 
     def at_knots(self) -> tuple[Tensor, Tensor]:
         """Positions and path tangents (B, K, P, R, 5, 2) at 1, 2, 4, 6, 8 s."""
@@ -61,13 +63,23 @@ class Goals:
         return position.transpose(1, 2), tangent.transpose(1, 2)
 
     def sets(self) -> list[GoalSet]:
-        """The goals of each vehicle of the batch, for `decoding`."""
+        """The goals of each vehicle of the batch, for `decoding`.
+
+        Dense goals are cut to the vehicle's own reach: others of the batch must not matter.
+        """
         parts = (self.logits, self.along_m, self.knots, self.paths)
         each = zip(*(part.cpu().numpy() for part in parts), strict=True)
-        block = 1 if self.lanes is None else goal_grid.block(self.logits.shape[-1])
+        size = self.logits.shape[-1]
+        counts = [size] * len(self.logits) if self.counts is None else self.counts.tolist()
         return [
-            GoalSet(logits=logits, along_m=along_m, knots=knots, paths=paths, block=block)
-            for logits, along_m, knots, paths in each
+            GoalSet(
+                logits=logits[..., :count],
+                along_m=along_m[:, :count],
+                knots=knots[:, :, :count],
+                paths=paths,
+                block=1 if self.counts is None else goal_grid.block(count),
+            )
+            for (logits, along_m, knots, paths), count in zip(each, counts, strict=True)
         ]
 
 
@@ -275,19 +287,19 @@ class DenseTNT(nn.Module):
             goals = scene.goals.unsqueeze(1) + context.unsqueeze(3)
         score, residual = self._heads(self.goal_hidden(goals))
         knots = self.reach * residual.tanh()
-        exists = scene.exists[:, None, :, None]
+        exists, counts = scene.exists[:, None, :, None], None
         if scene.grid is not None:
             exists = scene.grid.there.unsqueeze(1)
             score = score + scene.grid.log_count.unsqueeze(1)
-            ease = knots.new_tensor(KNOTS_S) / KNOTS_S[-1]
-            left = scene.grid.left_m[:, None, :, :, None] * ease.square() * (3.0 - 2.0 * ease)
-            knots = torch.stack([knots[..., 0], knots[..., 1] + left], -1)
+            knots = _towards_the_end(knots, scene.along_m, scene.grid.left_m)
+            counts = goal_grid.within_reach(scene.road.speed_mps)
         return Goals(
             logits=score.masked_fill(~exists, float("-inf")),
             along_m=scene.along_m,
             knots=knots,
             paths=scene.paths,
             lanes=scene.lanes,
+            counts=counts,
         )
 
     def _heads(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
@@ -401,6 +413,18 @@ def trimmed(batch: dict[str, Tensor]) -> dict[str, Tensor]:
     used = max(int((batch["path_info"][..., 0] > 0).sum(1).max()), 1)
     cut = {name: batch[name][:, :used] for name in ("paths", "path_info", "path_agents")}
     return {**batch, **cut}
+
+
+def _towards_the_end(knots: Tensor, along_m: Tensor, left_m: Tensor) -> Tensor:
+    """Knots (B, K, P, R, 5, 2) of dense goals, which lie ahead of all that is driven before.
+
+    Without residuals the vehicle moves sideways by ``left_m`` (B, P, R), first and last slowly.
+    """
+    at = along_m[..., list(KNOT_STEPS)]
+    along = torch.minimum(knots[..., 0], (at[..., -1:] - at).unsqueeze(1))
+    ease = knots.new_tensor(KNOTS_S) / KNOTS_S[-1]
+    left = left_m[:, None, :, :, None] * ease.square() * (3.0 - 2.0 * ease)
+    return torch.stack([along, knots[..., 1] + left], -1)
 
 
 def _likeliest(

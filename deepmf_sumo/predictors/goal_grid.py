@@ -96,6 +96,11 @@ def nearest(paths: Tensor, grid: Grid, end_m: Tensor) -> tuple[Grid, Tensor]:
     return found, off.squeeze(-1).argmin(-1)
 
 
+def within_reach(speed_mps: Tensor) -> Tensor:
+    """(B) number of goals that each path of `every` has at these start speeds, duplicates too."""
+    return ((_reach_m(speed_mps) / SPACING_M).long() + 1) * len(BESIDE_M)
+
+
 def block(goals: int) -> int:
     """`decoding.GoalSet.block` for this number of goals a path: a 40th of the way, full width."""
     beside = len(BESIDE_M)

@@ -112,6 +112,27 @@ def test_completed_goals_end_where_they_lie(batch):
     assert np.abs(found.knots[0, ..., -1, 0]).max() == 0.0
 
 
+def test_completed_goals_end_where_they_lie_whatever_the_residuals(batch):
+    net = network()
+    torch.nn.init.normal_(net.complete.weight, std=0.5)
+    with torch.no_grad():
+        (found,) = net(batch).sets()
+    every = np.flatnonzero(np.isfinite(found.logits[0].ravel()))
+    position, _ = decoding.complete(found, every[None])
+    assert np.abs(position[0, :, -1] - found.ends()[0, every]).max() < 1e-3
+
+
+def test_other_vehicles_of_a_batch_do_not_matter(batch):
+    net = network()
+    fast = {name: values.clone() for name, values in batch.items()}
+    fast["motion"][:, 0] = 25.0
+    with torch.no_grad():
+        (alone,) = net(batch).sets()
+        beside, _ = net({name: torch.cat([batch[name], fast[name]]) for name in batch}).sets()
+    assert (alone.block, alone.logits.shape) == (beside.block, beside.logits.shape)
+    assert np.allclose(alone.logits, beside.logits, atol=1e-5)
+
+
 def test_modes_are_spread_over_blocks_of_goals(batch):
     predictors = torch_networks.random(DENSE, 0)
     prediction = predictors.marginal.predict(view(), "av")
