@@ -39,6 +39,7 @@ from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
 from deepmf_sumo.deepmf.situation import footprint
 from deepmf_sumo.deepmf.tracking import Start, track
+from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.base import MOST_MODES
 
 if TYPE_CHECKING:
@@ -142,12 +143,17 @@ class ART:
         """(R, 80, 2) the likeliest futures of the opponent under perturbed histories."""
         from deepmf_sumo.adversaries import _art_history
         from deepmf_sumo.predictors.densetnt import DenseTNT
-        from deepmf_sumo.predictors.weights import cached_predictors
+        from deepmf_sumo.predictors.weights import DEVICE, cached_predictors
 
         view, chosen, agent_id = scouted.view, self._settings, scouted.opponent_id
         marginal = cached_predictors(self._weights, "torch").marginal  # for gradients
         net = marginal.net
         assert isinstance(net, DenseTNT)
+        if net.widths.device.type != "cpu":
+            raise WeightsError(
+                f"art with form 'history' computes on the CPU; unset {DEVICE}, or choose another"
+                " form."
+            )
         found = _art_history.perturb(
             view,
             agent_id,

@@ -70,7 +70,11 @@ def command(
             f"--to {name}: not a file of each run, but of all: `deepmf-sumo {_ELSEWHERE[name]}`"
             " writes it."
         )
-    values = _values((*sets, "without_av=true") if without_av else sets)
+    values = _values(sets)
+    if without_av:
+        if name != "openscenario":
+            raise UsageError("--without-av is for --to openscenario.")
+        values["without_av"] = "true"
     form = exports.Format.named(name, values)
     runs = exports.chosen(folders)
     found = list(exports.export(runs, form, out=out, only=only, overwrite=overwrite))

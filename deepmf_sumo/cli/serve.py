@@ -1,16 +1,21 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from deepmf_sumo.cli import attach
 from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
 from deepmf_sumo.errors import SimulationError, exit_code
+
+if TYPE_CHECKING:
+    from deepmf_sumo.live import Server
+    from deepmf_sumo.live.attacker import Attached, Prepared
+    from deepmf_sumo.live.lockstep import Stay
 
 _OTHERS: Final = {"number", "host", "order", "wait_s", "net", "patience_s"}
 """Options of `attach` on where SUMO is, and how long to wait for it."""
@@ -51,7 +56,6 @@ def command(
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import leaving, show_session
-    from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
@@ -62,7 +66,7 @@ def command(
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
     )
-    code = 0
+    code, done = 0, None
     with (
         closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
         leaving() as stopped,
@@ -74,31 +78,51 @@ def command(
         if not stopped():
             server.check()
         more = server.joined
-        while more:
-            try:
-                done = live.attach(
-                    Port(number=server.inner), prepared,
-                    Stay(patience_s=float("inf"), **stay).after(len(prepared.record.rows)),
-                    stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
-                    left=lambda: server.left,
-                )  # fmt: skip
-            except SimulationError:
-                server.check()  # what SUMO ended with says more
-                raise
-            if not server.loads:
+        try:
+            while more:
+                done = _attached(server, prepared, Stay(patience_s=float("inf"), **stay), stopped,
+                                 tell, watch, done)  # fmt: skip
+                left_open = done.end == "stopped"
+                server.stay(lambda: stopped() and not left_open)  # noqa: B023 - called here
+                more = not stopped() and server.load()
+                if more:
+                    click.echo("the client has loaded another simulation", err=True)
+        finally:
+            if done is not None:
                 show_session(done, given["avs"], out)
-            server.stay(lambda: stopped() and done.end != "stopped")  # noqa: B023 - called here
-            more = not stopped() and server.load()
-            if more:
-                click.echo("the client has loaded another simulation", err=True)
-            elif stopped():
-                code = exit_code("interrupted")
-            elif server.unused:
-                code = exit_code("failed")
+        if stopped():
+            code = exit_code("interrupted")
+        elif server.unused:
+            code = exit_code("failed")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
         server.check()
     ctx.exit(code if server.joined else exit_code("interrupted"))
+
+
+def _attached(
+    server: "Server",
+    prepared: "Prepared",
+    stay: "Stay",
+    stopped: Callable[[], bool],
+    tell: attach.Tell,
+    watch: attach.Watch,
+    before: "Attached | None",
+) -> "Attached":
+    """Attacks in one simulation, after those in the ones before."""
+    from deepmf_sumo import live
+    from deepmf_sumo.live.connection import Port
+
+    try:
+        done = live.attach(
+            Port(number=server.inner), prepared, stay.after(len(prepared.record.rows)),
+            stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
+            left=lambda: server.left,
+        )  # fmt: skip
+    except SimulationError:
+        server.check()  # what SUMO ended with says more
+        raise
+    return replace(done, undriven=done.undriven + (before.undriven if before else 0))
 
 
 def _port_and_options(port: int, after: Sequence[str], ctx: click.Context) -> tuple[int, list[str]]:

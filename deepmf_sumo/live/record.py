@@ -55,12 +55,21 @@ class Results:
     """The result folder ``out``, complete after each attack."""
 
     def __init__(self, out: Path, spec: Spec, setting: Setting) -> None:
-        self._store, self._spec, self.setting = Store(out), spec, setting
+        self._store, self._spec = Store(out), spec
         self._keys: dict[str, str] = {}
-        self._nets: dict[Path, Path] = {}
+        self._nets: dict[tuple[Path, int, int], Path] = {}
+        self._simulations = 0
+        self.move_to(setting)
         self._found: list[Result] = []
         self._store.runs.mkdir(exist_ok=True)
         self._write()
+
+    def move_to(self, setting: Setting) -> None:
+        """The attacks from now on take place there, in another simulation."""
+        self._setting = setting
+        self._simulations += 1
+        about = setting.net.stat()  # a file of the same name may be another one
+        self._net = setting.net, about.st_mtime_ns, about.st_size
 
     def add(self, attack: LiveAttack) -> None:
         """Measure an attack, and write its folder and the tables."""
@@ -68,10 +77,12 @@ class Results:
         folder = self._store.runs / run_id
         (folder / "sumo").mkdir(parents=True, exist_ok=True)
         write_tracks(folder / "tracks.csv.gz", attack.rollout)
-        signals.write_signals(folder / signals.FILE, attack.rollout, self.setting.road)
+        signals.write_signals(folder / signals.FILE, attack.rollout, self._setting.road)
         artifacts.write_plans(folder / "plans.npz", attack.rollout)
         self._keep_net(folder / "sumo")
         scene = f"{attack.rollout.av_id}-{attack.begin_s:g}s"
+        if self._simulations > 1:  # of another traffic, perhaps
+            scene = f"{self._simulations}-{scene}"
         task = Task(run_id=run_id, spec=self._spec, scene=scene)
         found = self._measured(task, attack)
         files.write_json(folder / "result.json", found)
@@ -87,7 +98,7 @@ class Results:
         """The row of the attack; one that cannot be measured has the reason instead."""
         begin = time.perf_counter()
         try:
-            found = _finished(task, attack, self.setting, begin)
+            found = _finished(task, attack, self._setting, begin)
         except Exception as error:  # noqa: BLE001 - it must not end the user's simulation
             traceback.print_exc()
             reason = f"not measured: {type(error).__name__}: {error}"
@@ -95,9 +106,9 @@ class Results:
         found["settings"]["planner"] = {}
         return {
             **found,
-            "network": self.setting.name,
-            "planner": self.setting.planner,
-            "planner_label": self.setting.planner,
+            "network": self._setting.name,
+            "planner": self._setting.planner,
+            "planner_label": self._setting.planner,
             "perception": None,
             "parameters": None,
             "expectations_broken": [],
@@ -105,14 +116,14 @@ class Results:
 
     def _keep_net(self, folder: Path) -> None:
         """Link the network into the folder of each run; only the first on it has a copy."""
-        net = self.setting.net
+        net = self._setting.net
         kept = folder / f"net.net.xml{'.gz' * (net.suffix == '.gz')}"
-        if net in self._nets:
+        if self._net in self._nets:
             with suppress(OSError):  # a file system without hard links
-                os.link(self._nets[net], kept)
+                os.link(self._nets[self._net], kept)
                 return
         shutil.copyfile(net, kept)
-        self._nets[net] = kept
+        self._nets[self._net] = kept
 
 
 def _finished(task: Task, attack: LiveAttack, setting: Setting, begin: float) -> Result:
@@ -193,7 +204,7 @@ class Record:
         """
         self.simulations += 1
         if self._results is not None:
-            self._results.setting = setting
+            self._results.move_to(setting)
         elif self._out is not None:
             self._held.enter_context(
                 folder.opened(self._out, resume=False, overwrite=self._overwrite, ways=self._ways)

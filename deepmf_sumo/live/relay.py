@@ -286,14 +286,15 @@ def _strings(command: bytes) -> list[str]:
     at = 2 if command[0] else 6
     try:
         (kind, count), at = struct.unpack_from("!Bi", command, at), at + 5
-        found = []
-        for _ in range(count):
+        found: list[str] = []
+        while len(found) < count:
             (size,) = _INT.unpack_from(command, at)
-            found.append(command[at + 4 : at + 4 + size].decode())
-            at += 4 + size
+            end = at + 4 + max(size, 0)
+            found.append(command[at + 4 : end].decode())
+            at = end
     except (struct.error, UnicodeDecodeError):
         kind = None
-    if kind != _STRINGS or at != len(command):
+    if kind != _STRINGS or at != len(command) or any("\0" in one for one in found):
         raise ProtocolError("load is not followed by a list of strings")
     return found
 

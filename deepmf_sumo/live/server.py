@@ -95,8 +95,11 @@ class Server:
         if not self.loads:
             return False
         assert self._wanted is not None
-        self._ended_sumo(_OUTPUT_S)
-        self._start(self._wanted)
+        killed = not self._ended_sumo(_OUTPUT_S)
+        if killed or self._sumo.returncode:
+            how = "was killed after 60 s" if killed else f"ended with {self._sumo.returncode}"
+            self._complaints.append(f"SUMO {how} at the client's load; its output may be cut off")
+        self._start(_without_ports(self._wanted, gui=self._gui))
         self._wanted = None
         self._hears.send((self.inner, self._sumo.pid))
         return True
@@ -160,13 +163,15 @@ class Server:
         self._sumo.terminate()
         self._ended_sumo(_END_S)
 
-    def _ended_sumo(self, patience_s: float) -> None:
-        """Wait for the end of SUMO, and kill it where that takes longer."""
+    def _ended_sumo(self, patience_s: float) -> bool:
+        """Wait for the end of SUMO; False: it took longer, and was killed."""
         try:
             self._sumo.wait(patience_s)
         except subprocess.TimeoutExpired:  # it does not listen while it waits for clients
             self._sumo.kill()
             self._sumo.wait()
+            return False
+        return True
 
     def _heard(self, kind: str) -> bool:
         """Whether the relay has ever said that."""
@@ -181,6 +186,20 @@ class Server:
         except (EOFError, OSError):  # it has ended: no client is connected any more
             self._said.add("left")
         return kind in self._said
+
+
+def _without_ports(arguments: Sequence[str], *, gui: bool) -> list[str]:
+    """What a client loads, without what is given to SUMO here; SUMO's own load ignores it."""
+    kept: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        name, equals, _ = word.partition("=")
+        if name in {"--remote-port", "--num-clients"}:
+            if not equals:
+                next(words, None)
+        elif not (gui and name in {"-S", "--start", "-Q", "--quit-on-end"}):
+            kept.append(word)
+    return kept
 
 
 def _listening(port: int) -> socket.socket:

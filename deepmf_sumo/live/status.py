@@ -74,6 +74,7 @@ class StatusServer:
     def __init__(self, port: int, avs: Sequence[AgentId]) -> None:
         self.hits: Counter[AgentId] = Counter()
         self._avs = avs
+        self._before: Counter[AgentId] = Counter()
         self._sessions: Sequence[Session] = ()
         status = self
 
@@ -89,7 +90,11 @@ class StatusServer:
         threading.Thread(target=self._server.serve_forever, name="status", daemon=True).start()
 
     def watch(self, sessions: Sequence[Session]) -> None:
-        """Tell of these sessions, and switch their attacks."""
+        """Tell of these sessions, and switch their attacks; counts and the switch go on."""
+        for old in self._sessions:
+            self._before[old.av_id] += old.attacks
+        for new in sessions:
+            new.paused = any(old.paused for old in self._sessions)
         self._sessions = sessions
 
     def status(self) -> dict[str, Any]:
@@ -105,7 +110,7 @@ class StatusServer:
                 {
                     "av": one.av_id,
                     "attacking": one.attacking,
-                    "attacks": one.attacks,
+                    "attacks": self._before[one.av_id] + one.attacks,
                     "contacts": self.hits[one.av_id],
                     "last_failure": one.last_failure,
                 }

@@ -166,6 +166,16 @@ def runtime_name() -> str:
     return name
 
 
+def runtime_and_device() -> str:
+    """What computes networks here, for the manifest: ``torch``, ``onnx``, or ``torch on cuda``."""
+    name = runtime_name()
+    if name != "torch" or os.environ.get(DEVICE, "cpu") == "cpu":
+        return name
+    from deepmf_sumo.predictors.torch_networks import device
+
+    return name if device() == "cpu" else f"{name} on {device()}"
+
+
 def need(package: str, what: str) -> None:
     """Raise WeightsError where a package is not installed, which ``what`` needs."""
     if find_spec(package) is None:
@@ -337,13 +347,15 @@ def cached_predictors(name: str | Path, computed_by: str | None = None) -> Predi
         for file in sorted(folder.glob(f"{network}*.{suffix}"))
     ]
     changed = tuple((file.name, file.stat().st_mtime_ns) for file in files)
-    return _loaded(folder, computed_by or runtime_name(), changed)
+    place = os.environ.get(DEVICE, "cpu")
+    return _loaded(folder, computed_by or runtime_name(), place, changed)
 
 
 @lru_cache(maxsize=4)
 def _loaded(
     folder: Path,
     computed_by: str,
+    place: str,  # noqa: ARG001 - part of the key
     changed: tuple[tuple[str, int], ...],  # noqa: ARG001 - part of the key
 ) -> Predictors:
     return load(folder, computed_by)

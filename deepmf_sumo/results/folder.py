@@ -23,7 +23,7 @@ import deepmf_sumo
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.metrics.statistics import wilson
-from deepmf_sumo.predictors.weights import runtime_name
+from deepmf_sumo.predictors.weights import runtime_and_device
 from deepmf_sumo.results import junit, result, stored
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.tasks import Task
@@ -165,7 +165,7 @@ class Store:
             "tool": "deepmf-sumo",
             "version": deepmf_sumo.__version__,
             "packages": {name: _installed(name) for name in _PACKAGES},
-            "networks": runtime_name(),
+            "networks": runtime_and_device(),
             "runs": keys,
             "machine": {
                 "command": sys.argv,

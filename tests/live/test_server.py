@@ -1,5 +1,6 @@
 """``deepmf-sumo serve``: clients that know nothing of it, and clients that misbehave."""
 
+import csv
 import functools
 import json
 import re
@@ -14,6 +15,7 @@ import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import sumo
@@ -21,6 +23,7 @@ import sumo
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import exit_code
 from deepmf_sumo.live.relay import LARGEST
+from deepmf_sumo.live.status import StatusServer
 
 pytestmark = pytest.mark.sumo
 
@@ -265,7 +268,8 @@ api.close()
 
 
 def loading(port, tiny, file):
-    options = json.dumps(["-c", str(tiny / "tiny.sumocfg"), *OPTIONS])
+    options = [*OPTIONS, "--remote-port", "8813", "--num-clients=1"]  # which SUMO's load ignores
+    options = json.dumps(["-c", str(tiny / "tiny.sumocfg"), *options])
     done = subprocess.run(
         [sys.executable, "-c", LOADING, str(port), options, str(file)],
         capture_output=True, text=True, check=False, timeout=60,
@@ -290,20 +294,41 @@ def test_attacks_go_on_in_the_simulation_that_is_loaded(tiny, served, tmp_path):
     wish = ["--duration", "3", "--pause", "0", "--attacks", "2", "--set", "adversary=G"]
     process, port = served("av", *wish)
     loading(port, tiny, tmp_path / "seen.json")
-    _, told = process.communicate(timeout=60)
+    out, told = process.communicate(timeout=60)
     assert process.returncode == 0, told
     rows = [json.loads(one) for one in (tmp_path / "live/attacks.jsonl").read_text().splitlines()]
     assert [row["number"] for row in rows] == list(range(1, len(rows) + 1))
     assert 0 < len(rows) <= 2
     assert {row["simulation"] for row in rows} <= {2, 3, 4}  # the first one is over too soon
     assert {row["opponent"] for row in rows} == {"leader"}
+    assert out.count("the script left") == 1
+    lines = csv.DictReader((tmp_path / "live/runs.csv").read_text().splitlines())
+    scenes = [line["scene"] for line in lines]
+    assert scenes == [f"{row['simulation']}-av-{row['begin_s']:g}s" for row in rows]
     session = json.loads((tmp_path / "live/session.json").read_text())
     assert (session["simulations"], session["attacks"]) == (4, len(rows))
     assert (tmp_path / "live/runs/attack-001/sumo/net.net.xml").is_file()
 
 
+def test_what_the_page_has_switched_stays_so_in_the_simulation_that_is_loaded():
+    sessions = [[SimpleNamespace(av_id="av", attacks=number, paused=False)] for number in (2, 1)]
+    with StatusServer(0, ["av"]) as status:
+        status.watch(sessions[0])
+        status.switch(on=False)
+        status.watch(sessions[1])
+        assert sessions[1][0].paused
+        assert status._before["av"] == 2
+
+
 @pytest.mark.parametrize(
-    "content", [b"", struct.pack("!i", 0), b"\x0e" + struct.pack("!ii", 1, 99) + b"-c"]
+    "content",
+    [
+        b"",
+        struct.pack("!i", 0),
+        b"\x0e" + struct.pack("!ii", 1, 99) + b"-c",
+        b"\x0e" + struct.pack("!ii", 2**31 - 1, -4),
+        b"\x0e" + struct.pack("!ii", 1, 3) + b"a\0b",
+    ],
 )
 def test_what_is_no_list_to_load_is_refused(talked, content):
     def talk(connect):
