@@ -107,7 +107,7 @@ class Server:
     @property
     def left(self) -> bool:
         """Whether it has left this simulation, as of what SUMO has been told by now."""
-        return self._heard("left") or self.loads
+        return self._heard("left") or self._wanted is not None
 
     @property
     def unused(self) -> bool:
