@@ -1,6 +1,6 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
@@ -66,7 +66,7 @@ def command(
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
     )
-    code, done = 0, None
+    done = None
     with (
         closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
         leaving() as stopped,
@@ -77,52 +77,52 @@ def command(
         server.await_client(stopped)
         if not stopped():
             server.check()
-        more = server.joined
+        whole = Stay(patience_s=float("inf"), **stay)
         try:
-            while more:
-                done = _attached(server, prepared, Stay(patience_s=float("inf"), **stay), stopped,
-                                 tell, watch, done)  # fmt: skip
-                left_open = done.end == "stopped"
-                server.stay(lambda: stopped() and not left_open)  # noqa: B023 - called here
-                more = not stopped() and server.load()
-                if more:
-                    click.echo("the client has loaded another simulation", err=True)
+            for done in _simulations(  # noqa: B007 - the last is shown
+                server, prepared, whole, stopped, tell, watch
+            ):
+                pass
         finally:
             if done is not None:
                 show_session(done, given["avs"], out)
-        if stopped():
-            code = exit_code("interrupted")
-        elif server.unused:
-            code = exit_code("failed")
+        code = exit_code("interrupted" if stopped() else "failed" if server.unused else "fine")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
         server.check()
     ctx.exit(code if server.joined else exit_code("interrupted"))
 
 
-def _attached(
+def _simulations(
     server: "Server",
     prepared: "Prepared",
     stay: "Stay",
     stopped: Callable[[], bool],
     tell: attach.Tell,
     watch: attach.Watch,
-    before: "Attached | None",
-) -> "Attached":
-    """Attacks in one simulation, after those in the ones before."""
+) -> "Iterator[Attached]":
+    """What happened so far, after each simulation that the client has loaded."""
     from deepmf_sumo import live
     from deepmf_sumo.live.connection import Port
 
-    try:
-        done = live.attach(
-            Port(number=server.inner), prepared, stay.after(len(prepared.record.rows)),
-            stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
-            left=lambda: server.left,
-        )  # fmt: skip
-    except SimulationError:
-        server.check()  # what SUMO ended with says more
-        raise
-    return replace(done, undriven=done.undriven + (before.undriven if before else 0))
+    more, undriven = server.joined, 0
+    while more:
+        try:
+            done = live.attach(
+                Port(number=server.inner), prepared, stay.after(len(prepared.record.rows)),
+                stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
+                left=lambda: server.left,
+            )  # fmt: skip
+        except SimulationError:
+            server.check()  # what SUMO ended with says more
+            raise
+        undriven += done.undriven
+        yield replace(done, undriven=undriven)
+        end = done.end
+        server.stay(lambda: stopped() and end != "stopped")  # noqa: B023 - called here
+        more = not stopped() and server.load()
+        if more:
+            click.echo("the client has loaded another simulation", err=True)
 
 
 def _port_and_options(port: int, after: Sequence[str], ctx: click.Context) -> tuple[int, list[str]]:

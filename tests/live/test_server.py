@@ -310,6 +310,15 @@ def test_attacks_go_on_in_the_simulation_that_is_loaded(tiny, served, tmp_path):
     assert (tmp_path / "live/runs/attack-001/sumo/net.net.xml").is_file()
 
 
+def load_in_vain(content, connect):
+    """A step, and then a load that ends the connection."""
+    with connect() as connection:
+        connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+        connection.recv(4096)
+        connection.sendall(message(command(0x01, content)))
+        assert connection.recv(4096) == b""
+
+
 def test_what_the_page_has_switched_stays_so_in_the_simulation_that_is_loaded():
     sessions = [[SimpleNamespace(av_id="av", attacks=number, paused=False)] for number in (2, 1)]
     with StatusServer(0, ["av"]) as status:
@@ -331,14 +340,7 @@ def test_what_the_page_has_switched_stays_so_in_the_simulation_that_is_loaded():
     ],
 )
 def test_what_is_no_list_to_load_is_refused(talked, content):
-    def talk(connect):
-        with connect() as connection:
-            connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
-            connection.recv(4096)
-            connection.sendall(message(command(0x01, content)))
-            assert connection.recv(4096) == b""
-
-    code, _, told = talked(talk)
+    code, _, told = talked(functools.partial(load_in_vain, content))
     assert code == 0
     assert "load is not followed by a list of strings" in told
 
@@ -347,15 +349,7 @@ def test_a_simulation_that_cannot_be_loaded_ends_the_service(talked):
     words = [b"-c", b"nowhere.sumocfg"]
     listed = b"".join(struct.pack("!i", len(one)) + one for one in words)
     content = b"\x0e" + struct.pack("!i", len(words)) + listed
-
-    def talk(connect):
-        with connect() as connection:
-            connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
-            connection.recv(4096)
-            connection.sendall(message(command(0x01, content)))
-            assert connection.recv(4096) == b""
-
-    code, _, told = talked(talk)
+    code, _, told = talked(functools.partial(load_in_vain, content))
     assert code == exit_code("failed")
     assert "SUMO ended with exit code 1" in told
 
