@@ -1,24 +1,26 @@
 """``deepmf-sumo export``: result folders -> files of other programs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
+from deepmf_sumo.cli import risk
 from deepmf_sumo.cli._exports import show_exports
 from deepmf_sumo.errors import UsageError, exit_code
 
 if TYPE_CHECKING:
+    from deepmf_sumo.report.risk.gis import Form
     from deepmf_sumo.results.exports import Only
 
 
-_ELSEWHERE = {
-    "geojson": "risk OUT --gis geojson",
-    "geopackage": "risk OUT --gis gpkg",
-    "gpkg": "risk OUT --gis gpkg",
-    "csv": "risk OUT",
+_MAPS: "Final[dict[str, tuple[Form, ...]]]" = {
+    "geojson": ("geojson",),
+    "geopackage": ("gpkg",),
+    "gpkg": ("gpkg",),
+    "csv": (),
 }
-"""Formats of what is not a run, and the commands that write them."""
+"""Formats of places and attacks of all runs, which `risk` writes, by its ``--gis``."""
 
 
 @click.command("export", short_help="Write runs in the format of another program.")
@@ -59,17 +61,18 @@ def command(
 
     OUT is a result folder, or the folder of one run (RESULTS/runs/RUN_ID). A run's file is named
     like its format and lies beside the run's tracks, or in DIR/runs/RUN_ID with --out DIR. Runs
-    without a result or without tracks are left out, and it says which.
+    without a result or without tracks are left out, and it says which. geopackage, geojson and csv
+    are one map of all runs: what risk writes, into OUT/risk.
 
     Exit code 3: a run could not be written; the others are.
     """
     from deepmf_sumo.results import exports
 
-    if name in _ELSEWHERE:
-        raise UsageError(
-            f"--to {name}: not a file of each run, but of all: `deepmf-sumo {_ELSEWHERE[name]}`"
-            " writes it."
-        )
+    if name in _MAPS:
+        if only or sets or without_av:
+            raise UsageError(f"--to {name} is one map of all runs; it takes --out alone.")
+        ctx.invoke(risk.command, folders=folders, out=out, top=0, forms=_MAPS[name], show=False)
+        return
     values = _values(sets)
     if without_av:
         if name != "openscenario":

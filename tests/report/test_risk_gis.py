@@ -172,6 +172,14 @@ def test_the_same_map_has_the_same_bytes_and_without_the_option_none_is_left(tmp
     assert not (written.folder / "risk.gpkg").exists()
 
 
+@pytest.mark.parametrize(("to", "file"), [("geopackage", "risk.gpkg"), ("csv", "conflicts.csv")])
+def test_export_writes_the_map_of_risk(to, file, tmp_path):
+    out, _ = attacks_on(tmp_path, "!")
+    assert main._run(["risk", str(out), "--gis", "gpkg", "--out", str(tmp_path / "risk")]) == 0
+    assert main._run(["export", str(out), "--to", to, "--out", str(tmp_path / "exported")]) == 0
+    assert (tmp_path / "exported" / file).read_bytes() == (tmp_path / "risk" / file).read_bytes()
+
+
 @pytest.mark.parametrize("projection", ["!", "-"])
 def test_geojson_without_longitude_and_latitude_is_refused_before_anything_is_written(
     projection, tmp_path, capsys
