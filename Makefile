@@ -105,6 +105,7 @@ open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set 
 	$(TRAIN) conditional --steps 1500 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
 	    --licence "own SUMO traffic; Apache-2.0"
 	$(TRAIN) strive --steps 800 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) diffscene --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
 
 WOMD_SET = $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
 WOMD_DATA = --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45
@@ -127,8 +128,9 @@ womd-dense-weights: womd-weights  ## besides, the set `womd-dense`: DenseTNT's g
 	$(TRAIN) marginal --preset dense --data $(WOMD)/train --out $(DENSE) $(WOMD_SET)
 	$(TRAIN) conditional --preset dense $(WOMD_DATA) --out $(DENSE) $(WOMD_SET)
 
-womd-strive: $(READY)  ## the baseline STRIVE's motion prior for the set `womd`
+womd-baselines: $(READY)  ## the motion priors of the baselines STRIVE and DiffScene for the set `womd`
 	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(TRAIN) diffscene --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
 docs: $(READY)  ## build the documentation into build/site; broken links and anchors are errors
 	$(PY) -m pip install --quiet --group docs
@@ -142,4 +144,4 @@ gallery: $(READY)  ## make the pictures of README and docs/gallery.md again
 	$(PY) -m tests.docs.gallery
 	$(PY) -m tests.docs.front_page
 
-.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-strive docs test-docs gallery
+.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-baselines docs test-docs gallery

@@ -5,8 +5,8 @@ The parameters are those of AdvSim (Wang et al., CVPR 2021): changes of accelera
 over time, added to those of the reference. The reference's curvature is a function of the distance
 along its path, not of time: a vehicle that brakes before a bend takes the bend later.
 
-The models of `deepmf.tracking` (a controller) and `predictors.strive` (differentiable) integrate
-other states; the three give different trajectories for equal controls.
+The models of `deepmf.tracking` (a controller) and `predictors.motion_priors.bicycle`
+(differentiable) integrate other states; the three give different trajectories for equal controls.
 """
 
 from dataclasses import dataclass

@@ -5,7 +5,6 @@ Costs are in metres: a weight converts its term into distance to the AV.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,175 +12,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepmf_sumo.adversaries._episodes import Motion, Scouted, motion_of
-from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, AgentId, Floats, Plan, View
+from deepmf_sumo.adversaries._scene_graph import Obstacles, Path, Situation, frame
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, AgentId, Plan
 from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.predictors.lanes import road_index
-from deepmf_sumo.predictors.strive import costs
-from deepmf_sumo.predictors.strive.graph import graph_of, members
-from deepmf_sumo.predictors.strive.motion_prior import Context, Gaussian, MotionPrior, Motions
-
-_DISCS = 5
-_ROAD_M = 250.0
-"""No vehicle reaches lanes farther from the AV than this."""
-_LANE_M = 1.6
-"""Distance from a lane's centre line at which a vehicle starts to leave the lane."""
-
-
-class Path(NamedTuple):
-    """Motion of one agent in the next 8 s: (80, 2), (80), and (80) whether it is present."""
-
-    position: Tensor
-    heading: Tensor
-    there: Tensor
-
-
-class Obstacles(NamedTuple):
-    """Discs of other agents: centres (O, 80, 5, 2), radii (O), present (O, 80)."""
-
-    discs: Tensor
-    radius: Tensor
-    there: Tensor
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Situation:
-    """The graph, its encoding by the network, and the unattacked motion of all agents.
-
-    Attributes:
-        ids: (N) vehicles of the graph, the AV first.
-        graph, context: of the network, B = 1.
-        paths: (N) their unattacked motion.
-        others: unattacked motion of all agents by id, including those outside the graph.
-        sizes: (2) length and width of all agents, by id.
-        road: (Q, 2) points on lanes, every metre.
-        allowed: (N, 1) metres from the centre line without a cost: more than half a lane for
-            vehicles that start farther away.
-    """
-
-    view: View
-    ids: tuple[AgentId, ...]
-    graph: dict[str, Tensor]
-    context: Context
-    paths: tuple[Path, ...]
-    others: dict[AgentId, Path]
-    sizes: dict[AgentId, Tensor]
-    road: Tensor
-    allowed: Tensor
-
-    def row(self, agent_id: AgentId) -> int:
-        """Of a vehicle in the graph."""
-        return self.ids.index(agent_id)
-
-    def to_path(self, motion: Motion) -> Path:
-        """A motion of the scene's frame as the tensors of its first 8 s."""
-        return _path(self.view, motion)
-
-    def discs(self, agent_id: AgentId, path: Path) -> Tensor:
-        """(80, 5, 2) of an agent on a path."""
-        return costs.disc_centres(path.position, path.heading, self.sizes[agent_id], _DISCS)
-
-    def radius(self, agent_id: AgentId) -> Tensor:
-        """() of an agent's discs."""
-        return costs.disc_radius(self.sizes[agent_id])
-
-    def obstacles(self, but: Sequence[AgentId], also: dict[AgentId, Path]) -> Obstacles | None:
-        """All agents except ``but``, on their own paths or those given; None if there are none."""
-        paths = {name: path for name, path in (self.others | also).items() if name not in but}
-        if not paths:
-            return None
-        return Obstacles(
-            torch.stack([self.discs(name, path) for name, path in paths.items()]),
-            torch.stack([self.radius(name) for name in paths]),
-            torch.stack([path.there for path in paths.values()]),
-        )
-
-    def plan(self, motions: Motions, agent_id: AgentId, steps: int) -> Plan:
-        """A decoded motion as a plan in the scene's frame; constant motion beyond its 8 s."""
-        row, view = self.row(agent_id), self.view
-        origin, turn = _frame(view)
-        local = motions.position[0, row].double().numpy()
-        heading = motions.heading[0, row].double().numpy()
-        speed = motions.speed[0, row].double().numpy()
-        beyond = np.arange(1, max(steps - FUTURE_STEPS, 0) + 1)[:, None] * DT_S * speed[-1]
-        local = np.concatenate([local, local[-1] + beyond * frames.unit(heading[-1])])[:steps]
-        last = (0, len(local) - min(steps, FUTURE_STEPS))
-        return Plan(
-            agent_id=agent_id,
-            first_step=view.step + 1,
-            position_m=frames.to_scene(local, origin, turn),
-            heading_rad=frames.wrap(np.pad(heading[:steps], last, mode="edge") + turn),
-            speed_mps=np.pad(speed[:steps], last, mode="edge"),
-        )
-
-
-def situation_of(scouted: Scouted, net: MotionPrior, wanted: Sequence[AgentId]) -> Situation:
-    """The situation around the AV, with the wanted vehicles in the graph."""
-    view, tracks = scouted.view, scouted.view.history
-    ids = members(view, wanted)
-    graph = {
-        name: torch.from_numpy(values[None, : len(ids)])
-        for name, values in graph_of(view, ids).items()
-    }
-    with torch.no_grad():
-        context = net.encode(graph)
-    others = {
-        name: _path(view, motion_of(scouted.rollout, name, FUTURE_STEPS))
-        for name in tracks.ids
-        if name in scouted.rollout.tracks.ids
-    }
-    road = _road(view)
-    away = costs.off_road(graph["pose"][0, :, None, :2], road, 0.0) if len(road) else None
-    allowed = torch.zeros(len(ids), 1) if away is None else away.clamp_min(_LANE_M)
-    return Situation(
-        view=view,
-        ids=ids,
-        graph=graph,
-        context=context,
-        paths=tuple(others[name] for name in ids),
-        others=others,
-        sizes={
-            name: torch.from_numpy(np.array(tracks.size_m[row, :2])).float()
-            for row, name in enumerate(tracks.ids)
-        },
-        road=road,
-        allowed=allowed,
-    )
-
-
-def _frame(view: View) -> tuple[Floats, float]:
-    """Present pose of the AV: the frame of the graph."""
-    av = view.history.row(view.av_id)
-    return view.history.position_m[av, -1], float(view.history.heading_rad[av, -1])
-
-
-def _path(view: View, motion: Motion) -> Path:
-    origin, turn = _frame(view)
-    there = np.asarray(motion.valid[:FUTURE_STEPS])
-    missing = FUTURE_STEPS - len(there)
-    local = frames.to_local(motion.position_m[:FUTURE_STEPS], origin, turn)
-    return Path(
-        _tensor(np.pad(local, [(0, missing), (0, 0)])),
-        _tensor(np.pad(motion.heading_rad[:FUTURE_STEPS] - turn, (0, missing))),
-        torch.from_numpy(np.pad(there, (0, missing))),
-    )
-
-
-def _road(view: View) -> Tensor:
-    """(Q, 2) points on lanes for cars around the AV."""
-    index = road_index(view.road)
-    origin, turn = _frame(view)
-    lanes = [
-        line for line, drivable in zip(index.map.line_m, index.drivable, strict=True) if drivable
-    ]
-    points = np.concatenate(lanes) if lanes else np.zeros((0, 2))
-    near = np.hypot(*(points - origin).T) < _ROAD_M
-    return _tensor(frames.to_local(points[near], origin, turn))
-
-
-def _tensor(values: Floats) -> Tensor:
-    return torch.from_numpy(np.asarray(values, np.float32))
-
+from deepmf_sumo.predictors.motion_priors import costs
+from deepmf_sumo.predictors.motion_priors.strive import Context, Gaussian, MotionPrior, Motions
 
 _EVERY: Final = 5
 """Costs other than the distance to the AV use every fifth step."""
@@ -246,9 +81,11 @@ class Search:
         deadline: float,
     ) -> None:
         self._net, self._situation, self._weights = net, situation, weights
+        with torch.no_grad():
+            self._context = net.encode(situation.graph)
         self._deadline = deadline
         self._rows = [situation.row(agent_id) for agent_id in attackers]
-        self._latent = _posterior(net, situation)
+        self._latent = _posterior(net, situation, self._context)
         self._init = self._latent
         self._moments: torch.optim.Adam | None = None
         self._attack = torch.empty(0)
@@ -345,7 +182,7 @@ class Search:
 
     def _decode(self, latent: Tensor) -> Motions:
         graph = self._situation.graph
-        return self._net.decode(graph, self._situation.context, latent).placed(graph)
+        return self._net.decode(graph, self._context, latent).placed(graph)
 
     def _gaps(self, motions: Motions, rollout: Path) -> Tensor:
         """(attackers, 80) gaps between discs of the AV and of each attacker; huge without the AV.
@@ -400,7 +237,7 @@ class Search:
 
     def _surprise(self, rows: Sequence[int], latent: Tensor) -> Tensor:
         """(1, rows) half squares of standard deviations from the prior's mean."""
-        prior: Gaussian = self._situation.context.prior
+        prior: Gaussian = self._context.prior
         scale = (-prior.log_sigma[:, list(rows)]).exp()
         return 0.5 * ((latent - prior.mean[:, list(rows)]) * scale).square().sum(-1)
 
@@ -427,12 +264,29 @@ class Search:
         return False
 
 
+def plan_of(situation: Situation, motions: Motions, agent_id: AgentId, steps: int) -> Plan:
+    """A decoded motion as a plan in the scene's frame; constant motion beyond its 8 s."""
+    row, view = situation.row(agent_id), situation.view
+    origin, turn = frame(view)
+    local, heading, speed = (part[0, row].double().numpy() for part in motions)
+    beyond = np.arange(1, max(steps - FUTURE_STEPS, 0) + 1)[:, None] * DT_S * speed[-1]
+    local = np.concatenate([local, local[-1] + beyond * frames.unit(heading[-1])])[:steps]
+    last = (0, len(local) - min(steps, FUTURE_STEPS))
+    return Plan(
+        agent_id=agent_id,
+        first_step=view.step + 1,
+        position_m=frames.to_scene(local, origin, turn),
+        heading_rad=frames.wrap(np.pad(heading[:steps], last, mode="edge") + turn),
+        speed_mps=np.pad(speed[:steps], last, mode="edge"),
+    )
+
+
 def _distance(first: Tensor, second: Tensor) -> Tensor:
     """(...) distances of points (..., 2), differentiable everywhere."""
     return ((first - second).square().sum(-1) + 1e-6).sqrt()
 
 
-def _posterior(net: MotionPrior, situation: Situation) -> Tensor:
+def _posterior(net: MotionPrior, situation: Situation, context: Context) -> Tensor:
     """(1, N, 16) start of the first stage: the posterior's means."""
     pose = situation.graph["pose"][0]
     rows = []
@@ -448,7 +302,7 @@ def _posterior(net: MotionPrior, situation: Situation) -> Tensor:
         rows.append(torch.stack(local, -1) * path.there.float().unsqueeze(-1))
     future = torch.stack(rows)[None, :, _EVERY - 1 :: _EVERY]
     with torch.no_grad():
-        return net.posterior(situation.graph, situation.context, future).mean
+        return net.posterior(situation.graph, context, future).mean
 
 
 def _detached(motions: Motions) -> Motions:

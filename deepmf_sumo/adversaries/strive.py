@@ -4,12 +4,12 @@ Source: Rempe et al., Generating Useful Accident-Prone Driving Scenarios via a L
 Prior, CVPR 2022. A conditional VAE over the graph of vehicles decodes latents into motions; Adam
 moves the latents in three stages: match the unattacked motion, attack the AV, and save it.
 
-Adapted: the prior is ours (`predictors.strive`), trained on the data of the other networks. The
-opponent is chosen as by the other methods; ``opponent: any`` is STRIVE's choice, the vehicle that
-comes closest. The attack minimises the distance to the AV's last rollout, and the AV is simulated
-against the attack every ``iterations / rounds`` iterations. The stage ends as soon as a rollout
-hits: the latents stay as likely as the hit allows. Only the opponent drives its motion; the others
-keep their unattacked motion, and are obstacles for it.
+Adapted: the prior is ours (`predictors.motion_priors.strive`), trained on the data of the other
+networks. The opponent is chosen as by the other methods; ``opponent: any`` is STRIVE's choice, the
+vehicle that comes closest. The attack minimises the distance to the AV's last rollout, and the AV
+is simulated against the attack every ``iterations / rounds`` iterations. The stage ends as soon as
+a rollout hits: the latents stay as likely as the hit allows. Only the opponent drives its motion;
+the others keep their unattacked motion, and are obstacles for it.
 
 Budget: ``match_iterations`` + ``iterations`` + ``solution_iterations`` steps of Adam, at most
 ``seconds`` if that is set; and ``rounds`` + 1 simulations. The last trial says whether the AV could
@@ -38,8 +38,9 @@ from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import AgentId, Attack, Budget, Case, Trial, View
 
 if TYPE_CHECKING:
-    from deepmf_sumo.adversaries._strive import Search, Situation
-    from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
+    from deepmf_sumo.adversaries._scene_graph import Situation
+    from deepmf_sumo.adversaries._strive import Search
+    from deepmf_sumo.predictors.motion_priors.strive import MotionPrior
 
 ANY = "any"
 
@@ -89,9 +90,9 @@ class STRIVE:
         from deepmf_sumo.predictors.weights import need
 
         need("torch", "The adversary strive, which follows gradients,")
-        from deepmf_sumo.predictors.torch_networks import cached_motion_prior  # imports torch
+        from deepmf_sumo.predictors.torch_networks import motion_prior  # imports torch
 
-        cached_motion_prior(self._weights)
+        motion_prior(self._weights)
 
     def load(self) -> None:
         """Load torch and the networks. Raises WeightsError if the set has no prior."""
@@ -108,9 +109,9 @@ class STRIVE:
         """The attack; trials are the rounds. Raises WeightsError if the set has no prior."""
         chosen = self._settings
         self.load()  # not timed
-        from deepmf_sumo.predictors.torch_networks import cached_motion_prior
+        from deepmf_sumo.predictors.torch_networks import motion_prior
 
-        net = cached_motion_prior(self._weights)
+        net = motion_prior(self._weights)
         choose = nearest_vehicle if self._opponent is None else self._opponent.of(case)
         limit = limited(budget, chosen.rounds + 1, chosen.seconds)
         stages = _Stages(chosen, net, case, limit)
@@ -146,10 +147,14 @@ class _Stages:
         rollout = self._situation.to_path(rollouts[-1])
         if len(rollouts) > 1:
             self._search.match_av(rollout, self._settings.match_iterations // 2)
+        from deepmf_sumo.adversaries import _strive as strive
+
         a_round = -(-self._settings.iterations // self._settings.rounds)
         found = self._search.attack(rollout, a_round)
         return Aimed(
-            plan=self._situation.plan(found.motions, found.closest, self._case.duration_steps),
+            plan=strive.plan_of(
+                self._situation, found.motions, found.closest, self._case.duration_steps
+            ),
             parameters={
                 "iterations": float(found.iterations),
                 "match_error_m": self._matched_m,
@@ -182,11 +187,12 @@ class _Stages:
         return [Trial(values={"solvable": float(saved)}, objective=best)]
 
     def _begin(self, scouted: Scouted) -> None:
+        from deepmf_sumo.adversaries import _scene_graph as scene_graph
         from deepmf_sumo.adversaries import _strive as strive
 
         chosen, view = self._settings, scouted.view
         attackers = [scouted.opponent_id]
-        self._situation = strive.situation_of(scouted, self._net, attackers)
+        self._situation = scene_graph.situation_of(scouted, attackers)
         if chosen.opponent == ANY:
             attackers = [name for name in self._situation.ids if _can_attack(view, name)]
         weights = strive.Costs(chosen.others, chosen.road, chosen.prior, chosen.init)

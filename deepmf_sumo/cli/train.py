@@ -16,7 +16,10 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
 
 @click.command(name="train", short_help="Train the predictors on recordings.")
 @click.argument(
-    "network", type=click.Choice(["opponent", "marginal", "conditional", "strive", "all", "onnx"])
+    "network",
+    type=click.Choice(
+        ["opponent", "marginal", "conditional", "strive", "diffscene", "all", "onnx"]
+    ),
 )
 @click.option(
     "--data",
@@ -95,10 +98,10 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
 def command(network: str, name: str, **settings: Any) -> None:
     """Train NETWORK, or all three of DeepMF, on recordings of any known format.
 
-    strive is the motion prior of the baseline of that name; nothing else needs it. The scenes at
-    one place in ten are held out for early stopping and temperatures. Sources count by their
-    samples, or by the weights given to them. The same command resumes an interrupted training, and
-    keeps a network that is complete.
+    strive and diffscene are the motion priors of the baselines of these names; nothing else needs
+    them. The scenes at one place in ten are held out for early stopping and temperatures. Sources
+    count by their samples, or by the weights given to them. The same command resumes an interrupted
+    training, and keeps a network that is complete.
 
     onnx trains nothing: it writes the graphs of the set --name, or of the folder --out, which
     installations without torch read.

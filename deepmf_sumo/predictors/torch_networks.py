@@ -18,9 +18,10 @@ from deepmf_sumo.predictors.conditional import Conditional
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.marginal import Marginal
+from deepmf_sumo.predictors.motion_priors.diffscene import DiffusionPrior
+from deepmf_sumo.predictors.motion_priors.strive import MotionPrior
 from deepmf_sumo.predictors.opponent import Opponent
 from deepmf_sumo.predictors.opponent_net import OpponentNet
-from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.predictors.weights import Network, Predictors, broken
 
 
@@ -63,6 +64,8 @@ def build(network: Network, preset: Preset) -> nn.Module:
         return OpponentNet(preset)
     if network == "strive":
         return MotionPrior(preset)
+    if network == "diffscene":
+        return DiffusionPrior(preset)
     return DenseTNT(preset, conditional=network == "conditional")
 
 
@@ -133,25 +136,28 @@ def read_network(
 
 
 def motion_prior(name: str | Path) -> MotionPrior:
-    """STRIVE's motion prior of a name or folder, in evaluation mode.
+    """STRIVE's motion prior of a name or folder, in evaluation mode; read again once it changed.
 
-    Raises WeightsError where the set has none, with the command that trains it.
+    Raises WeightsError where the set has none, with the command that trains it, or a damaged one.
     """
-    net, _ = read_network(weights.find(name), "strive")
+    net = _baseline(weights.find(name), "strive")
     assert isinstance(net, MotionPrior)
-    return net.requires_grad_(False)
+    return net
 
 
-def cached_motion_prior(name: str | Path) -> MotionPrior:
-    """As `motion_prior`; read again where its tensor file has changed since.
+def diffusion_prior(name: str | Path) -> DiffusionPrior:
+    """DiffScene's network, as `motion_prior`."""
+    net = _baseline(weights.find(name), "diffscene")
+    assert isinstance(net, DiffusionPrior)
+    return net
 
-    Raises WeightsError where the set has none, or it cannot be used.
-    """
-    folder = weights.find(name).resolve()
-    file = folder / "strive.safetensors"
-    return _cached_motion_prior(folder, file.stat().st_mtime_ns if file.is_file() else 0)
+
+def _baseline(folder: Path, network: Network) -> nn.Module:
+    file = folder / f"{network}.safetensors"
+    return _read_once(folder.resolve(), network, file.stat().st_mtime_ns if file.is_file() else 0)
 
 
 @lru_cache(maxsize=2)
-def _cached_motion_prior(folder: Path, changed: int) -> MotionPrior:  # noqa: ARG001 - part of the key
-    return motion_prior(folder)
+def _read_once(folder: Path, network: Network, changed: int) -> nn.Module:  # noqa: ARG001 - part of the key
+    net, _ = read_network(folder, network)
+    return net.requires_grad_(requires_grad=False)

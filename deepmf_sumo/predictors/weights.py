@@ -35,10 +35,10 @@ from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.marginal import Marginal
 from deepmf_sumo.predictors.opponent import Opponent
 
-Network = Literal["opponent", "marginal", "conditional", "strive"]
+Network = Literal["opponent", "marginal", "conditional", "strive", "diffscene"]
 NETWORKS: Final[tuple[Network, ...]] = ("opponent", "marginal", "conditional")
 """Networks of the paper, which every set contains."""
-BASELINES: Final[tuple[Network, ...]] = ("strive",)
+BASELINES: Final[tuple[Network, ...]] = ("strive", "diffscene")
 """Networks of single baselines, which a set may lack."""
 RUNTIME: Final = "DEEPMF_SUMO_RUNTIME"
 RUNTIMES: Final = ("torch", "onnx")
@@ -57,6 +57,7 @@ _TEMPERATURES: Final[dict[Network, tuple[str, ...]]] = {
     "marginal": ("temperature",),
     "conditional": ("temperature",),
     "strive": (),
+    "diffscene": (),
 }
 """Keys of a network's card whose values are numbers above 0, at most 1e6."""
 

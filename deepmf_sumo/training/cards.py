@@ -33,6 +33,7 @@ LIMITS: Final[dict[Network, str]] = {
     " were attacked in the training data; probabilities are calibrated at 8 s and less accurate at"
     " earlier times.",
     "strive": "For the baseline adversary `strive` only; up to 16 vehicles.",
+    "diffscene": "For the baseline adversary `diffscene` only; up to 16 vehicles.",
 }
 """Limits of each network, for its card."""
 

@@ -25,6 +25,7 @@ DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
     "marginal": {"steps": 4000},
     "conditional": {"steps": 4000, "rate": 1.5e-3, "precision": "fp32"},
     "strive": {"steps": 2000, "batch": 32, "ema": 0.99, "precision": "fp32"},
+    "diffscene": {"steps": 4000, "ema": 0.998, "precision": "fp32"},
 }
 """Defaults that differ from those of `Optimisation.with_defaults`."""
 PRESETS: Final[dict[Network, str]] = {
@@ -32,6 +33,7 @@ PRESETS: Final[dict[Network, str]] = {
     "marginal": "vector",
     "conditional": "vector",
     "strive": "light",
+    "diffscene": "light",
 }
 """Sizes of each network. Images add nothing to the trajectories (studies/notebook/ablation.md)."""
 MEMBERS: Final = 1
@@ -125,6 +127,7 @@ class Config(Optimisation):
     marginal: Optimisation = Optimisation()
     conditional: Optimisation = Optimisation()
     strive: Optimisation = Optimisation()
+    diffscene: Optimisation = Optimisation()
 
     def of(self, network: Network) -> Optimisation:
         """How to train one network; its own settings take precedence."""

@@ -16,15 +16,16 @@ from deepmf_sumo.errors import OutputError, RunError, WeightsError
 from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.densetnt import DenseTNT
+from deepmf_sumo.predictors.motion_priors.diffscene import DiffusionPrior
+from deepmf_sumo.predictors.motion_priors.strive import MotionPrior
 from deepmf_sumo.predictors.opponent_net import OpponentNet
-from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
 from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training import cards, initial_weights
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop
 from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
 from deepmf_sumo.training.fit.loop import Loss, Outcome, Schedule
-from deepmf_sumo.training.networks import clusters, motion_prior, opponent, trajectory
+from deepmf_sumo.training.networks import clusters, diffscene, opponent, strive, trajectory
 from deepmf_sumo.training.samples import feature_cache, graph
 from deepmf_sumo.training.samples import opponent as opponent_samples
 from deepmf_sumo.training.samples import trajectory as trajectory_samples
@@ -128,7 +129,7 @@ def open_dataset(network: Network, training: Training, report: Progress) -> Data
 
 
 def _features(network: Network, preset: Preset) -> Features:
-    if network == "strive":
+    if network in weights.BASELINES:
         return graph.features()
     if network == "opponent":
         return opponent_samples.features_for(preset)
@@ -146,6 +147,8 @@ def _prepared(
     dataset = filter_drivers(network, open_dataset(network, training, report), report)
     if isinstance(net, DenseTNT):
         trajectory.fit_profiles(net, dataset, training.seed)
+    if isinstance(net, DiffusionPrior):
+        diffscene.fit_components(net, dataset, training.seed)
     return net, filter_pairs(dataset) if network == "conditional" else dataset
 
 
@@ -229,7 +232,9 @@ def _loss(net: nn.Module) -> Loss:
     if isinstance(net, DenseTNT):
         return trajectory.loss_of(net)
     if isinstance(net, MotionPrior):
-        return motion_prior.loss_of(net)
+        return strive.loss_of(net)
+    if isinstance(net, DiffusionPrior):
+        return diffscene.loss_of(net)
     assert isinstance(net, OpponentNet)
     return opponent.loss_of(net)
 
@@ -292,6 +297,8 @@ def _fitted(network: Network, net: nn.Module, dataset: Dataset, device: str) -> 
         return {"temperature": trajectory.fit_temperature([net], dataset, modes, device)}
     net.cpu()
     if isinstance(net, MotionPrior):
-        return {"held_out_errors_m": motion_prior.held_out_errors(net, dataset)}
+        return {"held_out_errors_m": strive.held_out_errors(net, dataset)}
+    if isinstance(net, DiffusionPrior):
+        return {"held_out_errors_m": diffscene.held_out_errors(net, dataset)}
     assert isinstance(net, OpponentNet)
     return asdict(opponent.calibrate(net, dataset))

@@ -10,14 +10,15 @@ import torch
 from deepmf_sumo.adversaries import _episodes as episodes
 from deepmf_sumo.adversaries import _strive, strive
 from deepmf_sumo.adversaries._episodes import scout
-from deepmf_sumo.adversaries._strive import Costs, Path, Search, situation_of
+from deepmf_sumo.adversaries._scene_graph import Path, situation_of
+from deepmf_sumo.adversaries._strive import Costs, Search, plan_of
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.planners import replay
 from deepmf_sumo.predictors import torch_networks
 from deepmf_sumo.predictors import weights as weights_module
 from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
+from deepmf_sumo.predictors.motion_priors.strive import MotionPrior
 from deepmf_sumo.simulation import simulate as simulate_case
 
 from tests.support.predictor_doubles import Doubles
@@ -66,19 +67,19 @@ def scouted(case):
 
 @pytest.fixture(autouse=True)
 def _no_weights(monkeypatch, net):
-    monkeypatch.setattr(torch_networks, "cached_motion_prior", lambda name: net)
+    monkeypatch.setattr(torch_networks, "motion_prior", lambda name: net)
     monkeypatch.setattr(weights_module, "cached_predictors", lambda name: Doubles())
 
 
 def search_of(net, scouted, seconds=60.0):
     import time
 
-    situation = situation_of(scouted, net, ("b",))
+    situation = situation_of(scouted, ("b",))
     return situation, Search(net, situation, ["b"], WEIGHTS, time.perf_counter() + seconds)
 
 
 def test_the_situation_is_in_the_frame_of_the_av(net, scouted):
-    situation = situation_of(scouted, net, ("b",))
+    situation = situation_of(scouted, ("b",))
     assert situation.ids == ("av", "b", "c")
     np.testing.assert_allclose(situation.paths[1].position[0], [7.0, LANE_M], atol=0.02)
     assert situation.paths[1].there.all()
@@ -91,12 +92,12 @@ def test_the_situation_is_in_the_frame_of_the_av(net, scouted):
 def test_plans_are_in_the_scenes_frame_and_as_long_as_the_case(net, scouted):
     situation, search = search_of(net, scouted)
     found = search.attack(situation.paths[0], 0)
-    plan = situation.plan(found.motions, "b", 100)
+    plan = plan_of(situation, found.motions, "b", 100)
     assert plan.position_m.shape == (100, 2)
     np.testing.assert_allclose(plan.position_m[0], [67.0, LANE_M], atol=0.1)
     speed = np.hypot(*np.diff(plan.position_m, axis=0).T) / 0.1
     np.testing.assert_allclose(speed, plan.speed_mps[1:], atol=0.3)
-    assert situation.plan(found.motions, "b", 30).position_m.shape == (30, 2)
+    assert plan_of(situation, found.motions, "b", 30).position_m.shape == (30, 2)
 
 
 def test_matching_brings_motions_to_the_paths(net, scouted):

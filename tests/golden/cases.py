@@ -60,6 +60,7 @@ NETWORK_RUNS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
         },
     ),
     "king": ("cut_in", {"adversary": {"name": "king", "iterations": 20}}),
+    "diffscene": ("cut_in", {"adversary": {"name": "diffscene", "samples": 8}}),
     "brs": ("cut_in", {"adversary": {"name": "brs"}}),
     "bga": (
         "cut_in",

@@ -13,8 +13,8 @@ from deepmf_sumo.cli.train import command
 from deepmf_sumo.datatypes import ROLLOUT, SIMULATED
 from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.predictors.strive.motion_prior import MotionPrior
-from deepmf_sumo.training.networks import motion_prior
+from deepmf_sumo.predictors.motion_priors.strive import MotionPrior
+from deepmf_sumo.training.networks import strive
 from deepmf_sumo.training.samples import graph
 
 from tests.support.synthetic import scene
@@ -62,9 +62,9 @@ def test_simulated_scenes_are_looked_at_once():
 def test_training_lowers_the_loss_and_the_errors(batch):
     torch.manual_seed(0)
     net = MotionPrior(LIGHT)
-    find = motion_prior.loss_of(net)
+    find = strive.loss_of(net)
     few = {name: values[:3, :4] for name, values in batch.items()}
-    before = motion_prior.errors(net, [few], torch.Generator().manual_seed(0))
+    before = strive.errors(net, [few], torch.Generator().manual_seed(0))
     optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
     net.train()
     for turn in range(6):
@@ -72,7 +72,7 @@ def test_training_lowers_the_loss_and_the_errors(batch):
         optimiser.zero_grad()
         value.backward()
         optimiser.step()
-    after = motion_prior.errors(net, [few], torch.Generator().manual_seed(0))
+    after = strive.errors(net, [few], torch.Generator().manual_seed(0))
     assert before["vehicles"] == 3 * 3
     assert after["reconstruction_ade"] < before["reconstruction_ade"]
     assert after["min_ade_16"] <= after["mean_ade"] * 1.5
@@ -82,7 +82,7 @@ def test_training_lowers_the_loss_and_the_errors(batch):
 def test_all_of_the_divergence_counts_in_evaluation(batch):
     torch.manual_seed(0)
     net = MotionPrior(LIGHT)
-    find = motion_prior.loss_of(net)
+    find = strive.loss_of(net)
     batch = {name: values[:2] for name, values in batch.items()}
     with torch.no_grad():
         net.eval()
@@ -94,12 +94,12 @@ def test_all_of_the_divergence_counts_in_evaluation(batch):
 
 def test_a_batch_without_known_futures_among_the_nearest_teaches_nothing(batch):
     blind = {**batch, "future": torch.zeros_like(batch["future"])}
-    value = motion_prior.loss_of(MotionPrior(LIGHT))(blind, torch.Generator().manual_seed(0))
+    value = strive.loss_of(MotionPrior(LIGHT))(blind, torch.Generator().manual_seed(0))
     assert torch.isfinite(value)
 
 
 def test_no_vehicle_moves():
-    assert motion_prior.errors(MotionPrior(LIGHT), [], torch.Generator()) == {}
+    assert strive.errors(MotionPrior(LIGHT), [], torch.Generator()) == {}
 
 
 def test_the_command_trains_writes_and_does_not_train_twice(monkeypatch, tmp_path):
@@ -121,6 +121,6 @@ def test_the_command_trains_writes_and_does_not_train_twice(monkeypatch, tmp_pat
     assert "this training is complete" in done.output
 
 
-def test_all_leaves_the_prior_out():
+def test_all_leaves_the_priors_out():
     assert "strive" not in weights.NETWORKS
-    assert weights.BASELINES == ("strive",)
+    assert weights.BASELINES == ("strive", "diffscene")

@@ -49,6 +49,7 @@ def _text(values: object) -> str:
 def _use(folder: Path, out: Path) -> None:
     weights.load(folder)
     torch_networks.motion_prior(folder)
+    torch_networks.diffusion_prior(folder)
     weights.unchecked(folder)
 
 

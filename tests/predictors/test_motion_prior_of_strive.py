@@ -9,9 +9,9 @@ import torch
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import torch_networks
 from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.predictors.strive import bicycle, costs
-from deepmf_sumo.predictors.strive.graph import MEMBERS, NODES, SPACING_M, graph_of, members
-from deepmf_sumo.predictors.strive.motion_prior import LATENT, Gaussian, MotionPrior
+from deepmf_sumo.predictors.motion_priors import bicycle, costs
+from deepmf_sumo.predictors.motion_priors.graph import MEMBERS, NODES, SPACING_M, graph_of, members
+from deepmf_sumo.predictors.motion_priors.strive import LATENT, Gaussian, MotionPrior
 from deepmf_sumo.training import cards
 
 from tests.support.synthetic import scene, view

@@ -1,4 +1,9 @@
-"""The network: prior and posterior over a latent of each vehicle, and the decoder."""
+"""STRIVE's network: prior and posterior over a latent of each vehicle, and the decoder.
+
+Source: Rempe et al., CVPR 2022: a conditional VAE over a graph of agents. Adapted: encoded lane
+paths in place of a raster of the map, latents of 16 numbers, one GRU layer, controls every 0.5 s
+joined linearly.
+"""
 
 from typing import Final, NamedTuple
 
@@ -7,11 +12,11 @@ from torch import Tensor, nn
 
 from deepmf_sumo.datatypes import HISTORY_STEPS
 from deepmf_sumo.predictors.config import Preset
+from deepmf_sumo.predictors.motion_priors import bicycle
+from deepmf_sumo.predictors.motion_priors.bicycle import CONTROLS, SUBSTEPS
+from deepmf_sumo.predictors.motion_priors.graph import NODES, SPACING_M
+from deepmf_sumo.predictors.motion_priors.messages import Messages, edge_features, linked
 from deepmf_sumo.predictors.paths import INFO
-from deepmf_sumo.predictors.strive import bicycle
-from deepmf_sumo.predictors.strive.bicycle import CONTROLS, SUBSTEPS
-from deepmf_sumo.predictors.strive.graph import NODES, SPACING_M
-from deepmf_sumo.predictors.strive.messages import Messages, edge_features, linked
 
 LATENT: Final = 16
 _NODE_STRIDE: Final = 2
@@ -57,7 +62,7 @@ class Motions(NamedTuple):
     def placed(self, graph: dict[str, Tensor]) -> "Motions":
         """The same in the graph's frame: that of its first vehicle."""
         pose = graph["pose"].unsqueeze(2)
-        position = pose[..., :2] + _turned(self.position, pose[..., 2])
+        position = pose[..., :2] + turned(self.position, pose[..., 2])
         return Motions(position, pose[..., 2] + self.heading, self.speed)
 
     def knots(self) -> "Motions":
@@ -81,16 +86,16 @@ class MotionPrior(nn.Module):
         super().__init__()
         self.preset = preset
         hidden = preset.hidden
-        self.past = _mlp(HISTORY_STEPS * 7 + 8, hidden)
-        self.path = _mlp(2 * _kept_nodes() + INFO, hidden)
+        self.past = mlp(HISTORY_STEPS * 7 + 8, hidden)
+        self.path = mlp(2 * kept_nodes() + INFO, hidden)
         self.choice = nn.Linear(hidden, hidden)
-        self.node = _mlp(2 * hidden, hidden)
+        self.node = mlp(2 * hidden, hidden)
         self.prior_messages = Messages(hidden)
         self.prior_head = _gaussian_head(2 * hidden, hidden)
-        self.future = _mlp(CONTROLS * 4 + hidden, hidden)
+        self.future = mlp(CONTROLS * 4 + hidden, hidden)
         self.posterior_messages = Messages(hidden)
         self.posterior_head = _gaussian_head(2 * hidden, hidden)
-        self.begin = _mlp(hidden + LATENT, hidden)
+        self.begin = mlp(hidden + LATENT, hidden)
         self.way = nn.Linear(hidden, hidden)
         self.heard = Messages(hidden)
         self.gru = nn.GRUCell(hidden + _INPUTS + LATENT, hidden)
@@ -102,13 +107,13 @@ class MotionPrior(nn.Module):
     def encode(self, graph: dict[str, Tensor]) -> Context:
         """What a graph says before any future is known."""
         there = graph["kind"][..., 2] > 0
-        past = self.past(_past(graph))
-        keys = self.path(_paths(graph))
+        past = self.past(past_of(graph))
+        keys = self.path(paths_of(graph))
         offered = graph["way_info"][..., 0] > 0
         scores = (keys * self.choice(past).unsqueeze(2)).sum(-1) / keys.shape[-1] ** 0.5
         share = scores.masked_fill(~offered, -1e4).softmax(-1)
         nodes = self.node(torch.cat([past, (share.unsqueeze(-1) * keys).sum(2)], -1))
-        heard = self.prior_messages(nodes, _edges(graph), linked(there))
+        heard = self.prior_messages(nodes, edges_of(graph), linked(there))
         prior = _gaussian(self.prior_head(torch.cat([nodes, heard], -1)))
         return Context(nodes, keys, prior)
 
@@ -119,7 +124,7 @@ class MotionPrior(nn.Module):
         shown = torch.cat([future[..., :3] * scale * known, known], -1).flatten(2)
         nodes = self.future(torch.cat([shown, context.nodes], -1))
         there = graph["kind"][..., 2] > 0
-        heard = self.posterior_messages(nodes, _edges(graph), linked(there))
+        heard = self.posterior_messages(nodes, edges_of(graph), linked(there))
         return _gaussian(self.posterior_head(torch.cat([nodes, heard], -1)))
 
     def decode(self, graph: dict[str, Tensor], context: Context, latent: Tensor) -> Motions:
@@ -130,7 +135,7 @@ class MotionPrior(nn.Module):
         state = bicycle.start(graph["motion"])
         pose, driven, legs = graph["pose"], torch.zeros_like(state.speed), []
         for _ in range(CONTROLS):
-            position = pose[..., :2] + _turned(state.position, pose[..., 2])
+            position = pose[..., :2] + turned(state.position, pose[..., 2])
             edges = edge_features(
                 position, pose[..., 2] + state.heading, state.speed, graph["size"]
             )
@@ -158,7 +163,8 @@ class MotionPrior(nn.Module):
         return way, (share.unsqueeze(-1) * graph["way_info"]).sum(2)
 
 
-def _mlp(inputs: int, hidden: int) -> nn.Sequential:
+def mlp(inputs: int, hidden: int) -> nn.Sequential:
+    """Two layers with norms."""
     return nn.Sequential(
         nn.Linear(inputs, hidden), nn.LayerNorm(hidden), nn.ReLU(),
         nn.Linear(hidden, hidden), nn.LayerNorm(hidden), nn.ReLU(),
@@ -174,11 +180,12 @@ def _gaussian(numbers: Tensor) -> Gaussian:
     return Gaussian(mean, log_sigma.clamp(*_LOG_SIGMA))
 
 
-def _kept_nodes() -> int:
+def kept_nodes() -> int:
+    """Nodes of a path that the networks read."""
     return len(range(0, NODES, _NODE_STRIDE))
 
 
-def _past(graph: dict[str, Tensor]) -> Tensor:
+def past_of(graph: dict[str, Tensor]) -> Tensor:
     """(B, N, 85) history, size, kind and motion, scaled."""
     scale = graph["history"].new_tensor([0.1, 0.1, 1, 1, 0.1, 0.1, 1])
     history = (graph["history"] * scale).flatten(2)
@@ -186,7 +193,7 @@ def _past(graph: dict[str, Tensor]) -> Tensor:
     return torch.cat([history, graph["size"] * 0.2, graph["kind"], motion], -1)
 
 
-def _paths(graph: dict[str, Tensor]) -> Tensor:
+def paths_of(graph: dict[str, Tensor]) -> Tensor:
     """(B, N, 7, 64) every other node, and what is known of the path, scaled."""
     nodes = graph["ways"][..., ::_NODE_STRIDE, :].flatten(3) / 50.0
     return torch.cat([nodes, _scaled(graph["way_info"])], -1)
@@ -197,12 +204,13 @@ def _scaled(info: Tensor) -> Tensor:
     return info * info.new_tensor(scale)
 
 
-def _edges(graph: dict[str, Tensor]) -> Tensor:
+def edges_of(graph: dict[str, Tensor]) -> Tensor:
+    """(B, N, N, 9) `edge_features` now."""
     pose = graph["pose"]
     return edge_features(pose[..., :2], pose[..., 2], graph["motion"][..., 0], graph["size"])
 
 
-def _turned(vectors: Tensor, angle: Tensor) -> Tensor:
+def turned(vectors: Tensor, angle: Tensor) -> Tensor:
     """(..., 2) turned counter-clockwise by (...)."""
     cos, sin = angle.cos(), angle.sin()
     x, y = vectors.unbind(-1)
@@ -213,7 +221,7 @@ def _seen(state: bicycle.State, way: Tensor, info: Tensor, driven: Tensor) -> Te
     """(B, N, 25) own motion, points of the way ahead in the frame of now, the way's info."""
     metres, seconds = driven.new_tensor(_LOOK_M), driven.new_tensor(_LOOK_S)
     along = driven.unsqueeze(-1) + metres + seconds * state.speed.unsqueeze(-1)
-    points = _turned(
+    points = turned(
         _points_at(way, along) - state.position.unsqueeze(-2), -state.heading.unsqueeze(-1)
     )
     left = info.clone()
