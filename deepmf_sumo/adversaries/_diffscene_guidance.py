@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from deepmf_sumo.adversaries._episodes import Motion, Scouted
-from deepmf_sumo.adversaries._scene_graph import DISCS, Path, Situation, situation_of
-from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, AgentId, Floats
+from deepmf_sumo.adversaries._scene_graph import DISCS, ROAD_M, Path, situation_of
+from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, AgentId, Floats, Ints
 from deepmf_sumo.predictors.motion_priors import costs
 from deepmf_sumo.predictors.motion_priors.diffscene import (
     COMPONENTS,
@@ -29,9 +29,10 @@ _SPARSE: Final = 2
 _FREE: Final = 10
 """Of these steps: gaps of the first 2 s can hardly be changed."""
 _DEPTH_M: Final = 0.4  # desired overlap, so that tracking errors keep the contact
-_ROAD_M: Final = 120.0
+_KNOWN_M: Final = ROAD_M - 10.0
+"""Nothing is said about the road farther from the AV's place of now."""
 _SLOW_M: Final = 0.1
-"""Shorter moves of 0.2 s are straight on: they have no direction of their own."""
+"""Shorter moves of 0.2 s have no direction of their own: the vehicle keeps the one before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,64 +47,63 @@ class Terms:
     lateral_mps2: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
-    """Samples (S, 80, 2) in the opponent's frame of now, and what they cost the constraints (S)."""
+class Guide:
+    """Pulls motions of the opponent to the AV's rollout, in the graph's frame.
 
-    position_m: Floats
-    cost_m: Floats
+    Args:
+        net: the diffusion model.
+        scouted: the unattacked episode.
+        av: the AV's rollout.
+        terms: of the constraints.
+    """
 
-
-def draw(
-    net: DiffusionPrior,
-    scouted: Scouted,
-    av: Motion,
-    terms: Terms,
-    samples: int,
-    steps: int,
-    reach: float,
-    rng: np.random.Generator,
-) -> Drawn:
-    """Motions of the opponent, guided to the AV's rollout."""
-    situation = situation_of(scouted, [scouted.opponent_id])
-    costs_of = _Costs(net, situation, scouted.opponent_id, situation.to_path(av), terms)
-    noise = torch.from_numpy(rng.standard_normal((samples, COMPONENTS))).float()
-    with torch.no_grad():
-        seen = net.encode(situation.graph).of(situation.row(scouted.opponent_id), samples)
-    clean = net.sample(seen, noise, steps, costs_of, reach)
-    with torch.no_grad():
-        position = joined(net.positions(clean, costs_of.speed), costs_of.speed)
-        cost = costs_of.constraints(position)
-    return Drawn(position_m=position.double().numpy(), cost_m=cost.double().numpy())
-
-
-class _Costs:
-    """The guide: the AV's rollout, the road and other road users, in the graph's frame."""
-
-    def __init__(
-        self, net: DiffusionPrior, situation: Situation, opponent: AgentId, av: Path, terms: Terms
-    ) -> None:
-        row, name = situation.row(opponent), situation.ids[0]
+    def __init__(self, net: DiffusionPrior, scouted: Scouted, av: Motion, terms: Terms) -> None:
+        situation, opponent = situation_of(scouted, [scouted.opponent_id]), scouted.opponent_id
+        self._situation = situation
+        self._aim(opponent, situation.to_path(av))
+        self._row = situation.row(opponent)
         self._net, self._terms = net, terms
-        self.speed = situation.graph["motion"][0, row, 0]
-        self._pose = situation.graph["pose"][0, row]
-        self._size, self._allowed = situation.sizes[opponent], situation.allowed[row]
-        every = slice(_EVERY - 1, None, _EVERY)
-        self._av = situation.discs(name, av)[every]
-        self._there = av.there[every]
-        self._reach = situation.radius(name) + situation.radius(opponent)
-        near = (situation.road - self._pose[:2]).norm(dim=-1) < _ROAD_M
-        self._road = situation.road[near]
-        others = situation.obstacles([name, opponent], {})
+        self.speed = situation.graph["motion"][0, self._row, 0]
+        self._pose = situation.graph["pose"][0, self._row]
+        self._size, self._allowed = situation.sizes[opponent], situation.allowed[self._row]
+        self._road = situation.road
+        others = situation.obstacles([situation.ids[0], opponent], {})
         rare = slice(_EVERY * _SPARSE - 1, None, _EVERY * _SPARSE)
         self._others = None if others is None else others._replace(
             discs=others.discs[:, rare], there=others.there[:, rare]
         )  # fmt: skip
 
-    def __call__(self, clean: Tensor) -> Tensor:
-        """(S) of components (S, C)."""
+    def _aim(self, opponent: AgentId, av: Path) -> None:
+        situation, name = self._situation, self._situation.ids[0]
+        every = slice(_EVERY - 1, None, _EVERY)
+        self._av = situation.discs(name, av)[every]
+        self._there = av.there[every]
+        self._reach = situation.radius(name) + situation.radius(opponent)
+
+    def draw(
+        self, samples: int, steps: int, reach: float, rng: np.random.Generator, deadline: float
+    ) -> Floats:
+        """(S, 80, 2) guided motions in the opponent's frame of now; see `DiffusionPrior.sample`."""
+        noise = torch.from_numpy(rng.standard_normal((samples, COMPONENTS))).float()
+        with torch.no_grad():
+            seen = self._net.encode(self._situation.graph).of(self._row, samples)
+        clean = self._net.sample(seen, noise, steps, self, reach, deadline)
         position = joined(self._net.positions(clean, self.speed), self.speed)
-        return self.gap(position) + self.constraints(position)
+        return np.asarray(position.detach().double())
+
+    def __call__(self, clean: Tensor) -> Tensor:
+        """(S) costs of components (S, C)."""
+        position = joined(self._net.positions(clean, self.speed), self.speed)
+        rare, hard = self.constraints(position).mean(-1), self._beyond_limits(position)
+        return self.gap(position) + rare + self._terms.hardness * hard
+
+    def costs_until(self, position_m: Floats, steps: Ints) -> Floats:
+        """(S) costs of road and others of motions (S, 80, 2), mean over their first steps (S)."""
+        at = torch.arange(_EVERY * _SPARSE, FUTURE_STEPS + 1, _EVERY * _SPARSE)
+        counts = (at <= torch.from_numpy(steps).unsqueeze(-1)).double()
+        with torch.no_grad():
+            each = self.constraints(torch.from_numpy(position_m).float()).double()
+        return np.asarray((each * counts).sum(-1) / counts.sum(-1).clamp_min(1.0))
 
     def gap(self, position: Tensor) -> Tensor:
         """(S) soft least distance to the AV from 2 s on; 0 in contact."""
@@ -115,20 +115,20 @@ class _Costs:
         return (soft + _DEPTH_M).clamp_min(0.0)
 
     def constraints(self, position: Tensor) -> Tensor:
-        """(S) of motions (S, 80, 2)."""
+        """(S, 20) of motions (S, 80, 2), every 0.4 s: off the road, and overlap with others."""
         terms, rare = self._terms, slice(_SPARSE - 1, None, _SPARSE)
         place, heading = self._placed(position)
         place, heading = place[:, rare], heading[:, rare]
-        total = terms.hardness * self._beyond_limits(position)
+        total = torch.zeros_like(heading)
         if len(self._road):
             away = costs.off_road(place, self._road, self._allowed)
-            total = total + terms.off_road * away.mean(-1)
+            total = terms.off_road * away * (place.norm(dim=-1) < _KNOWN_M)
         if self._others is not None:
             others = self._others
             own = costs.disc_centres(place, heading, self._size, DISCS)
             radius = costs.disc_radius(self._size)
             depth = costs.overlap(own.unsqueeze(1), others.discs, radius, others.radius[:, None])
-            total = total + terms.others * (depth * others.there).sum(1).mean(-1)
+            total = total + terms.others * (depth * others.there).sum(1)
         return total
 
     def _placed(self, position: Tensor) -> tuple[Tensor, Tensor]:
@@ -136,21 +136,26 @@ class _Costs:
         moved = position[:, _EVERY - 1 :: _EVERY]
         before = torch.cat([torch.zeros_like(moved[:, :1]), moved[:, :-1]], 1)
         step = moved - before
-        # A vehicle that stands keeps its direction of now, without a gradient.
-        slow = step.norm(dim=-1) < _SLOW_M
-        step = torch.where(slow.unsqueeze(-1), step.new_tensor([1.0, 0.0]), step)
-        heading = torch.atan2(step[..., 1], step[..., 0]) + self._pose[2]
+        fast = step.norm(dim=-1) >= _SLOW_M
+        step = torch.where(fast.unsqueeze(-1), step, step.new_tensor([1.0, 0.0]))
+        turn = torch.atan2(step[..., 1], step[..., 0])
+        known = torch.cat([torch.zeros_like(turn[:, :1]), turn], 1)
+        valid = torch.arange(1, fast.shape[1] + 1) * fast  # 0: the direction of now
+        heading = known.gather(1, valid.cummax(1).values) + self._pose[2]
         return self._pose[:2] + turned(moved, self._pose[2].expand(moved.shape[:-1])), heading
 
     def _beyond_limits(self, position: Tensor) -> Tensor:
         """(S) mean m/s2 beyond the limits, over time."""
         terms, span = self._terms, round(KNOT_S / DT_S)
         knots = torch.cat([torch.zeros_like(position[:, :1]), position[:, span - 1 :: span]], 1)
-        velocity = torch.diff(knots, dim=1) / KNOT_S
+        now = torch.stack([self.speed, torch.zeros_like(self.speed)]).expand(len(knots), 1, 2)
+        velocity = torch.cat([now, torch.diff(knots, dim=1) / KNOT_S], 1)
+        # A mean velocity is that of the middle: the first is half as far from now.
+        span_s = velocity.new_tensor([KNOT_S / 2] + [KNOT_S] * (KNOTS - 1))
         speed = (velocity.square().sum(-1) + 1e-4).sqrt()
-        accel = torch.diff(speed, dim=1) / KNOT_S
+        accel = torch.diff(speed, dim=1) / span_s
         cross = velocity[:, :-1, 0] * velocity[:, 1:, 1] - velocity[:, :-1, 1] * velocity[:, 1:, 0]
-        lateral = cross.abs() / speed[:, 1:].clamp_min(1.0) / KNOT_S
+        lateral = cross.abs() / speed[:, 1:].clamp_min(1.0) / span_s
         beyond = (
             (accel - terms.accel_mps2).clamp_min(0.0)
             + (-accel - terms.brake_mps2).clamp_min(0.0)

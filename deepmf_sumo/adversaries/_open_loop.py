@@ -1,4 +1,4 @@
-"""Attacks aimed at the AV's earlier rollouts, round by round: `cat`, `rule`, `art`, `strive`.
+"""Attacks aimed at the AV's earlier rollouts, round by round: `art`, `cat`, `king`, ...
 
 The first round aims at the AV's unattacked rollout; each further round also knows the AV's
 rollouts under the attacks before. A round costs one simulation, the unattacked rollout another.

@@ -20,7 +20,7 @@ from deepmf_sumo.predictors.motion_priors import costs
 from deepmf_sumo.predictors.motion_priors.graph import graph_of, members
 
 DISCS = 5
-_ROAD_M = 250.0
+ROAD_M = 250.0
 """No vehicle reaches lanes farther from the AV than this."""
 _LANE_M = 1.6
 """Distance from a lane's centre line at which a vehicle starts to leave the lane."""
@@ -151,7 +151,7 @@ def _road(view: View) -> Tensor:
         line for line, drivable in zip(index.map.line_m, index.drivable, strict=True) if drivable
     ]
     points = np.concatenate(lanes) if lanes else np.zeros((0, 2))
-    near = np.hypot(*(points - origin).T) < _ROAD_M
+    near = np.hypot(*(points - origin).T) < ROAD_M
     return _tensor(frames.to_local(points[near], origin, turn))
 
 

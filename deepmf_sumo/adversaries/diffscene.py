@@ -12,10 +12,11 @@ was in its earlier rollout. The objective of functionality is left out, because 
 8 s long and has no route to be kept from.
 
 ``samples`` motions are drawn at once and tracked within the limits. Of those that meet the AV's
-rollout, and nobody else before, the one that costs the constraints least attacks; if none does, the
-one that comes nearest.
+rollout, and nobody else before, the one attacks that is least off the road and near others up to
+there; else the best of all that meet it; else the one that comes nearest.
 
-Budget: ``steps`` evaluations of the network for each sample; two simulations, one unattacked and
+Budget: ``steps`` evaluations of the network for each sample, at most ``seconds`` if that is set;
+and two simulations, one unattacked and
 the attack. With more, every further round aims at the AV's rollout of the round before, until it is
 hit.
 """
@@ -27,17 +28,27 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.adversaries import _open_loop as open_loop
-from deepmf_sumo.adversaries._episodes import Motion, OpponentChoice, Scouted, plan_of
+from deepmf_sumo.adversaries._episodes import (
+    Motion,
+    OpponentChoice,
+    Scouted,
+    deadline,
+    limited,
+    motion_of,
+    plan_of,
+)
 from deepmf_sumo.adversaries._open_loop import Aimed, AimedSettings, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
-from deepmf_sumo.datatypes import Attack, Budget, Case, Floats
-from deepmf_sumo.deepmf.tracking import Start, track
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Bools, Budget, Case, Floats, Ints
+from deepmf_sumo.deepmf.situation import footprint
+from deepmf_sumo.deepmf.tracking import Start, Tracked, track
+from deepmf_sumo.geometry import boxes, frames
 
 if TYPE_CHECKING:
+    from deepmf_sumo.adversaries._diffscene_guidance import Guide
     from deepmf_sumo.predictors.motion_priors.diffscene import DiffusionPrior
 
-FORESIGHT = "the un-attacked motion of the AV and of others, and the AV's answer to every round"
+FORESIGHT = "the un-attacked motion of the AV and of others"
 
 
 class Settings(AimedSettings):
@@ -45,10 +56,13 @@ class Settings(AimedSettings):
 
     Attributes:
         samples: motions drawn at once. steps: noise levels.
-        guidance: how far the costs move a motion at each level, in standard deviations of its
-            components; 0 draws ordinary motions and chooses among them.
+        guidance: the most that the costs move a motion at a level, in standard deviations of its
+            components, times the share of noise that is left there; 0 draws ordinary motions and
+            chooses among them.
         off_road, others, hardness: metres of distance to the AV that a metre beyond the lanes, a
             full overlap with another road user, and 1 m/s2 beyond the limits are worth.
+        seconds: time limit if the budget has none; null: no limit. With a limit the result depends
+            on the machine.
     """
 
     samples: int = Field(default=32, ge=1, le=1024)
@@ -57,6 +71,7 @@ class Settings(AimedSettings):
     off_road: float = Field(default=1.0, ge=0.0)
     others: float = Field(default=10.0, ge=0.0)
     hardness: float = Field(default=1.0, ge=0.0)
+    seconds: float | None = Field(default=None, gt=0.0)
 
 
 class DiffScene:
@@ -87,9 +102,11 @@ class DiffScene:
         """The attack; trials are the rounds. Raises WeightsError if the set has no model."""
         self.load()  # not timed
         choose, rounds = self._opponent.of(case), self._settings.rounds
+        budget = limited(budget, 1 + rounds, self._settings.seconds)
+        until = deadline(budget)
 
         def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
-            return self._aim(scouted, rollouts[-1], rng)
+            return self._aim(scouted, rollouts[-1], rng, until)
 
         return attack_in_rounds(case, simulate, choose, aim, rounds, budget)
 
@@ -101,12 +118,34 @@ class DiffScene:
 
         return diffusion_prior(self._weights)
 
-    def _aim(self, scouted: Scouted, av: Motion, rng: np.random.Generator) -> Aimed:
+    def _aim(self, scouted: Scouted, av: Motion, rng: np.random.Generator, until: float) -> Aimed:
         """Draw, track, and choose."""
+        chosen, view = self._settings, scouted.view
+        start, guide = Start.of(view, scouted.opponent_id), self._guide(scouted, av)
+        drawn = guide.draw(chosen.samples, chosen.steps, chosen.guidance, rng, until)
+        reference = frames.to_scene(drawn, start.position_m, start.heading_rad)
+        reference = _as_long(reference, len(av.valid))
+        tracked = track(reference, start, chosen.limits.rows(len(reference)))
+        gap = open_loop.gaps(scouted, av, tracked.position_m, tracked.heading_rad)
+        meeting = _first(gap <= 0)
+        clear = meeting < _first_other(scouted, tracked)
+        own = frames.to_local(tracked.position_m, start.position_m, start.heading_rad)
+        cost = guide.costs_until(_as_long(own, FUTURE_STEPS), meeting)
+        row = _best(gap.min(-1), clear, cost)
+        return Aimed(
+            plan=plan_of(view, scouted.opponent_id, tracked, row),
+            parameters={
+                "sample": float(row),
+                "hits": float((gap.min(-1) <= 0).sum()),
+                "cost_m": float(cost[row]),
+                "predicted_gap_m": float(gap[row].min()),
+            },
+        )
+
+    def _guide(self, scouted: Scouted, av: Motion) -> "Guide":
         from deepmf_sumo.adversaries import _diffscene_guidance as guidance
 
-        chosen, view = self._settings, scouted.view
-        start = Start.of(view, scouted.opponent_id)
+        chosen = self._settings
         terms = guidance.Terms(
             off_road=chosen.off_road,
             others=chosen.others,
@@ -115,29 +154,41 @@ class DiffScene:
             brake_mps2=chosen.brake_mps2,
             lateral_mps2=chosen.lateral_mps2,
         )
-        drawn = guidance.draw(
-            self._net(), scouted, av, terms, chosen.samples, chosen.steps, chosen.guidance, rng
-        )
-        reference = frames.to_scene(drawn.position_m, start.position_m, start.heading_rad)
-        reference = _as_long(reference, len(av.valid))
-        tracked = track(reference, start, chosen.limits.rows(len(reference)))
-        gap = open_loop.gaps(scouted, av, tracked.position_m, tracked.heading_rad).min(-1)
-        row = _best(gap, drawn.cost_m)
-        return Aimed(
-            plan=plan_of(view, scouted.opponent_id, tracked, row),
-            parameters={
-                "sample": float(row),
-                "hits": float((gap <= 0).sum()),
-                "cost_m": float(drawn.cost_m[row]),
-                "predicted_gap_m": float(gap[row]),
-            },
-        )
+        return guidance.Guide(self._net(), scouted, av, terms)
 
 
-def _best(gap_m: Floats, cost_m: Floats) -> int:
-    """The cheapest of those that meet the AV; else the one that comes nearest."""
+def _best(gap_m: Floats, clear: Bools, cost_m: Floats) -> int:
+    """The cheapest that meets the AV, those first that meet nobody before; else the nearest."""
     hits = gap_m <= 0
-    return int(np.where(hits, cost_m, np.inf).argmin() if hits.any() else gap_m.argmin())
+    if not hits.any():
+        return int(gap_m.argmin())
+    first = hits & clear
+    return int(np.where(first if first.any() else hits, cost_m, np.inf).argmin())
+
+
+def _first(touching: Bools) -> Ints:
+    """(S) number of the first step, from 1 on, of rows (S, K); K + 1 where there is none."""
+    steps = np.where(touching.any(-1), touching.argmax(-1), touching.shape[-1])
+    return steps.astype(np.int64) + 1
+
+
+def _first_other(scouted: Scouted, tracked: Tracked) -> Ints:
+    """(S) first steps at which motions touch other road users, where these drove unattacked."""
+    view, rollout = scouted.view, scouted.rollout
+    size = footprint(view, scouted.opponent_id)
+    steps = tracked.position_m.shape[1]
+    touching = np.zeros(tracked.heading_rad.shape, bool)
+    for row, name in enumerate(rollout.tracks.ids):
+        if name in {scouted.opponent_id, rollout.av_id}:
+            continue
+        other = motion_of(rollout, name, steps)
+        hit = boxes.overlap(
+            tracked.position_m, tracked.heading_rad, size, other.position_m, other.heading_rad,
+            rollout.tracks.size_m[row, :2],
+        ) & other.valid  # fmt: skip
+        # Recorded boxes sometimes overlap already; the attack does not cause that.
+        touching |= hit & ~hit[:, :1]
+    return _first(touching)
 
 
 def _as_long(position_m: Floats, steps: int) -> Floats:

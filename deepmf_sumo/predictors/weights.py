@@ -1,7 +1,7 @@
 """Sets of weights: a folder with a tensor file and a card for each network.
 
-Every set contains the three networks of the paper. STRIVE's motion prior is optional, and loaded
-only by that baseline. The marginal network may have several members, each in its own files
+Every set contains the three networks of the paper. The motion priors of STRIVE and DiffScene
+are optional, and loaded only by these baselines. The marginal network may have several members, each in its own files
 (``marginal``, ``marginal-2``, ...): the card of the first one lists them under ``members``, with
 the temperature of their mixture.
 

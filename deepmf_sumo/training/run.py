@@ -147,7 +147,7 @@ def _prepared(
     dataset = filter_drivers(network, open_dataset(network, training, report), report)
     if isinstance(net, DenseTNT):
         trajectory.fit_profiles(net, dataset, training.seed)
-    if isinstance(net, DiffusionPrior):
+    if isinstance(net, DiffusionPrior) and initial is None:  # else layers know those of the set
         diffscene.fit_components(net, dataset, training.seed)
     return net, filter_pairs(dataset) if network == "conditional" else dataset
 

@@ -20,7 +20,7 @@ from tests.support.simulated_worlds import case_of as recorded_case_of
 
 pytestmark = pytest.mark.sumo
 
-NAMES = ("rule", "cat", "art", "king")
+NAMES = ("rule", "cat", "art", "king", "diffscene")
 
 
 @pytest.fixture(autouse=True)

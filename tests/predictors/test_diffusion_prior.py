@@ -85,6 +85,12 @@ def test_a_guide_moves_samples_and_no_guidance_does_not():
     torch.testing.assert_close(again, free)
 
 
+def test_a_deadline_ends_it_with_what_is_expected():
+    net, noise = untrained(), torch.ones(2, COMPONENTS)
+    found = net.sample(seen(2), noise, 20, torch.zeros_like, 1.0, 0.0)
+    torch.testing.assert_close(found, 10 * noise / 101)
+
+
 def test_a_set_without_the_model_names_the_command(tmp_path):
     message = r"diffscene\.json is missing.*deepmf-sumo train diffscene"
     with pytest.raises(WeightsError, match=message):

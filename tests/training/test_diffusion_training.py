@@ -129,4 +129,9 @@ def test_the_command_trains_and_writes(monkeypatch, tmp_path):
     assert "diffscene: best step" in done.output
     card = json.loads((tmp_path / "set" / "diffscene.json").read_text())
     assert card["held_out_errors_m"]["vehicles"] > 0
-    assert torch_networks.diffusion_prior(tmp_path / "set").basis.abs().max() > 0
+    before = torch_networks.diffusion_prior(tmp_path / "set").basis
+    assert before.abs().max() > 0
+    again = [*line[:3], "--out", str(tmp_path / "again"), *line[5:], "--seed", "7"]
+    CliRunner().invoke(command, [*again, "--from", str(tmp_path / "set")], catch_exceptions=False)
+    after = torch_networks.diffusion_prior(tmp_path / "again").basis
+    torch.testing.assert_close(after, before)  # layers that were trained know these components

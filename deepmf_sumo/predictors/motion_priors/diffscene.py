@@ -8,6 +8,8 @@ components of unit variance. The network reads what STRIVE's reads: the past of 
 vehicles, and the ways that the lanes offer.
 """
 
+import math
+import time
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Final, NamedTuple
@@ -117,18 +119,30 @@ class DiffusionPrior(nn.Module):
         moved = (position - at_constant_speed(speed)).flatten(-2) - self.mean
         return moved @ torch.linalg.pinv(self.basis)
 
-    def sample(self, seen: Seen, noise: Tensor, steps: int, guide: Guide, reach: float) -> Tensor:
+    def sample(
+        self,
+        seen: Seen,
+        noise: Tensor,
+        steps: int,
+        guide: Guide,
+        reach: float,
+        deadline: float = math.inf,
+    ) -> Tensor:
         """Clean components (S, C) from normal noise (S, C), drawn to a lower cost of the guide.
 
         EDM's deterministic sampler by Euler steps. The guide's gradient goes through the network,
         and moves the expected motion by at most ``reach`` times the noise that is left (with
-        respect to 1): a motion is guided as long as it is still undecided.
+        respect to 1): a motion is guided as long as it is still undecided. After the deadline, of
+        `time.perf_counter`, the expected motions of the level that was reached are returned.
         """
         levels = noise_levels(steps)
         noisy = noise * levels[0]
         for now, after in pairwise(levels.tolist()):
-            noisy = noisy.detach().requires_grad_(reach > 0)
+            late = deadline < math.inf and time.perf_counter() > deadline
+            noisy = noisy.detach().requires_grad_(reach > 0 and not late)
             clean = self.denoised(noisy, noisy.new_full(noisy.shape[:-1], now), seen)
+            if late:
+                return clean.detach()
             if reach > 0:
                 (pull,) = torch.autograd.grad(guide(clean).sum(), noisy)
                 clean = clean - _bounded(now**2 * pull, reach * now / (1 + now))

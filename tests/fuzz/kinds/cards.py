@@ -11,7 +11,7 @@ from deepmf_sumo.predictors import torch_networks, weights
 from tests.fuzz import mutators, runner
 
 _OPEN = Path(deepmf_sumo.__file__).parent / "weights" / "open"
-_CARDS = ("opponent", "marginal", "conditional", "strive")
+_CARDS = (*weights.NETWORKS, *weights.BASELINES)
 
 
 def _make(folder: Path) -> Path:
