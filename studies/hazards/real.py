@@ -1,4 +1,4 @@
-"""Flaws planted on real networks, and attacks: ``python studies/hazards/real.py FOLDER CONFIG...``.
+"""Flaws planted on real networks: ``python studies/hazards/real.py FOLDER CONFIG...``.
 
 For each configuration, flaw and seed `plant.py` plants one flaw. The flawed network is attacked at
 ``--moments`` moments with the settings of `study.py`; nothing tells the attack where the flaw is.
@@ -7,8 +7,11 @@ existing ones are kept. Then a table: the place's rank by criticality as the ris
 (``rank_criticality``, attacks that began there) among the attacked junctions, and the best rank of
 its movements and approaches among all movements and edges; the same in the sound network; and what
 `deepmf-sumo compare` says, from flawed to sound, of the runs that began at the place. Places that
-cannot be told from the typical one share the mean of their ranks. FOLDER/table.md
-and FOLDER/table.json have all rows.
+cannot be told from the typical one share the mean of their ranks.
+
+Beside that, the rank that `deepmf-sumo screen` gives the junction: by its worst finding, among all
+junctions with movements; those without a finding share the last rank. ``--no-attacks`` leaves it at
+that, which takes seconds. FOLDER/table.md and FOLDER/table.json have all rows.
 """
 
 # ruff: noqa: INP001, T201 - a script beside data, not a package
@@ -32,6 +35,8 @@ from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.gate import rows
 from deepmf_sumo.risk import attacks, table
 from deepmf_sumo.risk.comparison import COMPARED, CONFIDENCE, Change, differences
+from deepmf_sumo.screening import GUIDELINES, screen
+from deepmf_sumo.screening.findings import RULES, SEVERITIES, Finding
 
 FIRST: Final = 0.05
 """Share of the places among which the flawed one should be."""
@@ -41,6 +46,7 @@ COLUMNS: Final = {
     "attacks": "attacks there, of all", "rank": "junction's rank",
     "sound": "in the sound network", "site": "best movement or approach",
     "site_sound": "in the sound network", "compared": "compare, at the place",
+    "screen": "by screen", "screen_sound": "in the sound network",
 }  # fmt: skip
 
 
@@ -57,10 +63,17 @@ def attack(config: Path, out: Path, place: dict[str, Any], more: Sequence[str]) 
     return subprocess.run(list(map(str, command)), check=False).returncode
 
 
-def row(folder: Path, place: dict[str, Any]) -> dict[str, Any]:
-    """What is found in a case. Raises UsageError where nothing was attacked."""
-    sides = {name: _ranks(folder / f"{name}-attacks", place) for name in ("flawed", "sound")}
-    there = sides["flawed"]["runs"]
+def row(folder: Path, place: dict[str, Any], *, attacked: bool) -> dict[str, Any]:
+    """What is found in a case. Raises UsageError where nothing was attacked, or in a network."""
+    sides = {
+        name: _screened(folder / name / place["configuration"], place["junction"])
+        for name in ("flawed", "sound")
+    }
+    changes: list[Change] = []
+    if attacked:
+        for name, side in sides.items():
+            side.update(_ranks(folder / f"{name}-attacks", place))
+        changes = _compared(folder, sides["flawed"]["runs"])
     return {
         "network": folder.parent.name,
         **{key: place[key] for key in ("flaw", "seed", "junction")},
@@ -70,9 +83,31 @@ def row(folder: Path, place: dict[str, Any]) -> dict[str, Any]:
                 "quantity": one.quantity, "state": one.state, "needed": one.needed,
                 "difference": one.found.difference,
             }
-            for one in _compared(folder, there)
+            for one in changes
         ],
     }  # fmt: skip
+
+
+def _screened(config: Path, junction: str) -> dict[str, Any]:
+    """The junction's rank among all with movements, by their worst findings."""
+    found = screen(config, GUIDELINES["rilsa"])
+    worst = dict.fromkeys(found.roads.ways, 0.0)
+    order = sorted({_severity(one) for one in found.findings}, reverse=True)
+    for one in found.findings:
+        place = one.worst.junction
+        worst[place] = max(worst.get(place, 0.0), 1.0 + order.index(_severity(one)))
+    own = [one.sentence for one in found.findings if one.worst.junction == junction]
+    return {
+        "screen": table.ranks(worst).get(junction) if own else None,
+        "screen_places": len(worst),
+        "screen_findings": own,
+    }
+
+
+def _severity(one: Finding) -> tuple[int, int, float]:
+    """As the command orders them, the worst first."""
+    off = abs(one.worst.measured - one.worst.required)
+    return SEVERITIES.index(one.severity), RULES.index(one.worst.rule), -round(off, 6)
 
 
 def _ranks(out: Path, place: dict[str, Any]) -> dict[str, Any]:
@@ -135,8 +170,15 @@ def said(changes: Sequence[dict[str, Any]]) -> str:
 
 def cells(one: dict[str, Any]) -> dict[str, str]:
     """A row in words."""
-    return {
+    words = {
         **{key: str(one[key]) for key in ("network", "flaw", "seed", "junction")},
+        "screen": _of(one["flawed_screen"], one["flawed_screen_places"], "no finding"),
+        "screen_sound": _of(one["sound_screen"], one["sound_screen_places"], "no finding"),
+    }
+    if "flawed_runs" not in one:
+        return {**dict.fromkeys(COLUMNS, "-"), **words}
+    return {
+        **words,
         "attacks": f"{len(one['flawed_runs'])} of {one['flawed_attacks']}",
         "rank": _of(one["flawed_rank"], one["flawed_junctions"]),
         "sound": _of(one["sound_rank"], one["sound_junctions"]),
@@ -146,28 +188,40 @@ def cells(one: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _of(rank: float | None, places: int) -> str:
-    return f"{rank:g} of {places}" if rank is not None else f"not attacked, {places} others"
+def _of(rank: float | None, places: int, without: str = "not attacked") -> str:
+    return f"{rank:g} of {places}" if rank is not None else f"{without}, {places} others"
 
 
 def report(folder: Path, found: Sequence[dict[str, Any]], lost: Sequence[str]) -> str:
     """Table and sums as Markdown, also written to the folder. Raises OutputError."""
     lines = [f"| {' | '.join(COLUMNS.values())} |", f"|{' --- |' * len(COLUMNS)}"]
     lines += [f"| {' | '.join(cells(one)[key] for key in COLUMNS)} |" for one in found]
-    first = [_first(one["flawed_rank"], one["flawed_junctions"]) for one in found]
-    sites = [_first(one["flawed_site"], one["flawed_sites"]) for one in found]
-    alone = [one["flawed_rank"] == 1 for one in found]
-    better = sum("better" in cells(one)["compared"] for one in found)
-    sums = (
-        f"{len(found)} cases: the junction is alone on rank 1 in {sum(alone)}, among the first"
-        f" {FIRST:.0%} in {sum(first)}; a movement or approach of it is in {sum(sites)};"
-        f" compare says better in {better}."
-    )
-    lines += ["", sums, *(f"No case: {sentence}" for sentence in lost)]
+    lines += ["", *_sums(found), *(f"No case: {sentence}" for sentence in lost)]
     text = "\n".join([*lines, ""])
     files.write(folder / "table.md", text)
     files.write_json(folder / "table.json", list(found))
     return text
+
+
+def _sums(found: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Two sentences: by attacks, and by the guideline."""
+    attacked = [one for one in found if "flawed_runs" in one]
+    first = [_first(one["flawed_rank"], one["flawed_junctions"]) for one in attacked]
+    sites = [_first(one["flawed_site"], one["flawed_sites"]) for one in attacked]
+    alone = [one["flawed_rank"] == 1 for one in attacked]
+    better = sum("better" in cells(one)["compared"] for one in attacked)
+    if attacked:
+        yield (
+            f"{len(attacked)} cases: the junction is alone on rank 1 in {sum(alone)}, among the"
+            f" first {FIRST:.0%} in {sum(first)}; a movement or approach of it is in {sum(sites)};"
+            f" compare says better in {better}."
+        )
+    by_book = [_first(one["flawed_screen"], one["flawed_screen_places"]) for one in found]
+    named = sum(one["flawed_screen"] is not None for one in found)
+    yield (
+        f"By screen, {len(found)} cases: a finding at the junction in {named}, among the first"
+        f" {FIRST:.0%} in {sum(by_book)}."
+    )
 
 
 def _first(rank: float | None, places: int) -> bool:
@@ -188,13 +242,26 @@ def cases(given: argparse.Namespace) -> Iterator[tuple[Path, dict[str, Any] | st
             yield folder, str(error)
 
 
+def _attacked(folder: Path, place: dict[str, Any], given: argparse.Namespace) -> int:
+    """Attack the flawed network, and the sound one at the same moments; the exit code."""
+    config, out = place["configuration"], folder / "flawed-attacks"
+    start = [] if given.start_s is None else ["--from", f"{given.start_s:g}"]
+    wish = ["--moments", given.moments, "--prefer", given.prefer, *start]
+    return attack(folder / "flawed" / config, out, place, wish) or attack(
+        folder / "sound" / config, folder / "sound-attacks", place, ["--moments-of", out]
+    )
+
+
 def main() -> int:
     """Plant, attack, print; ends with the exit code of what did not go through."""
-    parser = argparse.ArgumentParser(description="Do attacks find flaws on real networks?")
+    parser = argparse.ArgumentParser(
+        description="Do attacks and guidelines find flaws on real networks?"
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("configs", type=Path, nargs="+", metavar="CONFIG")
     parser.add_argument("--flaws", nargs="+", choices=FLAWS, default=list(FLAWS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
+    parser.add_argument("--no-attacks", action="store_true", help="screen the networks alone")
     parser.add_argument("--moments", type=int, default=100)
     parser.add_argument("--prefer", default="both", help="as of `deepmf-sumo attack`")
     parser.add_argument("--least", type=int, default=LEAST, help="as of plant.py")
@@ -207,17 +274,11 @@ def main() -> int:
             if isinstance(place, str):
                 lost.append(place)
                 continue
-            config, out = place["configuration"], folder / "flawed-attacks"
-            start = [] if given.start_s is None else ["--from", f"{given.start_s:g}"]
-            wish = ["--moments", given.moments, "--prefer", given.prefer, *start]
-            code = attack(folder / "flawed" / config, out, place, wish)
-            code = code or attack(
-                folder / "sound" / config, folder / "sound-attacks", place, ["--moments-of", out]
-            )
+            code = 0 if given.no_attacks else _attacked(folder, place, given)
             if code:
                 return code
             try:
-                found.append(row(folder, place))
+                found.append(row(folder, place, attacked=not given.no_attacks))
             except UsageError as error:  # no vehicle was attacked
                 lost.append(str(error))
             report(given.folder, found, lost)

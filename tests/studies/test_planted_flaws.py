@@ -277,16 +277,20 @@ def test_the_table_counts_cases_and_what_has_no_place(tmp_path):
         for name, rank in (("flawed", 1.0), ("sound", 11.0))
         for key, value in {
             "runs": ["a", "b"], "attacks": 40, "rank": rank, "junctions": 21, "site": rank + 1,
-            "sites": 60,
+            "sites": 60, "screen": rank if rank == 1 else None, "screen_places": 40,
         }.items()
     }  # fmt: skip
     case = {"network": "town", "flaw": "no_yellow", "seed": 1, "junction": "j", **sides}
     unseen = {**case, "seed": 2, "flawed_rank": None, "flawed_site": None, "changes": []}
     better = {"quantity": "ttc_s", "state": "better", "needed": None}
     text = real.report(tmp_path, [{**case, "changes": [better]}, unseen], ["no place"])
-    assert "| town | no_yellow | 1 | j | 2 of 40 | 1 of 21 | 11 of 21 | 2 of 60 |" in text
+    assert (
+        "| town | no_yellow | 1 | j | 2 of 40 | 1 of 21 | 11 of 21 | 2 of 60 | 12 of 60 |"
+        " better: ttc_s | 1 of 40 | no finding, 40 others |"
+    ) in text
     assert "| town | no_yellow | 2 | j | 2 of 40 | not attacked, 21 others |" in text
     assert "2 cases: the junction is alone on rank 1 in 1, among the first 5% in 1;" in text
     assert "of it is in 1; compare says better in 1." in text
+    assert "By screen, 2 cases: a finding at the junction in 2, among the first 5% in 2." in text
     assert text.endswith("No case: no place\n")
     assert (tmp_path / "table.md").read_text("utf-8") == text
