@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from deepmf_sumo.adversaries._episodes import Motion, Scouted
-from deepmf_sumo.adversaries._scene_graph import DISCS, ROAD_M, Path, situation_of
+from deepmf_sumo.adversaries._scene_graph import DISCS, ROAD_M, Obstacles, Path, situation_of
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, AgentId, Floats, Ints
 from deepmf_sumo.predictors.motion_priors import costs
 from deepmf_sumo.predictors.motion_priors.diffscene import (
@@ -31,6 +32,8 @@ _FREE: Final = 10
 _DEPTH_M: Final = 0.4  # desired overlap, so that tracking errors keep the contact
 _KNOWN_M: Final = ROAD_M - 10.0
 """Nothing is said about the road farther from the AV's place of now."""
+_BESIDE_M: Final = 30.0
+"""Others farther from the rectangle around the opponent and the AV's rollout are left out."""
 _SLOW_M: Final = 0.1
 """Shorter moves of 0.2 s have no direction of their own: the vehicle keeps the one before."""
 
@@ -67,11 +70,8 @@ class Guide:
         self._pose = situation.graph["pose"][0, self._row]
         self._size, self._allowed = situation.sizes[opponent], situation.allowed[self._row]
         self._road = situation.road
-        others = situation.obstacles([situation.ids[0], opponent], {})
-        rare = slice(_EVERY * _SPARSE - 1, None, _EVERY * _SPARSE)
-        self._others = None if others is None else others._replace(
-            discs=others.discs[:, rare], there=others.there[:, rare]
-        )  # fmt: skip
+        self._tree = KDTree(situation.road.numpy()) if len(situation.road) else None
+        self._others = self._between(situation.obstacles([situation.ids[0], opponent], {}))
 
     def _aim(self, opponent: AgentId, av: Path) -> None:
         situation, name = self._situation, self._situation.ids[0]
@@ -79,6 +79,18 @@ class Guide:
         self._av = situation.discs(name, av)[every]
         self._there = av.there[every]
         self._reach = situation.radius(name) + situation.radius(opponent)
+
+    def _between(self, others: Obstacles | None) -> Obstacles | None:
+        """Those that come between the opponent and the AV's rollout, or near them."""
+        if others is None:
+            return None
+        ends = torch.cat([self._pose[None, :2], self._av[self._there].flatten(0, 1)])
+        low, high = ends.amin(0) - _BESIDE_M, ends.amax(0) + _BESIDE_M
+        rare = slice(_EVERY * _SPARSE - 1, None, _EVERY * _SPARSE)
+        discs, there = others.discs[:, rare], others.there[:, rare]
+        inside = ((discs > low) & (discs < high)).all(-1).any(-1) & there
+        kept = inside.any(-1)
+        return Obstacles(discs[kept], others.radius[kept], there[kept])
 
     def draw(
         self, samples: int, steps: int, reach: float, rng: np.random.Generator, deadline: float
@@ -120,11 +132,15 @@ class Guide:
         place, heading = self._placed(position)
         place, heading = place[:, rare], heading[:, rare]
         total = torch.zeros_like(heading)
-        if len(self._road):
-            away = costs.off_road(place, self._road, self._allowed)
+        if self._tree is not None:
+            # The nearest point of a place hardly changes with it, so that it needs no gradient.
+            _, nearest = self._tree.query(place.detach().numpy())
+            offset = place - self._road[torch.from_numpy(nearest)]
+            distance = (offset.square().sum(-1) + 1e-6).sqrt()
+            away = (distance - self._allowed).clamp_min(0.0)
             total = terms.off_road * away * (place.norm(dim=-1) < _KNOWN_M)
-        if self._others is not None:
-            others = self._others
+        others = self._others
+        if others is not None and len(others.radius):
             own = costs.disc_centres(place, heading, self._size, DISCS)
             radius = costs.disc_radius(self._size)
             depth = costs.overlap(own.unsqueeze(1), others.discs, radius, others.radius[:, None])

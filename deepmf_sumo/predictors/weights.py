@@ -1,9 +1,9 @@
 """Sets of weights: a folder with a tensor file and a card for each network.
 
-Every set contains the three networks of the paper. The motion priors of STRIVE and DiffScene
-are optional, and loaded only by these baselines. The marginal network may have several members, each in its own files
-(``marginal``, ``marginal-2``, ...): the card of the first one lists them under ``members``, with
-the temperature of their mixture.
+Every set contains the three networks of the paper. The motion priors of STRIVE and DiffScene are
+optional, and loaded only by these baselines. The marginal network may have several members, each in
+its own files (``marginal``, ``marginal-2``, ...): the card of the first one lists them under
+``members``, with the temperature of their mixture.
 
 Torch computes networks from their tensors, ONNX Runtime from graphs that are made of these
 (`onnx_networks`); `runtime_name` says which, and ``$DEEPMF_SUMO_DEVICE`` where torch does.
