@@ -1,4 +1,4 @@
-"""Guided samples of `diffscene`: what pulls a motion to the AV, and what holds it on the road.
+"""Guided samples of `diffscene`: the costs of a motion, and the motions that they guide.
 
 Costs are in metres: a weight converts its term into distance to the AV.
 """

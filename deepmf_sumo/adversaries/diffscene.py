@@ -12,8 +12,8 @@ was in its earlier rollout. The objective of functionality is left out, because 
 8 s long and has no route to be kept from.
 
 ``samples`` motions are drawn at once and tracked within the limits. Of those that meet the AV's
-rollout, and nobody else before, the one attacks that is least off the road and near others up to
-there; else the best of all that meet it; else the one that comes nearest.
+rollout, and no other road user before, the one with the least cost of road and others up to the
+contact attacks; else the cheapest of all that meet the AV; else the one that comes nearest.
 
 Budget: ``steps`` evaluations of the network for each sample, at most ``seconds`` if that is set;
 and two simulations, one unattacked and
@@ -158,7 +158,7 @@ class DiffScene:
 
 
 def _best(gap_m: Floats, clear: Bools, cost_m: Floats) -> int:
-    """The cheapest that meets the AV, those first that meet nobody before; else the nearest."""
+    """The cheapest hit, one without an earlier contact if there is one; else the nearest."""
     hits = gap_m <= 0
     if not hits.any():
         return int(gap_m.argmin())
