@@ -128,7 +128,7 @@ class DiffusionPrior(nn.Module):
         reach: float,
         deadline: float = math.inf,
     ) -> Tensor:
-        """Clean components (S, C) from normal noise (S, C), drawn to a lower cost of the guide.
+        """Clean components (S, C) from normal noise (S, C), moved towards lower costs of the guide.
 
         EDM's deterministic sampler by Euler steps. The guide's gradient goes through the network,
         and moves the expected motion by at most ``reach`` times the noise that is left (with
