@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _OTHERS: Final = {"number", "host", "order", "wait_s", "net", "patience_s"}
 """Options of `attach` on where SUMO is, and how long to wait for it."""
+_SUMO_ENDS_S: Final = 5.0
+"""For SUMO to end after it closed its connections."""
 
 
 @click.command(
@@ -114,7 +116,7 @@ def _simulations(
                 left=lambda: server.left,
             )  # fmt: skip
         except SimulationError:
-            server.check()  # what SUMO ended with says more
+            server.check(_SUMO_ENDS_S)  # what SUMO ended with says more
             raise
         undriven += done.undriven
         yield replace(done, undriven=undriven)

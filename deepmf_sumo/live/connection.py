@@ -97,11 +97,7 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
             raise
         with suppress(Exception):
             connection.close()  # SUMO ends, for it refuses the other client, too
-        raise SimulationError(
-            f"SUMO at {port.host}:{port.number} refused client {port.order} "
-            f"({str(error).strip()}); every client needs a number of its own, --order, and SUMO "
-            "one --num-clients for all of them."
-        ) from None
+        raise SimulationError(_refused(port, error)) from None
     return shared(connection)
 
 
@@ -135,6 +131,20 @@ def of_sumo(error: BaseException) -> bool:
 def lost(error: BaseException) -> bool:
     """Whether the error means that the connection is gone."""
     return type(error).__name__ == "FatalTraCIError"
+
+
+def _refused(port: Port, error: Exception) -> str:
+    where = f"{port.host}:{port.number}"
+    if lost(error):
+        return (
+            f"SUMO at {where} closed the connection before its first step. Either it ended by an "
+            f"error, which it has printed, or it refused client {port.order}: every client needs a "
+            "number of its own, --order, and SUMO one --num-clients for all of them."
+        )
+    return (
+        f"SUMO at {where} refused client {port.order} ({str(error).strip()}); every client needs "
+        "a number of its own, --order, and SUMO one --num-clients for all of them."
+    )
 
 
 def _nobody(port: Port) -> str:

@@ -125,8 +125,10 @@ class Server:
         """Whether SUMO has."""
         return self._sumo.poll() is not None
 
-    def check(self) -> None:
-        """Raise SimulationError where SUMO has ended by an error."""
+    def check(self, wait_s: float = 0.0) -> None:
+        """Raise SimulationError where SUMO has ended by an error, or does so within a time."""
+        with suppress(subprocess.TimeoutExpired):
+            self._sumo.wait(wait_s)
         if code := self._sumo.poll():
             raise SimulationError(f"SUMO ended with exit code {code}; see what it printed.")
 

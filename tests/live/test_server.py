@@ -14,6 +14,7 @@ import time
 import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -74,10 +75,10 @@ def served(tiny, tmp_path):
 def talked(tiny, tmp_path, capsys):
     """Runs the command in this process, for a client in a thread; gives code and output."""
 
-    def run(talk):
+    def run(talk, *more):
         port = free_port()
         command = ["serve", tiny / "tiny.sumocfg", "--port", port, "--av", "nobody"]
-        command += ["--out", tmp_path / "live", "--", *OPTIONS]
+        command += ["--out", tmp_path / "live", "--", *OPTIONS, *more]
         with ThreadPoolExecutor(1) as pool:
             client = pool.submit(lambda: talk(functools.partial(connection, port)))
             code = main._run(list(map(str, command)))
@@ -352,6 +353,20 @@ def test_a_simulation_that_cannot_be_loaded_ends_the_service(talked):
     code, _, told = talked(functools.partial(load_in_vain, content))
     assert code == exit_code("failed")
     assert "SUMO ended with exit code 1" in told
+
+
+def test_routes_that_sumo_refuses_are_told_as_the_end_of_sumo(talked, tmp_path):
+    def talk(connect):
+        with connect() as connection, suppress(ConnectionError):
+            connection.sendall(message(command(0x02, struct.pack("!d", 0.0))))
+            assert connection.recv(4096) == b""
+
+    routes = tmp_path / "bad.rou.xml"
+    routes.write_text('<routes><trip id="a" depart="0" from="nowhere" to="neither"/></routes>')
+    code, _, told = talked(talk, "--route-files", routes)
+    assert code == exit_code("failed")
+    assert "SUMO ended with exit code 1" in told
+    assert "--order" not in told
 
 
 @pytest.mark.parametrize(
