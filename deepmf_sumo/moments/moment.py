@@ -8,6 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Bools
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.simulation.observation import kind_of
 from deepmf_sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
 
 VehicleTime = tuple[AgentId, float]
@@ -157,11 +158,6 @@ _AV_CLASSES: Final = {
     *("passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "evehicle"),
     *("bus", "coach", "delivery", "truck", "trailer", "custom1", "custom2", "ignoring"),
 }
-_NOT_ON_ROADS: Final = {
-    *("bicycle", "pedestrian", "wheelchair", "scooter", "tram", "rail", "rail_urban", "rail_fast"),
-    *("rail_electric", "subway", "cable_car", "ship", "container", "aircraft", "drone"),
-}
-"""Of SUMO's vehicle classes those that are never an opponent."""
 
 
 def suitable(
@@ -196,7 +192,7 @@ def suitable(
 
 def opponents(sightings: Sightings) -> Bools:
     """(K) whether it can attack: vehicles on roads that are not parked."""
-    others = np.array([body.permission not in _NOT_ON_ROADS for body in sightings.bodies], bool)
+    others = np.array([kind_of(body.permission) == "vehicle" for body in sightings.bodies], bool)
     able: Bools = others[sightings.vehicle] & ~sightings.parked
     return able
 

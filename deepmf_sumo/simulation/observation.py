@@ -1,6 +1,7 @@
 """What is read from SUMO in each step: vehicles, persons, and the lights of lanes."""
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +15,20 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.simulation.frame import Body, Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
+
+
+_KINDS: Final[Mapping[str, AgentKind]] = {
+    **dict.fromkeys(("bicycle", "scooter"), "cyclist"),
+    **dict.fromkeys(("pedestrian", "wheelchair"), "pedestrian"),
+    **dict.fromkeys(("tram", "rail", "rail_urban", "rail_fast", "rail_electric"), "other"),
+    **dict.fromkeys(("subway", "cable_car", "ship", "container", "aircraft", "drone"), "other"),
+}
+"""Of SUMO's vehicle classes those that are no vehicles on roads, and so never an opponent."""
+
+
+def kind_of(vehicle_class: str) -> AgentKind:
+    """The kind of SUMO's vehicles of a class. What is bound to rails is of no kind: ``other``."""
+    return _KINDS.get(vehicle_class, "vehicle")
 
 
 class Bodies:
@@ -33,9 +48,7 @@ class Bodies:
         if body is None:
             domain = self._api.person if person else self._api.vehicle
             size = (domain.getLength(agent), domain.getWidth(agent), domain.getHeight(agent))
-            kind: AgentKind = "pedestrian" if person else "vehicle"
-            if not person and domain.getVehicleClass(agent) == "bicycle":
-                kind = "cyclist"
+            kind = "pedestrian" if person else kind_of(str(domain.getVehicleClass(agent)))
             length, width, height = (float(value) for value in size)
             body = self._known[agent] = Body(kind=kind, size_m=(length, width, height))
         return body

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, Driver, Plan
+from deepmf_sumo.deepmf.policy import Settings
+from deepmf_sumo.deepmf.policy import build as deepmf
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.planners import idm, replay, sumo
+from deepmf_sumo.predictors.weights import cached_predictors
 from deepmf_sumo.simulation import network_case, simulate
 
 from tests.support.tiny_network import build
@@ -174,3 +177,19 @@ def test_what_sumo_says_against_a_configuration_is_passed_on(config):
     broken.write_text(config.read_text().replace("tiny.rou", "broken.rou"))
     with pytest.raises(SimulationError, match="nowhere"):
         run(network_case(broken, 1.0, "a", 10, seed=0))
+
+
+@pytest.mark.parametrize(
+    ("vehicle_class", "kind"),
+    [("bus", "vehicle"), ("tram", "other"), ("bicycle", "cyclist"), ("wheelchair", "pedestrian")],
+)
+def test_what_is_no_vehicle_on_roads_never_attacks(tmp_path, vehicle_class, kind):
+    config = build(tmp_path)
+    routes = tmp_path / "tiny.rou.xml"
+    of_class = f'<routes><vType id="kind" vClass="{vehicle_class}"/>'
+    text = routes.read_text().replace("<routes>", of_class)
+    routes.write_text(text.replace('id="leader"', 'id="leader" type="kind"'))
+    policy = deepmf(Settings(version="S1"), cached_predictors("open"))
+    rollout = run(network_case(config, 5.0, "av", 1), policy=policy)
+    assert rollout.tracks.kinds[rollout.tracks.row("leader")] == kind
+    assert rollout.opponent_id == ("leader" if kind == "vehicle" else None)
