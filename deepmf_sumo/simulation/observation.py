@@ -16,7 +16,6 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.simulation.frame import Body, Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
-
 _KINDS: Final[Mapping[str, AgentKind]] = {
     **dict.fromkeys(("bicycle", "scooter"), "cyclist"),
     **dict.fromkeys(("pedestrian", "wheelchair"), "pedestrian"),
