@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import (
     Floats,
@@ -35,6 +36,8 @@ from deepmf_sumo.network.sumo_net import (
 BROKEN_WHITE: Final = 1
 SOLID_DOUBLE_YELLOW: Final = 7
 BOUNDARY: Final = 1
+_BESIDE_M: Final = 3.0
+"""From the middle of a lane: an edge farther away is not the lane's."""
 MOUTH_M: Final = 1.0
 """A side of a junction's outline this close to a lane's end is the lane's mouth."""
 
@@ -68,7 +71,7 @@ def borders(
                 lines.append(_of_kind(middle, SOLID_DOUBLE_YELLOW))
             else:
                 edges.append(_of_kind(middle, BOUNDARY))
-    edges += _junction_edges(net, roads)
+    edges += _junction_edges(net, roads, drivable)
     return tuple(lines), tuple(edges)
 
 
@@ -87,28 +90,71 @@ def _beside(key: str, kind: int, shape_m: Floats, left_m: float) -> Polyline:
     return Polyline(id=key, kind=kind, points_m=shape_m[:, :2] + left_m * mean, z_m=shape_m[:, 2])
 
 
-def _junction_edges(net: NetFile, roads: list[NetEdge]) -> list[Polyline]:
-    """Sides of junctions' outlines that no lane passes."""
-    sides, names = [], []
+def _junction_edges(net: NetFile, roads: list[NetEdge], drivable: set[str]) -> list[Polyline]:
+    """Sides of junctions' outlines that no lane passes.
+
+    Where there are walking areas, only those of the roadway: corners of pavements are no edges.
+    """
+    sides, names, doubtful = [], [], []
+    walking = _walking_areas(net)
     for junction in net.junctions:
-        ring = junction.shape_m
+        areas = walking.get(junction.id, [])
+        ring = _roadway(junction.shape_m, areas)
         if len(ring) > 2:
             following = np.roll(ring, -1, axis=0)
             long = np.hypot(*(following - ring).T) > 0.1
             sides += list(np.stack([ring, following], axis=1)[long])
             names += [f"{junction.id}:{side}" for side in np.flatnonzero(long)]
+            doubtful += [bool(areas)] * int(long.sum())
     ends = [lane.shape_m[[0, -1], :2] for edge in roads for lane in edge.lanes if len(lane.shape_m)]
     if not sides or not ends:
         return []
-    segments = shapely.linestrings(np.array(sides))
+    segments = np.asarray(shapely.linestrings(np.array(sides)))
     tree = shapely.STRtree(np.asarray(shapely.points(np.concatenate(ends))))
-    near, _ = tree.query(segments, predicate="dwithin", distance=MOUTH_M)
-    mouths = set(near.tolist())
+    mouths = set(tree.query(segments, predicate="dwithin", distance=MOUTH_M)[0].tolist())
+    pavement = set(np.flatnonzero(doubtful).tolist()) - _beside_lanes(net, drivable, segments)
     return [
         Polyline(id=names[index], kind=BOUNDARY, points_m=side, z_m=np.zeros(2))
         for index, side in enumerate(sides)
-        if index not in mouths
+        if index not in mouths and index not in pavement
     ]
+
+
+def _beside_lanes(net: NetFile, drivable: set[str], segments: NDArray[Any]) -> set[int]:
+    """Which segments have their middle beside a lane of a junction."""
+    lanes = [
+        shapely.LineString(lane.shape_m[:, :2])
+        for edge in net.edges.values()
+        for lane in edge.lanes
+        if edge.function == "internal" and lane.id in drivable
+    ]
+    middles = shapely.line_interpolate_point(segments, 0.5, normalized=True)
+    found = shapely.STRtree(lanes).query(middles, predicate="dwithin", distance=_BESIDE_M)[0]
+    return set(found.tolist())
+
+
+def _walking_areas(net: NetFile) -> dict[str, list[Floats]]:
+    """Outlines of the walking areas of each junction, which has them in its own outline."""
+    found: dict[str, list[Floats]] = defaultdict(list)
+    for edge in net.edges.values():
+        for lane in edge.lanes if edge.function == "walkingarea" else ():
+            if len(lane.shape_m) > 2:
+                found[edge.id[1:].rpartition("_")[0]].append(lane.shape_m[:, :2])
+    return found
+
+
+def _roadway(ring_m: Floats, walking_m: list[Floats]) -> Floats:
+    """(N, 2) outline of a junction without its walking areas."""
+    if len(ring_m) < 3 or not walking_m:
+        return ring_m
+    # buffers make them valid: SUMO's outlines may cross themselves
+    away = shapely.union_all(shapely.buffer([shapely.Polygon(one) for one in walking_m], 0.05))
+    left = shapely.difference(shapely.buffer(shapely.Polygon(ring_m), 0.0), away)
+    parts = shapely.get_parts(left)
+    if not len(parts):
+        return ring_m
+    outline = shapely.get_exterior_ring(max(parts, key=shapely.area))
+    return shapely.get_coordinates(outline)[:-1]
 
 
 _VEHICLES: Final = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")

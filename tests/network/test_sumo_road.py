@@ -3,6 +3,8 @@ import os
 
 import numpy as np
 import pytest
+import shapely
+import sumolib
 
 from deepmf_sumo import network
 from deepmf_sumo.errors import SimulationError
@@ -75,8 +77,6 @@ def test_pedestrians_ways_are_no_lanes_but_their_crossings_are_drawn(grid):
 
 
 def test_road_edges_do_not_lie_across_lanes(grid):
-    import shapely
-
     road = road_of_net(grid)
     centres = [
         shapely.LineString(lane.centre_m).segmentize(1.0)
@@ -88,6 +88,23 @@ def test_road_edges_do_not_lie_across_lanes(grid):
     )
     assert crossed == 0
     assert road.lines
+
+
+def test_corners_of_pavements_are_no_road_edges(grid):
+    """Walking areas as sumolib reads them lie outside of all edges, and lanes along all of them."""
+    road, net = road_of_net(grid), sumolib.net.readNet(str(grid), withInternal=True)
+    pavement = shapely.union_all(
+        [
+            shapely.Polygon(edge.getLanes()[0].getShape()).buffer(-0.1)
+            for edge in net.getEdges()
+            if edge.getFunction() == "walkingarea"
+        ]
+    )
+    lanes = shapely.union_all([shapely.LineString(one.centre_m) for one in road.lanes.values()])
+    edges = [shapely.LineString(one.points_m) for one in road.edges]
+    assert len(edges) > 16
+    assert not any(one.intersects(pavement) for one in edges)
+    assert max(one.centroid.distance(lanes) for one in edges) < 3.0
 
 
 def test_lights_are_those_of_the_lane_behind_them(grid):
