@@ -112,7 +112,9 @@ def _junction_edges(net: NetFile, roads: list[NetEdge], drivable: set[str]) -> l
     segments = np.asarray(shapely.linestrings(np.array(sides)))
     tree = shapely.STRtree(np.asarray(shapely.points(np.concatenate(ends))))
     mouths = set(tree.query(segments, predicate="dwithin", distance=MOUTH_M)[0].tolist())
-    pavement = set(np.flatnonzero(doubtful).tolist()) - _beside_lanes(net, drivable, segments)
+    pavement = set(np.flatnonzero(doubtful).tolist()) - _beside_lanes(
+        net, drivable, walking, segments
+    )
     return [
         Polyline(id=names[index], kind=BOUNDARY, points_m=side, z_m=np.zeros(2))
         for index, side in enumerate(sides)
@@ -120,16 +122,20 @@ def _junction_edges(net: NetFile, roads: list[NetEdge], drivable: set[str]) -> l
     ]
 
 
-def _beside_lanes(net: NetFile, drivable: set[str], segments: NDArray[Any]) -> set[int]:
-    """Which segments have their middle beside a lane of a junction."""
+def _beside_lanes(
+    net: NetFile, drivable: set[str], walking: dict[str, list[Floats]], sides: NDArray[Any]
+) -> set[int]:
+    """Which sides have their middle beside a lane of a junction that has walking areas."""
     lanes = [
-        shapely.LineString(lane.shape_m[:, :2])
+        lane.shape_m[:, :2]
         for edge in net.edges.values()
         for lane in edge.lanes
-        if edge.function == "internal" and lane.id in drivable
+        if edge.function == "internal" and lane.id in drivable and _junction_of(edge) in walking
     ]
-    middles = shapely.line_interpolate_point(segments, 0.5, normalized=True)
-    found = shapely.STRtree(lanes).query(middles, predicate="dwithin", distance=_BESIDE_M)[0]
+    row = np.repeat(np.arange(len(lanes)), [len(lane) for lane in lanes])
+    lines = np.asarray(shapely.linestrings(np.concatenate([np.empty((0, 2)), *lanes]), indices=row))
+    middles = shapely.line_interpolate_point(sides, 0.5, normalized=True)
+    found = shapely.STRtree(lines).query(middles, predicate="dwithin", distance=_BESIDE_M)[0]
     return set(found.tolist())
 
 
@@ -139,8 +145,13 @@ def _walking_areas(net: NetFile) -> dict[str, list[Floats]]:
     for edge in net.edges.values():
         for lane in edge.lanes if edge.function == "walkingarea" else ():
             if len(lane.shape_m) > 2:
-                found[edge.id[1:].rpartition("_")[0]].append(lane.shape_m[:, :2])
+                found[_junction_of(edge)].append(lane.shape_m[:, :2])
     return found
+
+
+def _junction_of(edge: NetEdge) -> str:
+    """The junction of an edge inside it: netconvert numbers these, as ``:J_2`` and ``:J_w0``."""
+    return edge.id[1:].rpartition("_")[0]
 
 
 def _roadway(ring_m: Floats, walking_m: list[Floats]) -> Floats:
@@ -148,7 +159,9 @@ def _roadway(ring_m: Floats, walking_m: list[Floats]) -> Floats:
     if len(ring_m) < 3 or not walking_m:
         return ring_m
     # buffers make them valid: SUMO's outlines may cross themselves
-    away = shapely.union_all(shapely.buffer([shapely.Polygon(one) for one in walking_m], 0.05))
+    row = np.repeat(np.arange(len(walking_m)), [len(one) for one in walking_m])
+    areas = shapely.polygons(shapely.linearrings(np.concatenate(walking_m), indices=row))
+    away = shapely.union_all(shapely.buffer(areas, 0.05, quad_segs=1))
     left = shapely.difference(shapely.buffer(shapely.Polygon(ring_m), 0.0), away)
     parts = shapely.get_parts(left)
     if not len(parts):

@@ -1,17 +1,25 @@
-"""Rules for the road itself: missing links, merges, speed steps, tight turns."""
+"""Rules for the road itself: overlaps, missing links, merges, speed steps, tight turns."""
 
 import itertools
 import math
 from typing import Final
 
+import shapely
+
 from deepmf_sumo.network.sumo_net import NetEdge, NetLane
 from deepmf_sumo.screening.findings import Case, Judged
 from deepmf_sumo.screening.guidelines import GRAVITY, KMH, Guideline
-from deepmf_sumo.screening.roads import Roads, Way, for_cars
+from deepmf_sumo.screening.roads import Roads, Way, for_cars, for_motors
 
 _STEP_MPS: Final = 30 * KMH
 _MERGING_RAD: Final = math.radians(30)
 """Ways that join at a smaller angle merge; others cross."""
+_APART_M: Final = 1.8
+"""Between the middles of two lanes: closer ones have no room for two cars beside each other."""
+_PASSED_M: Final = 10.0
+"""Over less than this cars can wait for each other."""
+_SLOW_MPS: Final = 32 * KMH
+"""Up to this limit an overlap may be a narrow road, where drivers wait: a warning."""
 _CUT_M: Final = 10.0
 """By so much a lane may be shorter: junctions of a network cut lanes."""
 _LEAD_M: Final = 10.0
@@ -32,12 +40,48 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
     for edge in roads.net.edges.values():
         if not edge.function and any(for_cars(lane) for lane in edge.lanes):
             _links(roads, book, edge, found)
+            _overlap(roads, edge, found)
     for junction in roads.net.junctions:
         ways = roads.ways.get(junction.id, [])
         _joins(roads, book, junction.type, ways, found)
         for way in ways:
             _step(way, found)
             _turn(way, book, found)
+
+
+def _overlap(roads: Roads, edge: NetEdge, found: Judged) -> None:
+    """Lanes of opposite directions that lie on each other, of each pair of edges once."""
+    for other in roads.starting.get(edge.end, ()):
+        if edge.id < other.id and roads.opposite(edge.id, other.id):
+            mine, its = (
+                [(one, shapely.LineString(one.shape_m[:, :2])) for one in each if for_motors(one)]
+                for each in (edge.lanes, other.lanes)
+            )
+            shared = {
+                (one.id, two.id): line.intersection(oncoming.buffer(_APART_M)).length
+                for one, line in mine
+                for two, oncoming in its
+            }
+            pair = max(shared, key=lambda key: shared[key], default=None)
+            if pair is not None and shared[pair] > _PASSED_M:
+                _head_on(edge, other, pair, shared[pair], found)
+
+
+def _head_on(
+    edge: NetEdge, other: NetEdge, lanes: tuple[str, str], length_m: float, found: Judged
+) -> None:
+    limit = max(one.speed_mps for one in (*edge.lanes, *other.lanes))
+    said = (
+        f"lanes {lanes[0]} and {lanes[1]} of opposite directions lie on each other over"
+        f" {length_m:.0f} m: vehicles meet head on, which SUMO does not notice"
+    )
+    found.cases.append(
+        Case(
+            rule="overlap", severity="error" if limit > _SLOW_MPS else "warning",
+            junction=edge.end, edges=(edge.id, other.id), said=said, measured=length_m,
+            required=0.0, unit="m", source="lanes of their own for both directions",
+        )
+    )  # fmt: skip
 
 
 def _links(roads: Roads, book: Guideline, edge: NetEdge, found: Judged) -> None:

@@ -10,12 +10,14 @@ SEVERITIES: Final[tuple[Severity, ...]] = ("error", "warning")
 """The most severe first."""
 
 Rule = Literal[
-    "conflicting_greens", "no_priority", "yellow", "intergreen", "merge", "permissive_left",
-    "signal_speed", "right_before_left", "missing_link", "tight_turn", "speed_step",
+    "conflicting_greens", "no_priority", "overlap", "yellow", "intergreen", "merge",
+    "permissive_left", "signal_speed", "right_before_left", "missing_link", "tight_turn",
+    "speed_step",
 ]  # fmt: skip
 RULES: Final[tuple[Rule, ...]] = (
-    "conflicting_greens", "no_priority", "yellow", "intergreen", "merge", "permissive_left",
-    "signal_speed", "right_before_left", "missing_link", "tight_turn", "speed_step",
+    "conflicting_greens", "no_priority", "overlap", "yellow", "intergreen", "merge",
+    "permissive_left", "signal_speed", "right_before_left", "missing_link", "tight_turn",
+    "speed_step",
 )  # fmt: skip
 """In the order in which findings of one severity are listed."""
 

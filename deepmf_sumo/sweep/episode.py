@@ -45,6 +45,7 @@ from deepmf_sumo.metrics import measure
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.results import artifacts, result, signals
 from deepmf_sumo.results.result import Result, first_contact
@@ -197,12 +198,13 @@ def _foreign(task: Task) -> bool:
 def _load(task: Task, cache: Path) -> None:
     """What the runs that follow need, too, and the code of others, which may import a lot."""
     plugins.load("planners", task.spec.planner.name)
+    sumo_api.load()
+    case = make_case(task, cache)
     if plugins.own("adversaries", task.spec.adversary.name):
         adversary = _adversary_of(task)
         if isinstance(adversary, Loading):
             adversary.load()
-    sumo_api.load()
-    make_case(task, cache)
+            road_index(case.road)  # predictors need it: seconds on the network of a town
 
 
 @contextmanager

@@ -3,6 +3,10 @@
 import re
 
 import pytest
+import sumolib
+
+from deepmf_sumo.network import sumo_tools
+from deepmf_sumo.screening import GUIDELINES, screen
 
 PHASE = '<phase duration="32" state="GGGrrrrrGGGrrrrr" name="n-s straight"/>'
 YELLOW = '<phase duration="3"  state="yyyrrrrryyyrrrrr"/>'
@@ -23,6 +27,26 @@ def test_sound_networks(changed):
     assert rules(changed("highway")) == {"speed_step"}, "120 to 80 km/h on the off-ramp"
     assert rules(changed("four_way")) == {"intergreen", "permissive_left"}
     assert rules(changed("arterial")) == {"intergreen", "permissive_left"}, "3 s and no red"
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize(("spread", "cases"), [("center", 7), ("right", 0), ("roadCenter", 0)])
+def test_lanes_of_both_directions_on_each_other(tmp_path, spread, cases):
+    """As netconvert spreads lanes: in the middle of a line that both directions have."""
+    file = tmp_path / "grid.net.xml"
+    sumo_tools.run(
+        *("netgenerate", "--grid", "--grid.x-number", "2", "--grid.y-number", "3"),
+        *("--grid.length", "100", "-L", "1", "--default.speed", "13.9"),
+        *("--default.spreadtype", spread, "-o", str(file)),
+    )
+    overlaps = of(screen(file, GUIDELINES["rilsa"]), "overlap")
+    assert sum(one.cases for one in overlaps) == cases
+    assert all(one.severity == "error" for one in overlaps)
+    for one in overlaps:
+        net = sumolib.net.readNet(str(file))
+        mine, its = (net.getEdge(edge).getLane(0) for edge in one.worst.edges)
+        assert mine.getShape() == its.getShape()[::-1]
+        assert one.worst.measured == pytest.approx(mine.getLength(), abs=0.1)
 
 
 def test_short_yellow(changed):
