@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from deepmf_sumo.risk.comparison import Compared
     from deepmf_sumo.risk.coverage import TypeRow
     from deepmf_sumo.risk.table import Row as PlaceRow
+    from deepmf_sumo.simulation.sumo_config import Configuration
     from deepmf_sumo.sweep.batch import Progress
 
 
@@ -321,8 +322,22 @@ def announce_moments(request: Request, found: Found) -> None:
         chosen += f", {before} of them before an encounter"
     if len(found.moments) < wish.count:
         chosen += f", not {wish.count}: {found.reason}"
-    for line in (chosen, *found.notes):
+    for line in (chosen, *found.notes, *_of_the_network(configuration)):
         click.echo(shown(line), err=True)
+
+
+def _of_the_network(configuration: Configuration) -> Iterator[str]:
+    """What is wrong with a network so that attacks on it say little."""
+    from deepmf_sumo.network.sumo_net import read_once
+    from deepmf_sumo.report.table import counted
+    from deepmf_sumo.screening import overlaps
+
+    if count := len(list(overlaps(read_once(configuration.net)))):
+        where = counted(count, "pair") + " of edges"
+        yield (
+            f"{configuration.net.name}: lanes of opposite directions lie on each other at {where}."
+            " Contacts there may come from the network; `deepmf-sumo screen` lists them"
+        )
 
 
 def _attacked_from(found: Found) -> str:

@@ -7,6 +7,7 @@
                                  findings, one per rule and junction  <--screen-+
 """
 
+from deepmf_sumo.screening.alignment import overlaps
 from deepmf_sumo.screening.findings import COLUMNS, SEVERITIES, Finding, Severity, at_least
 from deepmf_sumo.screening.guidelines import GUIDELINES, Guideline
 from deepmf_sumo.screening.screen import BESIDE, Screened, beside, columns, screen
@@ -23,5 +24,6 @@ __all__ = [
     "at_least",
     "beside",
     "columns",
+    "overlaps",
     "screen",
 ]

@@ -2,11 +2,13 @@
 
 import itertools
 import math
+from collections import defaultdict
+from collections.abc import Iterator
 from typing import Final
 
 import shapely
 
-from deepmf_sumo.network.sumo_net import NetEdge, NetLane
+from deepmf_sumo.network.sumo_net import NetEdge, NetFile, NetLane
 from deepmf_sumo.screening.findings import Case, Judged
 from deepmf_sumo.screening.guidelines import GRAVITY, KMH, Guideline
 from deepmf_sumo.screening.roads import Roads, Way, for_cars, for_motors
@@ -37,10 +39,10 @@ _EXEMPT: Final = "turn to left or right below 1.5 g: its speed is netconvert's o
 
 def judge(roads: Roads, book: Guideline, found: Judged) -> None:
     """All rules, on all edges and movements."""
+    found.cases += overlaps(roads.net)
     for edge in roads.net.edges.values():
         if not edge.function and any(for_cars(lane) for lane in edge.lanes):
             _links(roads, book, edge, found)
-            _overlap(roads, edge, found)
     for junction in roads.net.junctions:
         ways = roads.ways.get(junction.id, [])
         _joins(roads, book, junction.type, ways, found)
@@ -49,38 +51,40 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
             _turn(way, book, found)
 
 
-def _overlap(roads: Roads, edge: NetEdge, found: Judged) -> None:
-    """Lanes of opposite directions that lie on each other, of each pair of edges once."""
-    for other in roads.starting.get(edge.end, ()):
-        if edge.id < other.id and roads.opposite(edge.id, other.id):
-            mine, its = (
-                [(one, shapely.LineString(one.shape_m[:, :2])) for one in each if for_motors(one)]
-                for each in (edge.lanes, other.lanes)
-            )
-            shared = {
-                (one.id, two.id): line.intersection(oncoming.buffer(_APART_M)).length
-                for one, line in mine
-                for two, oncoming in its
-            }
-            pair = max(shared, key=lambda key: shared[key], default=None)
-            if pair is not None and shared[pair] > _PASSED_M:
-                _head_on(edge, other, pair, shared[pair], found)
+def overlaps(net: NetFile) -> Iterator[Case]:
+    """Lanes of opposite directions that lie on each other, a case for each pair of edges."""
+    roads = [one for one in net.edges.values() if not one.function]
+    by_ends = defaultdict(list)
+    for one in roads:
+        by_ends[one.start, one.end].append(one)
+    for edge in roads:
+        for other in by_ends[edge.end, edge.start] if edge.start != edge.end else ():
+            if edge.id < other.id:
+                shared = {
+                    (one.id, two.id): line.intersection(oncoming.buffer(_APART_M)).length
+                    for one, line in _lines(edge)
+                    for two, oncoming in _lines(other)
+                }
+                pair = max(shared, key=lambda key: shared[key], default=None)
+                if pair is not None and shared[pair] > _PASSED_M:
+                    yield _head_on(edge, other, pair, shared[pair])
 
 
-def _head_on(
-    edge: NetEdge, other: NetEdge, lanes: tuple[str, str], length_m: float, found: Judged
-) -> None:
+def _lines(edge: NetEdge) -> list[tuple[NetLane, shapely.LineString]]:
+    """Lanes for motor vehicles with their lines."""
+    return [(one, shapely.LineString(one.shape_m[:, :2])) for one in edge.lanes if for_motors(one)]
+
+
+def _head_on(edge: NetEdge, other: NetEdge, lanes: tuple[str, str], length_m: float) -> Case:
     limit = max(one.speed_mps for one in (*edge.lanes, *other.lanes))
     said = (
         f"lanes {lanes[0]} and {lanes[1]} of opposite directions lie on each other over"
         f" {length_m:.0f} m: vehicles meet head on, which SUMO does not notice"
     )
-    found.cases.append(
-        Case(
-            rule="overlap", severity="error" if limit > _SLOW_MPS else "warning",
-            junction=edge.end, edges=(edge.id, other.id), said=said, measured=length_m,
-            required=0.0, unit="m", source="lanes of their own for both directions",
-        )
+    return Case(
+        rule="overlap", severity="error" if limit > _SLOW_MPS else "warning", junction=edge.end,
+        edges=(edge.id, other.id), said=said, measured=length_m, required=0.0, unit="m",
+        source="lanes of their own for both directions",
     )  # fmt: skip
 
 

@@ -1,10 +1,12 @@
 """Each rule on a network in which one thing is wrong; sound ones have no such finding."""
 
 import re
+from types import SimpleNamespace
 
 import pytest
 import sumolib
 
+from deepmf_sumo.cli import _screen
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.screening import GUIDELINES, screen
 
@@ -47,6 +49,8 @@ def test_lanes_of_both_directions_on_each_other(tmp_path, spread, cases):
         mine, its = (net.getEdge(edge).getLane(0) for edge in one.worst.edges)
         assert mine.getShape() == its.getShape()[::-1]
         assert one.worst.measured == pytest.approx(mine.getLength(), abs=0.1)
+    told = list(_screen._of_the_network(SimpleNamespace(net=file)))
+    assert len(told) == bool(cases), "attack says it, too"
 
 
 def test_short_yellow(changed):
