@@ -59,11 +59,16 @@ def command(
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import leaving, show_session
     from deepmf_sumo.live.lockstep import Stay
+    from deepmf_sumo.live.session import parts_of_a_step
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
     port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
-    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
-        read_configuration(config)  # what is wrong with it shows before a client comes
+    named = {one.partition("=")[0] for one in options}
+    if not {"-n", "--net-file"} & named:
+        # what is wrong with it shows before a client comes
+        step_s = read_configuration(config).step_s
+        if "--step-length" not in named:
+            parts_of_a_step(step_s)
     wish, stay = (
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)

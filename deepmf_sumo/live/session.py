@@ -292,6 +292,7 @@ def parts_of_a_step(step_s: float) -> int:
     if parts < 1 or abs(parts * step_s - DT_S) > 1e-9:
         raise UsageError(
             f"The simulation steps by {step_s:g} s, and an attack needs 0.1 s or a whole part of "
-            "it; start SUMO with --step-length 0.1 (or 0.05, 0.02, 0.01)."
+            "it; start SUMO with --step-length 0.1 (or 0.05, 0.02, 0.01), `serve` with it behind "
+            "a --."
         )
     return parts

@@ -45,6 +45,7 @@ seen.append(sorted(map(str, api.poi.getAllContextSubscriptionResults())))
 json.dump(seen, open(sys.argv[3], "w"))
 api.close()
 """
+STEPS = ("--", "--step-length", "0.1")
 OPTIONS = ["--no-warnings", "--no-step-log", "--step-length", "0.1", "--collision.action", "none"]
 
 
@@ -412,7 +413,7 @@ def test_a_client_that_leaves_before_its_first_step_starts_nothing(served, tmp_p
     ],
 )
 def test_errors_of_the_command_show_before_a_client_can_come(tiny, tmp_path, capsys, options, told):
-    assert serve(tiny, tmp_path, "--port", 0, *options) == 2
+    assert serve(tiny, tmp_path, "--port", 0, *options, *STEPS) == 2
     found = capsys.readouterr().err
     assert told in found
     assert "listening" not in found
@@ -561,10 +562,12 @@ def test_what_cannot_begin_is_one_sentence(tiny, tmp_path, capsys):
         taken.bind(("localhost", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        code, told = serve(tiny, tmp_path, "--port", port), capsys.readouterr().err
+        code, told = serve(tiny, tmp_path, "--port", port, *STEPS), capsys.readouterr().err
     assert (code, told.count("\n")) == (2, 1)
     assert f"--port {port} cannot be used" in told
-    assert serve(tiny, tmp_path, "--port", 0, "--", "--no-such-option", "1") == 3
+    assert serve(tiny, tmp_path, "--port", 0) == 2, "the configuration has steps of 1 s"
+    assert "start SUMO with --step-length 0.1" in capsys.readouterr().err
+    assert serve(tiny, tmp_path, "--port", 0, *STEPS, "--no-such-option", "1") == 3
     assert "SUMO ended with exit code 1" in capsys.readouterr().err
 
 
