@@ -58,6 +58,7 @@ class NetEdge:
 
     Attributes:
         name: of the street, or empty.
+        bidi: the edge that shares its lane on purpose, or empty.
     """
 
     id: str
@@ -67,6 +68,7 @@ class NetEdge:
     type: str
     lanes: tuple[NetLane, ...]
     name: str = ""
+    bidi: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -274,6 +276,7 @@ def _edge(element: ET.Element) -> NetEdge:
         type=element.get("type", ""),
         lanes=tuple(_lane(lane, key) for lane in element.iter("lane")),
         name=_name(element),
+        bidi=element.get("bidi", ""),
     )
 
 

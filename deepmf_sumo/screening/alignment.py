@@ -22,6 +22,7 @@ _PASSED_M: Final = 10.0
 """Over less than this cars can wait for each other."""
 _SLOW_MPS: Final = 32 * KMH
 """Up to this limit an overlap may be a narrow road, where drivers wait: a warning."""
+_SHARED: Final = "pair of edges that share a lane on purpose (bidi)"
 _CUT_M: Final = 10.0
 """By so much a lane may be shorter: junctions of a network cut lanes."""
 _LEAD_M: Final = 10.0
@@ -40,6 +41,8 @@ _EXEMPT: Final = "turn to left or right below 1.5 g: its speed is netconvert's o
 def judge(roads: Roads, book: Guideline, found: Judged) -> None:
     """All rules, on all edges and movements."""
     found.cases += overlaps(roads.net)
+    shared = sum(one.bidi > one.id for one in roads.net.edges.values() if not one.function)
+    found.not_judged[_SHARED] += shared
     for edge in roads.net.edges.values():
         if not edge.function and any(for_cars(lane) for lane in edge.lanes):
             _links(roads, book, edge, found)
@@ -52,14 +55,17 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
 
 
 def overlaps(net: NetFile) -> Iterator[Case]:
-    """Lanes of opposite directions that lie on each other, a case for each pair of edges."""
+    """Lanes of opposite directions that lie on each other, a case for each pair of edges.
+
+    Not those that share a lane on purpose (``bidi``), where vehicles of SUMO brake for each other.
+    """
     roads = [one for one in net.edges.values() if not one.function]
     by_ends = defaultdict(list)
     for one in roads:
         by_ends[one.start, one.end].append(one)
     for edge in roads:
         for other in by_ends[edge.end, edge.start] if edge.start != edge.end else ():
-            if edge.id < other.id:
+            if edge.id < other.id and edge.bidi != other.id:
                 shared = {
                     (one.id, two.id): line.intersection(oncoming.buffer(_APART_M)).length
                     for one, line in _lines(edge)
@@ -72,14 +78,18 @@ def overlaps(net: NetFile) -> Iterator[Case]:
 
 def _lines(edge: NetEdge) -> list[tuple[NetLane, shapely.LineString]]:
     """Lanes for motor vehicles with their lines."""
-    return [(one, shapely.LineString(one.shape_m[:, :2])) for one in edge.lanes if for_motors(one)]
+    return [
+        (one, shapely.LineString(one.shape_m[:, :2]))
+        for one in edge.lanes
+        if for_motors(one) and len(one.shape_m) > 1
+    ]
 
 
 def _head_on(edge: NetEdge, other: NetEdge, lanes: tuple[str, str], length_m: float) -> Case:
     limit = max(one.speed_mps for one in (*edge.lanes, *other.lanes))
     said = (
         f"lanes {lanes[0]} and {lanes[1]} of opposite directions lie on each other over"
-        f" {length_m:.0f} m: vehicles meet head on, which SUMO does not notice"
+        f" {length_m:.0f} m: vehicles drive through each other there"
     )
     return Case(
         rule="overlap", severity="error" if limit > _SLOW_MPS else "warning", junction=edge.end,

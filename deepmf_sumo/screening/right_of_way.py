@@ -26,10 +26,21 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
         for one, two in pairs:
             if junction.goes_first and None in {one.row, two.row}:
                 found.not_judged["right of way of connections without a request"] += 1
+            elif _opposed(roads, one, two):
+                found.not_judged["oncoming movements that share a lane on purpose (bidi)"] += 1
             elif not (_has_rule(one, two) or roads.waits(one, two) or roads.waits(two, one)):
                 _nobody(one, two, found)
         if junction.type in _BY_RIGHT and pairs:
             _by_right(roads.ways[junction.id], book, found)
+
+
+def _opposed(roads: Roads, one: Way, two: Way) -> bool:
+    """Oncoming on a lane that both directions share: vehicles of SUMO brake for each other."""
+    edges = roads.net.edges
+    return (
+        edges[one.lane.edge].bidi == two.target.edge
+        and edges[one.target.edge].bidi == two.lane.edge
+    )
 
 
 def _has_rule(one: Way, two: Way) -> bool:

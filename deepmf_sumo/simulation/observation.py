@@ -22,11 +22,11 @@ _KINDS: Final[Mapping[str, AgentKind]] = {
     **dict.fromkeys(("tram", "rail", "rail_urban", "rail_fast", "rail_electric"), "other"),
     **dict.fromkeys(("subway", "cable_car", "ship", "container", "aircraft", "drone"), "other"),
 }
-"""Of SUMO's vehicle classes those that are no vehicles on roads, and so never an opponent."""
+"""Of SUMO's vehicle classes those that are not vehicles on roads, and so never attack."""
 
 
 def kind_of(vehicle_class: str) -> AgentKind:
-    """The kind of SUMO's vehicles of a class. What is bound to rails is of no kind: ``other``."""
+    """The kind of SUMO's vehicles of a class; ``other`` on rails, on water and in the air."""
     return _KINDS.get(vehicle_class, "vehicle")
 
 

@@ -8,7 +8,7 @@ import sumolib
 
 from deepmf_sumo.cli import _screen
 from deepmf_sumo.network import sumo_tools
-from deepmf_sumo.screening import GUIDELINES, screen
+from deepmf_sumo.screening import GUIDELINES, right_of_way, screen
 
 PHASE = '<phase duration="32" state="GGGrrrrrGGGrrrrr" name="n-s straight"/>'
 YELLOW = '<phase duration="3"  state="yyyrrrrryyyrrrrr"/>'
@@ -49,8 +49,36 @@ def test_lanes_of_both_directions_on_each_other(tmp_path, spread, cases):
         mine, its = (net.getEdge(edge).getLane(0) for edge in one.worst.edges)
         assert mine.getShape() == its.getShape()[::-1]
         assert one.worst.measured == pytest.approx(mine.getLength(), abs=0.1)
+    text = file.read_text()
+    for one in overlaps:
+        for edge, other in (one.worst.edges, one.worst.edges[::-1]):
+            text = text.replace(f'<edge id="{edge}"', f'<edge id="{edge}" bidi="{other}"')
+    shared = tmp_path / "shared.net.xml"
+    shared.write_text(text)
+    left = screen(shared, GUIDELINES["rilsa"])
+    on_purpose = left.not_judged.get("pair of edges that share a lane on purpose (bidi)", 0)
+    assert sum(one.cases for one in of(left, "overlap")) == cases - on_purpose
+    assert on_purpose == len(overlaps)
     told = list(_screen._of_the_network(SimpleNamespace(net=file)))
     assert len(told) == bool(cases), "attack says it, too"
+
+
+def test_oncoming_movements_on_a_lane_of_both_need_no_priority():
+    edges = {
+        name: SimpleNamespace(bidi=other)
+        for pair in (("in", "back"), ("on", "again"), ("side", ""))
+        for name, other in (pair, pair[::-1])
+    }
+    roads = SimpleNamespace(net=SimpleNamespace(edges=edges))
+
+    def way(before, behind):
+        return SimpleNamespace(
+            lane=SimpleNamespace(edge=before), target=SimpleNamespace(edge=behind)
+        )
+
+    assert right_of_way._opposed(roads, way("in", "on"), way("again", "back"))
+    assert not right_of_way._opposed(roads, way("in", "on"), way("side", "back"))
+    assert not right_of_way._opposed(roads, way("side", "on"), way("again", "side"))
 
 
 def test_short_yellow(changed):
@@ -163,7 +191,7 @@ def test_what_cannot_be_judged_is_counted(changed):
 
 
 def test_programs_of_additional_files_are_judged(changed, tmp_path):
-    from deepmf_sumo.screening import GUIDELINES, screen
+    from deepmf_sumo.screening import GUIDELINES, right_of_way, screen
 
     changed("four_way")
     (tmp_path / "more.add.xml").write_text(
