@@ -191,8 +191,6 @@ def test_what_cannot_be_judged_is_counted(changed):
 
 
 def test_programs_of_additional_files_are_judged(changed, tmp_path):
-    from deepmf_sumo.screening import GUIDELINES, right_of_way, screen
-
     changed("four_way")
     (tmp_path / "more.add.xml").write_text(
         '<additional><tlLogic id="centre" type="static" programID="night" offset="0">'
