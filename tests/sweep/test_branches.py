@@ -314,3 +314,21 @@ def test_episodes_of_one_run_begin_from_one_sumo_and_do_what_others_do(tiny, tmp
     # an episode without attack comes first, and tells the vehicle model; then SUMO is held
     assert started.read_text().split() == ["anew", "anew", *["held"] * 5, "anew", *["held"] * 6]
     assert same_bytes.same(tmp_path / "copies" / "runs", tmp_path / "one process" / "runs")
+
+
+def test_the_index_of_the_road_is_made_once_for_all_runs(tiny, paths, tmp_path):
+    """On the network of a town it takes seconds."""
+    made = tmp_path / "made"
+    watched = COUNTED.replace(
+        "planned =",
+        "from deepmf_sumo.predictors import lanes\npixels = lanes._pixels\n"
+        "def noted(*of):\n"
+        f"    open({str(made)!r}, 'a').write('made ')\n"
+        "    return pixels(*of)\n"
+        "lanes._pixels = noted\nplanned =",
+    )
+    specs = paths(adversary="{name: deepmf, version: S1, opponent: leader}")
+    command = [sys.executable, "-c", watched, str(tmp_path / "out" / "runs"), *map(str, specs)]
+    env = {**os.environ, **workers.SINGLE_THREAD}
+    subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
+    assert made.read_text().split() == ["made"]
