@@ -25,6 +25,7 @@ from deepmf_sumo.live.connection import LiveApi
 from deepmf_sumo.live.observer import Observer, Sighting
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.av import ShownMotion
 from deepmf_sumo.simulation.frame import Frame, Pose
@@ -50,6 +51,7 @@ class Surroundings:
     def __init__(self, api: LiveApi, net: Path, additional: tuple[Path, ...]) -> None:
         self.net = net
         self.road: RoadMap = road_of_net(net, additional)
+        road_index(self.road)  # seconds for a town: now, and not in the step of the first attack
         self.positions = FreePositions(api, self.road)
         self._api = api
         links = signal_links(net)

@@ -9,6 +9,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.live import observer
 from deepmf_sumo.live.session import parts_of_a_step
 from deepmf_sumo.live.triggers import AtEdge, AtTime, AtTtc, least_ttc_s, parse
+from deepmf_sumo.predictors import lanes
 from deepmf_sumo.simulation.frame import Frame
 
 from tests.support.live_doubles import OPTIONS, Brake, session_on, step
@@ -138,6 +139,13 @@ def test_shorter_steps_of_the_simulation(folder, sumo, step_length, parts):
 def test_steps_that_do_not_fit_are_refused(step_s):
     with pytest.raises(UsageError, match=f"steps by {step_s:g} s.*--step-length 0.1"):
         parts_of_a_step(step_s)
+
+
+def test_the_index_of_the_road_is_made_before_the_first_step(folder, sumo, monkeypatch):
+    """On the network of a town it takes seconds, which no step of a script should."""
+    session, _ = session_on(sumo(), folder, Brake(opponent="nobody"))
+    monkeypatch.setattr(lanes, "_pixels", None)  # part of making an index
+    assert lanes.road_index(session.surroundings.road).lane_ids
 
 
 def test_a_script_that_steps_twice_is_told(folder, sumo):
