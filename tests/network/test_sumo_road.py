@@ -90,7 +90,7 @@ def test_road_edges_do_not_lie_across_lanes(grid):
     assert road.lines
 
 
-def test_corners_of_pavements_are_no_road_edges(grid):
+def test_corners_of_pavements_are_not_road_edges(grid):
     """Walking areas as sumolib reads them lie outside of all edges, and lanes along all of them."""
     road, net = road_of_net(grid), sumolib.net.readNet(str(grid), withInternal=True)
     pavement = shapely.union_all(
