@@ -93,7 +93,7 @@ def _beside(key: str, kind: int, shape_m: Floats, left_m: float) -> Polyline:
 def _junction_edges(net: NetFile, roads: list[NetEdge], drivable: set[str]) -> list[Polyline]:
     """Sides of junctions' outlines that no lane passes.
 
-    Where there are walking areas, only the sides of the roadway: corners of pavements are not edges.
+    Where there are walking areas, only the sides of the roadway, not the corners of pavements.
     """
     sides, names, doubtful = [], [], []
     walking = _walking_areas(net)
