@@ -41,8 +41,10 @@ _EXEMPT: Final = "turn to left or right below 1.5 g: its speed is netconvert's o
 def judge(roads: Roads, book: Guideline, found: Judged) -> None:
     """All rules, on all edges and movements."""
     found.cases += overlaps(roads.net)
-    shared = sum(one.bidi > one.id for one in roads.net.edges.values() if not one.function)
-    found.not_judged[_SHARED] += shared
+    found.not_judged[_SHARED] += sum(
+        one.bidi > one.id and not one.function and any(for_motors(lane) for lane in one.lanes)
+        for one in roads.net.edges.values()
+    )
     for edge in roads.net.edges.values():
         if not edge.function and any(for_cars(lane) for lane in edge.lanes):
             _links(roads, book, edge, found)
