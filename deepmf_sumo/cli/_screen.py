@@ -311,7 +311,7 @@ def announce_moments(request: Request, found: Found) -> None:
         click.echo(shown(f"no vehicle to attack in {name}: {found.reason}"))
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
-    limit = "the limit of a million vehicle steps is reached; " * (request.scouting.until_s is None)
+    limit = "the limit of vehicle steps is reached; " * (request.scouting.until_s is None)
     further = "" if found.complete or wish.at_s or wish.again else f" ({limit}{wish.later})"
     seen = counted(found.vehicles, "vehicle")
     click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)

@@ -61,7 +61,8 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--until", "until_s", metavar="S", type=FiniteRange(min=1),
-    help="Look for moments up to this time.  [default: the end, or a million vehicle steps]",
+    help="Look for moments up to this time.  [default: the end, or a million vehicle"
+    " steps, five million while their number grows]",
 )  # fmt: skip
 @click.option(
     "--duration", "duration_s", metavar="S", type=float,

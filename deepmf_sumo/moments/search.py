@@ -85,6 +85,7 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
         seed=spec.seed,
         until_s=asked.until_s,
         from_s=asked.from_s if isinstance(asked.from_s, float) else None,
+        settles=asked.from_s == "settled",
         corners=area.corners if area else (),
     )
     return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish, area=area)

@@ -6,16 +6,12 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.moments.moment import Wish, opponents
-from deepmf_sumo.simulation.traffic_survey import EVERY_S, Sightings
+from deepmf_sumo.simulation.traffic_survey import EVERY_S, Sightings, growth
 
 _WINDOW_S: Final = 60.0
 """Counts are smoothed over this time, or over a tenth of the traffic's time if that is shorter."""
 _REACHED: Final = 0.9
 """The number has settled when it comes to this share of its level."""
-_GROWS: Final = 1.2
-"""A last quarter with more than this times the vehicles of the one before has not settled."""
-_FEW: Final = 1.0
-"""Vehicles; smaller differences are chance."""
 
 
 class Beginning(NamedTuple):
@@ -53,18 +49,18 @@ def settled(time_s: Floats, number: Floats) -> Beginning | None:
     """When a number of vehicles (N) at times (N) has settled.
 
     Its level is the median over the second half; it has settled at the first time from which on
-    the mean of a minute is 90 % of that. Where the last quarter has more than 1.2 times the
-    vehicles of the third, the number still grows: then it is the middle of the time.
+    the mean of a minute is 90 % of that. Where the number still grows, it is the middle of the
+    time: see `traffic_survey.growth`.
     """
     if not len(number):
         return None
-    quarters = [float(part.mean()) for part in np.array_split(number, 4) if len(part)]
-    third, last = quarters[max(len(quarters) - 2, 0)], quarters[-1]
-    if last > _GROWS * third and last - third > _FEW:
+    change = growth(number)
+    if change.goes_on:
         return Beginning(
             float(time_s[len(time_s) // 2]),
             "half of this time: the number of vehicles still grows"
-            f" (on average {third:.0f} in the third quarter of it, {last:.0f} in the last)",
+            f" (on average {change.third:.0f} in the third quarter of it, {change.last:.0f} in the"
+            " last)",
         )
     level = float(np.median(number[len(number) // 2 :]))
     window = max(1, round(min(_WINDOW_S, len(number) / 10) / EVERY_S))

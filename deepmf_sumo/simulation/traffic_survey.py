@@ -4,10 +4,10 @@ import heapq
 import itertools
 import math
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,12 @@ Ints = NDArray[np.int64]
 EVERY_S: Final = 1.0
 MOST_VEHICLE_STEPS: Final = 1_000_000
 """Ten seconds of SUMO on a slow core; a count, so that every machine ends at the same time."""
+MOST_WHILE_GROWING: Final = 5 * MOST_VEHICLE_STEPS
+"""The same where the traffic has to settle first."""
+_GROWS: Final = 1.2
+"""A last quarter with more than this times the vehicles of the one before has not settled."""
+_FEW: Final = 1.0
+"""Vehicles; smaller differences are chance."""
 _BEFORE_S: Final = 10.0
 _EMPTY_STEP: Final = 20
 """Cost of a step without vehicles, in vehicles."""
@@ -41,6 +47,7 @@ class Scouting:
         at_s: times that must be among those of the survey.
         until_s: end of the survey, at most that of the configuration; None: that end, or the time
             at which `MOST_VEHICLE_STEPS` are reached.
+        settles: go on from there while the number of vehicles `grows`, up to `MOST_WHILE_GROWING`.
         corners: longitudes and latitudes to project.
         from_s: beginning of the survey: up to then SUMO drives unseen; None: that of SUMO.
     """
@@ -51,6 +58,7 @@ class Scouting:
     at_s: tuple[float, ...] = ()
     until_s: float | None = None
     from_s: float | None = None
+    settles: bool = False
     corners: tuple[tuple[float, float], ...] = ()
 
 
@@ -110,25 +118,52 @@ def scout(scouting: Scouting) -> Sightings:
         return replace(_scout(api, scouting, configuration), projected_m=projected)
 
 
+class Growth(NamedTuple):
+    """Mean numbers of vehicles in the third and the last quarter of a time."""
+
+    third: float
+    last: float
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the number still grows, by more than chance."""
+        return self.last > _GROWS * self.third and self.last - self.third > _FEW
+
+
+def growth(number: Sequence[int] | Floats) -> Growth:
+    """Of a number of vehicles (N) at equal steps of time, N at least 1."""
+    quarters = [float(part.mean()) for part in np.array_split(np.asarray(number), 4) if len(part)]
+    return Growth(third=quarters[max(len(quarters) - 2, 0)], last=quarters[-1])
+
+
 def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:
     notes = _Notes(api)
     begin = now = _begun(api, scouting.from_s)
     ends = configuration.end_s if configuration.end_s is not None else math.inf
     until = min(ends, scouting.until_s if scouting.until_s is not None else math.inf)
     spent, complete, persons = 0, False, False
+    seen: list[int] = []
     for moment in _moments(begin, scouting.at_s):
         if moment > until + DT_S / 2:
             complete = until == ends
             break
         api.simulationStep(moment)
-        spent += round((moment - now) / DT_S) * (_EMPTY_STEP + notes.look(moment))
+        seen.append(notes.look(moment))
+        spent += round((moment - now) / DT_S) * (_EMPTY_STEP + seen[-1])
         now = moment
         persons = persons or bool(api.person.getIDCount())
         complete = api.simulation.getMinExpectedNumber() == 0
-        if complete or (scouting.until_s is None and spent > MOST_VEHICLE_STEPS):
+        if complete or (scouting.until_s is None and _enough(scouting, spent, seen)):
             break
     waiting = len(api.simulation.getPendingVehicles())
     return notes.sightings(begin, now, complete=complete, persons=persons, waiting=waiting)
+
+
+def _enough(scouting: Scouting, spent: int, seen: list[int]) -> bool:
+    """Whether a survey without an end may end: after vehicle steps, with vehicles at each look."""
+    if spent <= MOST_VEHICLE_STEPS:
+        return False
+    return spent > MOST_WHILE_GROWING or not (scouting.settles and growth(seen).goes_on)
 
 
 def _begun(api: SumoApi, from_s: float | None) -> float:

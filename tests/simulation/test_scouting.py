@@ -75,6 +75,25 @@ def test_it_ends_with_the_configuration_as_told_or_where_it_gets_too_long(config
     assert (short.until_s, short.complete) == (2.0, False)
 
 
+def test_a_survey_goes_on_while_the_number_of_vehicles_grows(tmp_path, monkeypatch):
+    """A flow on a road of 400 m: the first vehicles leave after half a minute."""
+    config = build(tmp_path)
+    (tmp_path / "tiny.rou.xml").write_text(
+        '<routes><flow id="f" begin="0" end="900" period="1" departSpeed="13.9" from="ab"'
+        ' to="ab"/></routes>'
+    )
+    monkeypatch.setattr(traffic_survey, "MOST_VEHICLE_STEPS", 6000)
+    assert look(config).until_s == 20.0
+    settled = look(config, settles=True)
+    counts = np.unique(settled.time_s, return_counts=True)[1]
+    assert not traffic_survey.growth(counts).goes_on
+    assert traffic_survey.growth(counts[:-1]).goes_on
+    assert 30.0 < settled.until_s < 60.0
+    monkeypatch.setattr(traffic_survey, "MOST_WHILE_GROWING", 8000)
+    assert 20.0 < look(config, settles=True).until_s < 30.0
+    assert look(config, settles=True, until_s=5.0).until_s == 5.0
+
+
 def test_a_missing_file_is_named(config, tmp_path):
     with pytest.raises(SimulationError, match=r"missing\.rou\.xml', which does not exist"):
         look(config, "-r", str(tmp_path / "missing.rou.xml"), "--begin", "1")
