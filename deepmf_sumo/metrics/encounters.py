@@ -23,6 +23,7 @@ _MOVED_M = 2.0
 _NEAR_M = 60.0
 _BEYOND_M = 100.0
 _BLOCK_STEPS = 256
+_MET: Final = ("vehicle", "other")  # trams are others
 _LEVEL: Final = np.zeros(())
 
 
@@ -59,7 +60,7 @@ def _trip(rollout: Rollout, row: int) -> Trip:
 def time_to_spare(episode: Episode) -> float:
     """Least post-encroachment time of the AV and a vehicle whose path crosses its own (by more than
     30 degrees), or time to collision with one that comes into its lane or into whose lane it comes
-    (from 4 s before to now), over all vehicles; 0 in contact.
+    (from 4 s before to now), over all vehicles, trams too; 0 in contact.
 
     Over all vehicles, not the opponent alone: how an attack disturbs a junction shows in all of
     them. After the two measures of conflicts of Gettman et al. (FHWA-HRT-08-051, 2008):
@@ -75,7 +76,7 @@ def time_to_spare(episode: Episode) -> float:
     others = [
         _trip(rollout, row)
         for row, (agent_id, kind) in enumerate(zip(tracks.ids, tracks.kinds, strict=True))
-        if kind == "vehicle" and agent_id != rollout.av_id
+        if kind in _MET and agent_id != rollout.av_id
     ]
     spare = [encounter_s(av, other, rollout.dt_s) for other in others if len(other.step)]
     least = min(spare, default=np.inf)

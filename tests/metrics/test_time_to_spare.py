@@ -1,6 +1,7 @@
 """What time the AV's encounters left."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,16 @@ def test_others_than_the_opponent_count_too():
     assert "crossed or joined" in measured(paths).reason
     paths["c"] = straight(0, -50, 10, heading=NORTH)
     assert measured(paths).value == pytest.approx(2.0 - 0.68, abs=0.11)
+
+
+def test_trams_count_and_bicycles_do_not():
+    paths = {"av": straight(-30, 0, 10), "b": straight(-60, 0, 10)}
+    paths["c"] = straight(0, -50, 10, heading=NORTH)
+    rollout, metric = rollout_of(paths), plugins.load("metrics", "time_to_spare")
+    for kind, counts in (("vehicle", True), ("other", True), ("cyclist", False)):
+        tracks = replace(rollout.tracks, kinds=("vehicle", "vehicle", kind))
+        found = metric.measure(replace(rollout, tracks=tracks), case_of())
+        assert (found.value is not None) == counts
 
 
 def test_following_is_no_encounter():
