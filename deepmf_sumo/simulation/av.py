@@ -334,6 +334,7 @@ class Av:
         self.leaders = None if leader_id is None else (leader_id,)
         self._previous_mps = float(self._api.vehicle.getSpeed(self.id))
         self._commanded_mps = None
+        self._hand_over.fit(self.id, pose, self.length_m)
         move(self._api, self.id, pose, self.length_m, MATCH_M, on_route=self._has_stops)
 
     def after_step(self) -> None:

@@ -25,6 +25,7 @@ _SNAP_TO_LANE, _SNAP_TO_ROUTE = 0, 1  # keepRoute: the nearest lane, of its rout
 _SNAP_M = 100.0
 _ARRIVED = 2  # why SUMO removes it: counted as a vehicle that has arrived
 _BESIDE_M: Final = 0.1
+_SHORTEST_M: Final = 0.5
 _BEYOND_M: Final = 0.1
 _BEYOND_TURN_M: Final = 2.5  # where a vehicle may turn back
 _STRAIGHT_ON = 0.5  # cosine of the angle to the lane: one that turns back has a larger angle
@@ -112,7 +113,7 @@ class NetworkEnds:
 class HandOver:
     """Prepares a vehicle in SUMO for being placed at each step, and for being driven by SUMO again.
 
-    Two states crash SUMO 1.28 where a vehicle may be on two lanes at once (the first with
+    Three states crash SUMO 1.28 where a vehicle is on two lanes at once (the first with
     `lanechange.duration`, the second with the sublane model too):
 
     - A lane change under way moves a vehicle sideways by time, even while a client places it
@@ -121,6 +122,8 @@ class HandOver:
     - A vehicle that is placed on a lane that its class may not use is taken off its own lane, but
       stays listed on the lane beside it. So it may use every lane until SUMO drives it again, and
       the vehicles of that lane see it.
+    - A vehicle that leaves the lanes while its rear is inside a junction stays listed there, and
+      whoever is about to enter looks for its lane. So its rear is cut off before (`fit`).
     """
 
     def __init__(self, api: SumoApi) -> None:
@@ -128,6 +131,7 @@ class HandOver:
         self._hurried: tuple[AgentId, float] | None = None
         self._class: dict[AgentId, str] = {}
         self._lost: set[AgentId] = set()
+        self._length_m: dict[AgentId, float] = {}  # of vehicles that SUMO has shorter
 
     def take(self, vehicle_id: AgentId) -> None:
         """From the coming step on a client places the vehicle."""
@@ -141,15 +145,45 @@ class HandOver:
             self._hurried = vehicle_id, float(vehicle.getMaxSpeedLat(vehicle_id))
             vehicle.setMaxSpeedLat(vehicle_id, _AT_ONCE_MPS)
 
+    def fit(self, vehicle_id: AgentId, pose: Pose, length_m: float) -> None:
+        """Before it is placed: cut off its rear if it may leave the lanes without that.
+
+        SUMO takes it off them where it does not touch its lane any more.
+        """
+        vehicle = self._api.vehicle
+        lane_id = vehicle.getLaneID(vehicle_id)
+        if not lane_id:
+            return
+        along_m = float(vehicle.getLanePosition(vehicle_id))
+        if along_m < length_m and self._may_leave(vehicle_id, lane_id, pose, length_m):
+            self._length_m[vehicle_id] = length_m
+            vehicle.setLength(vehicle_id, max(along_m, _SHORTEST_M))
+        else:
+            self._restore_length(vehicle_id)
+
+    def _may_leave(self, vehicle_id: AgentId, lane_id: str, pose: Pose, length_m: float) -> bool:
+        vehicle = self._api.vehicle
+        front, _ = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
+        moved_m = float(np.hypot(*(front - np.array(vehicle.getPosition(vehicle_id)))))
+        reach_m = abs(float(vehicle.getLateralLanePosition(vehicle_id))) + moved_m
+        widths_m = self._api.lane.getWidth(lane_id) + vehicle.getWidth(vehicle_id)
+        return bool(reach_m > widths_m / 2)
+
+    def _restore_length(self, vehicle_id: AgentId) -> None:
+        length_m = self._length_m.pop(vehicle_id, None)
+        if length_m is not None:
+            self._api.vehicle.setLength(vehicle_id, length_m)
+
     def give_back(self, vehicle_id: AgentId) -> None:
         """From the coming step on SUMO drives the vehicle."""
+        self._restore_length(vehicle_id)
         permission = self._class.pop(vehicle_id, None)
         if permission is not None:
             self._api.vehicle.setVehicleClass(vehicle_id, permission)
 
     def lose(self, vehicle_id: AgentId) -> None:
         """The vehicle has left the road; if SUMO brings it back, SUMO drives it."""
-        if vehicle_id in self._class:
+        if vehicle_id in self._class or vehicle_id in self._length_m:
             self._lost.add(vehicle_id)
 
     def after_step(self) -> None:
@@ -234,6 +268,7 @@ class Takeover:
                 self._note(step, agent, "seen_on_route", detail)
             self._hand_over.take(agent)
         self._taken.pose = pose
+        self._hand_over.fit(agent, pose, length_m)
         move(self._api, agent, pose, length_m, MATCH_M, on_route=self._taken.stops)
 
     def after_step(self, step: int) -> None:

@@ -110,3 +110,54 @@ def test_a_car_that_is_put_on_a_bus_lane_is_seen_there_and_leaves_sumo_alive(who
     assert then[3] == "passenger"
     if who == "opponent":
         assert then[2] == "east_bay_1"
+
+
+SUITE = Path(__file__).resolve().parents[2] / "studies" / "planner_faults" / "suite"
+JUNCTION = """
+import sys
+import libsumo
+import numpy as np
+from deepmf_sumo.datatypes import Command
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.simulation.av import Av, read_pose
+from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.vehicle_control import Takeover
+
+config, who = sys.argv[1:]
+libsumo.start(["sumo", "-c", config, "--seed", "102", "--step-length", "0.1",
+               "--collision.action", "none", "--no-step-log", "true", "--no-warnings", "true"])
+libsumo.simulationStep(174.0)
+vehicle, lorry = libsumo.vehicle, "flow_east.19"
+takeover, av = Takeover(libsumo, []), Av(libsumo, lorry, 10.0, read_pose(libsumo, lorry, 10.0))
+times = np.arange(13, 32) / 10  # from the junction on, and off the road to its right
+knots = [0.0, 1.2, 1.3, 1.4, 3.0]
+fronts = np.column_stack([np.interp(times - 1.3 + 0.1, knots, column) for column in (
+    [10.9, 15.66, 15.86, 16.03, 18.0], [-2.7, -7.42, -7.90, -8.36, -14.0],
+    [100.6, 121.1, 123.2, 125.3, 140.0])])
+lengths = set()
+for step, (x, y, angle) in enumerate(fronts):
+    (centre_x, centre_y), heading = frames.from_sumo((x, y), angle, 10.0)
+    pose = Pose(x_m=centre_x, y_m=centre_y, heading_rad=float(heading), speed_mps=5.0)
+    if who == "opponent":
+        takeover.place(step, lorry, pose, 10.0)
+    else:
+        av.drive(Command(kind="pose", x_m=pose.x_m, y_m=pose.y_m, heading_rad=pose.heading_rad,
+                         speed_mps=5.0))
+    lengths.add(vehicle.getLength(lorry))
+    libsumo.simulationStep()
+    takeover.after_step(step) if who == "opponent" else av.after_step()
+print("off the lanes", vehicle.getLaneID(lorry) == "", min(lengths) < 10.0 == max(lengths))
+takeover.hand_back(60, lorry) if who == "opponent" else av.drive(Command(kind="sumo"))
+print("length", vehicle.getLength(lorry))
+"""
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("who", ["opponent", "av"])
+def test_a_lorry_whose_rear_is_in_a_junction_leaves_the_road_and_sumo_alive(who):
+    """A car waits to turn left there, so it looks for all on that junction."""
+    command = [sys.executable, "-c", JUNCTION, str(SUITE / "arterial.sumocfg"), who]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (done.returncode, done.stderr)
+    assert "off the lanes True True" in done.stdout
+    assert "length 10.0" in done.stdout

@@ -27,6 +27,7 @@ def sumo(there, options=None, classes=None):
         getIDList=lambda: tuple(there),
         getRoute=lambda agent: ("ab",),
         getLaneID=lambda agent: "",
+        getLanePosition=lambda agent: 50.0,
         getStops=lambda agent, limit=0: (),
         moveToXY=lambda *_: None,
         setSpeed=lambda *_: None,
