@@ -123,7 +123,7 @@ class HandOver:
       stays listed on the lane beside it. So it may use every lane until SUMO drives it again, and
       the vehicles of that lane see it.
     - A vehicle that leaves the lanes while its rear is inside a junction stays listed there, and
-      whoever is about to enter looks for its lane. So its rear is cut off before (`fit`).
+      the next vehicle that is about to enter asks for its lane. So its rear is cut off (`fit`).
     """
 
     def __init__(self, api: SumoApi) -> None:
