@@ -47,7 +47,8 @@ class Scouting:
         at_s: times that must be among those of the survey.
         until_s: end of the survey, at most that of the configuration; None: that end, or the time
             at which `MOST_VEHICLE_STEPS` are reached.
-        settles: go on from there while the number of vehicles `grows`, up to `MOST_WHILE_GROWING`.
+        settles: go on from there while the number of vehicles grows (see `growth`), up to
+            `MOST_WHILE_GROWING`.
         corners: longitudes and latitudes to project.
         from_s: beginning of the survey: up to then SUMO drives unseen; None: that of SUMO.
     """
