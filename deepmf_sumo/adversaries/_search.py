@@ -4,7 +4,9 @@ The three searches `brs`, `bga` and `bbo` differ only in their `Optimiser`.
 
 The cost penalises attacks that miss, leave the road, touch others, or jerk. It follows AdvSim (Wang
 et al., CVPR 2021), with the distance to the AV instead of the planner's cost. Limits of speed,
-acceleration and curvature need no term: the bicycle model keeps them.
+acceleration and curvature need no term: the bicycle model keeps them. AdvSim keeps the AV's own
+path free, so that the scenario has a solution: ``av_path``. It is off by default, since an AV that
+replays its log could then not be hit.
 """
 
 from collections.abc import Callable
@@ -42,12 +44,14 @@ class Weights(plugins.Settings):
         off_road: of an opponent that is always off the road, else in proportion to the share.
         third_party: of a contact of the opponent with another agent.
         jerk: of a mean square of 1 (m/s3)^2.
+        av_path: of an opponent that meets the AV's unattacked motion.
     """
 
     late: float = 0.1
     off_road: float = 1.0
     third_party: float = 1.0
     jerk: float = 0.01
+    av_path: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,14 +63,16 @@ class Cost:
     off_road: float
     third_party: float
     jerk: float
+    av_path: float
 
     @property
     def total(self) -> float:
         """The cost to minimise."""
-        return self.distance + self.late + self.off_road + self.third_party + self.jerk
+        off = self.off_road + self.third_party + self.av_path
+        return self.distance + self.late + off + self.jerk
 
 
-def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
+def cost_of(rollout: Rollout, case: Case, weights: Weights, unattacked: Rollout) -> Cost:
     """The cost of a simulated attack, up to the end of the episode or the contact."""
     tracks, first = rollout.tracks, rollout.now + 1
     opponent = tracks.row(str(rollout.opponent_id))
@@ -82,6 +88,7 @@ def cost_of(rollout: Rollout, case: Case, weights: Weights) -> Cost:
         off_road=weights.off_road * float(off_road),
         third_party=weights.third_party * (rollout.first("opponent_other") is not None),
         jerk=weights.jerk * _mean_square_jerk(path),
+        av_path=weights.av_path and weights.av_path * _meets(rollout, unattacked),
     )
 
 
@@ -92,19 +99,28 @@ def nearest_m(rollout: Rollout) -> float:
     """
     if rollout.first("av_opponent") is not None:
         return 0.0
-    tracks, after = rollout.tracks, slice(rollout.now + 1, None)
-    av, opponent = tracks.row(rollout.av_id), tracks.row(str(rollout.opponent_id))
-    both = tracks.valid[av, after] & tracks.valid[opponent, after]
-    if not both.any():
-        return _FAR_M
-    (centre_a, heading_a), (centre_b, heading_b) = (
-        (tracks.position_m[row, after][both], tracks.heading_rad[row, after][both])
-        for row in (av, opponent)
-    )
-    sizes = tracks.size_m[:, :2]
-    gap = boxes.gap(centre_a, heading_a, sizes[av], centre_b, heading_b, sizes[opponent])
-    heights = (tracks.z_m[row, after][both] for row in (av, opponent))
-    return float(distance_m(gap, *heights).min())
+    gaps = _gaps(rollout, rollout)
+    return float(gaps.min()) if len(gaps) else _FAR_M
+
+
+def _meets(rollout: Rollout, unattacked: Rollout) -> bool:
+    """Whether the opponent meets the AV where that was without the attack."""
+    return bool((_gaps(rollout, unattacked) <= 0.0).any())
+
+
+def _gaps(rollout: Rollout, other: Rollout) -> Floats:
+    """Distances of the opponent from the AV of ``other``, at the steps after now that have both."""
+    last = min(rollout.tracks.steps, other.tracks.steps)
+    names = (rollout, str(rollout.opponent_id)), (other, other.av_id)
+    sides = [(one.tracks, one.tracks.row(name), slice(one.now + 1, last)) for one, name in names]
+    both = np.logical_and(*(tracks.valid[row, after] for tracks, row, after in sides))
+    poses = [
+        (tracks.position_m[row, after][both], tracks.heading_rad[row, after][both],
+         tracks.size_m[row, :2])
+        for tracks, row, after in sides
+    ]  # fmt: skip
+    heights = (tracks.z_m[row, after][both] for tracks, row, after in sides)
+    return distance_m(boxes.gap(*poses[0], *poses[1]), *heights)
 
 
 def _mean_square_jerk(path_m: Floats) -> float:
@@ -221,7 +237,7 @@ class Search:
         bicycle = Bicycle(scouted, settings.bounds)
         knots = Knots(settings.knots, bicycle.steps)
         optimiser = self._make(knots.dimensions, rng)
-        best = _Best(case, settings.cost, knots.names)
+        best = _Best(case, settings.cost, knots.names, scouted.rollout)
         of = scouted.view, scouted.opponent_id
         while True:
             points = optimiser.ask()
@@ -243,8 +259,11 @@ class _Best:
     replace a hit that was found.
     """
 
-    def __init__(self, case: Case, weights: Weights, names: tuple[str, ...]) -> None:
+    def __init__(
+        self, case: Case, weights: Weights, names: tuple[str, ...], unattacked: Rollout
+    ) -> None:
         self._case = case
+        self._unattacked = unattacked
         self._weights = weights
         self._names = names
         self._rank = (True, np.inf)
@@ -259,7 +278,7 @@ class _Best:
 
     def judge(self, rollout: Rollout, point: Floats) -> float:
         """The cost of a rollout under a point."""
-        cost = cost_of(rollout, self._case, self._weights).total
+        cost = cost_of(rollout, self._case, self._weights, self._unattacked).total
         rank = (rollout.first("av_opponent") is None, cost)
         if rank < self._rank:
             self._rank, self.rollout = rank, rollout

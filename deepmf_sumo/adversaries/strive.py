@@ -6,10 +6,11 @@ moves the latents in three stages: match the unattacked motion, attack the AV, a
 
 Adapted: the prior is ours (`predictors.motion_priors.strive`), trained on the data of the other
 networks. The opponent is chosen as by the other methods; ``opponent: any`` is STRIVE's choice, the
-vehicle that comes closest. The attack minimises the distance to the AV's last rollout, and the AV
-is simulated against the attack every ``iterations / rounds`` iterations. The stage ends as soon as
-a rollout hits: the latents stay as likely as the hit allows. Only the opponent drives its motion;
-the others keep their unattacked motion, and are obstacles for it.
+vehicle that comes closest, of those that are not always behind the AV. The attack minimises the
+distance to the AV's last rollout, and the AV is simulated against the attack every ``iterations /
+rounds`` iterations. The stage ends as soon as a rollout hits: the latents stay as likely as the hit
+allows. Only the opponent drives its motion; the others keep their unattacked motion, and are
+obstacles for it.
 
 Budget: ``match_iterations`` + ``iterations`` + ``solution_iterations`` steps of Adam, at most
 ``seconds`` if that is set; and ``rounds`` + 1 simulations. The last trial says whether the AV could
@@ -32,10 +33,12 @@ from deepmf_sumo.adversaries._episodes import (
     Scouted,
     deadline,
     limited,
+    motion_of,
 )
 from deepmf_sumo.adversaries._open_loop import Aimed, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import AgentId, Attack, Budget, Case, Trial, View
+from deepmf_sumo.geometry import frames
 
 if TYPE_CHECKING:
     from deepmf_sumo.adversaries._scene_graph import Situation
@@ -53,7 +56,8 @@ class Settings(OpponentSettings):
     """The search over latents.
 
     Attributes:
-        opponent: as of the other methods, or ``any``: the vehicle that comes closest.
+        opponent: as of the other methods, or ``any``: the vehicle that comes closest, without those
+            that are behind the AV all the time (if all are: the nearest vehicle).
         match_iterations, iterations, solution_iterations: of the three stages; 0 skips the last
             stage.
         rounds: rollouts of the attack, so that the AV can react to it.
@@ -194,7 +198,8 @@ class _Stages:
         attackers = [scouted.opponent_id]
         self._situation = scene_graph.situation_of(scouted, attackers)
         if chosen.opponent == ANY:
-            attackers = [name for name in self._situation.ids if _can_attack(view, name)]
+            able = (name for name in self._situation.ids if _can_attack(view, name))
+            attackers = [name for name in able if not _always_behind(scouted, name)] or attackers
         weights = strive.Costs(chosen.others, chosen.road, chosen.prior, chosen.init)
         self._search = strive.Search(self._net, self._situation, attackers, weights, self._deadline)
         self._matched_m = self._search.match(chosen.match_iterations)
@@ -211,6 +216,14 @@ def nearest_vehicle(view: View, rng: np.random.Generator) -> AgentId | None:
 def _can_attack(view: View, agent_id: AgentId) -> bool:
     kind = view.history.kinds[view.history.row(agent_id)]
     return kind == "vehicle" and agent_id != view.av_id
+
+
+def _always_behind(scouted: Scouted, agent_id: AgentId) -> bool:
+    """Whether its centre is behind the AV's while both are there, without the attack."""
+    other = motion_of(scouted.rollout, agent_id, len(scouted.av.valid))
+    both = other.valid & scouted.av.valid
+    away = other.position_m[both] - scouted.av.position_m[both]
+    return bool(((away * frames.unit(scouted.av.heading_rad[both])).sum(-1) < 0.0).all())
 
 
 def build(settings: Settings, weights: str) -> STRIVE:

@@ -50,6 +50,7 @@ class Sweep:
         from deepmf_sumo.sweep.shards import Shard
 
         sys.path.append(os.getcwd())  # noqa: PTH109 - planners under test lie in the working folder
+        predict_on(values.pop("device"))
         shard, drawn = values.pop("shard"), values.pop("pictures")
         judged = {key: values.pop(key) for key in ("thresholds", "baseline")}
         values["formats"] = tuple(map(Format.named, dict.fromkeys(values["formats"])))
@@ -94,6 +95,29 @@ def _check_gui(executor: str) -> None:
         )
 
 
+device_option = click.option(
+    "--device", type=click.Choice(["cpu", "cuda", "auto"]),
+    help="Predict on this device; auto: on a GPU where there is one.  [default:"
+    " $DEEPMF_SUMO_DEVICE, else cpu]",
+)  # fmt: skip
+
+
+def predict_on(device: str | None) -> None:
+    """Let this process and its workers predict there; None: as the environment says.
+
+    Raises WeightsError for cuda without such a device.
+    """
+    from deepmf_sumo.predictors import weights
+
+    if device == "cuda":
+        weights.need("torch", "--device cuda")
+        from deepmf_sumo.predictors import torch_networks
+
+        torch_networks.device(device)
+    if device is not None:
+        os.environ[weights.DEVICE] = device
+
+
 def options(*, out: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorator: the shared options, as keywords that `Sweep.begin` takes; ``out`` is a default."""
 
@@ -131,6 +155,7 @@ def _place(out: str) -> tuple[Callable[..., Any], ...]:
             "--shard", metavar="I/N",
             help="Do every N-th run, from the I-th on; `deepmf-sumo merge` joins the shards.",
         ),
+        device_option,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from deepmf_sumo.cli._parameters import format_option
+from deepmf_sumo.cli._sweep import device_option, predict_on
 
 
 @click.command(name="evaluate", short_help="Measure the predictors on recordings.")
@@ -33,7 +34,8 @@ from deepmf_sumo.cli._parameters import format_option
     "--threads", type=click.IntRange(min=1),
     help="Use this number of CPU threads.  [default: torch's own]",
 )  # fmt: skip
-def command(data: tuple[Path, ...], form: str, **settings: Any) -> None:
+@device_option
+def command(data: tuple[Path, ...], form: str, device: str | None, **settings: Any) -> None:
     """Measure the three predictors on the recordings DATA, which should not be training data.
 
     Records that cannot be used are named and left out. The figures of baselines without a network
@@ -42,6 +44,7 @@ def command(data: tuple[Path, ...], form: str, **settings: Any) -> None:
     from deepmf_sumo.cli import _evaluation, _screen
     from deepmf_sumo.training import evaluation
 
+    predict_on(device)
     found = evaluation.run(data, report=lambda line: click.echo(line, err=True), **settings)
     if form == "table":
         _evaluation.show(found)

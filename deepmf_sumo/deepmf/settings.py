@@ -156,6 +156,11 @@ class Settings(plugins.Settings):
     def _as_published(self) -> Self:
         if self.form != "paper":
             return self
+        if self.opponent == "partner":
+            raise ValueError(
+                "form 'paper' contradicts opponent: 'partner', a head of its own; use argmax or"
+                " sample, or form 'extended'"
+            )
         allowed = {key: (value,) for key, value in _PAPER.items()} | {"rule": _PAPER_RULES}
         for key, those in allowed.items():
             if getattr(self, key) not in those:

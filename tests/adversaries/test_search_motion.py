@@ -167,7 +167,8 @@ class TestChanged:
 
 class TestCost:
     def cost(self, paths, **more):
-        return cost_of(rollout_of(paths, **more), case_of(), Weights())
+        rollout = rollout_of(paths, **more)
+        return cost_of(rollout, case_of(), Weights(), rollout)
 
     def test_a_miss_costs_the_smallest_distance_between_the_boxes(self):
         cost = self.cost({"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)})
@@ -197,4 +198,14 @@ class TestCost:
     def test_an_av_that_is_gone_is_far(self):
         rollout = rollout_of({"av": straight(0, 0, 10), "b": straight(-8, 0, 12)})
         object.__setattr__(rollout.tracks, "valid", np.array([[True] * 11 + [False] * 80] * 2))
-        assert cost_of(rollout, case_of(), Weights()).distance == 100.0
+        assert cost_of(rollout, case_of(), Weights(), rollout).distance == 100.0
+
+    def test_an_opponent_on_the_unattacked_path_of_the_av_costs_if_asked(self):
+        beside = rollout_of({"av": straight(0, 3.5, 10), "b": straight(-8, 0, 12)})
+        far = straight(-8, 50, 12)
+        unattacked = {y: rollout_of({"av": straight(0, y, 10), "b": far}) for y in (0.0, 3.5)}
+        weights = Weights(av_path=5.0)
+        costs = {y: cost_of(beside, case_of(), weights, one) for y, one in unattacked.items()}
+        assert [one.av_path for one in costs.values()] == [5.0, 0.0]
+        assert costs[0.0].total == pytest.approx(costs[3.5].total + 5.0)
+        assert cost_of(beside, case_of(), Weights(), unattacked[0.0]).av_path == 0.0

@@ -192,13 +192,26 @@ def test_simulations_of_the_budget_stand_above_the_rounds(case):
     assert len(simulate.policies) == 2
 
 
-def test_anybody_may_attack(case):
+def test_any_vehicle_attacks_that_is_not_behind_all_the_time(case):
     settings = strive.Settings(opponent="any", match_iterations=0, iterations=1, rounds=1,
                                solution_iterations=0)  # fmt: skip
     found = strive.build(settings, "open").attack(
         case, Simulation(case), Budget(), np.random.default_rng(0)
     )
-    assert found.rollout.opponent_id in {"b", "c"}
+    assert found.rollout.opponent_id == "b"
+
+
+def test_without_a_vehicle_ahead_the_nearest_attacks(tmp_path):
+    behind = {
+        name: straight_motion(x, 0.0, 0.0, 10.0) for name, x in (("av", 60), ("c", 20), ("d", 40))
+    }
+    scene = case_of(scene_of(straight_road(), behind), tmp_path)
+    settings = strive.Settings(opponent="any", match_iterations=0, iterations=1, rounds=1,
+                               solution_iterations=0)  # fmt: skip
+    found = strive.build(settings, "open").attack(
+        scene, Simulation(scene), Budget(), np.random.default_rng(0)
+    )
+    assert found.rollout.opponent_id == "d"
 
 
 def test_nobody_to_attack(tmp_path):

@@ -23,7 +23,7 @@ from tests.support import same_bytes, tiny_network
 SHARED = (
     "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",
     "--timeout", "--memory", "--gui", "--pictures", "--junit", "--export", "--thresholds",
-    "--baseline",
+    "--baseline", "--device",
 )  # fmt: skip
 
 
@@ -53,6 +53,27 @@ def folders(specs, tmp_path_factory):
 def whole(folders, tmp_path):
     """A copy of the whole sweep's folder."""
     return Path(shutil.copytree(folders / "whole", tmp_path / "copy"))
+
+
+@pytest.mark.parametrize("command", ["run", "attack", "evaluate"])
+def test_a_gpu_that_is_not_there_is_refused_before_anything_runs(
+    command, specs, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setenv("DEEPMF_SUMO_DEVICE", "cpu")
+    out = () if command == "evaluate" else ("--out", tmp_path / "out")
+    given = {"run": specs[:1], "attack": [specs[0]], "evaluate": [tmp_path]}[command]
+    assert call(command, *given, *out, "--device", "cuda") == 2
+    assert "There is no CUDA device for --device cuda; use cpu or auto." in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert os.environ["DEEPMF_SUMO_DEVICE"] == "cpu"
+
+
+def test_the_device_reaches_the_predictors(specs, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEEPMF_SUMO_DEVICE", "gpu")  # refused where it is read
+    done = call("run", specs[0], "--no-pictures", "--out", tmp_path / "out", "--device", "auto")
+    assert done == 0
+    assert os.environ["DEEPMF_SUMO_DEVICE"] == "auto"
 
 
 @pytest.mark.parametrize("command", ["run", "attack", "benchmark", "reproduce"])

@@ -36,6 +36,7 @@ def test_what_the_paper_leaves_open_can_be_chosen(key):
         ("fair", True),
         ("lawful", True),
         ("constraints", ("fair",)),
+        ("opponent", "partner"),
     ],
 )
 def test_what_contradicts_it_is_refused_by_name(key, value):
