@@ -117,7 +117,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	test ! -d $(WOMD)/val || $(RUN) evaluate $(WOMD)/val --weights .weights/womd --card
 
 LIGHT = .weights/womd-light
-womd-light-weights: womd-weights  ## besides, the set `womd-light`: all networks with images, as in the paper
+womd-light-weights: womd-weights  ## besides, the set `womd-light`: all networks with small images
 	mkdir -p $(LIGHT) && cp .weights/womd/opponent.* $(LIGHT)
 	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
 	$(TRAIN) conditional --preset light --steps 2500 --precision auto $(WOMD_DATA) --out $(LIGHT) $(WOMD_SET)

@@ -1,4 +1,4 @@
-"""Sizes of the networks: ``light`` runs on a CPU, ``paper`` follows the published sizes."""
+"""Sizes of the networks: ``light`` runs on a CPU, ``paper`` has VGG16 and VectorNet at full width."""
 
 from dataclasses import asdict, replace
 from typing import Annotated, Any, Final, Literal
