@@ -42,8 +42,8 @@ _RATE = FiniteRange(min=0, min_open=True, max=1)
 @click.option("--from", "begin_from", metavar="NAME", help="Start from this set of weights.")
 @click.option(
     "--preset",
-    help="Choose the sizes: vector, dense, light or paper (docs: Train).  [default: vector for"
-    " marginal and conditional, light for the others]",
+    help="Choose the sizes: vector, dense, light, unpaired or paper (docs: Train).  [default:"
+    " vector for marginal and conditional, light for the others]",
 )
 @click.option(
     "--members",

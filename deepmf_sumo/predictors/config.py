@@ -36,6 +36,8 @@ class Preset:
         condition_channels: channels of that future; 80 is one a step.
         dropout: of the heads.
         raster, vectors: False leaves the VGG16 or the VectorNet branch out (ablations).
+        pairs, mixing: False leaves out the opponent network's relations of each pair of vehicles,
+            or the attention among the vehicles in its head.
         reactive: a conditional network is told what a car-following driver would do, and for
             how long a planner has driven.
         profiles: speed profiles a path that are fitted on data; a conditional network has those of
@@ -58,6 +60,8 @@ class Preset:
     dropout: Annotated[float, Field(ge=0, le=1)] = 0.1
     raster: bool = True
     vectors: bool = True
+    pairs: bool = True
+    mixing: bool = True
     reactive: bool = False
     profiles: Annotated[int, Field(ge=7, le=1024)] = 24
     head: Literal["paths", "dense"] = "paths"
@@ -132,7 +136,10 @@ VECTOR: Final = replace(LIGHT, name="vector", raster=False)
 DENSE: Final = replace(VECTOR, name="dense", head="dense")
 """`VECTOR` with DenseTNT's goals."""
 
-PRESETS: Final = {preset.name: preset for preset in (LIGHT, PAPER, VECTOR, DENSE)}
+UNPAIRED: Final = replace(LIGHT, name="unpaired", pairs=False, mixing=False)
+"""`LIGHT` with the published inputs of the opponent network: VectorNet and VGG16 alone."""
+
+PRESETS: Final = {preset.name: preset for preset in (LIGHT, PAPER, VECTOR, DENSE, UNPAIRED)}
 
 
 def preset_named(name: str) -> Preset:

@@ -164,7 +164,7 @@ class OnnxOpponent:
 
 def _batch(arrays: Features, rows: Sequence[str], used: int, preset: Preset) -> dict[str, Any]:
     """A batch of one scene with the image, and with the used ones of certain arrays' rows."""
-    cut: dict[str, Any] = {name: arrays[name][:used] for name in rows}
+    cut: dict[str, Any] = {name: arrays[name][:used] for name in rows if name in arrays}
     if preset.raster:
         cut["raster"] = raster.unpacked(arrays["raster"].astype(np.uint8), preset)
     return {name: each[None] for name, each in {**arrays, **cut}.items()}

@@ -17,7 +17,7 @@ from deepmf_sumo.predictors.routes import on_lanes
 
 OTHERS: Final = 63
 """Slots of agents around the AV."""
-SLOTS: Final = ("pair", "vehicle")
+SLOTS: Final[tuple[str, ...]] = ("pair", "vehicle")
 """Features with a row for each of them."""
 RANGE_M: Final = 80.0
 PAIR: Final = MOTION + CONSTANT + LANES + 10
@@ -69,9 +69,10 @@ def opponent_features(
 ) -> tuple[Features, Surroundings]:
     """Arrays around the AV, and the agents in them.
 
-    Keys: pair (63, 112) and vehicle (63) 1 for slots that hold a vehicle, which come first. With
-    the preset's vectors: agents (64, 11, 7), agent_info (64, 8), the AV first, then the slots;
-    lanes (48, 10, 2), lane_info (48, 10); with its image: raster; all as in `features.Features`.
+    Keys: vehicle (63) 1 for slots that hold a vehicle, which come first. With the preset's pairs:
+    pair (63, 112); with its vectors: agents (64, 11, 7), agent_info (64, 8), the AV first, then
+    the slots; lanes (48, 10, 2), lane_info (48, 10); with its image: raster; all as in
+    `features.Features`.
 
     Args:
         view: of the present.
@@ -80,11 +81,12 @@ def opponent_features(
         stands_in: the AV of this view is another vehicle of the recording: it observed less.
     """
     around = surroundings(view)
-    pair, vehicle = np.zeros((OTHERS, PAIR)), np.zeros(OTHERS)
-    vehicle[: around.vehicles] = 1.0
-    if around.vehicles:
-        pair[: around.vehicles] = _pairs(view, around, known_s, stands_in)
-    arrays: Features = {"pair": pair.astype(np.float32), "vehicle": vehicle.astype(np.float32)}
+    arrays: Features = {"vehicle": (np.arange(OTHERS) < around.vehicles).astype(np.float32)}
+    if preset.pairs:
+        pair = np.zeros((OTHERS, PAIR), np.float32)
+        if around.vehicles:
+            pair[: around.vehicles] = _pairs(view, around, known_s, stands_in)
+        arrays["pair"] = pair
     index, pose = road_index(view.road), kinematics.pose_of(view, view.av_id)
     if preset.vectors:
         agents, info = agent_arrays(view, around.rows, OTHERS + 1, pose)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.config import Preset
 from deepmf_sumo.predictors.features import Features
 from deepmf_sumo.predictors.opponent import OTHERS, PAIR, SLOTS
@@ -13,13 +14,13 @@ from deepmf_sumo.predictors.vectornet import VectorNet, as_batch
 from deepmf_sumo.predictors.vgg import VGG16, unpack
 
 MEMBERS: Final = 2
-"""Networks on the pair features, trained side by side; their logits are averaged."""
+"""Heads, trained side by side; their logits are averaged."""
 
 _RARE = -2.3
 """log(.09 / .91): the share of positive vehicles, where training starts."""
 _DROPOUT = 0.2
 _SCENE_DROPOUT = 0.5
-"""Of the scene's features, which few scenes have to teach."""
+"""Of the scene's features beside pairs: few scenes have to teach them."""
 _HEADS = 4
 _MOST_DEVIATIONS = 4.0
 
@@ -62,24 +63,30 @@ class Block(nn.Module):
 class Member(nn.Module):
     """Pair features and scene features -> two logits of each vehicle."""
 
-    def __init__(self, hidden: int) -> None:
+    def __init__(self, preset: Preset) -> None:
         super().__init__()
-        self.pair = nn.Sequential(nn.Dropout(_DROPOUT / 2), nn.Linear(PAIR, hidden))
+        hidden = preset.hidden
+        self.pair, dropout = None, _DROPOUT
+        if preset.pairs:
+            self.pair = nn.Sequential(nn.Dropout(_DROPOUT / 2), nn.Linear(PAIR, hidden))
+            dropout = _SCENE_DROPOUT
         added = nn.Linear(3 * hidden, hidden)
-        nn.init.zeros_(added.weight)  # begins as a network on pairs alone
-        self.scene = nn.Sequential(nn.LayerNorm(3 * hidden), nn.Dropout(_SCENE_DROPOUT), added)
+        if preset.pairs:
+            nn.init.zeros_(added.weight)  # begins as a network on pairs alone
+        self.scene = nn.Sequential(nn.LayerNorm(3 * hidden), nn.Dropout(dropout), added)
         self.blocks = nn.ModuleList(
-            Block(hidden, attends=attends) for attends in (False, True, False)
+            Block(hidden, attends=attends) for attends in (False, preset.mixing, False)
         )
         heads = nn.Linear(hidden, 2)
         nn.init.constant_(heads.bias, _RARE)
         self.heads = nn.Sequential(nn.LayerNorm(hidden), heads)
 
-    def forward(self, pair: Tensor, scene: Tensor | None, there: Tensor) -> Tensor:
-        """(B, V, P), (B, V, 3H) or None, mask (B, V) -> (B, V, 2)."""
-        vehicles = self.pair(pair)
+    def forward(self, pair: Tensor | None, scene: Tensor | None, there: Tensor) -> Tensor:
+        """(B, V, P) or None, (B, V, 3H) or None, mask (B, V) -> (B, V, 2)."""
+        parts = [] if self.pair is None else [self.pair(pair)]
         if scene is not None:
-            vehicles = vehicles + self.scene(scene)
+            parts.append(self.scene(scene))
+        vehicles: Tensor = sum(parts[1:], parts[0])
         for block in self.blocks:
             vehicles = block(vehicles, there)
         return self.heads(vehicles)
@@ -90,16 +97,22 @@ class OpponentNet(nn.Module):
 
     The first head learns the paper's pseudo-labels, the second which vehicle is the labelled
     interaction partner. Each vehicle's relation to the AV (`opponent_features`) matters most, so
-    the residual path starts with it, and the outputs of the two encoders are added.
+    the residual path starts with it, and the outputs of the two encoders are added. Without
+    pairs, as published, it has the two encoders alone.
+
+    Raises WeightsError for a preset with neither pairs nor vectors.
     """
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
+        if not (preset.pairs or preset.vectors):
+            raise WeightsError("The opponent network needs 'pairs' or 'vectors' of each vehicle.")
         self.preset = preset
-        self.scale = nn.BatchNorm1d(PAIR, affine=False, momentum=0.02)
+        if preset.pairs:
+            self.scale = nn.BatchNorm1d(PAIR, affine=False, momentum=0.02)
         self.vectors = VectorNet(preset) if preset.vectors else None
         self.image = VGG16(preset) if preset.raster else None
-        self.members = nn.ModuleList(Member(preset.hidden) for _ in range(MEMBERS))
+        self.members = nn.ModuleList(Member(preset) for _ in range(MEMBERS))
 
     @torch.inference_mode()
     def scored(self, arrays: Features) -> Floats:
@@ -111,13 +124,13 @@ class OpponentNet(nn.Module):
     def forward(self, batch: dict[str, Tensor]) -> Tensor:
         """Arrays of `opponent_features` -> logits (M, B, 63, 2) of each member; 0 in free slots."""
         used = max(int((batch["vehicle"] > 0).sum(1).max()), 1)
-        slots = {name: batch[name][:, :used] for name in SLOTS}
+        slots = {name: batch[name][:, :used] for name in SLOTS if name in batch}
         return nn.functional.pad(self.logits({**batch, **slots}), (0, 0, 0, OTHERS - used))
 
     def logits(self, batch: dict[str, Tensor]) -> Tensor:
         """(M, B, V, 2) as `forward`, of a batch whose `SLOTS` are cut to V."""
         there = batch["vehicle"] > 0
-        pair = self._scaled(batch["pair"], there)
+        pair = self._scaled(batch["pair"], there) if self.preset.pairs else None
         scene = self._scene(batch, there.shape[1])
         logits = torch.stack([member(pair, scene, there) for member in self.members])
         return logits.masked_fill(~there[None, ..., None], 0.0)
@@ -138,8 +151,8 @@ class OpponentNet(nn.Module):
         """(B, V, 3H) the vehicle and the AV from VectorNet, the image from VGG16."""
         if self.vectors is None and self.image is None:
             return None
-        size, hidden = len(batch["pair"]), self.preset.hidden
-        parts = [batch["pair"].new_zeros(size, used, hidden)] * 3
+        size, hidden = len(batch["vehicle"]), self.preset.hidden
+        parts = [batch["vehicle"].new_zeros(size, used, hidden)] * 3
         if self.vectors is not None:
             elements, _ = self.vectors(batch)
             parts[0] = elements[:, 1 : used + 1]

@@ -76,8 +76,9 @@ def opponent_graph(net: OpponentNet) -> onnx.ModelProto:
     def inputs(seed: int, size: int) -> dict[str, Tensor]:
         scene = _scene(net.preset, OTHERS + 1, seed, size)
         batch = {name: scene[name] for name in scene if name not in (*PATHS, "motion")}
-        pair = _random(seed + 1, (1, size, PAIR))
-        return {**batch, "pair": pair, "vehicle": torch.ones(1, size)}
+        if net.preset.pairs:
+            batch["pair"] = _random(seed + 1, (1, size, PAIR))
+        return {**batch, "vehicle": torch.ones(1, size)}
 
     free = {name: {1: Dim("slots", min=2, max=OTHERS)} for name in SLOTS}
     return _exported(_Opponent(net), inputs, free, ("logits",))

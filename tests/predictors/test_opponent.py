@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from deepmf_sumo.datatypes import SignalState
+from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import kinematics, torch_networks
-from deepmf_sumo.predictors.config import LIGHT
+from deepmf_sumo.predictors.config import LIGHT, UNPAIRED
 from deepmf_sumo.predictors.opponent import OTHERS, PAIR, Opponent, opponent_features, surroundings
 from deepmf_sumo.predictors.route_relations import MEETING, lane_columns
 from deepmf_sumo.predictors.routes import SPACING_M, lane_routes, on_lanes
@@ -157,6 +158,38 @@ def test_each_encoder_acts_and_can_be_left_out(net, branch):
     with torch.inference_mode():
         changed = (net(as_batch(whole)) - without(as_batch(arrays))).abs().max()
     assert changed > 1e-4
+
+
+def test_without_pairs_vectors_and_image_alone_score_each_vehicle():
+    torch.manual_seed(0)
+    made = torch_networks.build("opponent", UNPAIRED).eval()
+    whole, _ = opponent_features(view(), LIGHT)
+    arrays, around = opponent_features(view(), UNPAIRED)
+    assert set(whole) - set(arrays) == {"pair"}
+    given = made.scored(arrays)
+    assert np.array_equal(made.scored(whole), given)  # as in training, where all have all features
+    assert len(set(given[: around.vehicles, 0])) == around.vehicles > 1
+    for changed in ("agents", "lanes", "raster"):
+        other = {**arrays, changed: np.zeros_like(arrays[changed])}
+        assert np.abs(made.scored(other) - given).max() > 1e-4
+
+
+def test_without_mixing_the_head_sees_one_vehicle_at_a_time():
+    preset = replace(LIGHT, raster=False, vectors=False)
+    arrays, around = opponent_features(view(), preset)
+    other = {**arrays, "pair": arrays["pair"].copy()}
+    other["pair"][0] += 1.0
+    for mixing in (True, False):
+        torch.manual_seed(0)
+        made = torch_networks.build("opponent", replace(preset, mixing=mixing)).eval()
+        moved = np.abs(made.scored(other) - made.scored(arrays))[: around.vehicles]
+        assert moved[0].max() > 1e-4
+        assert (moved[1:].max() > 1e-6) == mixing
+
+
+def test_an_opponent_network_needs_something_of_each_vehicle():
+    with pytest.raises(WeightsError, match="needs 'pairs' or 'vectors'"):
+        torch_networks.build("opponent", replace(LIGHT, pairs=False, vectors=False))
 
 
 def test_the_network_begins_as_one_on_pairs_alone():

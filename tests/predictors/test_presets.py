@@ -8,7 +8,7 @@ import torch
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors.anchors import BRAKING
 from deepmf_sumo.predictors.conditioning import encode
-from deepmf_sumo.predictors.config import LIGHT, PAPER, VECTOR, Preset, changed
+from deepmf_sumo.predictors.config import LIGHT, PAPER, UNPAIRED, VECTOR, Preset, changed
 from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.predictors.features import features
 from deepmf_sumo.predictors.vectornet import as_batch
@@ -16,7 +16,7 @@ from deepmf_sumo.predictors.vectornet import as_batch
 from tests.support.synthetic import view
 
 
-@pytest.mark.parametrize("preset", [LIGHT, PAPER, VECTOR])
+@pytest.mark.parametrize("preset", [LIGHT, PAPER, VECTOR, UNPAIRED])
 def test_a_card_gives_the_preset_back(preset: Preset) -> None:
     assert Preset.from_record(json.loads(json.dumps(preset.record()))) == preset
 
@@ -35,6 +35,12 @@ def test_a_card_gives_the_preset_back(preset: Preset) -> None:
 def test_sizes_that_cannot_be_are_named(sizes: dict[str, object], named: str) -> None:
     with pytest.raises(WeightsError, match=named):
         changed(LIGHT, "mine", sizes)
+
+
+def test_a_card_of_an_earlier_version_has_pairs_and_mixing() -> None:
+    record = LIGHT.record()
+    del record["pairs"], record["mixing"]
+    assert Preset.from_record(record) == LIGHT
 
 
 def test_missing_sizes_are_named() -> None:

@@ -11,7 +11,7 @@ from deepmf_sumo.cli.train import command
 from deepmf_sumo.datatypes import ROLLOUT
 from deepmf_sumo.errors import OutputError, RunError, UsageError, WeightsError
 from deepmf_sumo.predictors import torch_networks, weights
-from deepmf_sumo.predictors.config import LIGHT, PAPER
+from deepmf_sumo.predictors.config import LIGHT, PAPER, UNPAIRED
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training import run
 from deepmf_sumo.training.config import Optimisation
@@ -24,7 +24,7 @@ from deepmf_sumo.training.samples import trajectory as trajectory_samples
 from deepmf_sumo.training.samples.dataset import Source
 from deepmf_sumo.training.samples.feature_cache import Data
 
-from tests.support.synthetic import scene
+from tests.support.synthetic import scene, view
 
 pytestmark = pytest.mark.slow_unit
 
@@ -71,6 +71,25 @@ def test_all_networks_are_trained_and_usable(training, recordings):
     assert card["licence"] == "ours"
     assert not list(training.folder.glob("*.checkpoint"))
     assert found.marginal.net.prior.std() > 0
+
+
+def test_an_opponent_network_without_pairs_is_trained_and_usable(training):
+    for network in weights.NETWORKS:
+        preset = UNPAIRED if network == "opponent" else LIGHT
+        run.train(network, replace(training, preset=preset), print)
+    found = weights.load(training.folder).opponent
+    assert found.net.preset == UNPAIRED
+    assert not any("pair" in name for name in found.net.state_dict())
+    scores = found.score(view(), everyone=True)
+    assert len(scores.ids) > 1
+    assert np.isfinite(scores.logits).all()
+
+
+def test_networks_with_and_without_pairs_share_features(training, monkeypatch):
+    first = run.open_dataset("opponent", training, print)
+    monkeypatch.setattr(readers, "scenes", None)
+    second = run.open_dataset("opponent", replace(training, preset=UNPAIRED), print)
+    assert first.sources[0].digest == second.sources[0].digest
 
 
 def test_training_lowers_the_loss(training):

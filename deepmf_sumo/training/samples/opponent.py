@@ -65,7 +65,7 @@ def opponent_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
     """
     if scene.source.dataset == ROLLOUT:
         return
-    preset = replace(preset, raster=True, vectors=True)
+    preset = replace(preset, raster=True, vectors=True, pairs=True)
     tracks = scene.tracks
     rng = np.random.default_rng(zlib.crc32(scene.name.encode()))
     simulated = scene.source.dataset == SIMULATED
