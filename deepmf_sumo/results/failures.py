@@ -25,7 +25,9 @@ from deepmf_sumo.network.matching import match
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Results, Run
 
-Kind = Literal["hit", "planner crashed", "planner hung", "planner answered nonsense"]
+Kind = Literal[
+    "hit", "planner crashed", "planner hung", "planner or attack hung", "planner answered nonsense"
+]  # fmt: skip
 Conflict = Literal[
     "rear-end", "crossing", "left turn across path", "right turn across path", "merging",
     "cut-in / lane change", "head-on",
@@ -36,6 +38,8 @@ Who = Literal["AV", "opponent", ""]
 
 _BEFORE_STEPS: Final = 40
 """Directions are those of 4 s before the contact, or of the first step with both."""
+_TURNING_RAD: Final = float(np.radians(0.5))
+"""A step in which a vehicle turns more is no beginning: a turn is looked at from its start."""
 _SAME_RAD, _OPPOSITE_RAD, _JOINED_RAD, _TURNED_RAD = np.radians([30.0, 135.0, 45.0, 20.0])
 _BESIDE_M: Final = 1.0
 _CHANGED_MPS: Final = 1.0
@@ -136,10 +140,11 @@ def _joining(turned: Who, conflict: Conflict, priority: Who) -> Who:
 
 
 def _of_planner(run: Run) -> Failure | None:
-    """A planner's error. A run that was out of time hung in the planner, or in something else."""
+    """A planner's error. Of a run that was out of time it is not known whether the planner hung."""
     error = run.row.get("error", "")
     if run.status == "timeout":
-        return Failure(run=run, kind="planner hung", reason=f"the run ended after {error}")
+        reason = f"the run took {error}"
+        return Failure(run=run, kind="planner or attack hung", reason=reason)
     if not error.startswith(_PLANNER):
         return None
     reason = error.removeprefix(_PLANNER).strip()
@@ -155,7 +160,7 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
     tracks = rollout.tracks
     pair = _Pair.of(tracks, contact)
     conflict = pair.conflict(accident_type_of(rollout), _joins(road, pair))
-    first = max(rollout.now, pair.first)
+    first = max(rollout.now, pair.since)
     onset = first
     if first < contact.step:
         onset = onset_of(rollout, run.expected(), pair.other, first, contact.step)
@@ -184,7 +189,8 @@ class _Pair:
     """AV and opponent before their contact.
 
     Attributes:
-        av, other: rows. first: step from which on both are looked at. contact: step.
+        av, other: rows. since: step from which on both are there. contact: step.
+        first: step from which on their directions are looked at.
         relative: (2) heading of the opponent relative to the AV at first and contact.
         turn: (2) by how much AV and opponent turn in between, left is positive.
     """
@@ -192,6 +198,7 @@ class _Pair:
     tracks: Tracks
     av: int
     other: int
+    since: int
     first: int
     contact: int
     relative: Floats
@@ -203,14 +210,16 @@ class _Pair:
         both = tracks.valid[rows[0]] & tracks.valid[rows[1]]
         missing = np.flatnonzero(~both[: contact.step])
         since = int(missing[-1]) + 1 if len(missing) else 0
-        first = max(since, contact.step - _BEFORE_STEPS)
-        heading = tracks.heading_rad[rows, first : contact.step + 1]
-        turn = frames.wrap(np.diff(heading, axis=1)).sum(axis=1)
+        heading = tracks.heading_rad[rows, since : contact.step + 1]
+        change = frames.wrap(np.diff(heading, axis=1))
+        begin = _before_turns(change)
+        first, heading, turn = since + begin, heading[:, begin:], change[:, begin:].sum(axis=1)
         relative = frames.wrap(heading[1, [0, -1]] - heading[0, [0, -1]])
         return cls(
             tracks=tracks,
             av=rows[0],
             other=rows[1],
+            since=since,
             first=first,
             contact=contact.step,
             relative=relative,
@@ -267,6 +276,14 @@ class _Pair:
         moved = self.tracks.position_m[row, [self.first, self.contact]]
         heading = float(self.tracks.heading_rad[row, self.first])
         return abs(float(frames.to_local(moved[1], moved[0], heading)[1]))
+
+
+def _before_turns(change_rad: Floats) -> int:
+    """The column of changes (2, K) at which to begin: 4 s before the end, or before a turn there."""
+    begin = max(0, change_rad.shape[1] - _BEFORE_STEPS)
+    while begin > 0 and abs(change_rad[:, begin - 1]).max() > _TURNING_RAD:
+        begin -= 1
+    return begin
 
 
 def _action(tracks: Tracks, av: int, onset: int, contact: int, road: RoadMap | None) -> Action:

@@ -79,6 +79,21 @@ def test_the_conflict_and_where_the_opponent_came_from(name):
     assert pair.side(conflict, pair.first) == side
 
 
+def test_a_turn_that_was_over_before_is_not_one_across_the_path():
+    av = ending(turning(0, 0, 8, np.pi / 2, -np.pi / 2, begin=-5), 0.0, 0.0)
+    rollout, pair = pair_of(MET["head-on"][0], av)
+    assert pair.first == 0  # 4 s before the contact the AV was turning
+    assert pair.conflict(module.accident_type_of(rollout), joins=False) == "head-on"
+
+
+def test_directions_are_those_of_4_s_but_the_onset_may_be_earlier():
+    paths = [straight(x, 0, v, steps=81, now=80) for x, v in ((0, 10), (4.7, 5))]
+    poses = dict(zip(("pose_first", "pose_second"), (one[-1] for one in paths), strict=True))
+    rollout = rollout_of(dict(zip(("av", "b"), paths, strict=True)))
+    pair = module._Pair.of(rollout.tracks, replace(contact_of(step=80), **poses))
+    assert (pair.since, pair.first) == (0, 40)
+
+
 def test_vehicles_of_roads_that_join_merge():
     _, pair = pair_of(MET["cut-in / lane change"][0])
     assert pair.conflict("cut_in", joins=True) == "merging"
@@ -173,7 +188,7 @@ def run(run_id, status="ok", error=""):
         ("failed", "planner_error: p.py ended with exit code 3 before it answered step 12.",
          "planner crashed"),
         ("failed", "planner_error: p.py did not answer step 12 within 1 s.", "planner hung"),
-        ("timeout", "longer than 600 s", "planner hung"),
+        ("timeout", "longer than 600 s", "planner or attack hung"),
         ("failed", "planner_error: speed_mps at step 12 is nan, not a finite number.",
          "planner answered nonsense"),
         ("failed", "SUMO refused something", None),
