@@ -7,12 +7,12 @@ Adam (rate 0.005, 150 iterations) changes their acceleration and steering at eac
 a collision.
 
 From the source: the bicycle, Adam and its rate, the number of iterations, controls that are free at
-each time step, and the stop at the first collision. Ours: the AV that the gradient
-runs through is a differentiable IDM on the path of the AV's earlier rollout (the source has
-networks and a rule of its own in CARLA), controls are changes of the opponent's unattacked ones at
-5 Hz (4 Hz there), the objective is the least distance of three circles a vehicle (the mean one of the
-boxes' edges there) with weights of our own, a term keeps the opponent off all other vehicles, the
-road is that of the lanes (a picture there), and one vehicle attacks, since the loop drives one.
+each time step, and the stop at the first collision. Ours: the AV that the gradient runs through is
+a differentiable IDM on the path of the AV's earlier rollout (the source has networks and a rule of
+its own in CARLA), controls are changes of the opponent's unattacked ones at 5 Hz (4 Hz there), the
+objective is the least distance of three circles a vehicle (the mean one of the boxes' edges there)
+with weights of our own, a term keeps the opponent off all other vehicles, the road is that of the
+lanes (a picture there), and one vehicle attacks, since the loop drives one.
 
 Budget: gradient steps; and two simulations, one unattacked and the attack. With more, every further
 round aims at the AV's rollout of the round before, until it is hit.

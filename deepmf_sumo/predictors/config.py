@@ -1,4 +1,4 @@
-"""Sizes of the networks: ``light`` runs on a CPU, ``paper`` has VGG16 and VectorNet at full width."""
+"""Sizes of the networks: ``light`` runs on a CPU, ``paper`` has VGG16 and VectorNet in full."""
 
 from dataclasses import asdict, replace
 from typing import Annotated, Any, Final, Literal

@@ -279,7 +279,7 @@ class _Pair:
 
 
 def _before_turns(change_rad: Floats) -> int:
-    """The column of changes (2, K) at which to begin: 4 s before the end, or before a turn there."""
+    """The column of changes (2, K) to begin at: 4 s before the end, or before a turn there."""
     begin = max(0, change_rad.shape[1] - _BEFORE_STEPS)
     while begin > 0 and abs(change_rad[:, begin - 1]).max() > _TURNING_RAD:
         begin -= 1
