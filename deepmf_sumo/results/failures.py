@@ -39,7 +39,7 @@ Who = Literal["AV", "opponent", ""]
 _BEFORE_STEPS: Final = 40
 """Directions are those of 4 s before the contact, or of the first step with both."""
 _TURNING_RAD: Final = float(np.radians(0.5))
-"""A step in which a vehicle turns more is no beginning: a turn is looked at from its start."""
+"""Where a vehicle turns more in a step, its turn is looked at from the start."""
 _SAME_RAD, _OPPOSITE_RAD, _JOINED_RAD, _TURNED_RAD = np.radians([30.0, 135.0, 45.0, 20.0])
 _BESIDE_M: Final = 1.0
 _CHANGED_MPS: Final = 1.0
