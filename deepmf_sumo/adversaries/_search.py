@@ -68,8 +68,8 @@ class Cost:
     @property
     def total(self) -> float:
         """The cost to minimise."""
-        off = self.off_road + self.third_party + self.av_path
-        return self.distance + self.late + off + self.jerk
+        plain = self.distance + self.late + self.off_road + self.third_party + self.jerk
+        return plain + self.av_path
 
 
 def cost_of(rollout: Rollout, case: Case, weights: Weights, unattacked: Rollout) -> Cost:
