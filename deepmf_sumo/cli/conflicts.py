@@ -79,6 +79,7 @@ def command(
     from deepmf_sumo import files
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.metrics.traffic_conflicts import Limits
+    from deepmf_sumo.network.sumo_road import road_once
     from deepmf_sumo.recording import conflicts as recording
     from deepmf_sumo.risk import places
     from deepmf_sumo.risk import traffic_conflicts as conflicts
@@ -102,7 +103,7 @@ def command(
             with files.writing(out):
                 (out / name).unlink(missing_ok=True)  # of another traffic
     seen = recording.observe(wanted, limits, out if trj else None)
-    rows = conflicts.listed(seen, every)
+    rows = conflicts.listed(seen, every, road_once(configuration.net))
     sites = conflicts.by_place(seen, rows, every, attacked)
     _write(out, rows, sites, _about(wanted, limits, seen), beside=attacked is not None)
     if form == "table":

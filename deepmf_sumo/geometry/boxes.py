@@ -6,6 +6,7 @@ A box is (centre (..., 2), heading (...), size (..., 2): length, width).
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
+from deepmf_sumo.geometry import frames
 
 _SIGNS = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
 
@@ -95,6 +96,24 @@ def gap(
         _points_to_box(corners_b, centre_a, heading_a, size_a),
     )
     return np.where(hit, 0.0, distance)
+
+
+def end_to_end(
+    centre_a: Floats,
+    heading_a: float,
+    size_a: Floats,
+    centre_b: Floats,
+    heading_b: float,
+    size_b: Floats,
+) -> bool:
+    """Whether b lies farther from a along a's axis than across it: before or behind, not beside."""
+    x, y = np.abs(frames.to_local(np.asarray(centre_b), np.asarray(centre_a), heading_a))
+    turn = heading_b - heading_a
+    cos, sin = abs(np.cos(turn)), abs(np.sin(turn))
+    length, width = size_b
+    along = x - (size_a[0] + length * cos + width * sin) / 2
+    across = y - (size_a[1] + length * sin + width * cos) / 2
+    return bool(along >= across)
 
 
 def _points_to_box(points: Floats, centre: Floats, heading: Floats, size: Floats) -> Floats:

@@ -8,8 +8,8 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Contact, Floats, Rollout
-from deepmf_sumo.geometry import frames, polylines, road
+from deepmf_sumo.datatypes import DT_S, Floats, Rollout, Tracks
+from deepmf_sumo.geometry import boxes, frames, polylines, road
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric
 from deepmf_sumo.metrics.avoidability import judgement
 from deepmf_sumo.metrics.driving import feasible
@@ -18,7 +18,8 @@ AccidentType = Literal["cut_in", "rear_end", "t_bone", "head_on", "sideswipe"]
 ACCIDENT_TYPES: Final[tuple[AccidentType, ...]] = get_args(AccidentType)
 """In the order of the metric's numbers: 0 is a cut-in."""
 _PARALLEL_ENDS_RAD, _PARALLEL_SIDES_RAD = np.pi / 4, np.pi / 6
-_CUT_IN_S = 3.0
+CUT_IN_S: Final = 3.0
+"""In a cut-in the vehicle in front was beside the other's path at some time of these seconds."""
 _STRAIGHT_M = 100.0
 _LEAST_MPS = 1e-6
 
@@ -166,50 +167,37 @@ def accident_type_of(rollout: Rollout) -> AccidentType:
     collision; in opposite directions it is head-on. Impacts of sides are sideswipes.
     """
     contact = _slices.collision(rollout)
+    tracks, step = rollout.tracks, contact.step - 1
+    rows = [tracks.row(contact.first_id), tracks.row(contact.second_id)]
     turn = abs(float(frames.difference(contact.pose_second[2], contact.pose_first[2])))
-    ahead, of_ends = _last_offset(rollout, contact)
+    position, heading = tracks.position_m[rows, step], tracks.heading_rad[rows, step].tolist()
+    size = tracks.size_m[rows, :2]
+    of_ends = boxes.end_to_end(position[0], heading[0], size[0], position[1], heading[1], size[1])
     if min(turn, np.pi - turn) > (_PARALLEL_ENDS_RAD if of_ends else _PARALLEL_SIDES_RAD):
         return "t_bone"
     if not of_ends:
         return "sideswipe"
     if turn > np.pi / 2:
         return "head_on"
-    pair = contact.first_id, contact.second_id
-    follower, leader = pair if ahead > 0 else pair[::-1]
-    return "cut_in" if _came_from_beside(rollout, contact, follower, leader) else "rear_end"
+    ahead = frames.to_local(position[1], position[0], heading[0])[0]
+    follower, leader = rows if ahead > 0 else rows[::-1]
+    beside = came_from_beside(tracks, follower, leader, contact.step, rollout.dt_s)
+    return "cut_in" if beside else "rear_end"
 
 
-def _last_offset(rollout: Rollout, contact: Contact) -> tuple[float, bool]:
-    """Longitudinal offset of the second agent to the first a step before; whether ends meet."""
-    tracks, step = rollout.tracks, contact.step - 1
-    first, second = tracks.row(contact.first_id), tracks.row(contact.second_id)
-    heading = float(tracks.heading_rad[first, step])
-    x, y = frames.to_local(tracks.position_m[second, step], tracks.position_m[first, step], heading)
-    turn = tracks.heading_rad[second, step] - heading
-    cos, sin = abs(np.cos(turn)), abs(np.sin(turn))
-    (length, width), other = tracks.size_m[first, :2], tracks.size_m[second, :2]
-    along = abs(x) - (length + other @ [cos, sin]) / 2
-    across = abs(y) - (width + other @ [sin, cos]) / 2
-    return float(x), bool(along >= across)
-
-
-def _came_from_beside(
-    rollout: Rollout, contact: Contact, follower: AgentId, leader: AgentId
+def came_from_beside(
+    tracks: Tracks, follower: int, leader: int, step: int, dt_s: float = DT_S
 ) -> bool:
-    """Whether the leader was entirely beside the follower's path in the last seconds."""
-    tracks = rollout.tracks
-    behind, front = tracks.row(follower), tracks.row(leader)
-    first = max(0, contact.step - round(_CUT_IN_S / rollout.dt_s))
-    recent = tracks.position_m[front, first : contact.step]
-    recent = recent[tracks.valid[front, first : contact.step]]
-    path = _path(rollout, behind, contact.step)
-    apart = np.abs(polylines.project(path, recent).left_m)
-    return bool((apart > (tracks.size_m[behind, 1] + tracks.size_m[front, 1]) / 2).any())
+    """Whether the leader was entirely beside the follower's path at a time of the last 3 s."""
+    first = max(0, step - round(CUT_IN_S / dt_s))
+    recent = tracks.position_m[leader, first:step]
+    recent = recent[tracks.valid[leader, first:step]]
+    apart = np.abs(polylines.project(_path(tracks, follower, step), recent).left_m)
+    return bool((apart > (tracks.size_m[follower, 1] + tracks.size_m[leader, 1]) / 2).any())
 
 
-def _path(rollout: Rollout, row: int, step: int) -> Floats:
+def _path(tracks: Tracks, row: int, step: int) -> Floats:
     """(P, 2) the path that an agent drove up to a step, extended straight at both ends."""
-    tracks = rollout.tracks
     steps = np.flatnonzero(tracks.valid[row, :step])
     driven, heading = tracks.position_m[row, steps], tracks.heading_rad[row, steps]
     reach = _STRAIGHT_M * frames.unit(heading[[0, -1]])

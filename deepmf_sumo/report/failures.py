@@ -2,7 +2,8 @@
 
 from typing import Final
 
-from deepmf_sumo.results.failures import Conflict, Failure
+from deepmf_sumo.results.conflict_types import ACROSS, ConflictType
+from deepmf_sumo.results.failures import Failure
 from deepmf_sumo.results.groups import Group, avoided_by
 from deepmf_sumo.texts import shown
 
@@ -10,13 +11,13 @@ HEADINGS: Final = (
     "runs", "failure", "opponent from", "priority", "AV", "avoided by", "onset, s before the hit",
     "delta-v, m/s",
 )  # fmt: skip
-_CAREFUL: Final[dict[Conflict, str]] = {
+_CAREFUL: Final[dict[ConflictType, str]] = {
     "rear-end": "kept its distance",
     "crossing": "braked in time",
     "left turn across path": "braked in time",
     "right turn across path": "braked in time",
     "merging": "made room",
-    "cut-in / lane change": "made room",
+    "lane change": "made room",
     "head-on": "braked in time",
 }
 """What a careful driver would have done."""
@@ -24,12 +25,13 @@ _WAITING: Final = {
     "left turn across path",
     "right turn across path",
     "merging",
-    "cut-in / lane change",
+    "lane change",
 }
 """Where it is the AV that turns, merges or changes lanes, a careful driver waits."""
 _DID: Final = {
     "braked": "braked too late",
     "accelerated": "accelerated",
+    "set off": "set off",
     "stood": "stood",
     "held speed": "held its speed",
     "steered": "steered",
@@ -95,23 +97,35 @@ def _happened(one: Failure) -> str:
     by_av: dict[str, str] = {
         "rear-end": f"A {other} behind ran into the AV, which {did.removesuffix(' too late')}",
         "turn": f"The AV turned {turn} in front of an oncoming {other}{when}",
-        "merging": f"The AV merged in front of a {other} from the {one.side}{when}",
-        "cut-in / lane change": f"The AV moved over in front of a {other} {_beside(one)}{when}",
+        "merging": f"The AV merged into the way of a {other} from {_from(one)}{when}",
+        "lane change": f"The AV moved over into the way of a {other} {_beside(one)}{when}",
     }
     by_other: dict[str, str] = {
         "rear-end": f"The AV {did} and ran into the {other} ahead"
         + f", although the danger began{when}" * bool(when),
         "turn": f"An oncoming {other} turned {turn} in front of the AV{when}",
-        "merging": f"A {other} from the {one.side} merged in front of the AV{when}",
-        "cut-in / lane change": f"A {other} {_beside(one)} moved over in front of the AV{when}",
+        "merging": f"A {other} from {_from(one)} merged into the way of the AV{when}",
+        "lane change": f"A {other} {_beside(one)} moved over into the way of the AV{when}",
         "head-on": f"An oncoming {other} came into the way of the AV{when}",
-        "crossing": f"A {other} from the {one.side}{_right_of_way(one)} crossed in front of the AV"
+        "crossing": f"A {other} from {_from(one)}{_right_of_way(one)} crossed in front of the AV"
         f"{when}",
     }
-    name = "turn" if "turn across path" in one.conflict else one.conflict
+    name = "turn" if one.conflict in ACROSS else one.conflict
+    if _left_its_lane(one):
+        came = f"A {other} from {_from(one)}" if one.side != "ahead" else f"An oncoming {other}"
+        return f"{came} left its lane and came into the way of the AV{when}, and the AV {did}"
     if one.turned == "AV" and name in by_av:
         return by_av[name]
     return by_other[name] if name == "rear-end" else f"{by_other[name]}, and the AV {did}"
+
+
+def _left_its_lane(one: Failure) -> bool:
+    """A vehicle that turns across is told as turning, on its lanes or not."""
+    return one.strayed and not (one.conflict in ACROSS and one.turned == "opponent")
+
+
+def _from(one: Failure) -> str:
+    return f"the {one.side}" if one.side in {"left", "right"} else f"{one.side}"
 
 
 def _beside(one: Failure) -> str:
@@ -128,7 +142,7 @@ def _advice(one: Failure) -> str:
     by = avoided_by(one)
     if by == "careful driver":
         assert one.conflict is not None
-        waits = one.turned == "AV" and one.conflict in _WAITING
+        waits = one.turned == "AV" and one.conflict in _WAITING and not one.strayed
         return f"a careful driver would have {'waited' if waits else _CAREFUL[one.conflict]}"
     if by == "emergency manoeuvre":
         return "only braking or steering at once would have avoided it"

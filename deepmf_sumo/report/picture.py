@@ -26,7 +26,8 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
-from deepmf_sumo.results.failures import Conflict, Side, conflict_of
+from deepmf_sumo.results.conflict_types import ACROSS, ConflictType, Side
+from deepmf_sumo.results.failures import conflict_of
 
 OTHER, CONTACT = "#8d99a6", "#000000"
 AXES_IN: Final = 7.4
@@ -228,10 +229,10 @@ def _title(rollout: Rollout, case: Case, contact: Contact | None) -> str:
     return f"{what} after {time_s:.1f} s at {contact.relative_mps:.0f} m/s{where}\n{case.name}"
 
 
-def happened(conflict: Conflict, side: Side, turned: str) -> str:
+def happened(conflict: ConflictType, side: Side, turned: str) -> str:
     """A conflict in a few words."""
     turn = conflict.partition(" ")[0].capitalize()
-    if "turn across path" in conflict:
+    if conflict in ACROSS:
         by_av = turned == "AV"
         return f"{turn} turn {'of the AV across the opponent' if by_av else 'in front of the AV'}"
     if conflict == "rear-end":

@@ -15,17 +15,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import stored
+from deepmf_sumo.results.conflict_types import ConflictType, Meeting
 from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk import passing
 from deepmf_sumo.risk import places as places_module
-from deepmf_sumo.risk.conflict_types import ConflictType, Pose, conflict_type
 from deepmf_sumo.risk.passing import Traffic
 from deepmf_sumo.risk.places import Places, Spot
 from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
@@ -145,10 +147,6 @@ def _attacked(
     place_m: Floats = found.tracks.position_m[found.tracks.row(found.av_id), step]
     avoidable = part.metrics.get("avoidable")
     decided, against = spots.at(step), opponent.at(step) if opponent else OFF
-    kind = None
-    if part.opponent in found.tracks.ids:
-        poses = _pose(found, found.av_id, step), _pose(found, part.opponent, step)
-        kind = conflict_type(spots.places, (decided, against), poses)
     return Attacked(
         folder=folder,
         run_id=result["run_id"],
@@ -166,7 +164,7 @@ def _attacked(
         delta_v_mps=part.metrics.get("delta_v"),
         against=against,
         criticality=criticality(part.metrics[SPARE]) if SPARE in part.metrics else None,
-        kind=kind,
+        kind=_kind(found, part.opponent, step, spots.road),
         pet_s=part.metrics.get("pet"),
         speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
         av=found.av_id,
@@ -174,12 +172,17 @@ def _attacked(
     )
 
 
-def _pose(found: RecordedTracks, agent_id: str, step: int) -> Pose:
-    """A step before, where two boxes touch; the next one that is known where it is not."""
-    tracks, row = found.tracks, found.tracks.row(agent_id)
-    known = tracks.valid[row].nonzero()[0]
-    at = int(known[abs(known - max(step - 1, 0)).argmin()])
-    return tracks.position_m[row, at], float(tracks.heading_rad[row, at]), tracks.size_m[row, :2]
+def _kind(found: RecordedTracks, opponent: str, step: int, road: RoadMap) -> ConflictType | None:
+    """Of the conflict, where both were there; at the nearest such step where not at this one."""
+    tracks = found.tracks
+    if opponent not in tracks.ids:
+        return None
+    rows = [tracks.row(found.av_id), tracks.row(opponent)]
+    both = np.flatnonzero(tracks.valid[rows].all(axis=0))
+    if not len(both):
+        return None
+    at = int(both[abs(both - step).argmin()])
+    return Meeting.of(tracks, (found.av_id, opponent), at, road).type
 
 
 def _contacts(result: Result, kind: str, first: int, last: int, opponent: str = "") -> list[int]:

@@ -82,6 +82,7 @@ class Spots:
         heading, z_m = driven.heading_rad[row], driven.z_m[row]
         matched = matching.match(road, self._position_m, heading, self._valid, z_m)
         self._lanes, self.places, self._now = matched.lane_ids, every, found.now
+        self.road = road
         route = moment.get("edge", ""), moment.get("following", "")
         self._next = every.movement(*route)
         self._turns = self._next is not None and moment.get("turn") != _ALONG

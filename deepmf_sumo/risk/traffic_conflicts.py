@@ -10,13 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.metrics.traffic_conflicts import SSAM_TYPES
 from deepmf_sumo.network.sumo_net import going_first
 from deepmf_sumo.recording.conflicts import Observation, Observed, Side
+from deepmf_sumo.results.conflict_types import Course, conflict_type
 from deepmf_sumo.risk import table
 from deepmf_sumo.risk.attacks import Network, read
-from deepmf_sumo.risk.conflict_types import Pose, conflict_type
 from deepmf_sumo.risk.places import SITES, Kind, Places, Spot
 
 BESIDE: Final = (
@@ -44,24 +45,29 @@ def place_columns(*, beside: bool) -> tuple[str, ...]:
     return (*_OF_PLACE, *BESIDE) if beside else _OF_PLACE
 
 
-def listed(seen: Observation, places: Places) -> list[dict[str, Any]]:
-    """One row for each conflict, by time: the columns of ``conflicts.csv``."""
+def listed(seen: Observation, places: Places, road: RoadMap) -> list[dict[str, Any]]:
+    """One row for each conflict, by time: the columns of ``conflicts.csv``.
+
+    ``road``: the map of the same network.
+    """
     first_at = going_first(places.net)
     return [
-        {"conflict": number, **_row(one, places, first_at)}
+        {"conflict": number, **_row(one, places, road, first_at)}
         for number, one in enumerate(seen.conflicts, start=1)
     ]
 
 
-def _row(one: Observed, places: Places, first_at: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+def _row(
+    one: Observed, places: Places, road: RoadMap, first_at: Mapping[str, tuple[str, ...]]
+) -> dict[str, Any]:
     spots = places.spot(one.first.lane), places.spot(one.second.lane)
     kind, place, title = site(spots[0], places)
-    poses = _pose(one.first), _pose(one.second)
+    courses = _course(one.first, road), _course(one.second, road)
     row: dict[str, Any] = {
         "begin_s": one.begin_s,
         "end_s": one.end_s,
         "type": one.type,
-        "kind": conflict_type(places, spots, poses),
+        "kind": conflict_type(*courses, road),
         "contact": one.ttc_s == 0.0,
         "ttc_s": one.ttc_s,
         "ttc_at_s": one.ttc_at_s,
@@ -90,9 +96,10 @@ def _row(one: Observed, places: Places, first_at: Mapping[str, tuple[str, ...]])
     return row
 
 
-def _pose(side: Side) -> Pose:
+def _course(side: Side, road: RoadMap) -> Course:
     x, y, heading, length, width = side.pose
-    return np.array([x, y]), heading, np.array([length, width])
+    lanes = side.lanes if side.lane in side.lanes else (*side.lanes, side.lane)
+    return Course.on_lanes(road, lanes, np.array([x, y]), heading, np.array([length, width]))
 
 
 def _gives_way(one: Observed, first_at: Mapping[str, tuple[str, ...]]) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
 from deepmf_sumo.geometry import frames, polylines
+from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.vehicle_control import MATCH_M, HandOver, has_stops, move
@@ -233,6 +234,8 @@ _OWN_DECISION = 31
 # braking is weakened to comfortable braking. So both are off, and the limits are kept here.
 _COMMANDED = 24
 _NO_CHECKS = 0
+_NO_CHANGES = 0
+"""A laneChangeMode."""
 _RISE_HELD_MPS = 0.02
 _RISE_FREE_MPS = 0.15
 _LOOK_M = 100.0
@@ -263,6 +266,7 @@ class Av:
         self.ahead = RouteAhead(api, av_id)
         self.placed: Pose | None = None
         self._has_stops = False
+        self._changes_lanes: int | None = None  # SUMO's mode from before it stood
         self.leaders: tuple[AgentId, ...] | None = None
         self.lost = False
         self.pose = start
@@ -313,6 +317,7 @@ class Av:
         commanded = None
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
+        self._keep_lane(standing=speed <= STANDING_MPS)
         if command.kind == "sumo":
             vehicle.setSpeedMode(self.id, _OWN_DECISION)
             vehicle.setSpeed(self.id, -1.0)
@@ -324,6 +329,28 @@ class Av:
             vehicle.setSpeedMode(self.id, _NO_CHECKS)
             vehicle.setSpeed(self.id, max(0.0, command.speed_mps))
         self._previous_mps, self._commanded_mps = speed, commanded
+
+    def _keep_lane(self, *, standing: bool) -> None:
+        """Let SUMO change the lane of an AV that stands only where its lane does not lead on.
+
+        SUMO changes lanes at any speed, and no vehicle moves sideways while it stands.
+        """
+        keeps = standing and self._leads_on()
+        if keeps == (self._changes_lanes is not None):
+            return
+        vehicle = self._api.vehicle
+        if keeps:
+            self._changes_lanes = int(vehicle.getLaneChangeMode(self.id))
+            vehicle.setLaneChangeMode(self.id, _NO_CHANGES)
+        else:
+            vehicle.setLaneChangeMode(self.id, self._changes_lanes)
+            self._changes_lanes = None
+
+    def _leads_on(self) -> bool:
+        """Whether the AV's lane leads to where its route goes on."""
+        lane = self._api.vehicle.getLaneID(self.id)
+        best = self._api.vehicle.getBestLanes(self.id)
+        return all(one[4] for one in best if one[0] == lane)
 
     def place(self, pose: Pose, leader_id: AgentId | None = None) -> None:
         """Put the AV at a pose at the end of the coming step."""

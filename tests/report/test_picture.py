@@ -109,7 +109,7 @@ def test_junctions_are_filled_and_islands_are_not():
         ("rear-end", "ahead", "opponent", "Into the vehicle ahead"),
         ("crossing", "left", "", "Crossing, opponent from the left"),
         ("merging", "behind", "AV", "Merging of the AV, opponent from behind"),
-        ("cut-in / lane change", "right", "opponent", "Lane change, opponent from the right"),
+        ("lane change", "right", "opponent", "Lane change, opponent from the right"),
         ("head-on", "ahead", "", "Head-on"),
     ],
 )

@@ -10,7 +10,9 @@ from deepmf_sumo import files
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
 from deepmf_sumo.report import failures as words
+from deepmf_sumo.results import conflict_types
 from deepmf_sumo.results import failures as module
+from deepmf_sumo.results.conflict_types import Meeting
 from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.results.reader import Results, Run
@@ -56,58 +58,111 @@ MET = {
         "ahead",
     ),
     "merging": (ending(turning(0, 0, 8, np.pi / 2, -np.pi / 2, begin=29), 4.0, -1.0), "right"),
-    "cut-in / lane change": (shifting(4.5, 1.0, 8, -3.5), "left"),
+    "lane change": (shifting(4.5, 1.0, 8, -3.5), "left"),
     "head-on": (straight(4.7, 0.3, 9, steps=STEP + 1, heading=np.pi, now=STEP), "ahead"),
 }
 
 
-def pair_of(other, av=EAST):
+def pair_of(other, av=EAST, road=None):
     rollout = rollout_of({"av": av, "b": other})
     poses = {"pose_first": av[-1], "pose_second": other[-1]}
     rollout = replace(rollout, contacts=(replace(contact_of(step=STEP), **poses),))
-    return rollout, module._Pair.of(rollout.tracks, rollout.contacts[0])
+    return rollout, Meeting.of(rollout.tracks, ("av", "b"), STEP, road)
 
 
 @pytest.mark.parametrize("name", MET)
 def test_the_conflict_and_where_the_opponent_came_from(name):
     other, side = MET[name]
-    if name == "cut-in / lane change":
+    if name == "lane change":
         other = shifting(4.5, 1.0, 8, -2.5)
-    rollout, pair = pair_of(other)
-    conflict = pair.conflict(module.accident_type_of(rollout), joins=False)
-    assert conflict == name.removesuffix(" behind").removesuffix(" right")
-    assert pair.side(conflict, pair.first) == side
+    _, pair = pair_of(other)
+    assert pair.type == name.removesuffix(" behind").removesuffix(" right")
+    assert pair.side(pair.first) == side
 
 
 def test_a_turn_that_was_over_before_is_not_one_across_the_path():
     av = ending(turning(0, 0, 8, np.pi / 2, -np.pi / 2, begin=-5), 0.0, 0.0)
-    rollout, pair = pair_of(MET["head-on"][0], av)
+    _, pair = pair_of(MET["head-on"][0], av)
     assert pair.first == 0  # 4 s before the contact the AV was turning
-    assert pair.conflict(module.accident_type_of(rollout), joins=False) == "head-on"
+    assert pair.type == "head-on"
 
 
 def test_directions_are_those_of_4_s_but_the_onset_may_be_earlier():
     paths = [straight(x, 0, v, steps=81, now=80) for x, v in ((0, 10), (4.7, 5))]
-    poses = dict(zip(("pose_first", "pose_second"), (one[-1] for one in paths), strict=True))
     rollout = rollout_of(dict(zip(("av", "b"), paths, strict=True)))
-    pair = module._Pair.of(rollout.tracks, replace(contact_of(step=80), **poses))
+    pair = Meeting.of(rollout.tracks, ("av", "b"), 80, None)
     assert (pair.since, pair.first) == (0, 40)
 
 
+def lanes_of(**lines):
+    """A map of lanes by name: points, and which lanes follow."""
+    return RoadMap(
+        lanes={
+            name: Lane(
+                id=name, kind="street", centre_m=np.array(points, float),
+                z_m=np.zeros(len(points)), **more,
+            )
+            for name, (points, more) in lines.items()
+        }
+    )  # fmt: skip
+
+
 def test_vehicles_of_roads_that_join_merge():
-    _, pair = pair_of(MET["cut-in / lane change"][0])
-    assert pair.conflict("cut_in", joins=True) == "merging"
-    assert pair.turned("merging") == "opponent"
-    line = {"centre_m": np.array([[-200.0, 0], [-10, 0]]), "z_m": np.zeros(2)}
-    main_road = Lane(id="main", kind="street", next=("on",), **line)
-    line["centre_m"] = np.array([[-200.0, 3.0], [-10, 3.0]])
-    ramp = Lane(id="ramp", kind="street", next=("on",), **line)
-    line["centre_m"] = np.array([[-10.0, 0], [200, 0]])
-    on = Lane(id="on", kind="street", **line)
-    road = RoadMap(lanes={one.id: one for one in (main_road, ramp, on)})
-    assert module._ahead(road, "main") == {"main", "on"}
-    assert module._joins(road, pair)
-    assert not module._joins(None, pair)
+    on = ([(-10, 0), (200, 0)], {})
+    ramp, onward = [(-200, 3.0), (-10, 3.0)], {"next": ("on",)}
+    road = lanes_of(main=([(-200, 0), (-10, 0)], onward), ramp=(ramp, onward), on=on)
+    assert conflict_types._ahead(road, "main") == {"main", "on"}
+    other = shifting(4.5, 1.0, 8, -2.5)
+    assert pair_of(other)[1].type == "lane change"
+    _, pair = pair_of(other, road=road)
+    assert (pair.type, pair.turned()) == ("merging", "opponent")
+
+
+def test_a_road_that_bends_is_not_a_turn():
+    """Both keep to the lanes of a road that bends by 40 degrees, until they meet head-on."""
+    bend = np.radians(40)
+    east = ending(turning(0, 0, 10, 0, bend), 0.0, 0.0)
+    line = np.concatenate([east[:, :2], 30 * np.array([[np.cos(bend), np.sin(bend)]])])
+    x, y = 4.6 * np.cos(bend), 4.6 * np.sin(bend)
+    back = straight(x, y, 9, steps=STEP + 1, heading=bend - np.pi, now=STEP)
+    assert pair_of(back, east)[1].type == "left turn across path"  # by directions alone
+    _, pair = pair_of(back, east, lanes_of(mine=(line, {}), theirs=(line[::-1], {})))
+    assert (pair.type, pair.side(pair.first)) == ("head-on", "ahead")
+
+
+def test_a_begun_turn_counts_on_a_lane_that_turns():
+    """The oncoming vehicle has turned by 17 degrees only, on a lane that bends by 90."""
+    other = ending(turning(0, 0, 8, np.pi, np.radians(17), begin=30), 4.6, 0.6)
+    turn = [(12, 1.5), (4, 1.2), (0, -3), (0, -30)]
+    assert pair_of(other)[1].type == "head-on"
+    inside = {"interpolating": True, "previous": ("west",)}
+    road = lanes_of(west=([(90, 1.5), (12, 1.5)], {"next": ("left",)}), left=(turn, inside))
+    _, pair = pair_of(other, road=road)
+    assert (pair.type, pair.turned()) == ("left turn across path", "opponent")
+
+
+def test_an_opponent_beside_its_lane_has_left_it():
+    """It drives 1 m left of its lane, into the AV, which keeps to its own."""
+    mine, theirs = [(-100, 0), (60, 0)], [(60, 2.4), (-60, 2.4)]
+    road = lanes_of(mine=(mine, {}), theirs=(theirs, {}))
+    assert pair_of(straight(4.7, 0.7, 9, steps=51, heading=np.pi, now=STEP), road=road)[1].strayed()
+    beside = straight(4.7, 2.2, 9, steps=51, heading=np.pi, now=STEP)
+    assert not pair_of(beside, road=road)[1].strayed()
+
+
+def test_that_which_stands_has_not_changed_lanes():
+    """The other drives past obliquely and touches the side of the standing AV."""
+    av = straight(0, 0, 0, steps=STEP + 1, now=STEP)
+    _, pair = pair_of(shifting(1.0, 1.7, 8, -2.0), av)
+    assert (pair.type, pair.turned()) == ("lane change", "opponent")
+    _, pair = pair_of(av, shifting(-1.0, 1.7, 8, -2.0))
+    assert (pair.type, pair.turned()) == ("lane change", "AV")
+
+
+def test_a_vehicle_that_evades_has_not_moved_over():
+    """Both move to the right; the one that moves toward the other is named."""
+    _, pair = pair_of(shifting(1.0, 1.7, 10, -3.0), shifting(0, 0, 10, -1.0))
+    assert (pair.type, pair.turned()) == ("lane change", "opponent")
 
 
 @pytest.mark.parametrize(
@@ -117,6 +172,7 @@ def test_vehicles_of_roads_that_join_merge():
         (straight(0, 0, 10, steps=51, accel=-2.0), "braked"),
         (straight(0, 0, 10, steps=51, accel=2.0), "accelerated"),
         (straight(0, 0, 0, steps=51), "stood"),
+        (np.where(np.arange(51)[:, None] < 45, 0, straight(0, 0, 1, steps=51, now=44)), "set off"),
         (shifting(40, 0, 10, -2.0), "steered"),
     ],
 )
@@ -157,7 +213,6 @@ def test_that_whose_light_let_it_go_has_priority(mine, theirs, priority):
 
 def test_who_yields_by_the_map_has_no_priority():
     other, _ = MET["crossing right"]
-    _, pair = pair_of(other)
     east = Lane(id="east", kind="street", centre_m=np.array([[-60.0, 0], [60, 0]]), z_m=np.zeros(2))
     north = Lane(
         id="north",
@@ -166,11 +221,11 @@ def test_who_yields_by_the_map_has_no_priority():
         z_m=np.zeros(2),
         gives_way_to=("east",),
     )
-    assert module._by_map(pair, RoadMap(lanes={"east": east, "north": north})) == "AV"
     swapped = replace(east, gives_way_to=("north",)), replace(north, gives_way_to=())
-    assert module._by_map(pair, RoadMap(lanes={one.id: one for one in swapped})) == "opponent"
-    neither = RoadMap(lanes={"east": east, "north": replace(north, gives_way_to=())})
-    assert module._by_map(pair, neither) == ""
+    neither = east, replace(north, gives_way_to=())
+    for lanes, priority in (((east, north), "AV"), (swapped, "opponent"), (neither, "")):
+        _, pair = pair_of(other, road=RoadMap(lanes={one.id: one for one in lanes}))
+        assert module._by_map(pair) == priority
 
 
 def run(run_id, status="ok", error=""):

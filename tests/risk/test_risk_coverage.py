@@ -5,11 +5,10 @@ import pytest
 
 from deepmf_sumo import risk
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.results.conflict_types import Course, conflict_type
 from deepmf_sumo.risk import places as places_module
-from deepmf_sumo.risk.conflict_types import conflict_type
 from deepmf_sumo.risk.coverage import NO_CONFLICT
-from deepmf_sumo.risk.places import Spot
-from deepmf_sumo.risk.tracks import OFF
 
 from tests.support.risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
 
@@ -21,13 +20,17 @@ def places():
     return places_module.read(NET)
 
 
-def over(places, origin, target):
-    movement = places.movement(origin, target)
-    return Spot(junction=movement.junction, movement=movement.id)
+@pytest.fixture(scope="module")
+def road():
+    return road_of_net(NET)
 
 
-def pose(x=0.0, y=0.0, heading=0.0):
-    return np.array([x, y]), heading, CAR_M
+def course(places, road, origin, target, point):
+    """Of a vehicle at a point of its way over the junction: the first one, or the last but one."""
+    lane = places.movement(origin, target).lanes[0]
+    (x, y), (to_x, to_y) = road.lanes[lane].centre_m[[point, point + 1]]
+    pose = np.array([x, y]), float(np.arctan2(to_y - y, to_x - x)), CAR_M
+    return Course.on_lanes(road, (f"{origin}_0", lane), *pose)
 
 
 @pytest.mark.parametrize(
@@ -38,29 +41,30 @@ def pose(x=0.0, y=0.0, heading=0.0):
         (("w_in", "e_out"), ("s_in", "n_out"), "crossing"),
         (("w_in", "n_out"), ("n_in", "s_out"), "crossing"),
         (("w_in", "e_out"), ("s_in", "e_out"), "merging"),
+        (("w_in", "n_out"), ("e_in", "n_out"), "merging"),
     ],
 )
-def test_two_movements_over_a_junction_have_a_kind(places, av, opponent, expected):
-    """However the two stand to each other at that moment."""
-    spots = over(places, *av), over(places, *opponent)
-    for other in (pose(-6.0), pose(3.0, 3.0, 1.5), pose(5.0, 0.0, 3.1)):
-        assert conflict_type(places, spots, (pose(), other)) == expected
+def test_two_ways_over_a_junction_have_a_kind(places, road, av, opponent, expected):
+    """Wherever on them the two met."""
+    for point in (0, -2):
+        pair = (course(places, road, *one, point) for one in (av, opponent))
+        assert conflict_type(*pair, road) == expected
 
 
 @pytest.mark.parametrize(
-    ("opponent", "expected"),
+    ("x", "y", "heading", "expected"),
     [
-        (pose(-5.2), "rear-end"),
-        (pose(5.2, 0.5, 0.1), "rear-end"),
-        (pose(1.0, 2.3, -0.1), "sideswipe or lane change"),
-        (pose(5.0, 0.3, 3.0), "head-on"),
-        (pose(3.0, -4.0, 1.6), "crossing"),
+        (-5.2, 0.0, 0.0, "rear-end"),
+        (5.2, 0.5, 0.1, "rear-end"),
+        (1.0, 2.3, -0.1, "lane change"),
+        (5.0, 0.3, 3.0, "head-on"),
+        (3.0, -4.0, 1.6, "crossing"),
     ],
 )
-def test_elsewhere_the_poses_decide(places, opponent, expected):
-    one = over(places, "w_in", "e_out")
-    for spots in ((OFF, OFF), (one, one), (one, OFF)):
-        assert conflict_type(places, spots, (pose(), opponent)) == expected
+def test_elsewhere_the_poses_decide(road, x, y, heading, expected):
+    av = Course.on_lanes(road, (), np.zeros(2), 0.0, CAR_M)
+    other = Course.on_lanes(road, (), np.array([x, y]), heading, CAR_M)
+    assert conflict_type(av, other, road) == expected
 
 
 def test_an_edge_has_a_direction_at_its_end(places):

@@ -3,11 +3,14 @@
 import pytest
 
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.recording.conflicts import Observation, Observed, Side
 from deepmf_sumo.risk import places as places_module
 from deepmf_sumo.risk.traffic_conflicts import LISTED, beside, by_place, listed, place_columns
 
 from tests.support.risk_doubles import NET, Attacks, eastward
+
+ROAD = road_of_net(NET)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +52,7 @@ def test_a_left_turn_that_has_to_give_way(places):
     turns = side("turns", inside(places, ACROSS), delta_v=3.0)
     goes = side("goes", inside(places, ONCOMING), pose=(9.0, 0.0, 3.1, 5.0, 1.8))
     for pair, waits in (((goes, turns), "second"), ((turns, goes), "first")):
-        [row] = listed(observation(conflict(*pair, kind="crossing")), places)
+        [row] = listed(observation(conflict(*pair, kind="crossing")), places, ROAD)
         assert row["gives_way"] == waits
         assert (row["type"], row["kind"]) == ("crossing", "left turn across path")
         assert (row["place_kind"], row["junction"]) == ("movement", "centre")
@@ -66,7 +69,7 @@ def test_places_count_conflicts_hours_and_each_vehicle_once(places):
     seen = observation(
         follows, follows, left, driven={"w_in_0": (0, 1), "w_in_1": (1, 2), "n_out_0": (3,)}
     )
-    edge, movement = by_place(seen, listed(seen, places), places)
+    edge, movement = by_place(seen, listed(seen, places, ROAD), places)
     assert (edge.kind, edge.place, edge.conflicts, edge.contacts) == ("edge", "w_in", 2, 2)
     assert (edge.vehicles, edge.per_1000, edge.per_hour) == (3, pytest.approx(2000 / 3), 20.0)
     assert (movement.place, movement.types["crossing"]) == (ONCOMING, 1)
@@ -80,7 +83,7 @@ def test_attacks_stand_beside_the_conflicts(places, tmp_path):
     attacked = beside(tmp_path / "out", places)
     one = conflict(side("a", "e_in_0"), side("b", "e_in_0"))
     seen = observation(one, driven={"e_in_0": (0, 1), "w_in_0": (2,)})
-    first, second = by_place(seen, listed(seen, places), places, attacked)
+    first, second = by_place(seen, listed(seen, places, ROAD), places, attacked)
     assert (first.place, first.conflicts, first.columns()["attacks"]) == ("e_in", 1, 0)
     assert first.columns()["criticality"] is None
     assert (second.place, second.conflicts, second.vehicles) == ("w_in", 0, 1)

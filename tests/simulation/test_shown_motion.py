@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import sumo
 
-from deepmf_sumo.simulation.av import ShownMotion
+from deepmf_sumo.datatypes import Command
+from deepmf_sumo.simulation.av import Av, ShownMotion
 from deepmf_sumo.simulation.frame import Pose
 
 from tests.support.shown_motion import AT_ONCE, compare
@@ -51,6 +52,27 @@ def road():
 @pytest.fixture
 def motion(road):
     return ShownMotion(road, "av", 5.0)
+
+
+@pytest.mark.parametrize("leads_on", [True, False])
+def test_an_av_that_stands_does_not_change_lanes_unless_its_route_needs_it(leads_on):
+    mode, speed = [1621], [5.0]
+    vehicle = SimpleNamespace(
+        getLaneID=lambda _: "ab_0",
+        getBestLanes=lambda _: (("ab_0", 300.0, 0.0, 0, leads_on, ()), ("ab_1", 0, 0, 0, True, ())),
+        getLaneChangeMode=lambda _: mode[-1],
+        setLaneChangeMode=lambda _, value: mode.append(value),
+        getSpeed=lambda _: speed[-1],
+        getLeader=lambda *_: None,
+        setSpeedMode=lambda *_: None,
+        setSpeed=lambda *_: None,
+    )
+    pose = Pose(x_m=0.0, y_m=0.0, heading_rad=0.0, speed_mps=5.0)
+    av = Av(SimpleNamespace(vehicle=vehicle), "av", 5.0, pose)
+    for speed_mps in (5.0, 0.0, 0.05, 1.0, 0.0):
+        speed.append(speed_mps)
+        av.drive(Command(kind="sumo"))
+    assert mode == ([1621, 0, 1621, 0] if leads_on else [1621])
 
 
 def test_a_lane_change_takes_three_seconds_and_ends_on_the_new_lane(road, motion):
