@@ -43,6 +43,7 @@ _TURNING_RAD: Final = float(np.radians(0.5))
 _SAME_RAD, _OPPOSITE_RAD, _JOINED_RAD = np.radians([30.0, 135.0, 45.0])
 _TURNED_RAD, _AT_JUNCTION_RAD, _BEGUN_RAD, _BEND_RAD = np.radians([45.0, 30.0, 10.0, 45.0])
 """A turn is one of 45 degrees, in a junction of 30, or a begun one on a lane that bends by 45."""
+_JUNCTION_M: Final = 60.0
 _RECENT_STEPS: Final = 20
 """A junction that was left longer ago does not tell any more where a vehicle came from."""
 _ASKEW_RAD: Final = float(np.radians(20.0))
@@ -84,7 +85,7 @@ class Course:
     ) -> "Course":  # fmt: skip
         """Of a vehicle that keeps to its lanes; lanes that the map does not have are left out."""
         known = tuple(lane for lane in lanes if lane in road.lanes)
-        inside = next((lane for lane in known if road.lanes[lane].interpolating), None)
+        inside = next((lane for lane in known if _of_junction(road, lane)), None)
         came = heading_rad if inside is None else _into_rad(road, inside)
         return cls(
             lanes=known,
@@ -147,7 +148,17 @@ def _turn_rad(one: Course, road: RoadMap | None) -> float:
 
 def _inside(one: Course, road: RoadMap | None) -> bool:
     """Whether its last lane is one of a junction; without a map it may be."""
-    return road is None or not one.lanes or road.lanes[one.lanes[-1]].interpolating
+    return road is None or not one.lanes or _of_junction(road, one.lanes[-1])
+
+
+def _of_junction(road: RoadMap, lane: str) -> bool:
+    """Whether a lane is one of a junction. Recordings do not say so: short lanes that bend are."""
+    if road.lanes[lane].interpolating:
+        return True
+    begin, end = _ends_rad(road, lane)
+    if _angle(begin, end) < _BEND_RAD:
+        return False
+    return float(polylines.arc_lengths(road.lanes[lane].centre_m)[-1]) < _JUNCTION_M
 
 
 def _planned_rad(one: Course, road: RoadMap | None) -> float:
@@ -161,7 +172,7 @@ def _way(one: Course, road: RoadMap) -> list[str]:
     """The last of its lanes and those of the junction that follow."""
     way = [one.lanes[-1]]
     for _ in range(_HOPS):
-        onward = [name for name in road.lanes[way[-1]].next if road.lanes[name].interpolating]
+        onward = [name for name in road.lanes[way[-1]].next if _of_junction(road, name)]
         if not onward:
             break
         way.append(onward[0])
@@ -170,7 +181,7 @@ def _way(one: Course, road: RoadMap) -> list[str]:
 
 def _into_rad(road: RoadMap, lane: str) -> float:
     """Direction of the road that leads into a lane of a junction, else that lane's at its begin."""
-    before = [name for name in road.lanes[lane].previous if not road.lanes[name].interpolating]
+    before = [name for name in road.lanes[lane].previous if not _of_junction(road, name)]
     return _ends_rad(road, before[0])[1] if before else _ends_rad(road, lane)[0]
 
 
@@ -344,7 +355,7 @@ class Meeting:
         if self.road is None or self._off_lane(0, before, on_road=True):
             return False
         lane = self.lanes[0][before - self.first]
-        in_junction = lane is not None and self.road.lanes[lane].interpolating
+        in_junction = lane is not None and _of_junction(self.road, lane)
         return self._off_lane(1, before, on_road=not in_junction)
 
     def _off_lane(self, which: int, step: int, *, on_road: bool) -> bool:
@@ -358,7 +369,7 @@ class Meeting:
         place = polylines.project(known.centre_m, self.tracks.position_m[row, step][None])
         askew = _angle(self.tracks.heading_rad[row, step], float(place.heading_rad[0]))
         width_m, aside_m = known.width_m or _WIDTH_M, float(place.distance_m[0])
-        if known.interpolating and (which == 0 or not on_road):
+        if _of_junction(self.road, lane) and (which == 0 or not on_road):
             return askew > _TURNED_RAD or aside_m > width_m
         beyond_m = aside_m + (self.tracks.size_m[row, 1] - width_m) / 2
         return askew > _ASKEW_RAD or beyond_m > _OVER_M
@@ -424,11 +435,11 @@ def _came_rad(
     known = [at for at in range(step + 1 - first) if lanes[at] is not None]
     if road is None or not known:
         return float(tracks.heading_rad[row, first])
-    inside = [at for at in known if road.lanes[lanes[at] or ""].interpolating]
+    inside = [at for at in known if _of_junction(road, lanes[at] or "")]
     if inside and step - first - inside[-1] <= _RECENT_STEPS:
         entered = inside[-1]
         for at in reversed(known[: known.index(inside[-1])]):
-            if not road.lanes[lanes[at] or ""].interpolating:
+            if not _of_junction(road, lanes[at] or ""):
                 break
             entered = at
         return _into_rad(road, lanes[entered] or "")
