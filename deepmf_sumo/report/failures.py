@@ -28,6 +28,8 @@ _WAITING: Final = {
     "lane change",
 }
 """Where it is the AV that turns, merges or changes lanes, a careful driver waits."""
+_WAITED: Final = {"turn": "turn {turn}", "merging": "merge"}
+"""What an AV that stood waited for."""
 _DID: Final = {
     "braked": "braked too late",
     "accelerated": "accelerated",
@@ -114,6 +116,10 @@ def _happened(one: Failure) -> str:
     if _left_its_lane(one):
         came = f"A {other} from {_from(one)}" if one.side != "ahead" else f"An oncoming {other}"
         return f"{came} left its lane and came into the way of the AV{when}, and the AV {did}"
+    if one.turned == "AV" and one.action == "stood" and name in _WAITED:
+        came = f"an oncoming {other}" if one.side == "ahead" else f"a {other} from {_from(one)}"
+        waited = _WAITED[name].format(turn=turn)
+        return f"The AV waited to {waited}, and {came} came into its way{when}"
     if one.turned == "AV" and name in by_av:
         return by_av[name]
     return by_other[name] if name == "rear-end" else f"{by_other[name]}, and the AV {did}"
@@ -142,7 +148,8 @@ def _advice(one: Failure) -> str:
     by = avoided_by(one)
     if by == "careful driver":
         assert one.conflict is not None
-        waits = one.turned == "AV" and one.conflict in _WAITING and not one.strayed
+        moves = one.turned == "AV" and one.action != "stood" and not one.strayed
+        waits = moves and one.conflict in _WAITING
         return f"a careful driver would have {'waited' if waits else _CAREFUL[one.conflict]}"
     if by == "emergency manoeuvre":
         return "only braking or steering at once would have avoided it"

@@ -104,6 +104,7 @@ of a change: that change is shown as SUMO makes it."""
 class _Change:
     """A lane change that is still shown: ``share`` of the distance from lane to lane is left.
 
+    ``across_m``: from lane to lane.
     ``rear_over``: whether SUMO's rear bumper has followed. Until it reaches the edge it stays on
     the lane that leads to the origin, and SUMO's vehicle is askew.
     """
@@ -111,6 +112,7 @@ class _Change:
     origin: str
     target: str
     share: float = 1.0
+    across_m: float = 0.0
     rear_over: bool = False
 
 
@@ -145,6 +147,10 @@ class ShownMotion:
     def restart(self) -> None:
         """Forget the past: the vehicle was placed somewhere else."""
         self._before, self._changes = None, []
+
+    def leaving(self) -> dict[str, float]:
+        """The lanes that the vehicle is shown leaving, and how far it is from their centres."""
+        return {one.origin: (1.0 - one.share) * one.across_m for one in self._changes}
 
     def advance(self, pose: Pose) -> Pose:
         """The pose to show for SUMO's pose after a step; called once a step."""
@@ -196,6 +202,7 @@ class ShownMotion:
         front, rear = now.front_m.copy(), now.rear_m.copy()
         for change in self._changes:
             across = self._across(change.origin, change.target, now.front_m)
+            change.across_m = float(np.hypot(*across))
             change.rear_over |= _jumped(before.rear_m - now.rear_m, across)
             front += change.share * across
             rear += change.share * across * change.rear_over
@@ -318,12 +325,17 @@ class Av:
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
         self._keep_lane(standing=speed <= STANDING_MPS)
+        behind_left = self._behind_left_lane(speed) if command.kind != "speed" else None
         if command.kind == "sumo":
             vehicle.setSpeedMode(self.id, _OWN_DECISION)
-            vehicle.setSpeed(self.id, -1.0)
+            if behind_left is not None and behind_left < speed:
+                commanded = behind_left
+            vehicle.setSpeed(self.id, -1.0 if commanded is None else commanded)
         elif command.kind == "leader":
             vehicle.setSpeedMode(self.id, _COMMANDED)
             commanded = self._behind_leader(command, speed)
+            if behind_left is not None:
+                commanded = min(commanded, behind_left)
             vehicle.setSpeed(self.id, commanded)
         else:  # speed
             vehicle.setSpeedMode(self.id, _NO_CHECKS)
@@ -386,6 +398,38 @@ class Av:
             return named or None
         found = self._api.vehicle.getLeader(self.id, _LOOK_M) if self.on_lane else None
         return named if not found or not found[0] else tuple(dict.fromkeys([*named, str(found[0])]))
+
+    def _behind_left_lane(self, speed: float) -> float | None:
+        """SUMO's speed behind the next vehicle on the lane that the AV is shown leaving, or None.
+
+        For SUMO the AV is on its new lane at once, and follows only what is there. As long as its
+        box is in the way of a vehicle ahead on the old lane, it keeps its distance to that, too.
+        """
+        leaving = self._motion.leaving()
+        if not leaving:
+            return None
+        vehicle = self._api.vehicle
+        own_m, own_width_m = (
+            float(get(self.id)) for get in (vehicle.getLanePosition, vehicle.getWidth)
+        )
+        speeds = []
+        for lane, aside_m in leaving.items():
+            gaps = []
+            for other in self._api.lane.getLastStepVehicleIDs(lane):
+                ahead_m = float(vehicle.getLanePosition(other)) - float(vehicle.getLength(other))
+                wide_m = (float(vehicle.getWidth(other)) + own_width_m) / 2
+                if ahead_m >= own_m and aside_m < wide_m:
+                    gaps.append((ahead_m - own_m, str(other)))
+            if gaps:
+                gap_m, leader = min(gaps)
+                gap_m -= float(vehicle.getMinGap(self.id))
+                leader_mps = float(vehicle.getSpeed(leader))
+                decel = float(vehicle.getDecel(self.id))
+                found = vehicle.getFollowSpeed(self.id, speed, gap_m, leader_mps, decel, leader)
+                speeds.append(float(found))
+                self.leaders = tuple(dict.fromkeys([*(self.leaders or ()), leader]))
+        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
+        return max(0.0, hardest, min(speeds)) if speeds else None
 
     def _behind_leader(self, command: Command, speed: float) -> float:
         """SUMO's speed behind the leader, but at most what SUMO's own decision allows.

@@ -310,6 +310,14 @@ def test_the_sentence_is_that_of_an_engineer():
     assert sentence(
         conflict="rear-end", turned="AV", side="behind", action="braked", grade="A"
     ) == ("A car behind ran into the AV, which braked; no driver could have avoided it.")
+    turning = {"conflict": "left turn across path", "turned": "AV", "side": "ahead"}
+    assert sentence(**turning, action="stood", grade="A") == (
+        "The AV waited to turn left, and an oncoming car came into its way 2.0 s before the hit;"
+        " no driver could have avoided it."
+    )
+    assert sentence(conflict="crossing", strayed=True).startswith(
+        "A car from the left left its lane and came into the way of the AV 2.0 s before the hit,"
+    )
     assert sentence(grade="A", ran_red=True).endswith(" avoided it. The car ran a red light.")
 
 

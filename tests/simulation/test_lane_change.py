@@ -161,3 +161,54 @@ def test_a_lorry_whose_rear_is_in_a_junction_leaves_the_road_and_sumo_alive(who)
     assert done.returncode == 0, (done.returncode, done.stderr)
     assert "off the lanes True True" in done.stdout
     assert "length 10.0" in done.stdout
+
+
+OVERTAKES = """
+import sys
+import libsumo
+import numpy as np
+from deepmf_sumo.datatypes import Command
+from deepmf_sumo.geometry import boxes
+from deepmf_sumo.simulation.av import Av, read_pose
+
+libsumo.start(["sumo", "-c", sys.argv[1], "--step-length", "0.1", "--no-step-log", "true",
+               "--no-warnings", "true"])
+vehicle = libsumo.vehicle
+vehicle_length = 5.0
+for _ in range(20):
+    libsumo.simulationStep()
+vehicle.setLaneChangeMode("av", 0)
+vehicle.setSpeedMode("leader", 0)
+vehicle.setSpeed("leader", 3.0)
+vehicle.setSpeedMode("av", 0)
+vehicle.setSpeed("av", 9.0)
+while vehicle.getLanePosition("leader") - vehicle.getLanePosition("av") > 18.0:
+    libsumo.simulationStep()
+av = Av(libsumo, "av", vehicle_length, read_pose(libsumo, "av", vehicle_length))
+av.after_step()
+vehicle.changeLane("av", 1, 60.0)
+gaps, beside = [], []
+for _ in range(60):
+    av.drive(Command(kind="sumo"))
+    libsumo.simulationStep()
+    av.after_step()
+    shown, leader = av.pose, read_pose(libsumo, "leader", vehicle_length)
+    size = np.array([vehicle_length, 1.8])
+    box = [(np.array([one.x_m, one.y_m]), one.heading_rad, size) for one in (shown, leader)]
+    gaps.append(float(boxes.gap(*box[0], *box[1])))
+    beside.append(shown.x_m > leader.x_m)
+print("lane", vehicle.getLaneID("av"), "gap", min(gaps), "overtakes", beside[-1])
+"""
+
+
+@pytest.mark.sumo
+def test_an_av_that_changes_lanes_keeps_its_distance_until_it_is_out_of_the_way(tmp_path):
+    """It comes from behind, 6 m/s faster; for SUMO it is on the other lane at once."""
+    config = tiny_network.build(tmp_path)
+    command = [sys.executable, "-c", OVERTAKES, str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (done.returncode, done.stderr)
+    words = next(line.split() for line in done.stdout.splitlines() if line.startswith("lane"))
+    assert words[1] == "ab_1"
+    assert float(words[3]) > 0.3
+    assert words[5] == "True"
