@@ -30,8 +30,7 @@ from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.deepmf.scoring import Pairs
 from deepmf_sumo.deepmf.situation import Levels, Situation
 from deepmf_sumo.deepmf.tracking import Tracked
-from deepmf_sumo.geometry import boxes, frames, impact
-from deepmf_sumo.geometry.road import on_road
+from deepmf_sumo.geometry import boxes, frames, impact, road
 from deepmf_sumo.predictors.base import Prediction
 
 NO_SECTOR: Final = -1
@@ -39,6 +38,7 @@ NO_SECTOR: Final = -1
 _LEAST = 1e-12  # probabilities below are rounding errors
 _COMFORT_STEPS = 30  # 3 s; most of what follows is planned again before it is driven
 _ROAD_EVERY = 3
+_SECOND_STEPS = 10
 _OFF_ROAD = 4.0  # m2/s5: a second off the road weighs as a mean acceleration of 2 m/s2
 
 
@@ -145,10 +145,10 @@ def off_road(situation: Situation, position_m: Floats) -> Bools:
 
     A vehicle that is off the road now may come onto it.
     """
-    levels, road = situation.levels, situation.view.road
+    levels, net = situation.levels, situation.view.road
     z_m = None if levels is None else levels.opponent_z_m(position_m).reshape(-1)
-    inside = on_road(road, position_m.reshape(-1, 2), z_m).reshape(position_m.shape[:2])
-    start = on_road(road, situation.start.position_m[None])
+    inside = road.on_road(net, position_m.reshape(-1, 2), z_m).reshape(position_m.shape[:2])
+    start = road.on_road(net, situation.start.position_m[None])
     return ~inside & (start | np.maximum.accumulate(inside, axis=1))
 
 
@@ -157,6 +157,30 @@ def leaves_road(situation: Situation, own: Candidates, until: Floats) -> Bools:
     steps = np.arange(0, situation.horizon, _ROAD_EVERY)
     off = off_road(situation, own.forecast.futures.position_m[:, steps])
     return np.asarray((off & (steps <= until[:, None])).any(axis=1))
+
+
+def against_traffic(situation: Situation, own: Candidates, until: Floats) -> Bools:
+    """(N1) whether a candidate drives against the traffic for more than 1 s up to ``until`` (N1).
+
+    The last second before now counts, too.
+    """
+    view, levels = situation.view, situation.levels
+    row = view.history.row(situation.opponent_id)
+    past = np.flatnonzero(view.history.valid[row])[-_SECOND_STEPS::_ROAD_EVERY]
+    before = road.against_traffic(
+        view.road,
+        view.history.position_m[row, past],
+        view.history.heading_rad[row, past],
+        None if levels is None else view.history.z_m[row, past],
+    )
+    steps = np.arange(0, situation.horizon, _ROAD_EVERY)
+    position_m = own.forecast.futures.position_m[:, steps]
+    z_m = None if levels is None else levels.opponent_z_m(position_m).reshape(-1)
+    heading = own.forecast.futures.heading_rad[:, steps].reshape(-1)
+    wrong = road.against_traffic(view.road, position_m.reshape(-1, 2), heading, z_m)
+    wrong = wrong.reshape(position_m.shape[:2]) & (steps <= until[:, None])
+    lasting: Bools = before.sum() + wrong.sum(axis=1) > _SECOND_STEPS / _ROAD_EVERY
+    return lasting
 
 
 def ranked(
@@ -333,7 +357,8 @@ def shortlisted(
 ) -> Candidates:
     """At most ``count``: those most likely to meet the unattacked AV, then the likeliest.
 
-    ``without``: constraints by which some meetings do not count: ``no_rear_end``, ``on_road``.
+    ``without``: constraints by which some meetings do not count: ``no_rear_end``, ``on_road``,
+    ``with_traffic``.
     """
     alone = situation.unattacked
     if alone is None or len(own.origin) <= count:
@@ -346,5 +371,8 @@ def shortlisted(
         counted = counted & ~rear_ends(own.forecast.futures, alike, *sizes, met.collision_step)
     if "on_road" in without:
         counted = counted & ~leaves_road(situation, own, met.collision_step.min(axis=1))[:, None]
+    if "with_traffic" in without:
+        wrong = against_traffic(situation, own, met.collision_step.min(axis=1))
+        counted = counted & ~wrong[:, None]
     mass = counted @ alone.probability
     return own.take(np.sort(np.argsort(-mass, kind="stable")[:count]))

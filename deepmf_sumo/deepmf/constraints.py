@@ -1,4 +1,4 @@
-"""Constraints on the choice: the side of the AV that is hit, fair, lawful, clean, on the road.
+"""Constraints on the choice: e.g. the side of the AV that is hit, fair, lawful, on the road.
 
 A constraint is a mask of the candidates, or pairs of candidate and reaction, that it allows;
 `choose` narrows the choice to these, and reports if nothing is left. To add one, write a class here
@@ -16,7 +16,13 @@ from deepmf_sumo.avoidability.av_path import State
 from deepmf_sumo.avoidability.grading import Past, avoidable
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
-from deepmf_sumo.deepmf.candidates import Candidates, References, leaves_road, rear_ends
+from deepmf_sumo.deepmf.candidates import (
+    Candidates,
+    References,
+    against_traffic,
+    leaves_road,
+    rear_ends,
+)
 from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
@@ -360,6 +366,24 @@ class OnRoad(Constraint):
         return ~leaves_road(situation, own, _first(pairs))
 
 
+class WithTraffic(Constraint):
+    """Up to its collision the candidate does not drive against the traffic for more than 1 s.
+
+    A vehicle on the wrong side can hit anyone anywhere; one that drifts over the middle of the road
+    meets the AV within that second.
+    """
+
+    name = "with_traffic"
+    scope = "attack"
+
+    def __init__(self, settings: Settings) -> None: ...
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        return ~against_traffic(situation, own, _first(pairs))
+
+
 class NoRearEnd(Constraint):
     """The candidate does not drive into the AV's rear end from behind.
 
@@ -403,7 +427,7 @@ class Sector(Constraint):
 
 
 CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (
-    Sector, Lawful, Clean, Fair, OnRoad, NoRearEnd,
+    Sector, Lawful, Clean, Fair, OnRoad, WithTraffic, NoRearEnd,
 )  # fmt: skip
 """All constraints; their candidates are added in this order."""
 

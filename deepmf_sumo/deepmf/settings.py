@@ -28,7 +28,7 @@ LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
 """Default limits on an opponent's accelerations, which all aimed methods share."""
 _RANKED = frozenset({"argmax", "partner"})
 """Values of ``opponent`` that rank vehicles by a score."""
-_SHORTLISTED = frozenset({"no_rear_end", "on_road"})
+_SHORTLISTED = frozenset({"no_rear_end", "on_road", "with_traffic"})
 """Constraints that a shortlist knows of."""
 _TRIED = 3
 _COMFORT = 1.0
@@ -81,7 +81,8 @@ class Settings(plugins.Settings):
             positions (0 as published).
         shortlist: maximum number of candidates to which the AV's reactions are predicted: those
             most likely to meet the unattacked AV, then the likeliest. Null: all, as always with
-            constraints, which may leave few, apart from ``no_rear_end`` and ``on_road``.
+            constraints, which may leave few, apart from ``no_rear_end``, ``on_road`` and
+            ``with_traffic``.
         reactions: modes of the AV (N2). The paper gives neither N1 nor N2; 16, and 6 with
             ``form: paper``, as M2I, whose conditional predictor the paper follows.
         av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
@@ -103,8 +104,8 @@ class Settings(plugins.Settings):
             them meets the AV, no attack.
         no_rear_end: only candidates that do not drive into the AV's rear end from behind; if none
             of the others meets the AV, no attack. True by default in the command ``attack``.
-        constraints: names of further constraints, see `deepmf.constraints`; ``on_road`` by default
-            in the command ``attack``.
+        constraints: names of further constraints, see `deepmf.constraints`; ``on_road`` and
+            ``with_traffic`` by default in the command ``attack``.
         goal: what ends the tries: a ``hit``; or an ``avoidable`` one, with the metric
             `valid_collision` 1: candidates are then ``fair``, and ``clean`` (see
             `deepmf.constraints`).
@@ -291,8 +292,9 @@ class Settings(plugins.Settings):
 def unasked(spec: Spec, *, all_conflicts: bool = False) -> dict[str, Any]:
     """Wishes of an attack on traffic for which a spec says nothing.
 
-    The opponent does not ram the AV from behind (``all_conflicts``: it may), and does not leave the
-    road to hit it. Empty for other adversaries and for the form of the paper.
+    The opponent does not ram the AV from behind or drive against the traffic to hit it
+    (``all_conflicts``: it may), and does not leave the road. Empty for other adversaries and for
+    the form of the paper.
     """
     chosen = spec.adversary.settings
     if spec.adversary.name != "deepmf" or chosen.get("form") == "paper" or chosen.get("lawful"):
@@ -303,5 +305,5 @@ def unasked(spec: Spec, *, all_conflicts: bool = False) -> dict[str, Any]:
     if not (said or wanted or all_conflicts):
         more["no_rear_end"] = True
     if "constraints" not in chosen and chosen.get("goal") != "avoidable":
-        more["constraints"] = ["on_road"]
+        more["constraints"] = ["on_road"] if all_conflicts else ["on_road", "with_traffic"]
     return more

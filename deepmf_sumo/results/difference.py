@@ -259,10 +259,11 @@ def units_needed(found: Matched, reach: float, distance: float) -> int | None:
 
 def two_sided(
     found: Matched, negligible: float
-) -> tuple[Literal["more", "less", "same", "cannot tell"], int | None]:
+) -> tuple[Literal["more", "less", "within margin", "cannot tell"], int | None]:
     """What a difference of two equal sides says, and how many units would decide.
 
-    ``same`` is an interval that lies within ``negligible`` on both sides of zero.
+    ``within margin`` is an interval that lies within ``negligible`` on both sides of zero. Where no
+    number of units would show a difference, that which would show it to be so small counts.
     """
     difference = found.difference
     if difference is None or difference.low is None or difference.high is None:
@@ -271,6 +272,9 @@ def two_sided(
     if low > 0 or high < 0:
         return ("more" if low > 0 else "less"), None
     if -negligible <= low and high <= negligible:
-        return "same", None
+        return "within margin", None
     reach = mean - low if mean > 0 else high - mean
-    return "cannot tell", units_needed(found, reach, abs(mean))
+    needed = units_needed(found, reach, abs(mean))
+    if needed is None:
+        needed = units_needed(found, (high - low) / 2, negligible - abs(mean))
+    return "cannot tell", needed

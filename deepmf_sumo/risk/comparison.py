@@ -126,15 +126,15 @@ class Change:
 
     Attributes:
         found: the difference, B minus A, and what it is of.
-        state: ``same`` only where the whole interval lies within ``same_within`` of zero.
-        needed: about how many scenes would decide, where these do not.
+        state: ``within margin`` where the whole interval lies within ``margin`` of zero.
+        needed: about how many moments would decide, where these do not.
     """
 
     quantity: str
     unit: str
     found: Matched
-    state: Literal["worse", "better", "same", "cannot tell"]
-    same_within: float
+    state: Literal["worse", "better", "within margin", "cannot tell"]
+    margin: float
     needed: int | None
 
 
@@ -237,17 +237,17 @@ def _change(quantity: Quantity, name: str, found: Matched, *, share: bool = Fals
     within = 0.0 if share else quantity.negligible
     state, needed = two_sided(found, within)
     worse = "more" if share or quantity.worse == "higher" else "less"
-    judged: Literal["worse", "better", "same", "cannot tell"]
-    if state in {"same", "cannot tell"}:
-        judged = "same" if state == "same" else "cannot tell"
-    else:
+    judged: Literal["worse", "better", "within margin", "cannot tell"]
+    if state in {"more", "less"}:
         judged = "worse" if state == worse else "better"
+    else:
+        judged = "within margin" if state == "within margin" else "cannot tell"
     return Change(
         quantity=name,
         unit="1" if share else quantity.unit,
         found=found,
         state=judged,
-        same_within=within,
+        margin=within,
         needed=needed,
     )
 

@@ -48,7 +48,7 @@ class Origin:
     hits: tuple[int, int]
     runs: tuple[int, int]
     found: Matched
-    state: Literal["more", "fewer", "same", "cannot tell"]
+    state: Literal["more", "fewer", "within margin", "cannot tell"]
     needed: int | None = None
 
 
@@ -135,7 +135,7 @@ def _shift(origin: Origin) -> float:
 
 def _state(
     found: Matched,
-) -> tuple[Literal["more", "fewer", "same", "cannot tell"], int | None]:
-    """``same`` is a difference of 0 in all pairs: no difference of a share is negligible."""
+) -> tuple[Literal["more", "fewer", "within margin", "cannot tell"], int | None]:
+    """``within margin``: of 0. No pair differs, and no difference of a share is negligible."""
     state, needed = two_sided(found, 0.0)
     return ("fewer" if state == "less" else state), needed

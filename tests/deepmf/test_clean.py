@@ -58,6 +58,21 @@ def test_the_shortlist_counts_meetings_on_the_road_alone():
     assert kept.sum() == min(meets.sum(), 8)
 
 
+def test_a_second_against_the_traffic_is_no_attack():
+    """All lanes lead to the east."""
+    reason = reason_of({"av": (0, 0, 0, 10.0), "b": (60, 3.5, np.pi, 8.0)},
+                       constraints=["with_traffic"], shortlist=None)  # fmt: skip
+    meets = reason.collides.any(axis=1)
+    assert meets.any()
+    heading = reason.candidates.futures.heading_rad
+    y = reason.candidates.futures.position_m[..., 1]
+    wrong = (np.cos(heading) < -0.5) & (y < 3.5 + HALF_M) & (y > -HALF_M) & before_contact(reason)
+    lasts = wrong[:, ::3].sum(axis=1) + 4 > 10 / 3  # with the second before
+    np.testing.assert_array_equal(reason.allowed["with_traffic"], ~lasts)
+    assert not (meets & ~lasts).any()
+    assert reason_of(AGENTS, constraints=["with_traffic"]).allowed["with_traffic"].all()
+
+
 def test_candidates_that_touch_a_third_vehicle_are_not_clean():
     free = reason_of(AGENTS, constraints=["clean"])
     blocked = reason_of(AGENTS | {"c": (10, 3.5, 0, 0.0)}, constraints=["clean"])

@@ -133,9 +133,13 @@ def test_attack_asks_for_it_unless_something_else_is_said(sets, expected):
     ],
 )
 def test_attack_stays_on_the_road_unless_constraints_are_given(sets, expected):
-    [document] = search.documents([SUMO_CONFIG], {}, sets)
-    spec = search.spec_of(document, all_conflicts=True)
-    assert spec.adversary.settings.get("constraints") == expected
+    for all_conflicts in (True, False):
+        [document] = search.documents([SUMO_CONFIG], {}, sets)
+        spec = search.spec_of(document, all_conflicts=all_conflicts)
+        by_default = expected == ["on_road"] and not all_conflicts
+        more = ["with_traffic"] if by_default else []
+        found = spec.adversary.settings.get("constraints")
+        assert found == (None if expected is None else expected + more)
 
 
 def test_all_conflicts_and_no_rear_end_contradict_each_other(tmp_path, capsys):

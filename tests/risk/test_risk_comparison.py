@@ -71,8 +71,8 @@ def test_a_worse_planner_is_found_by_many_small_changes():
     assert found[1].found.new == pytest.approx(37 / 40)
 
 
-def test_a_wide_interval_is_never_called_the_same():
-    """-5.17 (-42.5 to +25.3) says nothing; within 0.05 on both sides is the margin of `same`."""
+def test_a_wide_interval_says_nothing():
+    """-5.17 (-42.5 to +25.3) says nothing; 0.05 on both sides is the margin."""
     rng = np.random.default_rng(6)
     calm = rng.exponential(1.0, 24)
     wild = rng.normal(-5.0, 60.0, 24)
@@ -85,17 +85,29 @@ def test_a_wide_interval_is_never_called_the_same():
             assert found.state == "cannot tell"
             assert found.needed > 24
     assert told == {
-        "wide": f"cannot tell; about {told['wide'].split()[3]} scenes would",
-        "tiny": "same within 0.05 m",
-        "none": "same within 0.05 m",
+        "wide": f"cannot tell; about {told['wide'].split()[3]} attacked moments would",
+        "tiny": "at most 0.05 m apart",
+        "none": "at most 0.05 m apart",
     }
     assert files._state(leaning) == "equal in these runs"
+
+
+def test_a_mean_of_zero_says_how_many_would_show_that_it_is_small():
+    old, zero = np.arange(24.0), 0.2 * np.tile([1.0, -1.0], 12)
+    sides = side({"min_gap_m": old}), side({"min_gap_m": old + zero})
+    found, leaning = comparison.differences(*sides, ("min_gap_m",), 0.95)
+    assert found.found.difference.mean == pytest.approx(0.0, abs=1e-9)
+    half = found.found.difference.high
+    assert found.needed == pytest.approx(24 * (half / 0.05) ** 2, rel=0.1)
+    assert files._state(leaning) == "cannot tell"  # half of the pairs on each side stay a half
 
 
 def test_too_few_pairs_are_told_with_how_many_are_needed():
     few = side({"min_gap_m": [1.0, 2.0, 3.0]})
     found = comparison.differences(few, few, ("min_gap_m",), 0.95)
-    assert [files._state(one) for one in found] == ["cannot tell; at least 7 scenes would"] * 2
+    assert [files._state(one) for one in found] == [
+        "cannot tell; at least 7 attacked moments would"
+    ] * 2
 
 
 def folder(out, hits, planner="idm lane", spec="city", version="0.1.0", network="four_way"):

@@ -15,6 +15,7 @@ from deepmf_sumo.risk.origins import Origin
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}
 DIFFERENCE_HEADINGS: Final = ("quantity", "A", "B", "B - A", "")
+_EQUAL: Final = "equal in these runs"
 ORIGIN_HEADINGS: Final = ("where hits come from", "A", "B", "B - A of all runs", "")
 
 
@@ -71,10 +72,9 @@ def differences(compared: Compared) -> list[tuple[str, ...]]:
 
 
 def _state(one: Change) -> str:
-    """What the interval says: ``same`` with the margin that it lies in, or how many would tell."""
-    if one.state == "same":
-        size = figure(one.same_within, one.unit)
-        return f"same within {size}" if one.same_within else "equal in these runs"
+    """What the interval says: the margin that it lies in, or how many would tell."""
+    if one.state == "within margin":
+        return f"at most {figure(one.margin, one.unit)} apart" if one.margin else _EQUAL
     return _undecided(one) if one.state == "cannot tell" else one.state
 
 
@@ -83,7 +83,8 @@ def _undecided(one: Change | Origin) -> str:
     if not one.needed:
         return "cannot tell"
     least = "at least" if one.found.units < one.found.fewest else "about"
-    return f"cannot tell; {least} {units(one.found, one.needed)} would"
+    what = units(one.found, one.needed) if one.found.specs else f"{one.needed} attacked moments"
+    return f"cannot tell; {least} {what} would"
 
 
 def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
@@ -100,8 +101,8 @@ def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
 
 
 def _origin_state(one: Origin) -> str:
-    if one.state == "same":
-        return "equal in these runs"
+    if one.state == "within margin":
+        return _EQUAL
     return _undecided(one) if one.state == "cannot tell" else one.state
 
 
@@ -132,7 +133,7 @@ def difference_rows(compared: Compared) -> list[dict[str, Any]]:
             "b": one.found.new,
             **_interval(one.found),
             "state": one.state,
-            "same_within": one.same_within,
+            "margin": one.margin,
             "units": one.found.units,
             "units_needed": one.needed,
         }
