@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--edge", "edges", metavar="ID", multiple=True,
-    help="Attack only on this edge; may be repeated.",
+    help="Attack only on this edge, or on the edges of the street of this name; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--polygon", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),

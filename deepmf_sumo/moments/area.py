@@ -1,8 +1,9 @@
 """The part of a network that is attacked: junctions, edges, and polygons of a file."""
 
 import difflib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -29,12 +30,14 @@ class Area:
     """Where AVs are attacked: at any of these places.
 
     Attributes:
-        junctions, edges: ids. polygon: in the network's frame, or of longitudes and latitudes if
-            ``geographic``; None without one.
+        junctions, edges: ids. streets: names, each with the ids of its edges.
+        polygon: in the network's frame, or of longitudes and latitudes if ``geographic``; None
+            without one.
     """
 
     junctions: tuple[str, ...] = ()
     edges: tuple[str, ...] = ()
+    streets: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     polygon: BaseGeometry | None = None
     geographic: bool = False
 
@@ -47,7 +50,9 @@ class Area:
 
     def __str__(self) -> str:
         named = [f"junction {one}" for one in self.junctions]
-        named += [f"edge {one}" for one in self.edges]
+        of_streets = set(chain.from_iterable(self.streets.values()))
+        named += [f"edge {one}" for one in self.edges if one not in of_streets]
+        named += list(self.streets)
         return ", ".join(named + ["the polygon"] * (self.polygon is not None))
 
 
@@ -62,8 +67,14 @@ def area_of(asked: Moments, net_file: Path, named: Callable[[str], str]) -> Area
         return None
     net = read_once(net_file)
     normal = [edge.id for edge in net.edges.values() if not edge.function]
+    streets: dict[str, list[str]] = {}
+    for edge in net.edges.values():
+        if edge.name and not edge.function:
+            streets.setdefault(edge.name, []).append(edge.id)
     _known(named("junctions"), "junction", asked.junctions, [one.id for one in net.junctions])
-    _known(named("edges"), "edge", asked.edges, normal)
+    _known(named("edges"), "edge", asked.edges, [*normal, *streets])
+    meant = {one: tuple(streets[one]) for one in asked.edges if one not in set(normal)}
+    edges = chain.from_iterable(meant.get(one, (one,)) for one in asked.edges)
     polygon, geographic = None, False
     if asked.polygon is not None:
         polygon, geographic = read_polygon(asked.polygon, named("polygon"))
@@ -73,7 +84,11 @@ def area_of(asked: Moments, net_file: Path, named: Callable[[str], str]) -> Area
                 f" {net_file.name} has no projection; give polygons of SUMO (<poly>) in metres."
             )
     return Area(
-        junctions=asked.junctions, edges=asked.edges, polygon=polygon, geographic=geographic
+        junctions=asked.junctions,
+        edges=tuple(dict.fromkeys(edges)),
+        streets=meant,
+        polygon=polygon,
+        geographic=geographic,
     )
 
 

@@ -169,7 +169,7 @@ class Moments(Strict):
         default=(), description="only at these junctions, or before them"
     )
     edges: Annotated[tuple[str, ...], Field(strict=False)] = Field(
-        default=(), description="only on these edges"
+        default=(), description="only on these edges; the name of a street means all of its edges"
     )
     polygon: ExistingPath | None = Field(
         default=None, description="only within the polygons of this GeoJSON or SUMO file"

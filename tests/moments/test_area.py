@@ -8,8 +8,9 @@ import pytest
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.moments import search
-from deepmf_sumo.moments.area import Area, inside, read_polygon
+from deepmf_sumo.moments.area import Area, area_of, inside, read_polygon
 from deepmf_sumo.network.sumo_net import read_net
+from deepmf_sumo.spec import Moments
 
 from tests.moments.test_moments_encounters import OVER, UP, drive
 from tests.support.crossing_network import build
@@ -83,6 +84,17 @@ def test_attacks_are_in_the_area_alone(config, tmp_path):
     area.write_text('<additional><poly id="a" shape="900,0 990,0 990,9"/></additional>')
     away = found(config, polygon=str(area))
     assert away.reason == "no vehicle comes to the polygon"
+
+
+def test_the_name_of_a_street_means_its_edges(config, tmp_path):
+    text = (config.parent / "crossing.net.xml").read_text()
+    net = tmp_path / "named.net.xml"
+    for edge in ("west", "east"):
+        text = text.replace(f'<edge id="{edge}"', f'<edge id="{edge}" name="Mill Lane"')
+    net.write_text(text)
+    area = area_of(Moments(count=1, edges=("Mill Lane", "south")), net, str)
+    assert set(area.edges) == {"west", "east", "south"}
+    assert str(area) == "edge south, Mill Lane"
 
 
 @pytest.mark.sumo
