@@ -41,15 +41,15 @@ _BEFORE_STEPS: Final = 40
 _TURNING_RAD: Final = float(np.radians(0.5))
 """Where a vehicle turns more in a step, its turn is looked at from the start."""
 _SAME_RAD, _OPPOSITE_RAD, _JOINED_RAD = np.radians([30.0, 135.0, 45.0])
-_TURNED_RAD, _AT_JUNCTION_RAD, _BEGUN_RAD, _BEND_RAD = np.radians([45.0, 30.0, 10.0, 45.0])
+_TURNED_RAD, _AT_JUNCTION_RAD, _BEGUN_RAD, _BEND_RAD = np.radians([45.0, 30.0, 5.0, 45.0])
 """A turn is one of 45 degrees, in a junction of 30, or a begun one on a lane that bends by 45."""
 _JUNCTION_M: Final = 60.0
 _RECENT_STEPS: Final = 20
 """A junction that was left longer ago does not tell any more where a vehicle came from."""
 _ASKEW_RAD: Final = float(np.radians(20.0))
 """A vehicle that is turned more against its lane is about to leave it."""
-_OVER_M: Final = 0.25
-"""Beyond the edge of its lane."""
+_OVER_M, _OVER_AT_JUNCTION_M = 0.25, 1.0
+"""Beyond the edge of its lane; nothing marks the ways over a junction."""
 _WIDTH_M: Final = 3.5
 """Of a lane of unknown width."""
 _BESIDE_M: Final = 1.0
@@ -369,9 +369,10 @@ class Meeting:
         place = polylines.project(known.centre_m, self.tracks.position_m[row, step][None])
         askew = _angle(self.tracks.heading_rad[row, step], float(place.heading_rad[0]))
         width_m, aside_m = known.width_m or _WIDTH_M, float(place.distance_m[0])
-        if _of_junction(self.road, lane) and (which == 0 or not on_road):
-            return askew > _TURNED_RAD or aside_m > width_m
+        loose = _of_junction(self.road, lane) and (which == 0 or not on_road)
         beyond_m = aside_m + (self.tracks.size_m[row, 1] - width_m) / 2
+        if loose:
+            return askew > _TURNED_RAD or beyond_m > _OVER_AT_JUNCTION_M
         return askew > _ASKEW_RAD or beyond_m > _OVER_M
 
     def driven(self, which: int) -> list[str]:
