@@ -347,7 +347,7 @@ class Av:
 
         SUMO changes lanes at any speed, and no vehicle moves sideways while it stands.
         """
-        keeps = standing and self._leads_on()
+        keeps = standing and self.on_lane and self._leads_on()
         if keeps == (self._changes_lanes is not None):
             return
         vehicle = self._api.vehicle
