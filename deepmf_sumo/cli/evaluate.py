@@ -1,7 +1,6 @@
 """``deepmf-sumo evaluate``: measure a set of weights on recordings."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,15 +48,6 @@ def command(data: tuple[Path, ...], form: str, device: str | None, **settings: A
     if form == "table":
         _evaluation.show(found)
     elif form == "json":
-        click.echo(json.dumps(found, indent=1))
+        click.echo(json.dumps(found.record(), indent=1))
     else:
-        _screen.emit(form, list(_rows(found)))
-
-
-def _rows(values: Any, quantity: str = "") -> Iterator[dict[str, Any]]:
-    """One row for each figure: the keys that lead to it, joined by dots, and its value."""
-    if not isinstance(values, dict | list):
-        yield {"quantity": quantity, "value": values}
-        return
-    for key, value in values.items() if isinstance(values, dict) else enumerate(values):
-        yield from _rows(value, f"{quantity}.{key}" if quantity else str(key))
+        _screen.emit(form, found.record()["figures"])

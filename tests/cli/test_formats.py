@@ -8,6 +8,7 @@ import pytest
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.training import evaluation
+from deepmf_sumo.training.evaluation.table import Evaluation, Figure, Key
 
 from tests.support import gate_doubles
 from tests.support.recordings_by_hand import scenario, shard
@@ -68,13 +69,19 @@ def test_verdicts(tmp_path, capsys):
 
 
 def test_figures_of_networks(tmp_path, capsys, monkeypatch):
-    found = {"weights": "open", "data": ["x"], "marginal": {"8.0": {"min_fde": {"6": 4.5}}}}
+    key = Key("marginal", "min_fde", 8.0, 6)
+    found = Evaluation(
+        data=["x"], weights="open", scenes=1, attacked_scenes=0, refused=0, refusals=[],
+        labelled_objects=2, modes=[6], clusters="none", figures={key: Figure(4.5)},
+    )  # fmt: skip
     monkeypatch.setattr(evaluation, "run", lambda *_, **__: found)
     evaluate = ("evaluate", tmp_path, "--format")
-    assert json.loads(told(capsys, *evaluate, "json")) == found
-    lines = {one["quantity"]: one["value"] for one in rows(told(capsys, *evaluate, "csv"))}
-    assert lines == {"weights": "open", "data.0": "x", "marginal.8.0.min_fde.6": "4.5"}
-    assert "| marginal.8.0.min_fde.6 | 4.5 |" in told(capsys, *evaluate, "md")
+    assert Evaluation.from_record(json.loads(told(capsys, *evaluate, "json"))) == found
+    [line] = rows(told(capsys, *evaluate, "csv"))
+    assert (line["network"], line["quantity"], line["modes"], line["value"]) == (
+        "marginal", "min_fde", "6", "4.5",
+    )  # fmt: skip
+    assert "| marginal | min_fde | 8 | 6 |" in told(capsys, *evaluate, "md")
 
 
 @pytest.mark.sumo
