@@ -30,7 +30,7 @@ def test_two_results_side_by_side(out, tmp_path, capsys):
     told = capsys.readouterr().out
     assert "1 pairs of the same moment and seed" in told
     assert "+0 (1 pair)" in told
-    assert "cannot tell; at least 9 scenes would" in told
+    assert "cannot tell; at least 9 attacked moments would" in told
     assert "same" not in told.replace("same moment", "")
     assert told.count("cannot tell; at least 6") == 4, "where hits come from as well"
     with (tmp_path / "both" / "origins.csv").open() as lines:
