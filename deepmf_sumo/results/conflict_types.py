@@ -9,6 +9,7 @@ how far a vehicle that has begun to turn would have turned.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import dropwhile, takewhile
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -243,7 +244,7 @@ class Meeting:
     """AV and opponent up to where they met: a contact, or where the gap was least.
 
     Attributes:
-        tracks, av, other: of whom: rows. step: of the meeting.
+        av, other: rows of the tracks. step: of the meeting.
         since: step from which on both are there. first: from which on directions are looked at.
         lanes: of AV and opponent, one a step from ``first`` to ``step``; None: on none, or no map.
         courses: of AV and opponent.
@@ -272,9 +273,8 @@ class Meeting:
         first = since + _before_turns(change)
         lanes = [_lanes(tracks, row, first, step, road) for row in rows]
         before = max(since, step - 1)  # two boxes that touch are neither behind nor beside
-        first = min(first, before)
         av, other = (
-            _course(tracks, row, first, before, one, road)
+            _course(tracks, row, first, one[: before + 1 - first], road)
             for row, one in zip(rows, lanes, strict=True)
         )
         return cls(
@@ -406,48 +406,40 @@ def _lanes(
 
 
 def _course(
-    tracks: Tracks,
-    row: int,
-    first: int,
-    step: int,
-    lanes: Sequence[str | None],
-    road: RoadMap | None,
+    tracks: Tracks, row: int, first: int, lanes: Sequence[str | None], road: RoadMap | None
 ) -> Course:
-    driven = [*dict.fromkeys(lanes[: step + 1 - first])]
+    """Of a vehicle that was on these lanes at the steps from ``first`` to the meeting."""
+    at = first + len(lanes) - 1
+    came = _came_rad(lanes, tracks.position_m[row, at], road)
     return Course(
-        lanes=tuple(lane for lane in driven if lane is not None),
-        came_rad=_came_rad(tracks, row, first, step, lanes, road),
-        position_m=tracks.position_m[row, step],
-        heading_rad=float(tracks.heading_rad[row, step]),
+        lanes=tuple(lane for lane in dict.fromkeys(lanes) if lane is not None),
+        came_rad=float(tracks.heading_rad[row, first]) if came is None else came,
+        position_m=tracks.position_m[row, at],
+        heading_rad=float(tracks.heading_rad[row, at]),
         size_m=tracks.size_m[row, :2],
-        at_lane=lanes[step - first] is not None,
+        at_lane=lanes[-1] is not None,
     )
 
 
 def _came_rad(
-    tracks: Tracks,
-    row: int,
-    first: int,
-    step: int,
-    lanes: Sequence[str | None],
-    road: RoadMap | None,
-) -> float:
-    """Direction before the junction that a vehicle is in or has just left; else of its lane."""
-    known = [at for at in range(step + 1 - first) if lanes[at] is not None]
+    lanes: Sequence[str | None], position_m: Floats, road: RoadMap | None
+) -> float | None:
+    """Direction before the junction that a vehicle is in or has just left; else of its lane.
+
+    None where it was on no lane. ``position_m``: (2) at the last of the steps.
+    """
+    known = [(ago, lane) for ago, lane in enumerate(reversed(lanes)) if lane is not None]
     if road is None or not known:
-        return float(tracks.heading_rad[row, first])
-    inside = [at for at in known if _of_junction(road, lanes[at] or "")]
-    if inside and step - first - inside[-1] <= _RECENT_STEPS:
-        entered = inside[-1]
-        for at in reversed(known[: known.index(inside[-1])]):
-            if not _of_junction(road, lanes[at] or ""):
-                break
-            entered = at
-        return _into_rad(road, lanes[entered] or "")
-    line = road.lanes[lanes[known[-1]] or ""].centre_m
+        return None
+    junction = {lane: _of_junction(road, lane) for _, lane in known}
+    left = dropwhile(lambda one: not junction[one[1]], known)
+    inside = [*takewhile(lambda one: junction[one[1]], left)]
+    if inside and inside[0][0] <= _RECENT_STEPS:
+        return _into_rad(road, inside[-1][1])
+    line = road.lanes[known[0][1]].centre_m
     if len(line) < 2:
-        return float(tracks.heading_rad[row, first])
-    return float(polylines.project(line, tracks.position_m[row, step][None]).heading_rad[0])
+        return None
+    return float(polylines.project(line, position_m[None]).heading_rad[0])
 
 
 def _from_beside(tracks: Tracks, rows: tuple[int, int], step: int) -> bool:
