@@ -103,7 +103,8 @@ def attack(
         until_s: look for moments up to this time only.
         encounters: first attack before another vehicle crosses the AV's path, wherever that is;
             without it moments are spread, and such encounters come first at each place.
-        all_conflicts: opponents also drive into the AV from behind.
+        all_conflicts: opponents also drive into the AV from behind, against the traffic, or so
+            that no driver could avoid it.
         seed: of all choices and of SUMO; None means the configuration's own.
         sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.

@@ -186,6 +186,7 @@ def test_without_a_file_the_rule_is_likeliest(tmp_path):
     live = attacker.spec_of(attacker.Wish(avs=("ego",)))
     assert settings_of(live).rule == "likeliest"
     assert settings_of(live).no_rear_end
+    assert settings_of(live).fair
     assert settings_of(live).constraints == ("on_road", "with_traffic")
     config = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
     [document] = search.documents([config], {"seed": 1}, count=3)

@@ -74,8 +74,9 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--all-conflicts", is_flag=True,
-    help="Let opponents drive into the AV from behind, or against the traffic, as well. Without it"
-    " DeepMF does not: that can be done anywhere, and says little about a road.",
+    help="Let opponents drive into the AV from behind, against the traffic, or so that no driver"
+    " could avoid it, as well. Without it DeepMF does not: that can be done anywhere, and says"
+    " little about a road or a planner.",
 )  # fmt: skip
 @click.option("--planner", metavar="NAME", help="Let this planner drive the AV.  [default: idm]")
 @click.option(

@@ -99,7 +99,8 @@ class Settings(plugins.Settings):
             `deepmf.scoring.Balance`. 0.5 is the rule ``likeliest``; the limits are
             multiplied by 2^(aggressiveness - 0.5). Null: the rule decides.
         fair: only candidates that a competent driver in the AV's place could avoid
-            (`avoidability.grading`) at the time of the choice; if there are none, no attack.
+            (`avoidability.grading`) at the time of the choice; if there are none, no attack. True
+            by default in the command ``attack``.
         lawful: only candidates that break no traffic rule (`deepmf.traffic_rules`); if none of
             them meets the AV, no attack.
         no_rear_end: only candidates that do not drive into the AV's rear end from behind; if none
@@ -292,18 +293,18 @@ class Settings(plugins.Settings):
 def unasked(spec: Spec, *, all_conflicts: bool = False) -> dict[str, Any]:
     """Wishes of an attack on traffic for which a spec says nothing.
 
-    The opponent does not ram the AV from behind or drive against the traffic to hit it
-    (``all_conflicts``: it may), and does not leave the road. Empty for other adversaries and for
-    the form of the paper.
+    The opponent does not ram the AV from behind, drive against the traffic to hit it, or drive so
+    that no competent driver could avoid it (``all_conflicts``: it may), and does not leave the
+    road. Empty for other adversaries and for the form of the paper.
     """
     chosen = spec.adversary.settings
     if spec.adversary.name != "deepmf" or chosen.get("form") == "paper" or chosen.get("lawful"):
         return {}
     more: dict[str, Any] = {}
-    said = "no_rear_end" in chosen or "no_rear_end" in chosen.get("constraints", ())
-    wanted = chosen.get("sector") in {"rear", SECTORS.index("rear")}
-    if not (said or wanted or all_conflicts):
-        more["no_rear_end"] = True
+    if not all_conflicts and chosen.get("sector") not in {"rear", SECTORS.index("rear")}:
+        listed = chosen.get("constraints", ())
+        wishes = ("no_rear_end",) if chosen.get("goal") == "avoidable" else ("no_rear_end", "fair")
+        more.update({one: True for one in wishes if one not in chosen and one not in listed})
     if "constraints" not in chosen and chosen.get("goal") != "avoidable":
         more["constraints"] = ["on_road"] if all_conflicts else ["on_road", "with_traffic"]
     return more

@@ -324,9 +324,9 @@ def _document(
 def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
     """The spec of one of `documents`.
 
-    DeepMF does not ram the AV from behind, unless ``all_conflicts`` or another key says so. It does
-    not drive against the traffic (unless ``all_conflicts``) or leave the road to hit the AV, unless
-    ``constraints`` are given.
+    DeepMF does not ram the AV from behind, drive against the traffic or attack where no competent
+    driver could avoid it, unless ``all_conflicts`` or another key says so; nor does it leave the
+    road to hit the AV, unless ``constraints`` are given.
     In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
     adversary looks for one attack, or its opponent is named. Raises SpecError as `spec.load`,
     UsageError where ``all_conflicts`` contradicts a key, WeightsError where weights are named that

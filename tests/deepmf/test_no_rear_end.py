@@ -142,6 +142,29 @@ def test_attack_stays_on_the_road_unless_constraints_are_given(sets, expected):
         assert found == (None if expected is None else expected + more)
 
 
+@pytest.mark.parametrize(
+    ("sets", "expected"),
+    [
+        ([], True),
+        (["adversary.fair=false"], False),
+        (["adversary.no_rear_end=false"], True),
+        (["adversary.sector=front"], True),
+        (["adversary.sector=rear"], None),  # which hardly any driver avoids
+        (["adversary.constraints=[fair]"], None),
+        (["adversary.goal=avoidable"], None),  # which asks for more
+        (["adversary.lawful=true"], None),
+        (["adversary={name: deepmf, form: paper}"], None),
+        (["adversary=brs"], None),
+    ],
+)
+def test_attack_is_fair_unless_something_else_is_said(sets, expected):
+    [document] = search.documents([SUMO_CONFIG], {}, sets)
+    assert search.spec_of(document).adversary.settings.get("fair") is expected
+    [document] = search.documents([SUMO_CONFIG], {}, sets)
+    allowed = search.spec_of(document, all_conflicts=True).adversary.settings.get("fair")
+    assert allowed is (False if expected is False else None)
+
+
 def test_all_conflicts_and_no_rear_end_contradict_each_other(tmp_path, capsys):
     arguments = ["--all-conflicts", "--set", "adversary.no_rear_end=true"]
     out = ["--out", str(tmp_path / "out")]
