@@ -141,22 +141,43 @@ def onset_of(
     """As `onset_step`, where it is known already where the opponent would have been."""
     steps = np.arange(first, contact)
     departed = _departure_m(rollout, expected, opponent, steps) > DEPARTURE_M
-    signs = np.flatnonzero(departed | _on_collision_course(rollout, opponent, steps))
+    signs = np.flatnonzero(departed | _on_course(rollout, opponent, steps))
     return int(steps[signs[0]]) if len(signs) else first
 
 
-def _on_collision_course(rollout: Rollout, opponent: int, steps: Ints) -> Bools:
+class Moving(NamedTuple):
+    """A vehicle at K moments: (K, 2) position and velocity, (K) heading, (2) length, width."""
+
+    position_m: Floats
+    velocity_mps: Floats
+    heading_rad: Floats
+    size_m: Floats
+
+
+def on_collision_course(av: Moving, opponent: Moving) -> Bools:
     """(K) whether the two boxes overlap within 3 s if both keep velocity and heading."""
+
+    def ahead(one: Moving) -> tuple[Floats, Floats, Floats]:
+        moved = one.velocity_mps[:, None] * _TESTED_S[:, None]
+        return one.position_m[:, None] + moved, one.heading_rad[:, None], one.size_m
+
+    return np.asarray(boxes.touching(*ahead(av), *ahead(opponent)).any(axis=1))
+
+
+def _on_course(rollout: Rollout, opponent: int, steps: Ints) -> Bools:
+    """(K) `on_collision_course` of AV and opponent at the steps, on one level."""
     tracks, av = rollout.tracks, rollout.tracks.row(rollout.av_id)
-
-    def ahead(row: int) -> tuple[Floats, Floats, Floats]:
-        velocity = tracks.velocity_mps[row, steps][:, None]
-        position = tracks.position_m[row, steps][:, None] + velocity * _TESTED_S[:, None]
-        return position, tracks.heading_rad[row, steps][:, None], tracks.size_m[row, :2]
-
-    hits = boxes.overlap(*ahead(av), *ahead(opponent))
-    hits &= ~clear(tracks.z_m[av, steps], tracks.z_m[opponent, steps])[:, None]
-    return np.asarray(hits.any(axis=1))
+    first, second = (
+        Moving(
+            tracks.position_m[row, steps],
+            tracks.velocity_mps[row, steps],
+            tracks.heading_rad[row, steps],
+            tracks.size_m[row, :2],
+        )
+        for row in (av, opponent)
+    )
+    level = ~clear(tracks.z_m[av, steps], tracks.z_m[opponent, steps])
+    return on_collision_course(first, second) & level
 
 
 def _expected(rollout: Rollout, case: Case, opponent: int) -> Expected | None:

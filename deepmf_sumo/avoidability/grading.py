@@ -21,13 +21,16 @@ import numpy as np
 from deepmf_sumo.avoidability import manoeuvres, reference_drivers
 from deepmf_sumo.avoidability.av_path import AvPath, State, keeps_lane, stays_on_road
 from deepmf_sumo.avoidability.encounter import (
+    DEPARTURE_M,
     Encounter,
+    Moving,
     encounter_of,
     hit_by,
+    on_collision_course,
     third_parties_of,
 )
 from deepmf_sumo.avoidability.reference_drivers import MODELS, Approach
-from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Floats, Rollout
+from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Floats, Ints, Rollout
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.slow import STANDING_MPS
 
@@ -148,6 +151,7 @@ def avoidable(
     by: By = "any",
     av_along_m: Floats | None = None,
     past: Past | None = None,
+    expected_m: Floats | None = None,
 ) -> Bools:
     """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
 
@@ -165,6 +169,9 @@ def avoidable(
         av_along_m: (K + 1) the AV's arc lengths now and at the opponent's steps until the driver
             reacts, if it does not keep its speed.
         past: what both did before; the driver takes over at its first step, not now.
+        expected_m: (H + 1 + K, 2) where the opponent would have been without the attack, from the
+            first step of ``past`` on, nan where that is not known. The driver then takes over at
+            the first sign of the attack, as in `judge` (`encounter.onset_step`).
     """
     past = past or Past.none()
     av_m = np.concatenate([past.av[:, :2], [av_start.position_m]])
@@ -181,8 +188,32 @@ def avoidable(
     past_m = np.append(0.0, np.hypot(*np.diff(av_m, axis=0).T).cumsum())
     driven_m = np.concatenate([past_m[:-1], past_m[-1] + ahead_m])
     models = list(MODELS.values()) if by in ("any", "all") else [MODELS[by]]
-    avoided = reference_drivers.outcome(models, path, approach, driven_m).avoided
+    start = 0 if expected_m is None else _onsets(path, approach, driven_m, expected_m)
+    avoided = reference_drivers.outcome(models, path, approach, driven_m, start).avoided
     return np.all(avoided, axis=0) if by == "all" else np.any(avoided, axis=0)
+
+
+def _onsets(path: AvPath, approach: Approach, driven_m: Floats, expected_m: Floats) -> Ints:
+    """(N) first steps with a sign of the attack (`encounter.onset_step`); 0 without a sign."""
+    away = np.hypot(*np.moveaxis(approach.position_m - expected_m, -1, 0))
+    signs: Bools = away > DEPARTURE_M
+    first = np.where(signs.any(axis=1), signs.argmax(axis=1), approach.steps)
+    row, step = np.nonzero(np.arange(approach.steps) < first[:, None])
+    centre_m, heading = path.at(driven_m)
+    av = Moving(
+        centre_m[step],
+        np.gradient(centre_m, approach.dt_s, axis=0)[step],
+        heading[step],
+        approach.av_size_m,
+    )
+    opponent = Moving(
+        approach.position_m[row, step],
+        approach.velocity_mps[row, step],
+        approach.heading_rad[row, step],
+        approach.size_m,
+    )
+    signs[row, step] |= on_collision_course(av, opponent)
+    return np.asarray(signs.argmax(axis=1))
 
 
 def collision_class(rollout: Rollout, contact: Contact) -> Collision:

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple, Protocol, Self
 import numpy as np
 
 from deepmf_sumo.avoidability.av_path import AvPath
-from deepmf_sumo.datatypes import Bools, Floats, frozen
+from deepmf_sumo.datatypes import Bools, Floats, Ints, frozen
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.slow import STANDING_MPS
 
@@ -41,7 +41,7 @@ class Approach:
     """N motions of the opponent over K steps, relative to the AV's path.
 
     Attributes:
-        position_m: (N, K, 2) of the box, heading_rad: (N, K), in the scene's frame.
+        position_m, velocity_mps: (N, K, 2) of the box, heading_rad: (N, K), in the scene's frame.
         size_m, av_size_m: (2) length, width.
         rear_m, front_m: (N, K) ends of the box along the path.
         along_mps: (N, K) speed along the path, negative where it comes towards the AV.
@@ -56,6 +56,7 @@ class Approach:
     """
 
     position_m: Floats
+    velocity_mps: Floats
     heading_rad: Floats
     size_m: Floats
     av_size_m: Floats
@@ -94,6 +95,7 @@ class Approach:
         enters, leaves = _crossing_times(foot.left_m, left_mps, reach, parallel)
         return cls(
             position_m=frozen(position),
+            velocity_mps=frozen(velocity),
             heading_rad=frozen(heading),
             size_m=frozen(size_m),
             av_size_m=frozen(av_size_m),
@@ -369,26 +371,26 @@ def _response(speed_mps: Floats) -> Floats:
 
 
 def drive(
-    models: Sequence[Driver], approach: Approach, av_along_m: Floats, start: int = 0
+    models: Sequence[Driver], approach: Approach, av_along_m: Floats, start: int | Ints = 0
 ) -> Floats:
-    """(D, N, K) the AV's arc lengths if driver d takes over at step ``start``.
+    """(D, N, K) the AV's arc lengths if driver d takes over at step ``start``, one or (N).
 
     Until it perceives a risk, the driver drives as the AV did: ``av_along_m`` (K), K > 1, are the
     AV's arc lengths. From then on it brakes by its model, keeps its speed if the model does not
     brake, and is never faster than the AV was.
     """
     shape, dt = (len(models), len(approach.heading_rad)), approach.dt_s
-    speeds = np.maximum(np.gradient(av_along_m, dt), 0.0)
+    speeds, first = np.maximum(np.gradient(av_along_m, dt), 0.0), int(np.min(start))
     along = np.tile(av_along_m, (*shape, 1))
-    speed, braking = np.full(shape, speeds[start]), np.zeros(shape)
+    speed, braking = np.full(shape, speeds[first]), np.zeros(shape)
     aware, since = np.zeros(shape, bool), np.zeros(shape)
     risk, wanted = np.zeros(shape, bool), np.zeros(shape)
-    for step in range(start, approach.steps - 1):
+    for step in range(first, approach.steps - 1):
         seen = approach.seen(step, along[..., step], speed, braking)
         since = np.where(aware, since + dt, 0.0)
         for d, model in enumerate(models):
             risk[d], wanted[d] = model.respond(seen.of(d), since[d])
-        aware = aware | risk
+        aware = aware | (risk & (step >= np.asarray(start)))
         braking = np.where(aware, wanted, 0.0)
         slower = np.minimum(np.maximum(speed - braking * dt, 0.0), speeds[step + 1])
         moved = np.where(aware, (speed + slower) / 2 * dt, av_along_m[step + 1] - av_along_m[step])
@@ -427,7 +429,11 @@ class Outcome(NamedTuple):
 
 
 def outcome(
-    models: Sequence[Driver], path: AvPath, approach: Approach, av_along_m: Floats, start: int = 0
+    models: Sequence[Driver],
+    path: AvPath,
+    approach: Approach,
+    av_along_m: Floats,
+    start: int | Ints = 0,
 ) -> Outcome:
     """The outcome if each driver takes over at step ``start``; see `drive`."""
     along = drive(models, approach, av_along_m, start)

@@ -13,6 +13,7 @@ from typing import ClassVar, Final, Literal, Protocol
 import numpy as np
 
 from deepmf_sumo.avoidability.av_path import State
+from deepmf_sumo.avoidability.encounter import Expected, likeliest_motion
 from deepmf_sumo.avoidability.grading import Past, avoidable
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
@@ -69,9 +70,6 @@ class Constraint(Protocol):
     ) -> bool:
         """Whether the chosen candidate passes a closer check, which is too slow for all."""
         return True
-
-    def decided(self, attacks: bool) -> None:
-        """Notice of the choice; ``attacks``: its candidate is allowed and collides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,8 +194,8 @@ class Lawful(Constraint):
 class Fair(Constraint):
     """A competent driver in the AV's place could avoid the candidate (`avoidability.grading`).
 
-    During an attack that driver took over when the attack began, as in the judgement of the result:
-    what both have driven since is part of what it had to avoid. Before, it takes over now.
+    That driver takes over at the first sign of the attack, as in the judgement of the result: what
+    both have driven since the first plan is part of what it had to avoid.
     """
 
     name = "fair"
@@ -205,16 +203,15 @@ class Fair(Constraint):
     keeps_plan = True
 
     def __init__(self, settings: Settings) -> None:
-        self._driven = _Driven()
+        self._driven = Driven()
 
     def allowed(
         self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
     ) -> Bools:
         assert situation.unattacked is not None
-        self._driven.note(situation)
-        return fair_candidates(
-            situation, own.forecast.futures, situation.unattacked, self._driven.past
-        )
+        self._driven.note(situation, own)
+        futures = own.forecast.futures
+        return fair_candidates(situation, futures, situation.unattacked, self._driven)
 
     def confirmed(
         self, situation: Situation, own: Candidates, reaction: Forecast, pairs: Pairs, row: int
@@ -230,58 +227,62 @@ class Fair(Constraint):
             heading_rad=futures.heading_rad[row : row + 1],
         )
         hit = Forecast(futures=reaction.futures, probability=reaction.probability * hits)
-        return bool(fair_candidates(situation, one, hit, self._driven.past)[0])
-
-    def decided(self, attacks: bool) -> None:
-        self._driven.decided(attacks)
+        return bool(fair_candidates(situation, one, hit, self._driven)[0])
 
 
-class _Driven:
-    """Poses of AV and opponent since an attack began: (T, 2, 3) at the steps up to the last plan.
+class Driven:
+    """What AV and opponent have driven since the first plan, and what was expected of the opponent.
 
     A view contains the last second; between plans that are farther apart poses are interpolated.
     """
 
     def __init__(self) -> None:
-        self._poses = np.empty((0, 2, 3))
+        self._poses = np.empty((0, 2, 3))  # of both, at the steps up to the last plan
         self._step = 0
-        self._attacks = False
+        self._expected: Expected | None = None
 
-    def note(self, situation: Situation) -> None:
-        """Add the steps since the last plan."""
+    def note(self, situation: Situation, own: Candidates) -> None:
+        """Add the steps since the last plan; ``own``: the candidates of this one."""
         view = situation.view
         rows = [view.history.row(one) for one in (view.av_id, situation.opponent_id)]
         poses = np.concatenate(
             [view.history.position_m[rows], view.history.heading_rad[rows][..., None]], axis=-1
         ).swapaxes(0, 1)
-        if self._attacks and view.step > self._step:
+        if self._expected is None:
+            position_m = own.forecast.futures.position_m
+            self._expected = likeliest_motion(view.step + 1, position_m, own.origin)
+            self._poses = poses[-1:]
+        elif view.step > self._step:
             seen = min(view.step - self._step, len(poses))
             gap = np.linspace(0, 1, view.step - self._step - seen + 2)[1:-1, None, None]
             before, after = self._poses[-1], poses[-seen]
             moved = after - before
             moved[:, 2] = frames.difference(after[:, 2], before[:, 2])
             self._poses = np.concatenate([self._poses, before + gap * moved, poses[-seen:]])
-        else:
-            self._poses = poses[-1:]
         self._step = view.step
-
-    def decided(self, attacks: bool) -> None:
-        """What begins with this plan, or ends."""
-        self._attacks = attacks
 
     @property
     def past(self) -> Past:
         """Without the present."""
         return Past(self._poses[:-1, 0], self._poses[:-1, 1])
 
+    def expected_m(self, steps: int) -> Floats:
+        """(H + 1 + steps, 2) where the opponent was expected, from the first plan on."""
+        expected, count = self._expected, len(self._poses) + steps
+        found = np.full((count, 2), np.nan)
+        if expected is not None:
+            known = expected.position_m[: count - 1]
+            found[1 : 1 + len(known)] = known
+        return found
+
 
 def fair_candidates(
-    situation: Situation, futures: Futures, av: Forecast, past: Past | None = None
+    situation: Situation, futures: Futures, av: Forecast, driven: Driven | None = None
 ) -> Bools:
     """(N1) futures of the opponent that a reference driver in the AV's place can avoid.
 
-    It takes over at the first step of ``past``, or now. Until it reacts, the AV drives as in the
-    past and then follows the likeliest of its predicted futures ``av``.
+    It takes over at the first sign of the attack since ``driven`` began, or now. Until it reacts,
+    the AV drives as in the past and then follows the likeliest of its predicted futures ``av``.
     """
     view = situation.view
     now = _state(view, view.av_id)
@@ -296,7 +297,8 @@ def fair_candidates(
         futures.heading_rad,
         view.dt_s,
         av_along_m=polylines.arc_lengths(np.concatenate([now.position_m[None], ahead])),
-        past=past,
+        past=None if driven is None else driven.past,
+        expected_m=None if driven is None else driven.expected_m(futures.position_m.shape[1]),
     )
 
 

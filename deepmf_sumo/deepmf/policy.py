@@ -267,10 +267,7 @@ class DeepMF:
             one = attack.constraints[number]
             return one.confirmed(situation, own, reactions[row], pairs, row)
 
-        choice, masks = constraints.decide(pairs, masks, self._objective, confirmed)
-        for one, mask in zip(attack.constraints, masks, strict=True):
-            one.decided(bool((mask.allowed[choice.index] & pairs.collides[choice.index]).any()))
-        return choice, masks
+        return constraints.decide(pairs, masks, self._objective, confirmed)
 
     def _reason(
         self,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import readers
-from deepmf_sumo.avoidability import av_path, reference_drivers
+from deepmf_sumo.avoidability import av_path, encounter, grading, reference_drivers
 from deepmf_sumo.avoidability.av_path import route_ahead
 from deepmf_sumo.avoidability.encounter import AFTER_S, encounter_of
 from deepmf_sumo.datatypes import Forecast, Futures, PlanReason, Scene
@@ -46,6 +46,32 @@ def test_a_driver_who_sees_nothing_has_the_same_contact(av, opponent):
     hits = reference_drivers.overlaps(found.approach, *found.path.at(driven))[0]
     assert found.contact == rollout.contacts[0].step - NOW
     assert np.flatnonzero(hits)[0] == found.contact
+
+
+@pytest.mark.parametrize(
+    ("av", "opponent"),
+    [
+        (straight(0, 0, 16), cut_in(8.3, 8)),
+        (straight(0, 0, 12, accel=-1.0), straight(25, 0, 2)),
+        (straight(0, 0, 10), straight(60, 0, 8, accel=-2.0)),
+        (bent(), bent()[::-1] + np.array([0.3, 0, np.pi])),
+    ],
+)
+def test_futures_have_the_onset_of_the_judgement(av, opponent):
+    """What `fair` asks before anything is driven is what the judgement asks afterwards."""
+    rollout, case = attack(av, opponent)
+    found = encounter_of(rollout, case)
+    row = rollout.tracks.row(rollout.opponent_id)
+    expected = encounter._expected(rollout, case, row)
+    expected_m = np.full((found.approach.steps, 2), np.nan)
+    if expected is not None:
+        at = np.arange(found.first_step, found.first_step + found.approach.steps)
+        at = at - expected.first_step
+        known = (at >= 0) & (at < len(expected.known))
+        expected_m[known] = expected.position_m[at[known]]
+    onset = grading._onsets(found.path, found.approach, found.av_along_m, expected_m)
+    # velocities of futures are those of the last 0.2 s
+    assert onset == pytest.approx([found.onset], abs=2)
 
 
 def test_the_opponent_drives_on_as_planned_and_then_straight():

@@ -65,21 +65,42 @@ def test_a_driver_that_took_over_when_the_attack_began_has_had_time():
     assert avoidable(*known, past=Past(driven, np.zeros((20, 3))))[0]
 
 
+def test_a_driver_may_not_react_before_the_attack_shows():
+    """The AV follows too closely: RSS brakes at once, but a driver could not know why."""
+    view = view_of({"av": (0, 0, 0, 15.0), "b": (12, 0, 0, 15.0)})
+    av = forecast(straight("av", 0, 0, np.full(80, 15.0)))
+    speeds = np.concatenate([np.full(20, 15.0), np.maximum(15.0 - 9.0 * STEPS[:60], 0.0)])
+    late = straight("b", 12, 0, speeds)
+    likeliest = straight("b", 12, 0, np.full(80, 15.0))
+    situation = Situation.of(view, "b", Limits(accel=3.0, brake=4.0, lateral=3.0))
+    driven = constraints.Driven()
+    driven.note(situation, candidates_of(likeliest))
+    assert constraints.fair_candidates(situation, late, av)[0]
+    assert not constraints.fair_candidates(situation, late, av, driven)[0]
+
+
+def candidates_of(futures):
+    known = Forecast(futures=futures, probability=np.ones(1))
+    return SimpleNamespace(forecast=known, origin=("mode",))
+
+
 @pytest.mark.parametrize("steps", [1, 10, 40])
-def test_what_was_driven_since_the_attack_began_is_kept(steps):
+def test_what_was_driven_since_the_first_plan_is_kept(steps):
     def situation(step):
         x = 1.0 * (step - 10)
         view = view_of({"av": (x, 0, 0, 10.0), "b": (x / 2, 3.5, 0, 5.0)}, step=step)
         return SimpleNamespace(view=view, opponent_id="b")
 
-    driven = constraints._Driven()
-    driven.note(situation(10))
+    driven = constraints.Driven()
+    own = candidates_of(straight("b", 0, 3.5, np.full(80, 5.0)))
+    driven.note(situation(10), own)
     assert len(driven.past.av) == 0
-    driven.decided(True)
-    driven.note(situation(10 + steps))
+    driven.note(situation(10 + steps), candidates_of(straight("b", 99, 0, np.ones(80))))
     expected = np.arange(steps)[:, None] * [[1.0, 0.0, 0.0]]
     np.testing.assert_allclose(driven.past.av, expected, atol=1e-9)
     np.testing.assert_allclose(driven.past.opponent, expected / 2 + [[0, 3.5, 0]], atol=1e-9)
-    driven.decided(False)
-    driven.note(situation(20 + steps))
-    assert len(driven.past.av) == 0
+    found = driven.expected_m(80)
+    assert found.shape == (steps + 81, 2)
+    np.testing.assert_allclose(found[1:81, 0], 0.5 * np.arange(1, 81), atol=1e-9)
+    assert np.isnan(found[0]).all()
+    assert np.isnan(found[81:]).all()
