@@ -74,14 +74,26 @@ def settings(kind: Kind, name: str, values: dict[str, Any], *, texts: bool = Fal
 
     ``texts``: the values are texts of a command line, and are read as the types of their keys.
     """
-    plugin = load(kind, name)
-    schema: type[BaseModel] = plugin.Settings
+    schema = settings_class(kind, name)
     try:
         if texts:
             return schema.model_validate_strings(values, strict=False)
         return schema.model_validate(values)
     except ValidationError as error:
         raise PluginError(f"{kind} '{name}': {explain(error, schema)}") from None
+
+
+def settings_class(kind: Kind, name: str) -> type[BaseModel]:
+    """The class of a plug-in's settings. Raises PluginError where it lacks that or ``build``."""
+    plugin = load(kind, name)
+    found = getattr(plugin, "Settings", None)
+    if not (isinstance(found, type) and issubclass(found, BaseModel)):
+        raise PluginError(
+            f"{name} has no class 'Settings'; derive one from deepmf_sumo.plugins.Settings."
+        )
+    if ":" in name and not callable(getattr(plugin, "build", None)):
+        raise PluginError(f"{name} has no 'build', which makes one of its Settings.")
+    return found
 
 
 def explain(error: ValidationError, schema: type[BaseModel], *, tagged: bool = False) -> str:

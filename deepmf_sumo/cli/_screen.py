@@ -315,13 +315,13 @@ def announce_moments(request: Request, found: Found) -> None:
     further = "" if found.complete or wish.at_s or wish.again else f" ({limit}{wish.later})"
     seen = counted(found.vehicles, "vehicle")
     click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)
-    moments = counted(len(found.moments), "moment")
-    chosen = f"{moments} of {found.suitable} vehicle seconds"
+    chosen = counted(len(found.moments), "moment")
     if wish.prefer != "spread":
         before = sum(one.encounter_s is not None for one in found.moments)
         chosen += f", {before} of them before an encounter"
+    chosen += f"; chosen from {found.suitable} vehicle seconds"
     if len(found.moments) < wish.count:
-        chosen += f", not {wish.count}: {found.reason}"
+        chosen += f"; not {wish.count}, because {found.reason}"
     for line in (chosen, *found.notes, *_of_the_network(configuration)):
         click.echo(shown(line), err=True)
 

@@ -45,13 +45,21 @@ class Comparison:
 def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
     """A comparison for each quantity asked for, and for `SHOWN` ones, which are not judged.
 
-    Raises UsageError where the baseline was made by another version of the program.
+    Raises UsageError where the baseline was made by another version of the program, or has no spec
+    in common with the results.
     """
     if new.version != old.version:
         raise UsageError(
             f"{old.source} was made by version {old.version} of deepmf-sumo and {new.source} by"
             f" {new.version}: attacks of two versions differ; write the baseline again with"
             " --write-baseline."
+        )
+    ours, theirs = ({row.spec for row in each.rows.values()} for each in (new, old))
+    if ours and theirs and not ours & theirs:
+        raise UsageError(
+            f"{new.source} and the baseline {old.source} have no spec in common ({_some(ours)};"
+            f" {_some(theirs)}), so a planner cannot be compared by them: take a baseline of the"
+            " same specs."
         )
     groups = _groups(wanted.by, new.rows.values())
     alone = (1 - wanted.confidence) / max(len(groups) * len(wanted.quantities), 1)
@@ -64,6 +72,12 @@ def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
         for group, member in groups.items()
         for name in (*wanted.quantities, *shown)
     ]  # fmt: skip
+
+
+def _some(names: set[str]) -> str:
+    """``'cut-in', 'merge' and 4 more``."""
+    first = ", ".join(f"'{name}'" for name in sorted(names)[:2])
+    return first + (f" and {len(names) - 2} more" if len(names) > 2 else "")
 
 
 def _groups(by: str, rows: Iterable[Row]) -> dict[str, str]:

@@ -61,9 +61,16 @@ class Verdict:
 
     def findings(self) -> Iterator[str]:
         """A sentence for each broken bound, regression, expectation and open comparison."""
-        yield from (sentence(one) for one in self.judgements if one.state == "unfit")
+        for one in self.judgements:
+            if one.state == "unfit":
+                yield sentence(one) + self._example(one)
         yield from self._broken()
         yield from self._open()
+
+    def _example(self, one: Judgement) -> str:
+        """``; e.g. RUN: the planner ...``: why a run has no result, where that is the matter."""
+        row = self.results.rows.get(one.blamed[0]) if one.blamed else None
+        return f"; e.g. {row.run_id}: {row.reason}" if row and row.reason else ""
 
     def _broken(self) -> Iterator[str]:
         yield from (sentence(one) for one in self.judgements if one.state == "broken")

@@ -90,8 +90,8 @@ def _notes(sightings: Sightings, wish: Wish, rows: Ints, met: Encounters) -> tup
         return ("no vehicle meets another at a junction: all moments are without an encounter",)
     have = "1 vehicle meets" if meeting == 1 else f"{meeting} vehicles meet"
     sentence = (
-        f"{have} another at a junction: at most {meeting} of the {wish.count} moments are before"
-        " an encounter"
+        f"only {have} another at a junction: some of the {wish.count} moments may be without an"
+        " encounter"
     )
     return (sentence,)
 

@@ -212,9 +212,11 @@ def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
     if sightings.waiting:
         return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
     others = ", only persons" if sightings.persons else ""
+    if wish.again:
+        return f"there is no vehicle from {span}{others}: the moments may be of other traffic"
     later = "" if sightings.complete else f"; {wish.later}"
     if isinstance(wish.from_s, float) and wish.from_s > 0:
-        later += f"; {wish.earlier}"
+        return f"there is no vehicle from {wish.from_s:g} s on{others}{later}; {wish.earlier}"
     return f"there is no vehicle from {span}{others}{later}"
 
 

@@ -15,6 +15,8 @@ from deepmf_sumo.errors import DeepmfError, PlannerError
 from deepmf_sumo.planners.base import ClosingPlanner, FixedPlanner, Planner
 from deepmf_sumo.planners.remote.protocol import FASTEST_MPS, NUMBERS
 
+_OVERSHOOT_MPS: Final = 1.0
+"""A planner that brakes to a stop by full steps ends up to this far below 0, which counts as 0."""
 _inside: Final = mmap.mmap(-1, 1)
 """Whether a planner's code is running; copies of this process share the flag."""
 
@@ -78,6 +80,11 @@ def check(command: object, view: View, *, may_jump: bool) -> None:
                 f"{name} {at} is {getattr(command, name):g}, and no vehicle drives faster than"
                 f" {FASTEST_MPS:g} m/s."
             )
+    if command.kind == "speed" and command.speed_mps < -_OVERSHOOT_MPS:
+        raise PlannerError(
+            f"speed_mps {at} is {command.speed_mps:g}: along its route the AV cannot drive"
+            " backwards; for that, command poses."
+        )
     if command.kind == "pose" and not may_jump:
         _check_distance(command, view, at)
 

@@ -109,7 +109,7 @@ def _networks(side: Mapping[str, Result]) -> dict[str, set[str]]:
 
 
 COMPARED: Final = (
-    "av_collision_rate", "collision_rate", "criticality", "ttc_s", "min_gap_m",
+    "av_collision_rate", "collision_rate", "impact_mps", "criticality", "ttc_s", "min_gap_m",
     "required_braking_mps2",
 )  # fmt: skip
 CONFIDENCE: Final = 0.95

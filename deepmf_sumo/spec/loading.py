@@ -103,17 +103,9 @@ def _place_files(document: Document) -> None:
 def _check_plugin(kind: plugins.Kind, key: str, choice: Plugin, document: Document) -> None:
     place = f"{document.place((key, 'name'))}: key '{key}.name'"
     try:
-        plugin = plugins.load(kind, choice.name)
+        model = plugins.settings_class(kind, choice.name)
     except PluginError as error:
         raise SpecError(f"{place}: {error}") from None
-    model = getattr(plugin, "Settings", None)
-    if not (isinstance(model, type) and issubclass(model, BaseModel)):
-        raise SpecError(
-            f"{place}: {choice.name} has no class 'Settings'; derive one from"
-            " deepmf_sumo.plugins.Settings."
-        )
-    if ":" in choice.name and not callable(getattr(plugin, "build", None)):
-        raise SpecError(f"{place}: {choice.name} has no 'build', which makes one of its Settings.")
     checked(model, choice.settings, (key,), document)
 
 

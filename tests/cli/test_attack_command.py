@@ -74,7 +74,7 @@ def test_attacks_begin_once_the_traffic_has_settled_or_when_asked(tiny, tmp_path
     with (tmp_path / "b" / "moments.csv").open() as table:
         assert min(float(one["start_s"]) for one in csv.DictReader(table)) >= 4.0
     assert attack(tiny, tmp_path / "c", "--from", 900) == 0
-    line = "no vehicle to attack in tiny.sumocfg: there is no vehicle from 890 to 891 s; --from S "
+    line = "no vehicle to attack in tiny.sumocfg: there is no vehicle from 900 s on; --from S "
     assert line in capsys.readouterr().out
 
 
@@ -267,7 +267,7 @@ def test_encounters_are_attacked_first_where_they_are_preferred(tmp_path, capsys
     asked = ["--prefer", "encounters", "--moments", 1, "--duration", 4, "--no-pictures"]
     command = ["attack", config, *asked, "--no-risk", "--set", "adversary=none", "--out", out]
     assert main._run([str(one) for one in command]) == 0
-    assert "vehicle seconds, 1 of them before an encounter" in capsys.readouterr().err
+    assert "1 moment, 1 of them before an encounter; chosen from" in capsys.readouterr().err
     with (out / "moments.csv").open() as table:
         (moment,) = csv.DictReader(table)
     assert moment["av"] in {"over1", "up1"}

@@ -61,6 +61,7 @@ def fork(view):
         ),
         (lambda view: Command(kind="speed", speed_mps="fast"), "is 'fast', not a finite"),
         (lambda view: Command(kind="speed", speed_mps=1e9), "no vehicle drives faster"),
+        (lambda view: Command(kind="speed", speed_mps=-3.0), "cannot drive backwards"),
         (lambda view: Command(kind="leader", leader_mps=-1e9), "leader_mps at step 12 is -1e+09"),
         (lambda view: Command(kind="pose", x_m=1e6), "farther than it gets in 0.1 s"),
         (fork, "RuntimeError: forked"),
