@@ -31,7 +31,7 @@ _WAITING: Final = {
 _WAITED: Final = {"turn": "turn {turn}", "merging": "merge"}
 """What an AV that stood waited for."""
 _DID: Final = {
-    "braked": "braked too late",
+    "stopped": "had stopped",
     "accelerated": "accelerated",
     "set off": "set off",
     "stood": "stood",
@@ -87,42 +87,47 @@ def sentence(group: Group) -> str:
     if one.kind != "hit":
         return f"The {one.kind}: {shown(' '.join(one.reason.split()))}"
     red = f" The {one.opponent} ran a red light." if one.ran_red else ""
-    return f"{_happened(one)}; {_advice(one)}.{red}"
+    danger = f". The danger showed {one.onset_s:.1f} s before the hit" if one.onset_s else ""
+    return f"{_happened(one)}{danger}; {_advice(one)}.{red}"
 
 
 def _happened(one: Failure) -> str:
-    """What both did, and how long before the hit the first sign of it was there."""
+    """What both did."""
     assert one.conflict is not None
-    when = f" {one.onset_s:.1f} s before the hit" if one.onset_s else ""
-    other, did = one.opponent, _DID[one.action or "held speed"]
+    other, did = one.opponent, _did(one)
     turn = one.conflict.partition(" ")[0]
     by_av: dict[str, str] = {
-        "rear-end": f"A {other} behind ran into the AV, which {did.removesuffix(' too late')}",
-        "turn": f"The AV turned {turn} in front of an oncoming {other}{when}",
-        "merging": f"The AV merged into the way of a {other} from {_from(one)}{when}",
-        "lane change": f"The AV moved over into the way of a {other} {_beside(one)}{when}",
+        "rear-end": f"A {other} behind ran into the AV, which {did}",
+        "turn": f"The AV turned {turn} in front of an oncoming {other}",
+        "merging": f"The AV merged into the way of a {other} from {_from(one)}",
+        "lane change": f"The AV moved over into the way of a {other} {_beside(one)}",
     }
     by_other: dict[str, str] = {
-        "rear-end": f"The AV {did} and ran into the {other} ahead"
-        + f", although the danger began{when}" * bool(when),
-        "turn": f"An oncoming {other} turned {turn} in front of the AV{when}",
-        "merging": f"A {other} from {_from(one)} merged into the way of the AV{when}",
-        "lane change": f"A {other} {_beside(one)} moved over into the way of the AV{when}",
-        "head-on": f"An oncoming {other} came into the way of the AV{when}",
-        "crossing": f"A {other} from {_from(one)}{_right_of_way(one)} crossed in front of the AV"
-        f"{when}",
+        "rear-end": f"The AV {did} and ran into the {other} ahead",
+        "turn": f"An oncoming {other} turned {turn} in front of the AV",
+        "merging": f"A {other} from {_from(one)} merged into the way of the AV",
+        "lane change": f"A {other} {_beside(one)} moved over into the way of the AV",
+        "head-on": f"An oncoming {other} came into the way of the AV",
+        "crossing": f"A {other} from {_from(one)}{_right_of_way(one)} crossed in front of the AV",
     }
     name = "turn" if one.conflict in ACROSS else one.conflict
-    if _left_its_lane(one):
-        came = f"A {other} from {_from(one)}" if one.side != "ahead" else f"An oncoming {other}"
-        return f"{came} left its lane and came into the way of the AV{when}, and the AV {did}"
+    came = f"n oncoming {other}" if one.side == "ahead" else f" {other} from {_from(one)}"
     if one.turned == "AV" and one.action == "stood" and name in _WAITED:
-        came = f"an oncoming {other}" if one.side == "ahead" else f"a {other} from {_from(one)}"
-        waited = _WAITED[name].format(turn=turn)
-        return f"The AV waited to {waited}, and {came} came into its way{when}"
+        return f"The AV waited to {_WAITED[name].format(turn=turn)}, and a{came} came into its way"
+    if _left_its_lane(one) and one.turned == "AV" and name == "turn":
+        return f"The AV turned {turn}, and a{came} left its lane and came into its way"
+    if _left_its_lane(one):
+        return f"A{came} left its lane and came into the way of the AV, and the AV {did}"
     if one.turned == "AV" and name in by_av:
-        return by_av[name]
+        stopped = " and stopped" if one.action == "stopped" and name != "rear-end" else ""
+        return by_av[name] + stopped
     return by_other[name] if name == "rear-end" else f"{by_other[name]}, and the AV {did}"
+
+
+def _did(one: Failure) -> str:
+    if one.action != "braked":
+        return _DID[one.action or "held speed"]
+    return f"braked{' late' * one.late} with up to {one.braking_mps2:.0f} m/s2"
 
 
 def _left_its_lane(one: Failure) -> bool:

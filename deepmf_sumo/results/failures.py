@@ -27,7 +27,9 @@ from deepmf_sumo.results.reader import Results, Run
 Kind = Literal[
     "hit", "planner crashed", "planner hung", "planner or attack hung", "planner answered nonsense"
 ]  # fmt: skip
-Action = Literal["braked", "accelerated", "set off", "stood", "held speed", "steered"]
+Action = Literal[
+    "braked", "stopped", "accelerated", "set off", "stood", "held speed", "steered"
+]  # fmt: skip
 
 _ON_LANES: Final = {"crossing", "merging", "head-on", *ACROSS}
 """Conflicts of vehicles that keep to their lanes, unless one of them strays."""
@@ -35,6 +37,11 @@ _CHANGED_MPS: Final = 1.0
 """Less change of speed is holding it."""
 _STEERED_M: Final = 0.75
 """Farther from the middle of the lane than before is steering."""
+_SLOW_MPS: Final = 0.5
+_STOPPED_STEPS: Final = 10
+"""A vehicle that was slower than that for so long before the contact had stopped."""
+_LATE_S: Final = 1.0
+"""Braking that begins so long after the onset is late."""
 _LONG_M: Final = 6.5
 _HUNG: Final = ("did not answer", "TimeoutError")
 _CRASHED: Final = ("ended its process", "before it answered", "(see log.txt)")
@@ -52,6 +59,8 @@ class Failure:
         turned: which of the two turned, changed lanes, or drove ahead; empty where neither did.
         strayed: whether the opponent left its lane, where the AV did not and no lane is changed.
         action: of the AV, from the onset to the contact.
+        late: whether it braked, and began to do so more than 1 s after the onset.
+        braking_mps2: its hardest braking from the onset on, mean over 0.5 s.
         onset_s: from the first step at which the AV may react to the contact.
         grade: whether it could be avoided from there on (`avoidability.grading`); None: not known.
         delta_v_mps: severity.
@@ -69,6 +78,8 @@ class Failure:
     turned: Who = ""
     strayed: bool = False
     action: Action | None = None
+    late: bool = False
+    braking_mps2: float = 0.0
     onset_s: float | None = None
     grade: Grade | None = None
     delta_v_mps: float = 0.0
@@ -153,7 +164,9 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
         onset = onset_of(rollout, run.expected(), meeting.other, first, contact.step)
     turned = meeting.turned()
     strayed = meeting.type in _ON_LANES and meeting.strayed()
-    priority = _priority(run, rollout, meeting, turned) if not strayed else ""
+    judged = not strayed or bool(run.metric("red_light"))
+    priority = _priority(run, rollout, meeting, turned) if judged else ""
+    late, braking_mps2 = _braking(tracks, meeting.av, onset, contact.step, rollout.dt_s)
     grade = run.metric("avoidance_grade")
     return Failure(
         run=run,
@@ -164,6 +177,8 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
         turned=_joining(turned, meeting.type, priority),
         strayed=strayed,
         action=_action(tracks, meeting.av, onset, contact.step, road),
+        late=late,
+        braking_mps2=braking_mps2,
         onset_s=round((contact.step - onset) * rollout.dt_s, 3),
         grade=None if grade is None else GRADES[int(grade)],
         delta_v_mps=contact.delta_v_mps,
@@ -178,6 +193,9 @@ def _action(tracks: Tracks, av: int, onset: int, contact: int, road: RoadMap | N
     speed = tracks.speed_mps[av, onset : max(contact, onset + 1)]
     if speed.max() <= STANDING_MPS:
         return "stood"
+    last = tracks.speed_mps[av, max(contact - _STOPPED_STEPS, 0) : contact]
+    if speed.max() > _CHANGED_MPS and last.max(initial=0.0) <= _SLOW_MPS:
+        return "stopped"
     if road is not None and _steers(tracks, av, onset, contact, road):
         return "steered"
     if speed.max() - speed[-1] > _CHANGED_MPS:
@@ -185,6 +203,18 @@ def _action(tracks: Tracks, av: int, onset: int, contact: int, road: RoadMap | N
     if speed[0] <= STANDING_MPS:
         return "set off"
     return "accelerated" if speed[-1] - speed[0] > _CHANGED_MPS else "held speed"
+
+
+def _braking(tracks: Tracks, av: int, onset: int, contact: int, dt_s: float) -> tuple[bool, float]:
+    """Whether the AV began to brake late, and its hardest braking, m/s2, from the onset on."""
+    speed = tracks.speed_mps[av, onset : max(contact, onset + 1)]
+    apart = min(round(0.5 / dt_s), len(speed) - 1)
+    if not apart:
+        return False, 0.0
+    lost = (speed[:-apart] - speed[apart:]) / (apart * dt_s)
+    slower = np.flatnonzero(lost > _CHANGED_MPS)
+    late = len(slower) > 0 and slower[0] * dt_s > _LATE_S
+    return bool(late), max(0.0, float(lost.max()))
 
 
 def _steers(tracks: Tracks, row: int, first: int, last: int, road: RoadMap) -> bool:

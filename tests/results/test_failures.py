@@ -165,6 +165,10 @@ def test_a_vehicle_that_evades_has_not_moved_over():
     assert (pair.type, pair.turned()) == ("lane change", "opponent")
 
 
+def braking():
+    return straight(0, 0, 10, steps=51, accel=-4.0)
+
+
 @pytest.mark.parametrize(
     ("path", "action"),
     [
@@ -172,6 +176,7 @@ def test_a_vehicle_that_evades_has_not_moved_over():
         (straight(0, 0, 10, steps=51, accel=-2.0), "braked"),
         (straight(0, 0, 10, steps=51, accel=2.0), "accelerated"),
         (straight(0, 0, 0, steps=51), "stood"),
+        (braking()[np.minimum(np.arange(51), 33)], "stopped"),
         (np.where(np.arange(51)[:, None] < 45, 0, straight(0, 0, 1, steps=51, now=44)), "set off"),
         (shifting(40, 0, 10, -2.0), "steered"),
     ],
@@ -300,23 +305,34 @@ def sentence(**more):
 
 def test_the_sentence_is_that_of_an_engineer():
     assert sentence(conflict="left turn across path", turned="AV", onset_s=2.1, side="ahead") == (
-        "The AV turned left in front of an oncoming car 2.1 s before the hit; a careful driver"
-        " would have waited."
+        "The AV turned left in front of an oncoming car. The danger showed 2.1 s before the hit; a"
+        " careful driver would have waited."
     )
     assert sentence(priority="AV", grade="B") == (
-        "A car from the left without priority crossed in front of the AV 2.0 s before the hit, and"
-        " the AV held its speed; only braking or steering at once would have avoided it."
+        "A car from the left without priority crossed in front of the AV, and the AV held its"
+        " speed. The danger showed 2.0 s before the hit; only braking or steering at once would"
+        " have avoided it."
     )
     assert sentence(
-        conflict="rear-end", turned="AV", side="behind", action="braked", grade="A"
-    ) == ("A car behind ran into the AV, which braked; no driver could have avoided it.")
+        conflict="rear-end", turned="AV", side="behind", action="braked", braking_mps2=3.2,
+        late=True, onset_s=None, grade="A",
+    ) == (
+        "A car behind ran into the AV, which braked late with up to 3 m/s2; no driver could have"
+        " avoided it."
+    )  # fmt: skip
     turning = {"conflict": "left turn across path", "turned": "AV", "side": "ahead"}
     assert sentence(**turning, action="stood", grade="A") == (
-        "The AV waited to turn left, and an oncoming car came into its way 2.0 s before the hit;"
-        " no driver could have avoided it."
+        "The AV waited to turn left, and an oncoming car came into its way. The danger showed 2.0 s"
+        " before the hit; no driver could have avoided it."
+    )
+    assert sentence(**turning, action="stopped").startswith(
+        "The AV turned left in front of an oncoming car and stopped. The danger"
+    )
+    assert sentence(**turning, strayed=True).startswith(
+        "The AV turned left, and an oncoming car left its lane and came into its way."
     )
     assert sentence(conflict="crossing", strayed=True).startswith(
-        "A car from the left left its lane and came into the way of the AV 2.0 s before the hit,"
+        "A car from the left left its lane and came into the way of the AV, and the AV held"
     )
     assert sentence(grade="A", ran_red=True).endswith(" avoided it. The car ran a red light.")
 
