@@ -390,7 +390,7 @@ def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
         console.print(escape(line), soft_wrap=True)
     console.print(_filled(comparison.DIFFERENCE_HEADINGS, comparison.differences(compared)))
     if compared.origins:
-        shown = comparison.origins(compared.origins)
+        shown = comparison.origins(compared)
         console.print(_filled(comparison.ORIGIN_HEADINGS, shown[:_MOST]))
         if len(shown) > _MOST:
             console.print(f"and {len(shown) - _MOST} more with --out")

@@ -28,7 +28,7 @@ def test_a_map_is_written_and_its_worst_places_shown(out, capsys):
 def test_two_results_side_by_side(out, tmp_path, capsys):
     assert main._run(["compare", str(out), str(out), "--out", str(tmp_path / "both")]) == 0
     told = capsys.readouterr().out
-    assert "1 pairs of the same moment and seed" in told
+    assert "1 pair of the same moment and seed" in told
     assert "+0 (1 pair)" in told
     assert "cannot tell; at least 9 attacked moments would" in told
     assert "same" not in told.replace("same moment", "")

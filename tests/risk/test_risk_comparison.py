@@ -80,7 +80,7 @@ def test_a_wide_interval_says_nothing():
     for name, change in {"wide": wild, "tiny": 0.01 * np.sign(wild), "none": 0 * wild}.items():
         sides = (side({"min_gap_m": calm}), side({"min_gap_m": calm + change}))
         [found, leaning] = comparison.differences(*sides, ("min_gap_m",), 0.95)
-        told[name] = files._state(found)
+        told[name] = files._state(found, "attacked moment")
         if name == "wide":
             assert found.state == "cannot tell"
             assert found.needed > 24
@@ -89,7 +89,7 @@ def test_a_wide_interval_says_nothing():
         "tiny": "at most 0.05 m apart",
         "none": "at most 0.05 m apart",
     }
-    assert files._state(leaning) == "equal in these runs"
+    assert files._state(leaning, "attacked moment") == "equal in these runs"
 
 
 def test_a_mean_of_zero_says_how_many_would_show_that_it_is_small():
@@ -99,13 +99,15 @@ def test_a_mean_of_zero_says_how_many_would_show_that_it_is_small():
     assert found.found.difference.mean == pytest.approx(0.0, abs=1e-9)
     half = found.found.difference.high
     assert found.needed == pytest.approx(24 * (half / 0.05) ** 2, rel=0.1)
-    assert files._state(leaning) == "cannot tell"  # half of the pairs on each side stay a half
+    assert (
+        files._state(leaning, "attacked moment") == "cannot tell"
+    )  # half of the pairs on each side stay a half
 
 
 def test_too_few_pairs_are_told_with_how_many_are_needed():
     few = side({"min_gap_m": [1.0, 2.0, 3.0]})
     found = comparison.differences(few, few, ("min_gap_m",), 0.95)
-    assert [files._state(one) for one in found] == [
+    assert [files._state(one, "attacked moment") for one in found] == [
         "cannot tell; at least 7 attacked moments would"
     ] * 2
 

@@ -1,13 +1,12 @@
 """Two results side by side -> tables of text, CSV and Markdown."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.gate.verdict import difference, figure, units
-from deepmf_sumo.report.table import SECTORS
+from deepmf_sumo.gate.verdict import difference, figure
+from deepmf_sumo.report.table import SECTORS, counted
 from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.risk.comparison import Change, Compared
 from deepmf_sumo.risk.origins import Origin
@@ -36,7 +35,7 @@ def markdown(compared: Compared, names: tuple[str, str]) -> str:
     lines = ["## deepmf-sumo compare", "", *(f"{line}  " for line in heading(compared, names)), ""]
     lines += tables.to_markdown(DIFFERENCE_HEADINGS, differences(compared))
     if compared.origins:
-        lines += ["", *tables.to_markdown(ORIGIN_HEADINGS, origins(compared.origins))]
+        lines += ["", *tables.to_markdown(ORIGIN_HEADINGS, origins(compared))]
     lines += [f"\n{note}." for note in compared.notes]
     return "\n".join(lines) + "\n"
 
@@ -44,10 +43,10 @@ def markdown(compared: Compared, names: tuple[str, str]) -> str:
 def heading(compared: Compared, sides: tuple[str, str]) -> list[str]:
     """Which is A, which is B, and what is different on purpose: names of equal values together."""
     lines = [
-        f"{letter}: {name}, {runs} runs"
+        f"{letter}: {name}, {counted(runs, 'run')}"
         for letter, name, runs in zip("AB", sides, compared.runs, strict=True)
     ]
-    lines.append(f"{compared.pairs} pairs of the same moment and seed")
+    lines.append(f"{counted(compared.pairs, 'pair')} of the same moment and seed")
     alike: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
     for name, values in compared.differs.items():
         alike.setdefault(values, []).append(name)
@@ -65,45 +64,50 @@ def differences(compared: Compared) -> list[tuple[str, ...]]:
             one.quantity,
             *(_figure(end, one.unit) for end in (one.found.old, one.found.new)),
             difference(one.found),
-            _state(one),
+            _state(one, _unit(compared)),
         )
         for one in compared.differences
     ]
 
 
-def _state(one: Change) -> str:
+def _unit(compared: Compared) -> str:
+    """What the runs of both sides are independent by; of one unit alone it is not known."""
+    several = [one.found.specs for one in compared.differences if one.found.units > 1]
+    return "spec" if several and all(several) else "attacked moment"
+
+
+def _state(one: Change, unit: str) -> str:
     """What the interval says: the margin that it lies in, or how many would tell."""
     if one.state == "within margin":
         return f"at most {figure(one.margin, one.unit)} apart" if one.margin else _EQUAL
-    return _undecided(one) if one.state == "cannot tell" else one.state
+    return _undecided(one, unit) if one.state == "cannot tell" else one.state
 
 
-def _undecided(one: Change | Origin) -> str:
+def _undecided(one: Change | Origin, unit: str) -> str:
     """With about how many attacks would decide, where that can be told."""
     if not one.needed:
         return "cannot tell"
     least = "at least" if one.found.units < one.found.fewest else "about"
-    what = units(one.found, one.needed) if one.found.specs else f"{one.needed} attacked moments"
-    return f"cannot tell; {least} {what} would"
+    return f"cannot tell; {least} {counted(one.needed, unit)} would"
 
 
-def origins(table: Iterable[Origin]) -> list[tuple[str, ...]]:
+def origins(compared: Compared) -> list[tuple[str, ...]]:
     """Cells of the table of origins."""
     return [
         (
             f"{one.dimension}: {_value(one)}",
             *(f"{hits} of {runs}" for hits, runs in zip(one.hits, one.runs, strict=True)),
             _shift(one.found),
-            _origin_state(one),
+            _origin_state(one, _unit(compared)),
         )
-        for one in table
+        for one in compared.origins
     ]
 
 
-def _origin_state(one: Origin) -> str:
+def _origin_state(one: Origin, unit: str) -> str:
     if one.state == "within margin":
         return _EQUAL
-    return _undecided(one) if one.state == "cannot tell" else one.state
+    return _undecided(one, unit) if one.state == "cannot tell" else one.state
 
 
 def _value(one: Origin) -> str:
