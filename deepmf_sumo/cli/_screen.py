@@ -413,17 +413,26 @@ def _cells(row: PlaceRow) -> tuple[str, ...]:
         str(row.attacks),
         str(row.events["hit"]),
         f"{row.events['avoidable']} of {row.judged}",
-        "-" if row.ttc_s is None else f"{row.ttc_s:.1f} s",
+        _ttc(row.ttc_s),
         speed or "-",
         f"{100 * risk.rate:.0f} % ({100 * risk.low:.0f} to {100 * risk.high:.0f} %)",
     )
 
 
 def _kind_cells(row: TypeRow) -> tuple[str, ...]:
-    seconds = ("-" if one is None else f"{one:.1f} s" for one in (row.least_ttc_s, row.least_pet_s))
+    pet = "-" if row.least_pet_s is None else f"{row.least_pet_s:.1f} s"
     speed = "-" if row.delta_v_mps is None else f"{row.delta_v_mps:.1f} m/s"
     avoidable = f"{row.avoidable} of {row.judged}"
-    return row.kind, str(row.attacks), str(row.hits), avoidable, *seconds, speed
+    return row.kind, str(row.attacks), str(row.hits), avoidable, _ttc(row.least_ttc_s), pet, speed
+
+
+def _ttc(value_s: float | None) -> str:
+    """Beyond the ceiling of the quantity ``ttc_s`` a TTC says nothing."""
+    from deepmf_sumo.results.quantities import TTC_CEILING_S
+
+    if value_s is None:
+        return "-"
+    return f"{value_s:.1f} s" if value_s <= TTC_CEILING_S else f"over {TTC_CEILING_S:g} s"
 
 
 _ENDS: Final = {

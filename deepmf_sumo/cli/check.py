@@ -18,7 +18,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.argument("out", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option(
     "--thresholds", "-t", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Judge by this YAML file.  [default: no run may fail; what the baseline is compared by]",
+    help="Judge by this YAML file.  [default with --baseline: no run may fail]",
 )  # fmt: skip
 @click.option(
     "--baseline", type=click.Path(exists=True, path_type=Path),

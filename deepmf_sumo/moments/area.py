@@ -98,7 +98,7 @@ def _known(option: str, kind: str, names: Sequence[str], known: Sequence[str]) -
             near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or sorted(known)[:3]
             raise UsageError(
                 f"{option} {name}: no such {kind} is in the network; there are"
-                f" {', '.join(near)}{', ...' if len(known) > len(near) else ''}."
+                f" {', '.join(near)}{' and others' * (len(known) > len(near))}."
             )
 
 

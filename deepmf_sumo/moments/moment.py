@@ -309,7 +309,7 @@ def _check(sightings: Sightings, wish: Wish) -> None:
             nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[:3]
             raise UsageError(
                 f"{wish.named(key)} {name}: no such {kind} is on the road {span}{later}; there are"
-                f" {', '.join(nearest)}{', ...' if len(known) > len(nearest) else ''}."
+                f" {', '.join(nearest)}{' and others' * (len(known) > len(nearest))}."
             )
 
 
