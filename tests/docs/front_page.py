@@ -53,7 +53,7 @@ MOMENTS = 120
 
 SIDE_IN, DPI = 6.4, 100
 TITLE_IN = 0.5
-MARGIN_M, NEAR_M, SMALL = 20.0, 120.0, 0.27
+MARGIN_M, NEAR_M, SMALL = 20.0, 240.0, 0.27
 SCALE_M = 20.0
 STEP_MS, HOLD_MS = 120, 2600
 BACKGROUND = "#ffffff"
@@ -214,20 +214,25 @@ def worst(risk: Path, kinds: set[str]) -> list[dict[str, str]]:
 
 
 def risk_map(results: Results, path: Path) -> None:
-    """The worst junction, the whole network, and the worst places by name."""
+    """The worst places, the whole network, and their names."""
     risk = results.folders[0] / "risk"
     road, drawn = results.runs[0].road()[0], risk / "polygons.add.xml"
-    first = worst(risk, {"junction"})[0]["place"]
-    _, outline = polygons(drawn, {"junction"})[f"risk.junction.{first}.0"]
     lanes = np.concatenate([lane.centre_m for lane in road.lanes.values()])
     (x0, y0), (x1, y1) = lanes.min(axis=0) - MARGIN_M, lanes.max(axis=0) + MARGIN_M
-    near, whole = square(outline.mean(axis=0), NEAR_M), Window(x0=x0, x1=x1, y0=y0, y1=y1)
+    found = polygons(drawn, {"movement", "edge"})
+    colours, corners = zip(*found.values(), strict=True)
+    names = tuple(
+        f"risk.{one['kind']}.{one['place']}." for one in worst(risk, {"movement", "edge"})[:WORST]
+    )
+    there = np.concatenate([shape for name, (_, shape) in found.items() if name.startswith(names)])
+    begin, end = there.min(axis=0), there.max(axis=0)
+    side_m = min(float((end - begin).max()) + MARGIN_M, NEAR_M)
+    near, whole = square((begin + end) / 2, side_m), Window(x0=x0, x1=x1, y0=y0, y1=y1)
     figure, high = canvas(SIDE_IN, SIDE_IN + TITLE_IN), SIDE_IN + TITLE_IN
     axes = figure.add_axes((0, 0, 1, SIDE_IN / high))
     inset = figure.add_axes(
         (1 - SMALL, (1 - SMALL) * SIDE_IN / high, SMALL, SMALL * SIDE_IN / high)
     )
-    colours, corners = zip(*polygons(drawn, {"movement", "edge"}).values(), strict=True)
     for one, window, inches in ((axes, near, SIDE_IN), (inset, whole, SMALL * SIDE_IN)):
         ground(one, road, window, inches)
         one.add_collection(PolyCollection(corners, facecolors=colours, zorder=4))
