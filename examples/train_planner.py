@@ -252,6 +252,12 @@ def train(out: Path, steps: int, seed: int, jobs: int) -> None:
 
 def test(out: Path, jobs: int) -> int:
     """Run both drivers and the IDM without attacks and under attack; the last `compare`'s code."""
+    missing = [
+        name for name in ("held_out", "plain.npz", "attacked.npz") if not (out / name).exists()
+    ]
+    if missing:
+        print(f"{out} has no {', '.join(missing)}: record and train first", file=sys.stderr)
+        return 2
     spec = out / "test.yaml"
     spec.write_text(
         "version: 2\nname: test\nduration_s: 8.0\ntraffic: sumo\n"

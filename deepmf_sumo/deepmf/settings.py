@@ -60,7 +60,8 @@ class Settings(plugins.Settings):
     Attributes:
         form: ``paper`` is the method as published: one opponent, only the predictor's modes,
             reactions to all of them, Eq. 5 (or the text's pair), no comfort and no constraint; keys
-            that contradict it are refused. ``extended`` adds the extensions of the keys below.
+            that contradict it are refused. An opponent may be named (also ``labelled``).
+            ``extended`` adds the extensions of the keys below.
         version: the paper's name of a period: G (one plan), S4, S2, S1.
         period_s: seconds between plans, a multiple of 0.1; null plans once (G).
         opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
@@ -83,8 +84,8 @@ class Settings(plugins.Settings):
             most likely to meet the unattacked AV, then the likeliest. Null: all, as always with
             constraints, which may leave few, apart from ``no_rear_end``, ``on_road`` and
             ``with_traffic``.
-        reactions: modes of the AV (N2). The paper gives neither N1 nor N2; 16, and 6 with
-            ``form: paper``, as M2I, whose conditional predictor the paper follows.
+        reactions: modes of the AV (N2). The paper gives neither N1 nor N2; 16, and with
+            ``form: paper`` 6, the number of M2I, which also predicts one vehicle given another.
         av_driver: whose reactions are predicted: an automated ``planner``'s, or a ``human``'s;
             null follows the AV's planner (``human`` for ``replay``).
         conditional: False predicts the AV as if it knew nothing of the opponent's future, with the

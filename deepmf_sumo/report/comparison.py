@@ -74,8 +74,14 @@ class Group:
             "method": method if method != spec else "",
             "part of the plan": part if part != "main" else "",
             "planner": planner,
-            "attack": self._joined("adversary", "version"),
+            "attack": self._joined("adversary", "version") + self._form(),
         }
+
+    def _form(self) -> str:
+        """`` as published`` of DeepMF's ``form: paper``, by the first result."""
+        run = next((one for one in self.runs if one.has_result), None)
+        settings = {} if run is None else run.result["settings"]["adversary"] or {}
+        return " as published" if settings.get("form") == "paper" else ""
 
     def _joined(self, *names: str) -> str:
         return " ".join(filter(None, map(self.text, names)))

@@ -132,14 +132,14 @@ def test_names_and_directions_are_not_averaged():
 def test_readable_tables_say_where_intervals_are_too_narrow(folder):  # noqa: F811
     report.finish(folder, figures=False)
     text = (folder / "table.md").read_text()
-    assert "Bootstrapped from 3 scenes" in text
+    assert "Of 3 scenes intervals of differences are wide" in text
     assert "several seeds a scene" not in text
     values = json.loads((folder / layout.FILE).read_text())
     _change(folder, plan=values["plan"] | {"seeds": [0, 1]}, scenes=[f"{n}" for n in range(20)])
     report.finish(folder, figures=False)
     text = (folder / "table.md").read_text()
     assert "several seeds a scene" in text
-    assert "Bootstrapped from" not in text
+    assert "intervals of differences are wide" not in text
 
 
 def test_the_screen_does_not_drop_failures(folder, capsys):  # noqa: F811

@@ -68,8 +68,7 @@ def _cautions(layout: Layout) -> list[str]:
         )
     if len(layout.scenes) < _FEW_SCENES:
         lines.append(
-            f"Bootstrapped from {len(layout.scenes)} scenes, intervals of differences are too"
-            " narrow; of one scene there are none."
+            f"Of {len(layout.scenes)} scenes intervals of differences are wide, or there are none."
         )
     return lines
 
