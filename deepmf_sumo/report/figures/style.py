@@ -118,7 +118,7 @@ def method_look(number: int) -> dict[str, Any]:
     """Colour and marker of the plan's method of this number."""
     return {
         "color": COLOURS[number % len(COLOURS)],
-        "marker": MARKERS[number % len(MARKERS)],
+        "marker": MARKERS[(number + number // len(COLOURS)) % len(MARKERS)],
         "ms": 4.5,
         "mec": "black",
         "mew": 0.4,
