@@ -15,7 +15,9 @@ PLANS = [path for path in sorted(STUDIES.glob("*.yaml")) if plans.is_plan(path)]
 def test_each_method_goes_with_each_planner(path, monkeypatch, tmp_path):
     found = [readers.RecordRef(file=tmp_path, name="a", record=0)]
     monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
-    loaded = plans.load(path, [f'source.recording="{tmp_path}"', "weights=open"])
+    recorded = "source: {recording" in path.read_text("utf-8")
+    sets = [f'source.recording="{tmp_path}"'] * recorded
+    loaded = plans.load(path, [*sets, "weights=open"])
     rows = entries.entries_of(loaded, tmp_path)
     assert {row.label.planner for row in rows} == set(loaded.plan.planners)
     assert {row.label.base for row in rows} == set(loaded.plan.methods)
