@@ -213,7 +213,7 @@ def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
         return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
     others = ", only persons" if sightings.persons else ""
     if wish.again:
-        return f"there is no vehicle from {span}{others}: the moments may be of other traffic"
+        return f"there is no vehicle from {span}{others}: the moments are of other traffic"
     later = "" if sightings.complete else f"; {wish.later}"
     if isinstance(wish.from_s, float) and wish.from_s > 0:
         return f"there is no vehicle from {wish.from_s:g} s on{others}{later}; {wish.earlier}"

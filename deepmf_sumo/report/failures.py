@@ -127,7 +127,7 @@ def _happened(one: Failure) -> str:
 def _did(one: Failure) -> str:
     if one.action != "braked":
         return _DID[one.action or "held speed"]
-    return f"braked{' late' * one.late} with up to {one.braking_mps2:.0f} m/s2"
+    return f"braked{' late' * one.late} with up to {max(one.braking_mps2, 1.0):.0f} m/s2"
 
 
 def _left_its_lane(one: Failure) -> bool:

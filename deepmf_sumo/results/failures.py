@@ -39,9 +39,9 @@ _STEERED_M: Final = 0.75
 """Farther from the middle of the lane than before is steering."""
 _SLOW_MPS: Final = 0.5
 _STOPPED_STEPS: Final = 10
-"""A vehicle that was slower than that for so long before the contact had stopped."""
+"""A vehicle has stopped if it is never faster than 0.5 m/s in the last 10 steps."""
 _LATE_S: Final = 1.0
-"""Braking that begins so long after the onset is late."""
+"""Braking is late if it begins later than 1 s after the onset."""
 _LONG_M: Final = 6.5
 _HUNG: Final = ("did not answer", "TimeoutError")
 _CRASHED: Final = ("ended its process", "before it answered", "(see log.txt)")

@@ -320,6 +320,7 @@ def test_the_sentence_is_that_of_an_engineer():
         "A car behind ran into the AV, which braked late with up to 3 m/s2; no driver could have"
         " avoided it."
     )  # fmt: skip
+    assert "braked with up to 1 m/s2" in sentence(action="braked", braking_mps2=0.4)
     turning = {"conflict": "left turn across path", "turned": "AV", "side": "ahead"}
     assert sentence(**turning, action="stood", grade="A") == (
         "The AV waited to turn left, and an oncoming car came into its way. The danger showed 2.0 s"
