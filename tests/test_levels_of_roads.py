@@ -7,15 +7,22 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.adversaries import _open_loop as open_loop
+from deepmf_sumo.adversaries import diffscene
 from deepmf_sumo.adversaries._episodes import Motion
 from deepmf_sumo.avoidability.av_path import keeps_lane, route_ahead
-from deepmf_sumo.datatypes import DT_S, Lane, RoadMap, View
+from deepmf_sumo.datatypes import DT_S, Lane, Plan, RoadMap, View
+from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.lane_assignment import lanes_at
+from deepmf_sumo.deepmf.situation import Situation
+from deepmf_sumo.deepmf.tracking import Limits
+from deepmf_sumo.exporters.base import Exportable
+from deepmf_sumo.exporters.scene import scene_of
 from deepmf_sumo.geometry import road as roads
 from deepmf_sumo.network import matching
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.opponent import _pairs, surroundings
 from deepmf_sumo.predictors.routes import lane_routes, on_lanes, passes_over
+from deepmf_sumo.training.evaluation import forecasts
 
 from tests.support.predictor_doubles import straight_tracks
 from tests.support.rollout_doubles import case_of, rollout_of, straight
@@ -150,3 +157,83 @@ def test_gaps_of_made_attacks():
 
     assert least(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0)) == 0.0
     assert least(crossing(), (0.0, 8.0)) == pytest.approx(5.5)
+
+
+LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
+
+
+@pytest.mark.parametrize(("deck_m", "leaves"), [(0.0, True), (8.0, False)])
+def test_off_every_road_of_its_level_a_candidate_leaves_none(deck_m, leaves):
+    """A vehicle on a car-park deck above a road is off the road, now and later."""
+    view = view_of(crossing(), (0.0, deck_m))
+    tracks = view.history
+    place = tracks.position_m.copy()
+    place[1] = np.array([-60.0, 0.0]) + np.arange(tracks.steps)[:, None] * [1.0, 0.0]
+    view = replace(view, history=replace(tracks, position_m=place))
+    situation = Situation.of(view, "b", LIMITS)
+    turns_off = place[1, -1] + np.arange(1, 81)[None, :, None] * [0.0, 0.2]
+    assert candidates.off_road(situation, turns_off)[0, -1] == leaves
+
+
+def test_a_plan_continues_on_the_bridge_and_down_its_ramp():
+    """The opponent's plan goes on after the end of the episode, at the heights of the road."""
+    line = np.array([[-100.0, 30.0], [0.0, 30.0], [40.0, 30.0], [300.0, 30.0]])
+    deck = Lane(
+        id="deck", kind="street", centre_m=line, z_m=np.array([8.0, 8.0, 4.0, 4.0]), width_m=3.5
+    )
+    road = road_of(lane("below", (0, -100), (0, 100), 0.0), deck)
+    paths = {"av": straight(0, 0, 10, steps=41), "b": straight(-60, 30, 10, steps=41)}
+    driven = rollout_of(paths)
+    z_m = np.zeros(driven.tracks.z_m.shape)
+    z_m[driven.tracks.row("b")] = 8.7  # of its middle, as in recordings
+    start = driven.tracks.position_m[driven.tracks.row("b"), 10]
+    ahead = start + np.arange(1, 81)[:, None] * [1.0, 0.0]
+    plan = Plan(
+        agent_id="b", first_step=11, position_m=ahead, heading_rad=np.zeros(80),
+        speed_mps=np.full(80, 10.0),
+    )  # fmt: skip
+    driven = replace(driven, tracks=replace(driven.tracks, z_m=z_m), plans=(plan,))
+    case = replace(case_of(), duration_steps=80, road=road)
+    written = scene_of(Exportable.of(driven, case)).tracks
+    row = written.row("b")
+    expected = np.interp(written.position_m[row, 41:, 0], line[:, 0], deck.z_m) + 0.7
+    np.testing.assert_allclose(written.z_m[row, 41:], expected, atol=0.1)
+
+
+def test_a_forecast_over_the_bridge_meets_nothing_below_and_stays_on_its_road():
+    ahead = np.array([0.0, -40.0]) + np.arange(1, 81)[:, None] * [0.0, 1.0]
+    north = np.full((1, 80), np.pi / 2)
+    crosses = np.array([-40.0, 0.0]) + np.arange(1, 81)[:, None] * [1.0, 0.0]
+    motion = {"av": straight(-40, 0, 10), "b": straight(0, -40, 10, heading=np.pi / 2)}
+    for heights, meets in (((0.0, 8.0), False), ((0.0, 0.0), True)):
+        view = view_of(crossing({"below": 0.0, "above": heights[1]}), heights)
+        tracks = rollout_of(motion).tracks
+        z_m = np.repeat(np.array(heights)[:, None], tracks.steps, axis=1)
+        scene = SimpleNamespace(tracks=replace(tracks, z_m=z_m))
+        target = SimpleNamespace(scene=scene, view=view, agent_id="b", row=1)
+        first = forecasts.first_overlap(target, ahead[None], north)
+        assert (first[0] != forecasts.NEVER) == meets
+    # along the road below, from the deck on: no road of its level is there
+    target.view = view_of(crossing(), (0.0, 8.0))
+    assert forecasts.first_off_road(target, ahead[None])[0] == forecasts.NEVER
+    assert forecasts.first_off_road(target, crosses[None])[0] != forecasts.NEVER
+
+
+def test_under_a_bridge_a_candidate_of_diffscene_touches_nothing():
+    steps = np.arange(1, 81)[:, None]
+    own = np.array([0.0, -40.0]) + steps * [0.0, 1.0]
+    motion = {
+        "av": straight(-300, 0, 10),
+        "b": straight(0, -40, 10, heading=np.pi / 2),
+        "c": straight(-40, 0, 10),
+    }
+    tracked = SimpleNamespace(position_m=own[None], heading_rad=np.full((1, 80), np.pi / 2))
+    for deck_m, first in ((8.0, 81), (0.0, None)):
+        rollout = rollout_of(motion)
+        z_m = np.zeros(rollout.tracks.z_m.shape)
+        z_m[rollout.tracks.row("b")] = deck_m
+        rollout = replace(rollout, tracks=replace(rollout.tracks, z_m=z_m))
+        view = view_of(crossing({"below": 0.0, "above": deck_m}), (0.0, deck_m))
+        scouted = SimpleNamespace(view=view, rollout=rollout, opponent_id="b")
+        found = diffscene._first_other(scouted, tracked)[0]
+        assert found == first if first else found < 81

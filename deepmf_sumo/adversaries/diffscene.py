@@ -40,9 +40,10 @@ from deepmf_sumo.adversaries._episodes import (
 from deepmf_sumo.adversaries._open_loop import Aimed, AimedSettings, attack_in_rounds
 from deepmf_sumo.adversaries.base import Simulate
 from deepmf_sumo.datatypes import FUTURE_STEPS, Attack, Bools, Budget, Case, Floats, Ints
-from deepmf_sumo.deepmf.situation import footprint
+from deepmf_sumo.deepmf.situation import Levels, footprint
 from deepmf_sumo.deepmf.tracking import Start, Tracked, track
 from deepmf_sumo.geometry import boxes, frames
+from deepmf_sumo.geometry.ground import clear
 
 if TYPE_CHECKING:
     from deepmf_sumo.adversaries._diffscene_guidance import Guide
@@ -178,6 +179,8 @@ def _first_other(scouted: Scouted, tracked: Tracked) -> Ints:
     size = footprint(view, scouted.opponent_id)
     steps = tracked.position_m.shape[1]
     touching = np.zeros(tracked.heading_rad.shape, bool)
+    levels = Levels.of(view, scouted.opponent_id)
+    own_z_m = None if levels is None else levels.opponent_z_m(tracked.position_m)
     for row, name in enumerate(rollout.tracks.ids):
         if name in {scouted.opponent_id, rollout.av_id}:
             continue
@@ -186,6 +189,9 @@ def _first_other(scouted: Scouted, tracked: Tracked) -> Ints:
             tracked.position_m, tracked.heading_rad, size, other.position_m, other.heading_rad,
             rollout.tracks.size_m[row, :2],
         ) & other.valid  # fmt: skip
+        if own_z_m is not None:
+            z_m = rollout.tracks.z_m[row, rollout.now + 1 :][:steps]
+            hit[:, : len(z_m)] &= ~clear(own_z_m[:, : len(z_m)], z_m)
         # Recorded boxes sometimes overlap already; the attack does not cause that.
         touching |= hit & ~hit[:, :1]
     return _first(touching)

@@ -148,7 +148,8 @@ def off_road(situation: Situation, position_m: Floats) -> Bools:
     levels, net = situation.levels, situation.view.road
     z_m = None if levels is None else levels.opponent_z_m(position_m).reshape(-1)
     inside = road.on_road(net, position_m.reshape(-1, 2), z_m).reshape(position_m.shape[:2])
-    start = road.on_road(net, situation.start.position_m[None])
+    now_z_m = None if levels is None else levels.opponent[2:]
+    start = road.on_road(net, situation.start.position_m[None], now_z_m)
     return ~inside & (start | np.maximum.accumulate(inside, axis=1))
 
 

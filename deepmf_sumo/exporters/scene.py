@@ -10,9 +10,10 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Rollout, Scene, Signals, Tracks, frozen
+from deepmf_sumo.datatypes import RoadMap, Rollout, Scene, Signals, Tracks, frozen
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.readers import npz
 
 FILE: Final = "scene.npz"
@@ -37,7 +38,8 @@ def scene_of(run: Exportable) -> Scene:
     """
     rollout, around = run.rollout, run.around
     steps = max(rollout.tracks.steps, rollout.now + 1 + run.duration_steps)
-    tracks = _with_plan(rollout.tracks.padded(steps - rollout.tracks.steps), rollout)
+    tracks = rollout.tracks.padded(steps - rollout.tracks.steps)
+    tracks = _with_plan(tracks, rollout, around.road)
     interest = (rollout.av_id, rollout.opponent_id) if rollout.opponent_id else ()
     known = around.signals
     signals = _unknown(steps) if known is None else _continued(known, steps)
@@ -55,8 +57,8 @@ def scene_of(run: Exportable) -> Scene:
     )
 
 
-def _with_plan(tracks: Tracks, rollout: Rollout) -> Tracks:
-    """The opponent's last plan after the end of the episode."""
+def _with_plan(tracks: Tracks, rollout: Rollout, road: RoadMap) -> Tracks:
+    """The opponent's last plan after the end of the episode, at the heights of the road."""
     if not rollout.plans or rollout.opponent_id not in tracks.ids:
         return tracks
     plan, row, begin = rollout.plans[-1], tracks.row(str(rollout.opponent_id)), rollout.tracks.steps
@@ -64,6 +66,9 @@ def _with_plan(tracks: Tracks, rollout: Rollout) -> Tracks:
     if stop <= begin:
         return tracks
     of_plan = slice(begin - plan.first_step, stop - plan.first_step)
+    way = np.concatenate([tracks.position_m[row, begin - 1 : begin], plan.position_m[of_plan]])
+    z_m = tracks.z_m.copy()
+    z_m[row, begin:stop] = ground_of(road).follow(way[None], z_m[row, begin - 1 : begin])[0, 1:]
     position, heading = tracks.position_m.copy(), tracks.heading_rad.copy()
     velocity, valid = tracks.velocity_mps.copy(), tracks.valid.copy()
     heading_plan, speed = plan.heading_rad[of_plan], plan.speed_mps[of_plan]
@@ -72,7 +77,12 @@ def _with_plan(tracks: Tracks, rollout: Rollout) -> Tracks:
     velocity[row, begin:stop] = speed[:, None] * frames.unit(heading_plan)
     valid[row, begin:stop] = True
     return replace(
-        tracks, position_m=position, heading_rad=heading, velocity_mps=velocity, valid=valid
+        tracks,
+        position_m=position,
+        z_m=z_m,
+        heading_rad=heading,
+        velocity_mps=velocity,
+        valid=valid,
     )
 
 

@@ -20,7 +20,7 @@ class Planner(Protocol):
         ...
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
-        """Start of an episode."""
+        """Start of an episode; ``rng`` begins with the case's seed."""
         ...
 
     def act(self, view: View) -> Command:

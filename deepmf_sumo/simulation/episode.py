@@ -48,7 +48,8 @@ def simulate(
         case: the AV, the start, the duration, and what drives the other agents.
         planner: drives the AV.
         policy: drives an opponent of its choice, or several in turn; None: no attack.
-        rng: for planner and policy; the seed of SUMO is the case's.
+        rng: for the policy. SUMO and the planner have the case's seed, in the process and outside,
+            so a planner's random numbers do not depend on the attack.
         gui: show the episode in sumo-gui.
         backend: how SUMO is run; None: libsumo, or sumo-gui if ``gui``, or no SUMO at all if
             nothing would react to the opponent (`log_only`).
@@ -57,7 +58,7 @@ def simulate(
     if the planner fails.
     """
     with closing(Guard(planner)) as guarded:
-        guarded.reset(case, rng)
+        guarded.reset(case, np.random.default_rng(case.seed))
         if (
             backend is None
             and not gui

@@ -4,6 +4,7 @@ import codecs
 import json
 import os
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from deepmf_sumo.datatypes import (
     Command,
     Lane,
     Neighbour,
+    Polygon,
     Polyline,
     RecordedCase,
     RoadMap,
@@ -86,7 +88,7 @@ class RemotePlanner:
         return self._model
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
-        """Connect and start the episode. Its seed is the case's: ``rng`` serves the adversary."""
+        """Connect and start the episode; its random numbers begin with the case's seed."""
         self.close()
         self._connection = self._connect()
         self._episode = episode_of(case)
@@ -175,38 +177,52 @@ def _agents(view: View, history_steps: int) -> list[dict[str, Any]]:
 def _road(road: RoadMap) -> dict[str, Any]:
     return {
         "lanes": [_lane(lane) for lane in road.lanes.values()],
-        "lines": _lines(road.lines),
-        "edges": _lines(road.edges),
-        "areas": [
-            {"id": one.id, "kind": one.kind, "points_m": one.points_m.tolist()}
-            for one in road.polygons
-        ],
+        "lines": [_drawn(line) for line in road.lines],
+        "edges": [_drawn(edge) for edge in road.edges],
+        "areas": [_drawn(area) for area in road.polygons],
         "stop_signs": [
-            {"id": one.id, "position_m": one.position_m.tolist(), "lane_ids": list(one.lane_ids)}
+            {
+                "id": one.id,
+                "position_m": one.position_m.tolist(),
+                "z_m": one.z_m,
+                "lane_ids": list(one.lane_ids),
+            }
             for one in road.stop_signs
         ],
     }
 
 
 def _lane(lane: Lane) -> dict[str, Any]:
-    def beside(neighbours: Iterable[Neighbour]) -> list[str]:
+    def ids(neighbours: Iterable[Neighbour]) -> list[str]:
         return list(dict.fromkeys(one.lane_id for one in neighbours))
 
     return {
         "id": lane.id,
         "kind": lane.kind,
         "centre_m": lane.centre_m.tolist(),
+        "z_m": lane.z_m.tolist(),
+        "interpolating": lane.interpolating,
         "width_m": lane.width_m,
         "speed_limit_mps": lane.speed_limit_mps,
         "next": list(lane.next),
         "previous": list(lane.previous),
-        "left": beside(lane.left),
-        "right": beside(lane.right),
+        "left": ids(lane.left),
+        "right": ids(lane.right),
+        "left_beside": [asdict(one) for one in lane.left],
+        "right_beside": [asdict(one) for one in lane.right],
+        "left_boundaries": [asdict(one) for one in lane.left_boundaries],
+        "right_boundaries": [asdict(one) for one in lane.right_boundaries],
+        "gives_way_to": list(lane.gives_way_to),
     }
 
 
-def _lines(lines: Iterable[Polyline]) -> list[dict[str, Any]]:
-    return [{"id": one.id, "kind": one.kind, "points_m": one.points_m.tolist()} for one in lines]
+def _drawn(one: Polyline | Polygon) -> dict[str, Any]:
+    return {
+        "id": one.id,
+        "kind": one.kind,
+        "points_m": one.points_m.tolist(),
+        "z_m": one.z_m.tolist(),
+    }
 
 
 _NOT_AN_OBJECT: Final = {"dict_type", "model_type"}

@@ -113,18 +113,53 @@ NUMBERS: Final[dict[str, tuple[str, ...]]] = {
 Points = list[list[float]]
 
 
+class BesideMessage(Message):
+    """Where a lane runs beside another: first and last row of both centre lines."""
+
+    lane_id: str
+    self_start: int
+    self_end: int
+    other_start: int
+    other_end: int
+
+
+class BoundaryMessage(Message):
+    """The line that bounds a lane between two rows of its centre line, and its kind."""
+
+    start: int
+    end: int
+    feature_id: str
+    kind: int
+
+
 class LaneMessage(Message):
-    """A lane: (P, 2) centre line in driving direction, ids of lanes after, before and beside it."""
+    """A lane, as `datatypes.Lane` has it.
+
+    Attributes:
+        centre_m: (P, 2) centre line in driving direction. z_m: (P) its heights.
+        interpolating: it connects two other lanes, typically inside a junction.
+        next, previous: ids of the lanes after and before it.
+        left, right: ids of the lanes beside it in the same direction.
+        left_beside, right_beside: the same, with where they are beside it.
+        gives_way_to: ids of lanes inside the junction that have priority.
+    """
 
     id: str
     kind: Literal["unknown", "freeway", "street", "bike"]
     centre_m: Points
+    z_m: list[float]
+    interpolating: bool
     width_m: float | None
     speed_limit_mps: float | None
     next: list[str]
     previous: list[str]
     left: list[str]
     right: list[str]
+    left_beside: list[BesideMessage]
+    right_beside: list[BesideMessage]
+    left_boundaries: list[BoundaryMessage]
+    right_boundaries: list[BoundaryMessage]
+    gives_way_to: list[str]
 
 
 class LineMessage(Message):
@@ -133,6 +168,7 @@ class LineMessage(Message):
     id: str
     kind: int
     points_m: Points
+    z_m: list[float]
 
 
 class AreaMessage(Message):
@@ -141,6 +177,7 @@ class AreaMessage(Message):
     id: str
     kind: Literal["crosswalk", "speed_bump", "driveway"]
     points_m: Points
+    z_m: list[float]
 
 
 class StopSignMessage(Message):
@@ -148,6 +185,7 @@ class StopSignMessage(Message):
 
     id: str
     position_m: list[float]
+    z_m: float
     lane_ids: list[str]
 
 

@@ -22,10 +22,12 @@ from pydantic import ValidationError
 
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import (
+    Boundary,
     Case,
     Command,
     Floats,
     Lane,
+    Neighbour,
     Polygon,
     Polyline,
     RecordedCase,
@@ -47,6 +49,8 @@ from deepmf_sumo.planners.remote.protocol import (
     NUMBERS,
     PROTOCOL,
     QUESTION,
+    BesideMessage,
+    BoundaryMessage,
     LaneMessage,
     LineMessage,
     Points,
@@ -227,16 +231,14 @@ def _road(message: RoadMessage | None) -> RoadMap:
         lines=tuple(_line(one) for one in message.lines),
         edges=tuple(_line(one) for one in message.edges),
         polygons=tuple(
-            Polygon(
-                id=one.id, kind=one.kind, points_m=_points(one.points_m), z_m=_flat(one.points_m)
-            )
+            Polygon(id=one.id, kind=one.kind, points_m=_points(one.points_m), z_m=np.array(one.z_m))
             for one in message.areas
         ),
         stop_signs=tuple(
             StopSign(
                 id=one.id,
                 position_m=np.array(one.position_m),
-                z_m=0.0,
+                z_m=one.z_m,
                 lane_ids=tuple(one.lane_ids),
             )
             for one in message.stop_signs
@@ -245,15 +247,27 @@ def _road(message: RoadMessage | None) -> RoadMap:
 
 
 def _lane(message: LaneMessage) -> Lane:
+    def beside(those: list[BesideMessage]) -> tuple[Neighbour, ...]:
+        return tuple(Neighbour(**one.model_dump()) for one in those)
+
+    def boundaries(those: list[BoundaryMessage]) -> tuple[Boundary, ...]:
+        return tuple(Boundary(**one.model_dump()) for one in those)
+
     return Lane(
         id=message.id,
         kind=message.kind,
         centre_m=_points(message.centre_m),
-        z_m=_flat(message.centre_m),
+        z_m=np.array(message.z_m),
+        interpolating=message.interpolating,
         width_m=message.width_m,
         speed_limit_mps=message.speed_limit_mps,
         next=tuple(message.next),
         previous=tuple(message.previous),
+        left=beside(message.left_beside),
+        right=beside(message.right_beside),
+        left_boundaries=boundaries(message.left_boundaries),
+        right_boundaries=boundaries(message.right_boundaries),
+        gives_way_to=tuple(message.gives_way_to),
     )
 
 
@@ -262,16 +276,12 @@ def _line(message: LineMessage) -> Polyline:
         id=message.id,
         kind=message.kind,
         points_m=_points(message.points_m),
-        z_m=_flat(message.points_m),
+        z_m=np.array(message.z_m),
     )
 
 
 def _points(points_m: Points) -> Floats:
     return np.array(points_m, float).reshape(-1, 2)
-
-
-def _flat(points_m: Points) -> Floats:
-    return np.zeros(len(points_m))
 
 
 def _lone_av(message: Reset) -> Scene:

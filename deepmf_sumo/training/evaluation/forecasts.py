@@ -18,6 +18,7 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.geometry import boxes, road
+from deepmf_sumo.geometry.ground import clear, ground_of
 from deepmf_sumo.training.evaluation.measures import HORIZONS, Measured, nearest_modes
 from deepmf_sumo.training.evaluation.table import NETWORK, Samples
 from deepmf_sumo.training.samples import windows
@@ -109,6 +110,10 @@ def first_overlap(target: Target, position_m: Floats, heading_rad: Floats) -> In
         tracks.heading_rad[others, now + 1 : stop][agent, step],
         size[others][agent],
     )
+    heights = _heights_m(target, position_m[:, :steps])
+    if heights is not None:
+        others_m = tracks.z_m[others, now + 1 : stop]
+        hit &= ~clear(heights[mode, step], others_m[agent, step])
     first = np.full(len(position_m), NEVER)
     np.minimum.at(first, mode[hit], step[hit])
     return first
@@ -120,8 +125,23 @@ def first_off_road(target: Target, position_m: Floats) -> Ints:
     positions = position_m[:, steps]  # (M, 16, 2)
     known: Bools = np.isfinite(positions[..., 0])
     off = np.zeros(known.shape, bool)
-    off[known] = ~road.on_road(target.view.road, positions[known])
+    heights = _heights_m(target, positions)
+    z_m = None if heights is None else heights[known]
+    off[known] = ~road.on_road(target.view.road, positions[known], z_m)
     return np.where(off.any(1), steps[off.argmax(1)], NEVER)
+
+
+def _heights_m(target: Target, position_m: Floats) -> Floats | None:
+    """(M, S) heights along paths (M, S, 2), which follow the road; None where it has one level.
+
+    From a step on at which a path is not known its heights mean nothing.
+    """
+    ground, now = ground_of(target.view.road), target.view.history
+    if not ground.has_levels:
+        return None
+    start = np.broadcast_to(now.position_m[target.row, -1], (len(position_m), 1, 2))
+    paths = np.nan_to_num(np.concatenate([start, position_m], axis=1))
+    return ground.follow(paths, np.full(len(paths), now.z_m[target.row, -1]))[:, 1:]
 
 
 def plausibility(target: Target, position_m: Floats, heading_rad: Floats) -> dict[Measured, Floats]:
