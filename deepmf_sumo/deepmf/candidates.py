@@ -160,28 +160,46 @@ def leaves_road(situation: Situation, own: Candidates, until: Floats) -> Bools:
     return np.asarray((off & (steps <= until[:, None])).any(axis=1))
 
 
-def against_traffic(situation: Situation, own: Candidates, until: Floats) -> Bools:
+def against_traffic(
+    situation: Situation, own: Candidates, until: Floats, since: int | None = None
+) -> Bools:
     """(N1) whether a candidate drives against the traffic for more than 1 s up to ``until`` (N1).
 
-    The last second before now counts, too.
+    What the opponent drove in the last second counts, too, from the step after ``since`` on (None:
+    all of it): before the first plan something else drove it. That alone forbids no candidate: one
+    that is back on its side from the next step on does not drive against the traffic.
     """
     view, levels = situation.view, situation.levels
     row = view.history.row(situation.opponent_id)
-    past = np.flatnonzero(view.history.valid[row])[-_SECOND_STEPS::_ROAD_EVERY]
+    known = np.flatnonzero(view.history.valid[row])[-_SECOND_STEPS:]
+    step = view.step + 1 - view.history.steps + known
+    past = known if since is None else known[step > since]
     before = road.against_traffic(
         view.road,
         view.history.position_m[row, past],
         view.history.heading_rad[row, past],
         None if levels is None else view.history.z_m[row, past],
     )
-    steps = np.arange(0, situation.horizon, _ROAD_EVERY)
-    position_m = own.forecast.futures.position_m[:, steps]
-    z_m = None if levels is None else levels.opponent_z_m(position_m).reshape(-1)
-    heading = own.forecast.futures.heading_rad[:, steps].reshape(-1)
-    wrong = road.against_traffic(view.road, position_m.reshape(-1, 2), heading, z_m)
-    wrong = wrong.reshape(position_m.shape[:2]) & (steps <= until[:, None])
-    lasting: Bools = before.sum() + wrong.sum(axis=1) > _SECOND_STEPS / _ROAD_EVERY
-    return lasting
+    more = np.zeros(len(until), int)
+    for every in (_ROAD_EVERY, 1):  # few candidates are ever on the wrong side
+        rows = np.arange(len(until)) if every > 1 else np.flatnonzero(more)
+        steps = np.arange(0, situation.horizon, every)
+        wrong = _wrong_side(situation, own, rows, steps)
+        more[rows] = (wrong & (steps <= until[rows, None])).sum(axis=1)
+    return np.asarray((more > 0) & (before.sum() + more > _SECOND_STEPS))
+
+
+def _wrong_side(situation: Situation, own: Candidates, rows: Ints, steps: Ints) -> Bools:
+    """(K, S) whether candidates (K) are against the traffic at steps (S)."""
+    position_m = own.forecast.futures.position_m[rows][:, steps]
+    z_m = None if situation.levels is None else situation.levels.opponent_z_m(position_m)
+    found = road.against_traffic(
+        situation.view.road,
+        position_m.reshape(-1, 2),
+        own.forecast.futures.heading_rad[rows][:, steps].reshape(-1),
+        None if z_m is None else z_m.reshape(-1),
+    )
+    return found.reshape(position_m.shape[:2])
 
 
 def ranked(
@@ -354,12 +372,16 @@ def pairs(
 
 
 def shortlisted(
-    situation: Situation, own: Candidates, count: int, without: frozenset[str] = frozenset()
+    situation: Situation,
+    own: Candidates,
+    count: int,
+    without: frozenset[str] = frozenset(),
+    since: int | None = None,
 ) -> Candidates:
     """At most ``count``: those most likely to meet the unattacked AV, then the likeliest.
 
     ``without``: constraints by which some meetings do not count: ``no_rear_end``, ``on_road``,
-    ``with_traffic``.
+    ``with_traffic``; ``since``: as of `against_traffic`.
     """
     alone = situation.unattacked
     if alone is None or len(own.origin) <= count:
@@ -373,7 +395,7 @@ def shortlisted(
     if "on_road" in without:
         counted = counted & ~leaves_road(situation, own, met.collision_step.min(axis=1))[:, None]
     if "with_traffic" in without:
-        wrong = against_traffic(situation, own, met.collision_step.min(axis=1))
+        wrong = against_traffic(situation, own, met.collision_step.min(axis=1), since)
         counted = counted & ~wrong[:, None]
     mass = counted @ alone.probability
     return own.take(np.sort(np.argsort(-mass, kind="stable")[:count]))

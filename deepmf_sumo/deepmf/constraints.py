@@ -378,12 +378,15 @@ class WithTraffic(Constraint):
     name = "with_traffic"
     scope = "attack"
 
-    def __init__(self, settings: Settings) -> None: ...
+    def __init__(self, settings: Settings) -> None:
+        self._since: int | None = None
 
     def allowed(
         self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
     ) -> Bools:
-        return ~against_traffic(situation, own, _first(pairs))
+        if self._since is None:
+            self._since = situation.view.step
+        return ~against_traffic(situation, own, _first(pairs), self._since)
 
 
 class NoRearEnd(Constraint):

@@ -66,12 +66,14 @@ class _Attack:
     """An opponent, and the state that is kept from one plan to the next.
 
     Attributes:
+        begun: step of the first plan; None before it.
         last: the last plan.
         ready: ``last`` was made when opponents were compared, and has not been returned yet.
     """
 
     opponent_id: AgentId
     constraints: tuple[Constraint, ...]
+    begun: int | None = None
     last: Plan | None = None
     ready: bool = False
 
@@ -190,7 +192,9 @@ class DeepMF:
             attack.last,
             self._experience.last,
         )
-        own, heat = self._generate(situation, attack.constraints, watch)
+        if attack.begun is None:
+            attack.begun = view.step
+        own, heat = self._generate(situation, attack, watch)
         predicted = self._reactions(av, own)
         watch.lap("conditional")
         reactions, counts = self._experience.informed(situation, own, predicted)
@@ -210,7 +214,7 @@ class DeepMF:
         return _planned(situation, own, choice, reason)
 
     def _generate(
-        self, situation: Situation, attack_constraints: Sequence[Constraint], watch: Stopwatch
+        self, situation: Situation, attack: _Attack, watch: Stopwatch
     ) -> tuple[Candidates, Heat | None]:
         """Drivable candidates of the opponent with their probabilities P(OV), and its heat map."""
         settings, limits, start = self._settings, situation.limits, situation.start
@@ -221,9 +225,9 @@ class DeepMF:
         watch.lap("marginal")
         paths = own_paths(modes, start) if situation.unattacked else []
         parts.append(goal_paths(situation, paths, settings.goal_candidates))
-        for constraint in attack_constraints:
+        for constraint in attack.constraints:
             parts += constraint.references(situation, paths)
-        if settings.keep_tail or any(one.keeps_plan for one in attack_constraints):
+        if settings.keep_tail or any(one.keeps_plan for one in attack.constraints):
             parts += candidates.tail(situation, FUTURE_STEPS)
         watch.lap("goals")
         references = References.joined(parts)
@@ -236,7 +240,7 @@ class DeepMF:
         own = candidates.ranked(references, tracked, probability, modes)
         if settings.most_candidates is not None:
             most, without = settings.most_candidates, settings.constrained
-            own = candidates.shortlisted(situation, own, most, without)
+            own = candidates.shortlisted(situation, own, most, without, attack.begun)
         watch.lap("collision")
         return own, prediction.heat()
 
