@@ -88,14 +88,16 @@ def unpacked(path: Path, largest: int) -> BinaryIO:
     return io.BufferedReader(_Unpacked(path, file, packed, largest))
 
 
-def inside(folder: Path, instead: Instead | None = None) -> Iterator[Path]:
+def inside(folder: Path, instead: Instead | None = None, *, lost: bool = False) -> Iterator[Path]:
     """Regular files of a folder at any depth, sorted, without hidden ones.
+
+    With ``lost`` there are links to nowhere, too, which cannot be opened.
 
     Links are followed, but a folder or file that can be reached in several ways is given once.
     Where ``instead`` gives a list for a folder, that is taken for all that is in the folder.
     Raises OSError where a folder cannot be read.
     """
-    yield from _inside(folder, instead or (lambda _: None), set())
+    yield from _inside(folder, instead or (lambda _: None), set(), lost)
 
 
 def reason(error: OSError) -> str:
@@ -183,7 +185,7 @@ def npz(arrays: "Mapping[str, NDArray[Any]]") -> bytes:
     return buffer.getvalue()
 
 
-def _inside(folder: Path, instead: Instead, seen: set[Path]) -> Iterator[Path]:
+def _inside(folder: Path, instead: Instead, seen: set[Path], lost: bool) -> Iterator[Path]:
     seen.add(folder.resolve())
     listed = instead(folder)
     if listed is None:
@@ -191,12 +193,14 @@ def _inside(folder: Path, instead: Instead, seen: set[Path]) -> Iterator[Path]:
     for path in sorted(listed):
         try:
             kind, real = path.stat().st_mode, path.resolve()
-        except (OSError, RuntimeError):  # a link to nowhere, or to itself
+        except (OSError, RuntimeError) as error:  # a link to nowhere, or to itself
+            if lost and isinstance(error, FileNotFoundError):
+                yield path
             continue
         if real in seen:
             continue
         if stat.S_ISDIR(kind):
-            yield from _inside(path, instead, seen)
+            yield from _inside(path, instead, seen, lost)
         elif stat.S_ISREG(kind):
             seen.add(real)
             yield path

@@ -18,10 +18,20 @@ from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.readers import _bounded
-from deepmf_sumo.readers.base import IndexedReader, Reader, RecordRef, Refusal
+from deepmf_sumo.readers.base import (
+    IndexedReader,
+    Reader,
+    RecordRef,
+    Refusal,
+    UnknownFormatError,
+)
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
-INDEX_VERSION: Final = 3
+INDEX_VERSION: Final = 4
+OVERVIEWS: Final = frozenset({"dataset_summary.pkl", "dataset_mapping.pkl"})
+"""Files of a ScenarioNet folder that describe the others. A folder's scenes are found without."""
+_FIRST_BYTES: Final = 2**16
+"""Read before a format is looked for: a file whose start cannot be read is of no format."""
 
 T = TypeVar("T")
 
@@ -62,14 +72,19 @@ def records(path: Path, cache: Path | None = None) -> Iterator[RecordRef]:
         path: a recorded file, or a folder of such files.
         cache: folder that keeps the locations of a file's scenes until the file changes.
 
-    Raises ReaderError if the file is not a recording; in a folder such files are left out.
+    A file of a folder that cannot be read, or not to its end, has a location of its own after those
+    that were found; `read` says why. Files of unknown formats are left out.
+
+    Raises ReaderError if the path is a file that is no recording or cannot be read.
     """
-    listed = False
+    is_folder, listed = path.is_dir(), False
     for file in find([path]):
         for ref in _records(file, cache):
+            if not is_folder and not (listed or ref.reader):
+                _check(path)
             listed = True
             yield ref
-    if not listed and not path.is_dir():
+    if not listed and not is_folder:
         _check(path)
 
 
@@ -102,6 +117,11 @@ def read(ref: RecordRef) -> Scene:
             raise ReaderError(found.reason)
         if found.name == ref.name:
             return found
+    if not ref.reader:
+        raise ReaderError(
+            f"{ref.file} contains no record {ref.record}, but could not be read to its end when it "
+            "was listed; list it again."
+        )
     raise ReaderError(
         f"{ref.file} no longer has the scene '{ref.name}' as record {ref.record}; the file has"
         " changed, so list it again."
@@ -115,7 +135,8 @@ def _files(path: Path) -> list[Path]:
     """The path itself, or the files in the folder."""
     if path.is_dir():
         try:
-            return list(files.inside(path, _scenes_of_results))
+            found = files.inside(path, _scenes_of_results, lost=True)
+            return [file for file in found if file.name not in OVERVIEWS]
         except OSError as error:
             raise ReaderError(f"{error.filename} cannot be read: {files.reason(error)}.") from None
     if path.exists():
@@ -143,7 +164,7 @@ def _guarded(path: Path, work: Callable[[], Iterator[T]]) -> Iterator[T]:
     except _bounded.EndedError as error:
         raise _bounded.EndedError(f"{path}: {shown(str(error))}.") from None
     except ReaderError as error:
-        raise ReaderError(shown(str(error))) from None
+        raise type(error)(shown(str(error))) from None
 
 
 def _check(path: Path) -> None:
@@ -158,16 +179,20 @@ def _check(path: Path) -> None:
 
 
 def _accepting(path: Path) -> str:
-    """The plug-in that accepts the file. Raises ReaderError if none does."""
+    """The plug-in that accepts the file.
+
+    Raises UnknownFormatError if none does, and ReaderError if the file cannot be read.
+    """
     try:
-        files.opened(path).close()
+        with files.opened(path) as file:
+            file.read(_FIRST_BYTES)
     except OSError as error:
         raise ReaderError(f"{path} cannot be read: {files.reason(error)}.") from None
     known = plugins.names("readers")
     for name in known:
         if _reader(name).accepts(path):
             return name
-    raise ReaderError(f"{path} has an unknown format; known are {', '.join(known)}.")
+    raise UnknownFormatError(f"{path} has an unknown format; known are {', '.join(known)}.")
 
 
 def _reader(name: str) -> Reader:
@@ -190,7 +215,16 @@ def _scenes(path: Path) -> Iterator[Scene | Refusal]:
 
 
 def _read(reader: Reader, path: Path) -> Iterator[Scene | Refusal]:
-    return map(_printable, reader.scenes(path))
+    """What the reader finds in the file. Raises ReaderError if that is nothing."""
+    empty = True
+    for found in reader.scenes(path):
+        empty = False
+        yield _printable(found)
+    if empty:
+        raise ReaderError(_EMPTY.format(path))
+
+
+_EMPTY: Final = "{} contains no scene; copy or download the file again."
 
 
 def _printable(found: Scene | Refusal) -> Scene | Refusal:
@@ -217,7 +251,11 @@ def _number(found: Scene | Refusal) -> int:
 
 
 def _records(path: Path, cache: Path | None) -> list[RecordRef]:
-    """The locations of a file's scenes; none if it is not a recording."""
+    """The locations of a file's scenes; none if its format is unknown.
+
+    What cannot be read has a location, too, with a name: so it gets a row with the reason in a
+    sweep.
+    """
     found: list[RecordRef] = []
     try:
         entry = cache / "index" / f"{_key(path)}.json" if cache else None
@@ -228,15 +266,11 @@ def _records(path: Path, cache: Path | None) -> list[RecordRef]:
         if entry:
             with suppress(OSError):  # on a read-only or full disk, files are listed every time
                 _write_index(entry, found)
-    except _bounded.EndedError:
-        # It has a name, so that it gets a row with the reason in a sweep.
-        count = len(found)
-        return [
-            *found,
-            RecordRef(file=path, name=shown(f"{path.name} record {count}"), record=count),
-        ]
-    except (ReaderError, OSError):
+    except UnknownFormatError:
         return []
+    except (ReaderError, OSError):
+        count = len(found)
+        found.append(RecordRef(file=path, name=shown(f"{path.name} record {count}"), record=count))
     return found
 
 
@@ -244,8 +278,12 @@ def _listed(path: Path) -> Iterator[RecordRef]:
     name = _accepting(path)
     reader = _reader(name)
     if isinstance(reader, IndexedReader):
+        empty = True
         for ref in reader.records(path):
+            empty = False
             yield replace(ref, name=shown(ref.name[:LONGEST_ID]), reader=name)
+        if empty:
+            raise ReaderError(_EMPTY.format(path))
         return
     for each in _read(reader, path):
         yield RecordRef(file=path, name=each.name, record=_number(each), reader=name)

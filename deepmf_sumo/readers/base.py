@@ -6,6 +6,11 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.errors import ReaderError
+
+
+class UnknownFormatError(ReaderError):
+    """The file is of no format that is known: no recording, as far as can be told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

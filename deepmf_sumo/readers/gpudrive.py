@@ -71,9 +71,24 @@ _KEYS = (b'"objects"', b'"roads"', b'"tl_states"')
 
 
 def accepts(path: Path) -> bool:
-    """Whether the file is a JSON object with a key of these scenes near its start."""
-    start = _single_file.head(path, HEAD) or b""
-    return start.lstrip()[:1] == b"{" and any(key in start for key in _KEYS)
+    """Whether the file is a JSON object with a key of these scenes near its start.
+
+    So is a short file that is named as JSON but is none: what is left of one that was cut off.
+    """
+    start = _single_file.head(path, HEAD)
+    if start is None:
+        return False
+    if start.lstrip()[:1] == b"{" and any(key in start for key in _KEYS):
+        return True
+    return path.suffix == ".json" and len(start) < HEAD and not _is_json(start)
+
+
+def _is_json(content: bytes) -> bool:
+    try:
+        json.loads(content)
+    except (ValueError, RecursionError):
+        return False
+    return True
 
 
 def scenes(path: Path) -> Iterator[Scene | Refusal]:

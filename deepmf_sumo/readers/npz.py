@@ -79,7 +79,7 @@ def accepts(path: Path) -> bool:
     try:
         with files.opened(path) as file:
             if file.read(4) != b"PK\x03\x04":
-                return False
+                return path.suffix == ".npz"
             with zipfile.ZipFile(file) as archive:
                 return {"format_version.npy", "description.npy"} <= set(archive.namelist())
     except Exception:  # noqa: BLE001 - a damaged archive can raise anything

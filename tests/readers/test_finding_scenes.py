@@ -175,6 +175,98 @@ def test_a_refused_scene_asked_for_by_id_is_an_error_with_the_reason(tmp_path):
         readers.scene(file, "bad")
 
 
+class Failing:
+    """A file on a disk that fails after some bytes."""
+
+    def __init__(self, file, after):
+        self.file, self.left = file, after
+
+    def read(self, count=-1):
+        if count < 0 or count > self.left:
+            raise OSError(errno.EIO, "Input/output error")
+        self.left -= count
+        return self.file.read(count)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.file.close()
+
+    def __getattr__(self, name):
+        return getattr(self.file, name)
+
+
+def fails(monkeypatch, name, *, after):
+    """The file of this name cannot be opened (``after`` is None), or not read farther."""
+    opened = readers.files.opened
+
+    def failing(path):
+        if path.name == name and after is None:
+            raise OSError(errno.EIO, "Input/output error", str(path))
+        return Failing(opened(path), after) if path.name == name else opened(path)
+
+    monkeypatch.setattr(readers.files, "opened", failing)
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("after", [None, 0, 2000])
+def test_a_file_that_cannot_be_read_keeps_its_place_in_a_folder(data, tmp_path, monkeypatch, after):
+    by_hand.shard(data / "c.tfrecord", *(by_hand.scenario(name=name) for name in "uvw"))
+    fails(monkeypatch, "c.tfrecord", after=after)
+    for cache in (None, tmp_path / "cache", tmp_path / "cache"):
+        *good, lost, g = readers.records(data, cache)
+        assert [ref.name for ref in (*good, g)] == ["x", "y", "z", "g"]
+        assert lost.name == "c.tfrecord record 0"
+        with pytest.raises(ReaderError, match=r"c.tfrecord.*Input/output error"):
+            readers.read(lost)
+
+
+@pytest.mark.sumo
+def test_the_only_file_that_cannot_be_read_is_an_error(data, monkeypatch):
+    fails(monkeypatch, "b.tfrecord", after=None)
+    with pytest.raises(ReaderError, match=r"b.tfrecord cannot be read: Input/output error"):
+        readers.ids(data / "b.tfrecord")
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("name", ["s.tfrecord", "s.json", "s.pkl", "s.npz"])
+@pytest.mark.parametrize("content", [b"", b'{"name": "cut off', b"\x00" * 40])
+def test_what_is_left_of_a_recording_keeps_its_place_in_a_folder(data, name, content):
+    (data / name).write_bytes(content)
+    refs = [ref for ref in readers.records(data) if ref.file.name == name]
+    refusals = [one for one in readers.scenes([data]) if isinstance(one, Refusal)]
+    (refusal,) = [one for one in refusals if one.file.endswith(name)]
+    assert len(refs) == 1
+    assert refusal.reason
+    with pytest.raises(ReaderError, match=name):
+        readers.read(refs[0])
+
+
+@pytest.mark.sumo
+def test_a_link_to_nowhere_keeps_its_place_in_a_folder(data):
+    (data / "c.tfrecord").symlink_to(data / "unmounted" / "c.tfrecord")
+    lost = [ref for ref in readers.records(data) if ref.file.name == "c.tfrecord"]
+    assert [ref.name for ref in lost] == ["c.tfrecord record 0"]
+    with pytest.raises(ReaderError, match=r"c.tfrecord cannot be read: No such file"):
+        readers.read(lost[0])
+
+
+@pytest.mark.sumo
+def test_json_that_is_no_recording_is_left_out(data):
+    (data / "package.json").write_text('{"name": "another program"}')
+    assert readers.ids(data) == ["x", "y", "z", "g"]
+
+
+def test_a_folder_of_scenarionet_is_found_without_its_overviews(data):
+    for name in ("dataset_summary.pkl", "dataset_mapping.pkl", "sd_1.pkl"):
+        (data / "deep" / name).touch()
+    found = [file.name for file in readers.find([data])]
+    assert found == ["README", "b.tfrecord", "a.json", "sd_1.pkl"]
+    overview = data / "deep" / "dataset_summary.pkl"
+    assert readers.find([overview]) == [overview]
+
+
 @pytest.mark.parametrize("name", plugins.names("readers"))
 def test_every_reader_keeps_the_contract(name, tmp_path):
     reader: Reader = plugins.load("readers", name)
