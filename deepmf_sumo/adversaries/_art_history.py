@@ -21,12 +21,11 @@ from deepmf_sumo.predictors import anchors
 from deepmf_sumo.predictors.decoding import knot_matrix
 from deepmf_sumo.predictors.densetnt import DenseTNT, Goals
 from deepmf_sumo.predictors.features import features
-from deepmf_sumo.predictors.kinematics import pose_of
+from deepmf_sumo.predictors.kinematics import half_second_ago, pose_of
 from deepmf_sumo.predictors.vectornet import as_batch
 
 _NEAR_M = 3.0  # a goal that comes closer to the AV by this counts e times as much
 _EVERY = 4  # goals are compared with the AV every 0.4 s
-_BACK = 5  # acceleration and yaw rate are those of the last half second
 
 
 def perturb(
@@ -85,7 +84,7 @@ class Past:
         self._arrays = as_batch(features(view, agent_id, net.preset)[0])
         self._heading = pose_of(view, agent_id).heading_rad
         valid = tracks.valid[self._row]
-        self._back = int(np.flatnonzero(valid)[max(-_BACK - 1, -int(valid.sum()))])
+        self._back = int(half_second_ago(valid[None])[0])
         self.known: Bools = np.logical_and.accumulate(valid[::-1])[::-1].copy()
         self.basis: Floats = np.where(self.known[:, None], _spline(), 0.0)
 

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import HISTORY_STEPS, Bools, Floats, Ints, View
+from deepmf_sumo.datatypes import HISTORY_STEPS, Floats, Ints, View
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors import raster
 from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.kinematics import Pose, pose_of
+from deepmf_sumo.predictors.kinematics import Pose, pose_of, recent_change
 from deepmf_sumo.predictors.lanes import RoadIndex, road_index
 from deepmf_sumo.predictors.paths import NODE_SPACING_M, PathSet, path_set, signal_colour
 
@@ -171,11 +171,7 @@ def _path_agents(paths: PathSet, agents: Floats, info: Floats) -> Floats:
 def _motion(view: View, row: int) -> Floats:
     """(6) speed, acceleration and yaw rate over the last half second, size, is AV."""
     tracks = view.history
-    valid: Bools = tracks.valid[row]
-    speed = tracks.speed_mps[row]
-    back = int(np.flatnonzero(valid)[max(-6, -int(valid.sum()))])
-    seconds = max((HISTORY_STEPS - 1 - back) * view.dt_s, view.dt_s)
-    turn = frames.difference(tracks.heading_rad[row, -1], tracks.heading_rad[row, back])
+    gain, yaw = recent_change(tracks, np.array([row]), view.dt_s)
     is_av = float(tracks.ids[row] == view.av_id)
-    gain = (speed[-1] - speed[back]) / seconds
-    return np.array([speed[-1], gain, float(turn) / seconds, *tracks.size_m[row, :2], is_av])
+    speed = tracks.speed_mps[row, -1]
+    return np.array([speed, gain[0], yaw[0], *tracks.size_m[row, :2], is_av])

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import HISTORY_STEPS, AgentId, Bools, Floats, Ints, View
+from deepmf_sumo.datatypes import AgentId, Bools, Floats, Ints, Tracks, View
 from deepmf_sumo.geometry import frames
 
 MOTION: Final = 34
@@ -81,29 +81,44 @@ class Motion:
         return (self.moved_m > 0.5) | (self.speed_mps > STILL_MPS)
 
 
+def half_second_ago(valid: Bools) -> Ints:
+    """(V) first step of the last half second at which agents (V, H) were seen; else now.
+
+    Not the sixth last step that was seen: across a gap that may be a second ago, and a change over
+    a gap is not the present acceleration.
+    """
+    recent = valid.copy()
+    recent[:, : valid.shape[1] - 1 - _BACK_STEPS] = False
+    return recent.argmax(1)
+
+
+def recent_change(tracks: Tracks, rows: Ints, dt_s: float) -> tuple[Floats, Floats]:
+    """(V) acceleration in m/s2 and yaw rate in rad/s of agents over the last half second.
+
+    0 for an agent that was not seen before now.
+    """
+    back, each = half_second_ago(tracks.valid[rows]), np.arange(len(rows))
+    seconds = np.maximum((tracks.steps - 1 - back) * dt_s, dt_s)
+    speed, heading = tracks.speed_mps[rows], tracks.heading_rad[rows]
+    turned = frames.difference(heading[:, -1], heading[each, back])
+    return (speed[:, -1] - speed[each, back]) / seconds, turned / seconds
+
+
 def motion_of(view: View, rows: Ints) -> Motion:
     """Motion of the given rows of the view, the AV's first."""
     tracks = view.history
     pose = pose_of(view, tracks.ids[rows[0]])
     valid = tracks.valid[rows]
     first = valid.argmax(1)
-    recent = valid.copy()
-    recent[:, : HISTORY_STEPS - 1 - _BACK_STEPS] = False
-    back = recent.argmax(1)
-    seconds = np.maximum((HISTORY_STEPS - 1 - back) * view.dt_s, view.dt_s)
-    speed = tracks.speed_mps[rows]
-    each = np.arange(len(rows))
-    turned = frames.difference(tracks.heading_rad[rows, -1], tracks.heading_rad[rows, back])
+    gain, yaw = recent_change(tracks, rows, view.dt_s)
     apart = tracks.position_m[rows, -1] - tracks.position_m[rows, first]
     return Motion(
         position_m=pose.to_local(tracks.position_m[rows, -1]),
         velocity_mps=pose.vectors(tracks.velocity_mps[rows, -1]),
         heading_rad=pose.turn_rad(tracks.heading_rad[rows, -1]),
-        speed_mps=speed[:, -1],
-        gain_mps2=np.clip(
-            (speed[:, -1] - speed[each, back]) / seconds, -_MOST_GAIN_MPS2, _MOST_GAIN_MPS2
-        ),
-        yaw_rps=np.clip(turned / seconds, -_MOST_YAW_RPS, _MOST_YAW_RPS),
+        speed_mps=tracks.speed_mps[rows, -1],
+        gain_mps2=np.clip(gain, -_MOST_GAIN_MPS2, _MOST_GAIN_MPS2),
+        yaw_rps=np.clip(yaw, -_MOST_YAW_RPS, _MOST_YAW_RPS),
         moved_m=np.hypot(apart[:, 0], apart[:, 1]),
         seen=valid.mean(1),
         size_m=tracks.size_m[rows, :2],

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, AgentId, Floats, Ints, Tracks, View
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.predictors.kinematics import recent_change
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.paths import INFO, NODE_SPACING_M, path_set
 
@@ -40,8 +41,6 @@ _STRIDE: Final = round(SPACING_M / NODE_SPACING_M)
 _STANDING_MPS: Final = 0.5
 _STANDING_M: Final = 30.0
 """Added to the distance of a standing vehicle: parked cars would fill the graph."""
-_SMOOTHING_STEPS: Final = 5
-"""Acceleration and yaw rate are those of the last half second."""
 
 
 def members(view: View, wanted: Sequence[AgentId] = ()) -> tuple[AgentId, ...]:
@@ -126,12 +125,5 @@ def _histories(tracks: Tracks, rows: Ints, position: Floats, heading: Floats) ->
 
 def _motions(tracks: Tracks, rows: Ints, dt_s: float) -> Floats:
     """(A, 3) speed, acceleration, yaw rate."""
-    found = np.zeros((len(rows), 3))
-    for number, row in enumerate(rows):
-        seen = np.flatnonzero(tracks.valid[row])
-        back = int(seen[max(-1 - _SMOOTHING_STEPS, -len(seen))])
-        seconds = max((HISTORY_STEPS - 1 - back) * dt_s, dt_s)
-        speed = tracks.speed_mps[row, [back, -1]]
-        turn = frames.difference(tracks.heading_rad[row, -1], tracks.heading_rad[row, back])
-        found[number] = speed[1], (speed[1] - speed[0]) / seconds, float(turn) / seconds
-    return found
+    gain, yaw = recent_change(tracks, rows, dt_s)
+    return np.stack([tracks.speed_mps[rows, -1], gain, yaw], axis=1)

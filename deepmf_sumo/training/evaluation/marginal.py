@@ -8,6 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Floats, Forecast
 from deepmf_sumo.geometry import frames, polylines
+from deepmf_sumo.predictors.kinematics import recent_change
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.marginal import Marginal, MarginalPrediction
 from deepmf_sumo.predictors.paths import path_set
@@ -31,8 +32,6 @@ from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.networks.clusters import Clusters
 
 _TIMES_S: Final[Floats] = np.asarray(np.arange(1, FUTURE_STEPS + 1) * DT_S, float)
-_TURN_STEPS: Final = 5
-"""The yaw rate is that of the last half second, as in `features.Features`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,9 +137,5 @@ def map_blind(fitted: Clusters, target: Target, modes: int) -> Floats:
 
 
 def _yaw_rate(target: Target) -> float:
-    tracks = target.view.history
-    seen = np.flatnonzero(tracks.valid[target.row])
-    back = int(seen[max(-_TURN_STEPS - 1, -len(seen))])
-    heading = tracks.heading_rad[target.row]
-    seconds = max((tracks.steps - 1 - back) * target.view.dt_s, target.view.dt_s)
-    return float(frames.difference(heading[-1], heading[back])) / seconds
+    _, yaw = recent_change(target.view.history, np.array([target.row]), target.view.dt_s)
+    return float(yaw[0])
