@@ -13,6 +13,12 @@ LaneKind = Literal["unknown", "freeway", "street", "bike"]
 PolygonKind = Literal["crosswalk", "speed_bump", "driveway"]
 
 
+LINE_TYPES: Final = 9
+"""Kinds of painted lines are numbers below this, as WOMD's RoadLine.type."""
+EDGE_TYPES: Final = 3
+"""Kinds of road edges are numbers below this, as WOMD's RoadEdge.type."""
+
+
 class SignalState(IntEnum):
     """State of a traffic signal, numbered as in WOMD's TrafficSignalLaneState."""
 

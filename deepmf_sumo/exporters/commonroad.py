@@ -21,7 +21,7 @@ import numpy as np
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Floats, Ints, Lane, RoadMap, Scene
-from deepmf_sumo.datatypes.scene import AgentKind
+from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
@@ -29,11 +29,10 @@ from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.lane_map import WIDTH_M
 
 FILE: Final = "run.xml"
-_TYPES: Final[dict[AgentKind, str]] = {
-    "vehicle": "car", "cyclist": "bicycle", "pedestrian": "pedestrian", "other": "unknown",
+_TYPES: Final[dict[RoadUserClass, str]] = {
+    "car": "car", "truck": "truck", "motorcycle": "motorcycle", "bicycle": "bicycle",
+    "pedestrian": "pedestrian", "other": "unknown",
 }  # fmt: skip
-_LONG_M: Final = 6.5
-"""From this length on a vehicle is a truck."""
 _LANES: Final = {"freeway": "highway", "street": "urban", "bike": "bicycleLane"}
 _LIMIT_SIGN: Final = "274"
 _SAME_WAY_RAD: Final = np.pi / 2
@@ -162,8 +161,8 @@ def _obstacle(root: Element, scene: Scene, row: int, steps: Ints, number: int) -
     tracks = scene.tracks
     element = SubElement(root, "dynamicObstacle", id=str(number))
     length, width = tracks.size_m[row, :2]
-    kind = _TYPES[tracks.kinds[row]]
-    SubElement(element, "type").text = "truck" if kind == "car" and length >= _LONG_M else kind
+    known = class_of(tracks.kinds[row], tracks.size_m[row])
+    SubElement(element, "type").text = _TYPES[known]
     box = SubElement(SubElement(element, "shape"), "rectangle")
     for name, value in (("length", length), ("width", width)):
         SubElement(box, name).text = f"{value:.4f}"

@@ -17,6 +17,7 @@ import shapely
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Bools, RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import boxes, frames
 
@@ -24,7 +25,10 @@ FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
 FCD, REPLAY, CONFIG, VIEW = "fcd.xml", "replay.fcd.xml", "replay.sumocfg", "view.xml"
 _COLOURS = {"av": "200,30,30", "opponent": "240,140,0", "other": "120,130,150"}
-_SHAPE_OF = {"vehicle": "passenger", "cyclist": "bicycle", "pedestrian": "pedestrian"}
+_SHAPES: Final[dict[RoadUserClass, str]] = {
+    "car": "passenger", "truck": "truck", "motorcycle": "motorcycle", "bicycle": "bicycle",
+    "pedestrian": "pedestrian", "other": "passenger",
+}  # fmt: skip
 _SEEN_M = 50.0
 """Width of what sumo-gui shows; its zoom of 100 shows the whole net."""
 _ON_LANE_M = 1.65
@@ -112,7 +116,7 @@ def _types(rollout: Rollout) -> str:
     tracks, lines = rollout.tracks, []
     for row, agent in enumerate(tracks.ids):
         length, width, height = tracks.size_m[row]
-        shape = _SHAPE_OF.get(tracks.kinds[row], "passenger")
+        shape = _SHAPES[class_of(tracks.kinds[row], tracks.size_m[row])]
         # vClass "ignoring": recordings have vehicles on lanes of other classes, too
         lines.append(
             f'    <vType id="type_{row}" vClass="ignoring" guiShape="{shape}" '

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Bools, Floats, Rollout, Signals, SignalState
+from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.geometry import frames
@@ -34,8 +35,10 @@ _DATE: Final = "2000-01-01T00:00:00"
 """The same run gives the same bytes."""
 _AXLE: Final = 0.28
 """Distance of the axles from the centre of the box, in lengths."""
-_LONG_M: Final = 7.5
-"""Vehicles from here on are trucks to players."""
+_VEHICLES: Final[dict[RoadUserClass, str]] = {
+    "car": "car", "truck": "truck", "motorcycle": "motorbike", "bicycle": "bicycle",
+}  # fmt: skip
+"""Categories of vehicles; pedestrians and other objects are no vehicles to players."""
 _ROUTE_M: Final = 20.0
 """Between way points of the AV's route."""
 _LARGEST_NET: Final = 2**30
@@ -134,13 +137,14 @@ class _Actor:
 def _actors(rollout: Rollout, first: int) -> Iterator[_Actor]:
     """All road users that are there from step ``first`` on; steps count from it."""
     tracks = rollout.tracks
-    known = {"vehicle": "Vehicle", "cyclist": "Vehicle", "pedestrian": "Pedestrian"}
     taken = set(tracks.ids)
     for row, agent in enumerate(tracks.ids):
         valid = tracks.valid[row, first:]
         if not valid.any():
             continue
-        category = known.get(tracks.kinds[row], "MiscObject")
+        known = class_of(tracks.kinds[row], tracks.size_m[row])
+        things = "Pedestrian" if known == "pedestrian" else "MiscObject"
+        category = "Vehicle" if known in _VEHICLES else things
         axle = _AXLE * float(tracks.size_m[row, 0]) * (category == "Vehicle")
         heading = tracks.heading_rad[row, first:].copy()
         heading[valid] = np.unwrap(heading[valid])
@@ -245,10 +249,9 @@ def _describe(parent: ET.Element, actor: _Actor, rollout: Rollout) -> None:
     tracks = rollout.tracks
     length, width = map(float, tracks.size_m[actor.row, :2])
     height = float(known_heights(tracks)[actor.row])
-    kind, agent = tracks.kinds[actor.row], tracks.ids[actor.row]
+    agent = tracks.ids[actor.row]
     if actor.category == "Vehicle":
-        large = "truck" if length >= _LONG_M else "car"
-        category = "bicycle" if kind == "cyclist" else large
+        category = _VEHICLES[class_of(tracks.kinds[actor.row], tracks.size_m[actor.row])]
         thing = _add(parent, "Vehicle", name=f"type_{actor.row}", vehicleCategory=category)
     elif actor.category == "Pedestrian":
         thing = _add(parent, "Pedestrian", name=f"type_{actor.row}", mass=70,

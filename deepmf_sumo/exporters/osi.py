@@ -17,6 +17,7 @@ from pydantic import Field
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Bools, Floats, Polyline, RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.exporters._numbers import Numbers, Sort
 from deepmf_sumo.exporters.base import Exportable, known_heights
@@ -28,8 +29,9 @@ _REFERENCE: Final = "net.deepmf-sumo"
 """Type of the references that hold the run's own ids."""
 _CREATED: Final = "1970-01-01T00:00:00Z"
 """The same run gives the same bytes."""
-_LONGEST_CAR_M: Final = 6.0
-"""A run knows vehicles by their size alone; longer ones are of another type."""
+_VEHICLES: Final[dict[RoadUserClass, str]] = {
+    "car": "CAR", "truck": "HEAVY_TRUCK", "motorcycle": "MOTORBIKE", "bicycle": "BICYCLE",
+}  # fmt: skip
 _AXLE: Final = 0.28
 """From the centre to each axle, in lengths, as in `exporters.openscenario`."""
 _NANOSECONDS: Final = 1_000_000_000
@@ -147,12 +149,10 @@ def _messages(rollout: Rollout, numbers: Numbers, road: Sequence[Any]) -> Iterat
 
 def _fill(user: Any, tracks: Tracks, at: tuple[int, int], gained: Floats, height: float) -> None:
     """Type, box and motion of a road user; the box stands on the ground."""
-    kind, (length, width, _) = tracks.kinds[at[0]], tracks.size_m[at[0]].tolist()
-    user.type = user.Type.Value(
-        {"vehicle": "TYPE_VEHICLE", "cyclist": "TYPE_VEHICLE", "pedestrian": "TYPE_PEDESTRIAN"}.get(
-            kind, "TYPE_OTHER"
-        )
-    )
+    known = class_of(tracks.kinds[at[0]], tracks.size_m[at[0]])
+    length, width, _ = tracks.size_m[at[0]].tolist()
+    things = "PEDESTRIAN" if known == "pedestrian" else "OTHER"
+    user.type = user.Type.Value(f"TYPE_{'VEHICLE' if known in _VEHICLES else things}")
     base = user.base
     base.dimension.length, base.dimension.width, base.dimension.height = length, width, height
     x, y = tracks.position_m[at].tolist()
@@ -164,11 +164,9 @@ def _fill(user: Any, tracks: Tracks, at: tuple[int, int], gained: Floats, height
         (base.acceleration, gained.tolist()),
     ):
         _place(vector, east, north, 0.0)
-    if kind in {"vehicle", "cyclist"}:
+    if known in _VEHICLES:
         types = user.VehicleClassification
-        known = "CAR" if length <= _LONGEST_CAR_M else "OTHER"
-        name = "BICYCLE" if kind == "cyclist" else known
-        user.vehicle_classification.type = types.Type.Value(f"TYPE_{name}")
+        user.vehicle_classification.type = types.Type.Value(f"TYPE_{_VEHICLES[known]}")
         user.vehicle_classification.role = types.Role.Value("ROLE_CIVIL")
         axles = user.vehicle_attributes
         _place(axles.bbcenter_to_rear, -_AXLE * length, 0.0, -height / 2)

@@ -38,6 +38,7 @@ from deepmf_sumo.datatypes import (
     Tracks,
     dtype_of,
 )
+from deepmf_sumo.datatypes.scene import EDGE_TYPES, LINE_TYPES
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import _checks, _single_file
 from deepmf_sumo.readers.base import Refusal
@@ -244,7 +245,7 @@ def _built(value: Any) -> Any:
     return tuple(map(_built, value)) if isinstance(value, tuple) else value
 
 
-def _model(kind: type, **more: Any) -> type[_Description]:
+def _model(kind: type, /, **more: Any) -> type[_Description]:
     """A model of the described fields of a dataclass, and of ``more`` keys."""
     fields: dict[str, Any] = {
         name: (_LIMITED.get((name, hint), _LIMITED.get(hint, hint)), _OPTIONAL.get(name, ...))
@@ -264,14 +265,24 @@ _LIMITED: Final[dict[Any, Any]] = {
     float | None: _Amount | None,
     ("record", int): _Count,
     ("now", int): _Count,
-    ("kind", int): Annotated[int, Field(ge=0, lt=256)],
+    ("kind", int): Annotated[int, Field(ge=0, lt=LINE_TYPES)],
 }
 """Limits of numbers, by the field's name and type or by its type alone; and nested models."""
 _LIMITED[Source] = _model(Source)
 _LIMITED |= {tuple[kind, ...]: tuple[_model(kind), ...] for kind in (Neighbour, Boundary)}  # type: ignore[valid-type, misc]
 _ONE: Final = Annotated[int, Field(ge=1, le=1)]
+_EDGE: Final = {"kind": Annotated[int, Field(ge=0, lt=EDGE_TYPES)]}
 _ROAD: Final[dict[str, Any]] = {
-    key: (list[_model(kind, points=_ONE if kind is StopSign else _Count)], ...)  # type: ignore[misc]
+    key: (
+        list[  # type: ignore[misc]
+            _model(
+                kind,
+                points=_ONE if kind is StopSign else _Count,
+                **(_EDGE if key == "edges" else {}),
+            )
+        ],
+        ...,
+    )
     for key, kind in _FEATURES.items()
 }
 _SCENE: Final = _model(

@@ -108,7 +108,7 @@ def test_types_heights_and_axles(tmp_path):
     ]  # fmt: skip
     types = users[0].VehicleClassification.Type
     assert [one.vehicle_classification.type for one in users[:3]] == [
-        types.Value(name) for name in ("TYPE_CAR", "TYPE_OTHER", "TYPE_BICYCLE")
+        types.Value(name) for name in ("TYPE_CAR", "TYPE_HEAVY_TRUCK", "TYPE_BICYCLE")
     ]
     assert not users[3].HasField("vehicle_classification")
     assert users[0].base.position.z == 0.75  # half of 1.5 m

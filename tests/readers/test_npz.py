@@ -1,13 +1,14 @@
 import dataclasses
 import json
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepmf_sumo.datatypes import RoadMap, Scene
+from deepmf_sumo.datatypes import Polyline, RoadMap, Scene
 from deepmf_sumo.readers import Refusal, npz, womd
 
 from tests.support import recordings_by_hand as by_hand
@@ -202,6 +203,22 @@ def test_a_wrong_field_is_a_refusal_that_names_file_and_field(changes, field, sc
     assert isinstance(refusal, Refusal)
     assert str(file) in refusal.reason
     assert field in refusal.reason, refusal.reason
+
+
+@pytest.mark.parametrize(("part", "first_unknown"), [("lines", 9), ("edges", 3)])
+def test_kinds_of_lines_are_those_that_exporters_know(part, first_unknown, scene, tmp_path):
+    file = tmp_path / "scene.npz"
+    one = Polyline(id="l", kind=first_unknown - 1, points_m=np.eye(2), z_m=np.zeros(2))
+    scene = replace(scene, road=replace(scene.road, **{part: (one,)}))
+    npz.write(scene, file)
+    (read,) = npz.scenes(file)
+    assert read.name == scene.name
+    wrong = replace(scene.road, **{part: (replace(one, kind=first_unknown),)})
+    npz.write(replace(scene, road=wrong), file)
+    (refusal,) = npz.scenes(file)
+    assert isinstance(refusal, Refusal)
+    assert "kind" in refusal.reason
+    assert str(first_unknown) in refusal.reason
 
 
 def test_links_to_what_is_not_there_are_refused(scene, tmp_path):
