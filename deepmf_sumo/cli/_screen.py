@@ -214,6 +214,14 @@ def show_results(found: SideBySide) -> None:
             console.print(escape(f"  {sentence}"), soft_wrap=True)
 
 
+def tell_switched_off(folders: Iterable[Path], *, err: bool) -> None:
+    """A line for each time in which a live session could not attack."""
+    from deepmf_sumo.results import sessions
+
+    for line in sessions.notes(folders):
+        click.echo(shown(line), err=err)
+
+
 def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int) -> None:
     """The sentence and the cells of each group of failures; ``of``: number of runs."""
     from deepmf_sumo.report.failures import HEADINGS
@@ -467,9 +475,16 @@ def tell_attack(row: dict[str, Any]) -> None:
     )
 
 
+def tell_switch(change: dict[str, Any]) -> None:
+    """New attacks were turned on or off."""
+    what = f"new attacks on '{change['av']}' are {change['new_attacks']} ({change['door']})"
+    click.echo(shown(f"{change['time_s']:.1f} s: {what}"), err=True)
+
+
 def show_session(done: Attached, avs: Sequence[str], out: Path) -> None:
     """The attacks, why it is over, and where the files are."""
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.results import sessions
 
     console = wide(120)
     if done.rows:
@@ -492,6 +507,8 @@ def show_session(done: Attached, avs: Sequence[str], out: Path) -> None:
         escape(f"{attacks}, {counted(hits, 'contact')}{why_none}; {why}; {file}"),
         soft_wrap=True,
     )
+    for line in sessions.sentences(done.switches):
+        console.print(escape(line), soft_wrap=True)
     if not done.watched:
         console.print(
             "whether the script was there to the end cannot be seen from here: attacks after it"

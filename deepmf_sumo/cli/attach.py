@@ -85,7 +85,7 @@ def command(
     attacked at the same time, each for itself.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session
+    from deepmf_sumo.cli._screen import leaving, show_session, tell_switch
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.lockstep import Stay
 
@@ -98,6 +98,7 @@ def command(
         watched(http, given["avs"]) as (watch, tell),
         closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
     ):
+        prepared.record.switched = tell_switch
         done = live.attach(
             Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell, watch=watch
         )

@@ -41,5 +41,6 @@ def command(
     title = ", ".join(folder.resolve().name for folder in folders)
     written = files.write(place, risk.read(folders), title, forms)
     screen.show_risk(written, top)
+    screen.tell_switched_off(folders, err=False)
     if show:
         click.launch(str(written[0].folder / files.PAGE))

@@ -57,7 +57,7 @@ def command(
     may also start it, with traci.start, in place of SUMO.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session
+    from deepmf_sumo.cli._screen import leaving, show_session, tell_switch
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.live.session import parts_of_a_step
     from deepmf_sumo.simulation.sumo_config import read_configuration
@@ -81,6 +81,7 @@ def command(
         live.Server(config, port, options, gui=gui) as server,
     ):
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
+        prepared.record.switched = tell_switch
         server.await_client(stopped)
         if not stopped():
             server.check()

@@ -41,6 +41,7 @@ def command(
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import comparison
 
+    screen.tell_switched_off(folders, err=form != "table")
     if failures:
         if everything or csv_file:
             raise UsageError("--failures goes without --all; its data: --format csv or json.")

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.results import reader, stored
+from deepmf_sumo.results import reader, sessions, stored
 from deepmf_sumo.results.quantities import COMPARABLE, judged
 from deepmf_sumo.results.result import Result
 
@@ -61,12 +61,14 @@ class Results:
     Attributes:
         attacks: by the digest in `Row.attack`, the setup: ``adversary``, ``weights`` and
             ``adversary.KEY`` for each of its settings.
+        switched_off: sentences on times in which a live session could not attack.
     """
 
     source: Path
     version: str
     rows: dict[str, Row]
     attacks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    switched_off: tuple[str, ...] = ()
 
 
 def read(path: Path) -> Results:
@@ -101,7 +103,10 @@ def _of_folder(out: Path) -> Results:
         rows[run_id] = _missing(run_id) if result is None else _row(result)
         if result is not None:
             attacks.setdefault(rows[run_id].attack, _attack(result))
-    return Results(source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks)
+    return Results(
+        source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks,
+        switched_off=sessions.switched_off(out),
+    )  # fmt: skip
 
 
 def _missing(run_id: str) -> Row:

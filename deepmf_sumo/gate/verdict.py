@@ -18,7 +18,14 @@ from deepmf_sumo.gate import comparison, rows
 from deepmf_sumo.gate.comparison import Comparison
 from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.same_attacks import SameAttacks
-from deepmf_sumo.gate.thresholds import UNFINISHED, Baseline, Judgement, Thresholds, judge
+from deepmf_sumo.gate.thresholds import (
+    ALL,
+    UNFINISHED,
+    Baseline,
+    Judgement,
+    Thresholds,
+    judge,
+)
 from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
 from deepmf_sumo.results.quantities import COMPARABLE
@@ -117,7 +124,7 @@ def check(
     OutputError.
     """
     found = rows.read(out)
-    judgements = judge(thresholds, list(found.rows.values()))
+    judgements = [*judge(thresholds, list(found.rows.values())), *_attacked_throughout(found)]
     named = thresholds.baseline.results
     place = baseline or (Path(named) if named else None)
     comparisons, same_attacks, notes = None, None, []
@@ -139,8 +146,17 @@ def check(
         baseline=place,
         comparisons=comparisons,
         same_attacks=same_attacks,
-        notes=notes,
+        notes=[*found.switched_off, *notes],
     )
+
+
+def _attacked_throughout(found: Results) -> Iterator[Judgement]:
+    """No verdict on a live session in which attacks were off: without any, every AV is good."""
+    if found.switched_off:
+        yield Judgement(
+            group=ALL, limit="attacks_switched_off", bound=0, value=len(found.switched_off),
+            unit="", runs=len(found.rows), state="unfit",
+        )  # fmt: skip
 
 
 def sentence(one: Judgement) -> str:

@@ -284,12 +284,19 @@ class Attacker:
             None if out is None else Path(out), wish.avs, spec, overwrite=overwrite, ways=_WAYS
         )
         self._sessions = sessions(api, wish, spec, self._record.add)
+        for one in self._sessions:
+            one.switched = self._record.switch
         self._record.begin(setting_of(self._sessions[0], wish))
 
     @property
     def attacks(self) -> list[dict[str, Any]]:
         """The attacks that are over."""
         return self._record.rows
+
+    def switch(self, *, on: bool) -> None:
+        """Turn new attacks on or off; one that goes on ends as it would."""
+        for one in self._sessions:
+            one.switch(on=on)
 
     @property
     def opponents(self) -> dict[AgentId, AgentId]:
@@ -350,6 +357,7 @@ class Attached:
         collisions: what SUMO does at a collision, its ``--collision.action``.
         undriven: attacks that were not over when the script left; they are not in ``rows``.
         watched: whether it could observe that the script left.
+        switches: when new attacks were turned off and on, as in ``session.json``.
     """
 
     rows: list[dict[str, Any]]
@@ -359,6 +367,7 @@ class Attached:
     collisions: str
     undriven: int
     watched: bool
+    switches: list[dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -438,11 +447,16 @@ def attach(
         own = sessions(api, wish, prepared.spec, add, prepared.policies, driven, number)
         collisions = str(api.simulation.getOption("collision.action"))
         record.begin(setting_of(own[0], wish, planner="sumo" if clients == 0 else "script"))
+        for one in own:
+            one.switched = record.switch
         watch(own)
         steps = Lockstep(api, own, stay, stopped)
     end: str = "failed"
     try:
         end = why = steps.run()
+        if end == "stopped":
+            for one in own:
+                one.switch(on=False, door="signal")
     finally:
         record.finish(end, steps.ended_s)
     return Attached(
@@ -453,6 +467,7 @@ def attach(
         collisions=collisions,
         undriven=sum(one.undriven for one in own),
         watched=clients is not None,
+        switches=record.switches,
     )
 
 

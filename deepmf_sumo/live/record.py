@@ -8,9 +8,10 @@ the reason why it has no value.
 import json
 import os
 import shutil
+import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,9 +21,9 @@ import deepmf_sumo
 from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.live.session import LiveAttack
+from deepmf_sumo.live.session import LiveAttack, Switch
 from deepmf_sumo.metrics import measure
-from deepmf_sumo.results import artifacts, folder, result, signals
+from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.tracks import write_tracks
@@ -157,7 +158,7 @@ WAYS: Final = "--overwrite deletes them, another folder for --out keeps them"
 class Record:
     """The attacks of a session, or of one after the other in another simulation each.
 
-    The files are complete after each attack.
+    The files are complete after each attack, and after each switch of attacks.
 
     Args:
         out: the folder; None writes nothing.
@@ -165,6 +166,10 @@ class Record:
         spec: the settings of the attacks.
         overwrite: delete the results of an earlier command in the folder.
         ways: what the user can do about them, for the message.
+
+    Attributes:
+        rows: the attacks. switches: when new attacks were turned off and on, as in
+            ``session.json``. switched: called with each of them; may be replaced.
 
     Raises OutputError if the folder cannot be written, is in use, or contains something else, or
     earlier results without ``overwrite``.
@@ -180,7 +185,11 @@ class Record:
         ways: str = WAYS,
     ) -> None:
         self.rows: list[dict[str, Any]] = []
+        self.switches: list[dict[str, Any]] = []
+        self.switched: Callable[[dict[str, Any]], None] = lambda _: None
         self.simulations = 0
+        self._now: tuple[str, float | None] = ("going on", None)
+        self._writing = threading.Lock()
         self._out, self._spec = out, spec
         self._overwrite, self._ways = overwrite, ways
         self._results: Results | None = None
@@ -223,6 +232,20 @@ class Record:
         self._write("going on", attack.end_s)
         self._results.add(attack)
 
+    def switch(self, change: Switch) -> None:
+        """Note that new attacks were turned on or off. Called from any thread."""
+        values = {
+            "simulation": self.simulations,
+            "av": change.av,
+            "time_s": round(change.time_s, 3),
+            "new_attacks": "on" if change.on else "off",
+            "door": change.door,
+        }
+        self.switches.append(values)
+        if self._out is not None and self._results is not None:
+            self._write(*self._now)
+        self.switched(values)
+
     def finish(self, end: str, time_s: float) -> None:
         """End the session."""
         if self._out is not None and self._results is not None:
@@ -234,14 +257,17 @@ class Record:
 
     def _write(self, end: str, time_s: float | None) -> None:
         assert self._out is not None
-        values = {
-            **self._about,
-            "ended": end,
-            "time_s": time_s,
-            "attacks": len(self.rows),
-            "simulations": self.simulations,
-        }
-        files.write_json(self._out / "session.json", values)
+        with self._writing:
+            self._now = end, time_s
+            values = {
+                **self._about,
+                "ended": end,
+                "time_s": time_s,
+                "attacks": len(self.rows),
+                "simulations": self.simulations,
+                "switches": self.switches,
+            }
+            files.write_json(self._out / sessions.FILE, values)
 
 
 def row(attack: LiveAttack, number: int, simulation: int) -> dict[str, Any]:

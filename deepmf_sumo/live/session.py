@@ -30,6 +30,19 @@ class LiveAttack:
     rollout: Rollout
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Switch:
+    """New attacks on an AV were turned on or off, at a time of the simulation.
+
+    ``door``: ``HTTP``, ``signal`` or ``API``.
+    """
+
+    av: AgentId
+    time_s: float
+    on: bool
+    door: str
+
+
 class Session:
     """Attacks on one AV; the caller calls `before_step` and `after_step` around each step.
 
@@ -47,7 +60,7 @@ class Session:
     Attributes:
         attacks, undriven: numbers of attacks so far.
         last_failure: why the last try to attack failed.
-        paused: set it, and no attack begins; one that goes on ends as it would.
+        switched: called with each change of `switch`; may be replaced.
         enough: whether no other attack may begin; may be replaced.
 
     Raises UsageError if 0.1 s is not a multiple of the simulation's step.
@@ -70,7 +83,8 @@ class Session:
         self.av_seen = False
         self.av_present = False
         self.last_failure = ""
-        self.paused = False
+        self.switched: Callable[[Switch], None] = lambda _: None
+        self._on = True
         self.enough: Callable[[], bool] = lambda: False
         self._scenery = scenery
         self._policy = policy
@@ -114,6 +128,23 @@ class Session:
     def driving(self) -> AgentId | None:
         """The opponent, also in the step in which it comes back onto its lane."""
         return self._attack.opponent_id if self._attack is not None else None
+
+    @property
+    def paused(self) -> bool:
+        """Whether new attacks are switched off."""
+        return not self._on
+
+    def switch(self, *, on: bool, door: str = "API") -> None:
+        """Turn new attacks on or off; one that goes on ends as it would.
+
+        ``door``: where it came in, for the record of the session.
+        """
+        if on == self._on:
+            return
+        self._on = on
+        since = f"new attacks are off since {self.time_s:.1f} s ({door})"
+        self.last_failure = "" if on else since
+        self.switched(Switch(av=self.av_id, time_s=self.time_s, on=on, door=door))
 
     def attack(self) -> None:
         """Attack as soon as a vehicle can, whatever the triggers say."""

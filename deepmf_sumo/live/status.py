@@ -1,7 +1,8 @@
 """Sessions over HTTP: what they do now, and a switch for new attacks.
 
 ``GET /status`` is JSON, ``POST /start`` and ``POST /stop`` turn new attacks on and off and answer
-with the status, ``GET /`` is a page with both. Only this machine can connect.
+with the status, ``GET /`` is a page with both. Only this machine can connect, and of web pages only
+this one is answered: see `local_http`.
 """
 
 import json
@@ -9,14 +10,20 @@ import threading
 from collections import Counter
 from collections.abc import Sequence
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Final, Self
 
 from deepmf_sumo.datatypes import AgentId
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.live.session import Session
+from deepmf_sumo.local_http import LocalHandler, LocalServer
 
+DOOR: Final = "HTTP"
+"""How the record of a session names a switch that came in here."""
+_WITHIN_S: Final = 10.0
+"""For one request."""
+_MOST: Final = 32
+"""Requests at a time."""
 _WAITING: Final = "the first step has not come yet"
 _PAGE: Final = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>deepmf-sumo: live attacks</title>
@@ -82,11 +89,10 @@ class StatusServer:
             of = status
 
         try:
-            self._server = ThreadingHTTPServer(("localhost", port), Handler)
+            self._server = LocalServer(port, Handler, _MOST)
         except OSError as error:
             raise UsageError(f"--http {port} cannot be used: {error.strerror}.") from None
         self.port = int(self._server.server_address[1])
-        self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, name="status", daemon=True).start()
 
     def watch(self, sessions: Sequence[Session]) -> None:
@@ -94,7 +100,8 @@ class StatusServer:
         for old in self._sessions:
             self._before[old.av_id] += old.attacks
         for new in sessions:
-            new.paused = any(old.paused for old in self._sessions)
+            if any(old.paused for old in self._sessions):
+                new.switch(on=False, door=DOOR)
         self._sessions = sessions
 
     def status(self) -> dict[str, Any]:
@@ -121,7 +128,7 @@ class StatusServer:
     def switch(self, *, on: bool) -> bool:
         """Turn new attacks on or off; False without a session."""
         for one in self._sessions:
-            one.paused = not on
+            one.switch(on=on, door=DOOR)
         return bool(self._sessions)
 
     def __enter__(self) -> Self:
@@ -137,10 +144,11 @@ class StatusServer:
         self._server.server_close()
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(LocalHandler):
     of: StatusServer
+    within_s = _WITHIN_S
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # noqa: N802 - of the base class
         if self.path == "/":
             self._answer(_PAGE.encode(), "text/html; charset=utf-8")
         elif self.path == "/status":
@@ -148,7 +156,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self.send_error(HTTPStatus.NOT_FOUND, "there are /, /status, /start and /stop")
 
-    def do_POST(self) -> None:
+    def do_POST(self) -> None:  # noqa: N802 - of the base class
         if self.path not in {"/start", "/stop"}:
             self.send_error(HTTPStatus.NOT_FOUND, "POST goes to /start and /stop")
         elif self.of.switch(on=self.path == "/start"):
@@ -166,6 +174,3 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         self.wfile.write(body)
-
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - of the base class
-        """Requests are not logged: the terminal belongs to the attacks."""

@@ -16,6 +16,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate import rows
 from deepmf_sumo.gate.comparison import differing
 from deepmf_sumo.gate.rows import Results, Row
+from deepmf_sumo.results import sessions
 from deepmf_sumo.results.difference import Matched, match, two_sided
 from deepmf_sumo.results.quantities import COMPARABLE, Quantity
 from deepmf_sumo.results.result import Result
@@ -208,7 +209,12 @@ def compare(
         differs=differs | settings,
         differences=differences(old, new, quantities, confidence),
         origins=origins(tagged[0], tagged[1], confidence),
-        notes=[*unlike, *traffic_notes(*folders), *_notes(old, new, pairs)],
+        notes=[
+            *sessions.notes(one.source for one in (old, new)),
+            *unlike,
+            *traffic_notes(*folders),
+            *_notes(old, new, pairs),
+        ],
     )
 
 

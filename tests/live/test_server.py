@@ -16,7 +16,6 @@ import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import sumo
@@ -24,7 +23,6 @@ import sumo
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import exit_code
 from deepmf_sumo.live.relay import LARGEST
-from deepmf_sumo.live.status import StatusServer
 
 pytestmark = pytest.mark.sumo
 
@@ -321,16 +319,6 @@ def load_in_vain(content, connect):
         assert connection.recv(4096) == b""
 
 
-def test_what_the_page_has_switched_stays_so_in_the_simulation_that_is_loaded():
-    sessions = [[SimpleNamespace(av_id="av", attacks=number, paused=False)] for number in (2, 1)]
-    with StatusServer(0, ["av"]) as status:
-        status.watch(sessions[0])
-        status.switch(on=False)
-        status.watch(sessions[1])
-        assert sessions[1][0].paused
-        assert status._before["av"] == 2
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -469,8 +457,15 @@ def test_status_and_a_switch_over_http(served, tmp_path):
             ask("/nowhere")
         connection.sendall(message(command(0x7F)))
         connection.recv(4096)
-    process.communicate(timeout=30)
+    out, told = process.communicate(timeout=30)
     assert process.returncode == 0
+    switches = json.loads((tmp_path / "live/session.json").read_text())["switches"]
+    assert [(one["new_attacks"], one["door"]) for one in switches] == [
+        ("off", "HTTP"),
+        ("on", "HTTP"),
+    ]
+    assert "s: new attacks on 'av' are off (HTTP)" in told
+    assert "new attacks on 'av' were off from" in out
 
 
 ADDS = """

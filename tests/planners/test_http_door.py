@@ -5,6 +5,8 @@ import json
 import socket
 import threading
 import time
+import urllib.error
+import urllib.request
 
 import numpy as np
 import pytest
@@ -73,7 +75,8 @@ def test_a_question_of_a_length_that_is_none_is_a_clean_400(length):
     try:
         for _ in range(2):  # it goes on
             with socket.create_connection(("127.0.0.1", server.server_port), timeout=10) as client:
-                head = f"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: {length}\r\n\r\n"
+                host = f"Host: localhost:{server.server_port}"
+                head = f"POST / HTTP/1.1\r\n{host}\r\nContent-Length: {length}\r\n\r\n"
                 client.sendall(head.encode())
                 answer = b"".join(iter(lambda: client.recv(65536), b""))
             assert answer.startswith(b"HTTP/1.1 400 ")
@@ -182,3 +185,54 @@ def test_nobody_listens(config):
 def test_addresses_that_are_refused(url, message):
     with pytest.raises(PluginError, match=message):
         plugins.settings("planners", "http", {"url": url})
+
+
+RESET = {
+    "type": "reset", "protocol": 1, "episode": "e", "case": "c", "seed": 1, "av_id": "av",
+    "dt_s": 0.1, "steps": 10, "own_lane": False, "road": None,
+}  # fmt: skip
+AGENT = {
+    "id": "av", "kind": "vehicle", "size_m": [4.0, 2.0, 1.5], "x_m": [0.0], "y_m": [0.0],
+    "z_m": [0.0], "heading_rad": [0.0], "vx_mps": [1.0], "vy_mps": [0.0], "valid": [True],
+}  # fmt: skip
+LONGER = {name: value * 2 for name, value in AGENT.items() if name not in {"id", "kind", "size_m"}}
+VIEW = {
+    "type": "view", "episode": "e", "step": 0, "dt_s": 0.1, "steps_left": 1, "av_id": "av",
+    "agents": [AGENT], "signals": {}, "av_path_m": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (RESET | {"seed": -5}, "seed is -5; it must be 0 or more"),
+        (VIEW | {"agents": [AGENT | {"y_m": [1.0, 2.0]}]}, "y_m of 'av' has 2 numbers, and valid"),
+        (VIEW | {"agents": [AGENT | {"size_m": [1.0]}]}, "size_m of 'av' has 1 numbers, not 3"),
+        (VIEW | {"agents": [AGENT, AGENT | LONGER]}, "different numbers of steps: [1, 2]"),
+        (VIEW | {"av_path_m": [[1.0, 2.0], [3.0]]}, "ValueError"),
+        (VIEW | {"signals": {"lane": "purple"}}, "KeyError"),
+    ],
+)
+def test_a_question_that_cannot_be_answered_is_a_400(message, said, capfd):
+    with serving({}) as url:
+        for question, status in ((RESET, 200), (message, 400), (VIEW, 200)):
+            found = asked(url, question)
+            assert found[0] == status, found
+            if question is message:
+                assert said in found[1]
+
+
+def asked(url, message, **headers):
+    request = urllib.request.Request(url, json.dumps(message).encode(), headers)
+    try:
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+@pytest.mark.parametrize("headers", [{"Host": "evil.example"}, {"Origin": "http://evil.example"}])
+def test_a_web_page_cannot_ask_a_planner(headers):
+    with serving({}) as url:
+        assert asked(url, RESET, **headers)[0] == 403
+        assert asked(url, RESET)[0] == 200

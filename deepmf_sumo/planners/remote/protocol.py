@@ -14,9 +14,9 @@ written so that they are read back bit for bit. `client` is the simulation's sid
 Python planner.
 """
 
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 from pydantic.json_schema import models_json_schema
 
 PROTOCOL: Final = 1
@@ -219,6 +219,12 @@ class Reset(Message):
     own_lane: bool
     road: RoadMessage | None
 
+    @model_validator(mode="after")
+    def _seeds_a_generator(self) -> Self:
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}; it must be 0 or more")
+        return self
+
 
 class AgentMessage(Message):
     """An agent that is there now: H steps of history, the last of them is now.
@@ -236,6 +242,17 @@ class AgentMessage(Message):
     vx_mps: list[float]
     vy_mps: list[float]
     valid: list[bool]
+
+    @model_validator(mode="after")
+    def _of_equal_lengths(self) -> Self:
+        if len(self.size_m) != 3:
+            raise ValueError(f"size_m of '{self.id}' has {len(self.size_m)} numbers, not 3")
+        for name in ("x_m", "y_m", "z_m", "heading_rad", "vx_mps", "vy_mps"):
+            if (count := len(getattr(self, name))) != len(self.valid):
+                raise ValueError(
+                    f"{name} of '{self.id}' has {count} numbers, and valid has {len(self.valid)}"
+                )
+        return self
 
 
 class ViewMessage(Message):
@@ -255,6 +272,12 @@ class ViewMessage(Message):
     agents: list[AgentMessage]
     signals: dict[str, str]
     av_path_m: Points | None
+
+    @model_validator(mode="after")
+    def _of_one_time(self) -> Self:
+        if len(steps := {len(one.valid) for one in self.agents}) > 1:
+            raise ValueError(f"agents have different numbers of steps: {sorted(steps)}")
+        return self
 
 
 def schema() -> dict[str, Any]:

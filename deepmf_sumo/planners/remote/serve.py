@@ -10,9 +10,9 @@ import argparse
 import json
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from dataclasses import asdict
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
@@ -44,6 +44,7 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.errors import DeepmfError, PlannerError
+from deepmf_sumo.local_http import LocalHandler, LocalServer
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.planners.remote.protocol import (
     NUMBERS,
@@ -110,15 +111,15 @@ def on_streams(answerer: Answerer) -> None:
             answers.write(answerer.answer(line))
 
 
-def on_port(answerer: Answerer, port: int) -> ThreadingHTTPServer:
+def on_port(answerer: Answerer, port: int) -> LocalServer:
     """A server that answers POST requests once ``serve_forever`` is called."""
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(LocalHandler):
         protocol_version = "HTTP/1.1"
         disable_nagle_algorithm = True
         wbufsize = -1
 
-        def do_POST(self) -> None:
+        def do_POST(self) -> None:  # noqa: N802 - of the base class
             """Answer a message."""
             length = self.headers.get("Content-Length", "0")
             known = length.isascii() and length.isdecimal() and len(length) < 20
@@ -133,6 +134,10 @@ def on_port(answerer: Answerer, port: int) -> ThreadingHTTPServer:
                 status, answer = 200, answerer.answer(body)
             except DeepmfError as error:
                 status, answer = 400, str(error).encode(errors="replace")
+            except Exception as error:  # noqa: BLE001 - of the planner: the server goes on
+                traceback.print_exc()
+                told = f"{type(error).__name__}: {error}"
+                status, answer = 400, told.encode(errors="replace")
             self.send_response(status)
             if self.close_connection:
                 self.send_header("Connection", "close")
@@ -141,10 +146,7 @@ def on_port(answerer: Answerer, port: int) -> ThreadingHTTPServer:
             self.end_headers()
             self.wfile.write(answer)
 
-        def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - http.server's
-            """Print no line for each step."""
-
-    return ThreadingHTTPServer(("127.0.0.1", port), Handler)
+    return LocalServer(port, Handler)
 
 
 _NOWHERE: Final = Path("told-to-a-planner")

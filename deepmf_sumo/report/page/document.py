@@ -16,7 +16,7 @@ from deepmf_sumo.report.page.roads import ELEMENTS, Roads
 from deepmf_sumo.report.page.runs import RunPage, run_page
 from deepmf_sumo.report.palette import SCORES
 from deepmf_sumo.report.table import SECTORS
-from deepmf_sumo.results import stored
+from deepmf_sumo.results import sessions, stored
 from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.risk import Network, Row
 
@@ -45,6 +45,7 @@ def write(out: Path) -> Path:
         "failures": _failures(pages),
         "maps": [network.name for network in networks],
         "withoutMap": without_map,
+        "switchedOff": sessions.switched_off(out),
         "missing": sum(bool(page.missing) for page in pages),
         "interrupted": bool(_json(out / "summary.json").get("interrupted")),
         "manifest": {name: manifest.get(name) for name in ("version", "packages", "machine")},

@@ -51,6 +51,8 @@ function showNotices(content) {
   const notices = [];
   if (content.interrupted)
     notices.push("This batch was interrupted: runs are missing. Go on with --resume.");
+  for (const sentence of content.switchedOff ?? [])
+    notices.push(`This session did not attack all the time: ${sentence}.`);
   if (content.missing)
     notices.push(
       `${counted(content.missing, "run")} cannot be replayed; the column 'note' says why.`,
