@@ -8,7 +8,7 @@ import pytest
 
 from deepmf_sumo.sweep import workers
 
-from tests.support import forked_workers, started_programs, tiny_network
+from tests.support import forked_workers, road_user_invariant, started_programs, tiny_network
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN_COMMANDS = {"cli", "plans", "simulation"}
@@ -54,6 +54,13 @@ def starts_sumo() -> None:
 def _forked_workers():
     with pytest.MonkeyPatch.context() as patch:
         forked_workers.use(patch)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _road_users():
+    with pytest.MonkeyPatch.context() as patch:
+        road_user_invariant.use(patch)
         yield
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Bools, RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes import AgentId, Bools, RoadMap, Rollout, Tracks, agent_ids
 from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import boxes, frames
@@ -151,7 +151,7 @@ def _shapes(rollout: Rollout, replayed: Bools) -> str:
 def _fcd(rollout: Rollout, present: Bools) -> str:
     tracks = rollout.tracks
     front, angle = frames.to_sumo(tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0])
-    begun = [f'        <vehicle id={quoteattr(agent)} x="' for agent in tracks.ids]
+    begun = [f'        <{_element(agent)} x="' for agent in tracks.ids]
     # Lists: formatting numbers of numpy takes several times as long.
     values = np.concatenate(
         [front, angle[..., None], tracks.speed_mps[..., None], tracks.z_m[..., None]], axis=-1
@@ -171,6 +171,12 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
         lines.append("    </timestep>")
     lines.append("</fcd-export>\n")
     return "\n".join(lines)
+
+
+def _element(agent: AgentId) -> str:
+    """Name and id as SUMO writes them: a person may have the id of a vehicle."""
+    person = agent_ids.person_of(agent)
+    return f"vehicle id={quoteattr(agent)}" if person is None else f"person id={quoteattr(person)}"
 
 
 def _view(rollout: Rollout, road: RoadMap) -> str:

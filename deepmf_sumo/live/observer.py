@@ -12,16 +12,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Driver
+from deepmf_sumo.datatypes import AgentId, Driver, agent_ids
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.live.connection import LiveApi
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.simulation.observation import Bodies
+from deepmf_sumo.simulation.road_users import Bodies, on_foot, somewhere
 
 POSITION, ANGLE, SPEED = 0x39, 0x43, 0x40
 """TraCI's numbers of the variables: front bumper x, y, z (m), degrees clockwise from north, m/s."""
+RIDES_IN: Final = 0xC3
+"""The number of a person's vehicle."""
 _VEHICLES, _PERSONS = 0xA4, 0xAE
 """TraCI's numbers of the domains."""
+_VARIABLES: Final = {
+    _VEHICLES: [POSITION, ANGLE, SPEED],
+    _PERSONS: [POSITION, ANGLE, SPEED, RIDES_IN],
+}
 MARK: Final = "deepmf_sumo "
 """How names of our points of interest begin, in SUMO and in results of subscriptions."""
 _INVISIBLE: Final = (0, 0, 0, 0)
@@ -29,8 +35,6 @@ _SLACK_M: Final = 10.0
 """Distance of the AV from the point at which the point follows."""
 _ASK_EVERY: Final = 20
 """Number of looks after which it checks whether there are persons by now."""
-_NOWHERE_M: Final = -1e8
-"""Coordinates below are SUMO's way to say that a vehicle is not on the road."""
 
 States = Mapping[AgentId, Mapping[int, Any]]
 Circle = tuple[float, float, float, float, float]
@@ -39,10 +43,23 @@ Circle = tuple[float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """The agents near the AV after a step, as SUMO states them."""
+    """The road users near the AV after a step, as SUMO states them; persons are those on foot."""
 
     vehicles: States
     persons: States
+
+    def all(self) -> dict[AgentId, Mapping[int, Any]]:
+        """Vehicles, then persons."""
+        return {**self.vehicles, **self.persons}
+
+
+def _on_foot(persons: Mapping[str, Mapping[int, Any]]) -> States:
+    """The persons that are road users, by agent."""
+    return {
+        agent_ids.of_person(name): state
+        for name, state in persons.items()
+        if on_foot(state[RIDES_IN])
+    }
 
 
 class Observer:
@@ -93,7 +110,7 @@ class Observer:
         if agent not in vehicle.getIDList():
             return None
         x, y = vehicle.getPosition(agent)[:2]
-        return (float(x), float(y)) if min(x, y) > _NOWHERE_M else None
+        return (float(x), float(y)) if somewhere((x, y)) else None
 
     def pose(self, sighting: Sighting, agent: AgentId) -> Pose:
         """Pose of a vehicle of a sighting."""
@@ -114,27 +131,20 @@ class Observer:
         In plain numbers: it is called every 0.1 s, and mostly says no.
         """
         me = self._circle(sighting.vehicles[self._av], self.bodies.ask(self._av))
-        for group in (sighting.vehicles, sighting.persons):
-            for name, state in group.items():
-                person = group is sighting.persons
-                if name == self._av or not self._known(name, person=person):
-                    continue
-                other = self._circle(state, self.bodies[name])
-                if _meeting_s(me, other) <= within_s:
-                    return True
+        for name, state in sighting.all().items():
+            if name == self._av or not self._known(name):
+                continue
+            other = self._circle(state, self.bodies[name])
+            if _meeting_s(me, other) <= within_s:
+                return True
         return False
 
     def frame(self, sighting: Sighting, placed: dict[AgentId, tuple[Pose, Driver]]) -> Frame:
         """The frame of a sighting; ``placed`` agents are where they were put."""
-        vehicles, persons = sighting.vehicles, sighting.persons
-        states = {**persons, **vehicles}
+        states = sighting.all()
         for name in placed:
             self.bodies.ask(name)
-        ids = [
-            name
-            for name in sorted(states)
-            if name not in placed and self._known(name, person=name not in vehicles)
-        ]
+        ids = [name for name in sorted(states) if name not in placed and self._known(name)]
         rows = [
             (*state[POSITION][:2], state[ANGLE], max(state[SPEED], 0.0), state[POSITION][2])
             for state in (states[name] for name in ids)
@@ -150,17 +160,18 @@ class Observer:
 
     def around(self, at: tuple[float, float], radius_m: float) -> Sighting:
         """The agents near any point now, read once by a few messages."""
-        poi, point = self._api.poi, f"{MARK}place of {self._av}"
-        poi.add(point, *at, _INVISIBLE)
-        try:
-            seen: list[States] = []
-            for domain in (_VEHICLES, _PERSONS):
-                poi.subscribeContext(point, domain, radius_m, [POSITION, ANGLE, SPEED])
-                seen.append(dict(poi.getContextSubscriptionResults(point)))
+        poi = self._api.poi
+        seen: dict[int, States] = {}
+        for domain, variables in _VARIABLES.items():
+            point = f"{MARK}place {domain} of {self._av}"  # results of a point are by id alone
+            poi.add(point, *at, _INVISIBLE)
+            try:
+                poi.subscribeContext(point, domain, radius_m, variables)
+                seen[domain] = dict(poi.getContextSubscriptionResults(point))
                 poi.unsubscribeContext(point, domain, radius_m)
-        finally:
-            poi.remove(point)
-        return Sighting(*seen)
+            finally:
+                poi.remove(point)
+        return Sighting(seen[_VEHICLES], _on_foot(seen[_PERSONS]))
 
     def close(self) -> None:
         """Remove the subscription and its point."""
@@ -186,7 +197,7 @@ class Observer:
                 poi.add(point, *at, _INVISIBLE)
                 self._subscribed.append(domain)
             # answered at once
-            poi.subscribeContext(point, domain, self._radius_m, [POSITION, ANGLE, SPEED])
+            poi.subscribeContext(point, domain, self._radius_m, _VARIABLES[domain])
         self._at = at
         seen = self._seen()
         if self._av not in seen.vehicles:  # off every lane, where SUMO's search does not find it
@@ -207,7 +218,7 @@ class Observer:
     def _seen(self) -> Sighting:
         results = self._api.poi.getContextSubscriptionResults
         persons = results(self._points[_PERSONS]) if _PERSONS in self._subscribed else {}
-        return Sighting(results(self._points[_VEHICLES]), persons)
+        return Sighting(results(self._points[_VEHICLES]), _on_foot(persons))
 
     @staticmethod
     def _circle(state: Mapping[int, Any], body: Body) -> Circle:
@@ -218,10 +229,10 @@ class Observer:
         x, y = state[POSITION][0] - length / 2 * ahead, state[POSITION][1] - length / 2 * left
         return x, y, speed * ahead, speed * left, math.hypot(length, width) / 2
 
-    def _known(self, name: AgentId, *, person: bool) -> bool:
+    def _known(self, name: AgentId) -> bool:
         """Whether kind and size of an agent are known: one that has left cannot be asked."""
         try:
-            self.bodies.ask(name, person=person)
+            self.bodies.ask(name)
         except self._api.TraCIException:
             return False
         return True

@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Bools
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.simulation.observation import kind_of
+from deepmf_sumo.simulation.road_users import kind_of
 from deepmf_sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
 
 VehicleTime = tuple[AgentId, float]

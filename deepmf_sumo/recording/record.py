@@ -14,7 +14,8 @@ from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.recording.driver_population import DriverMix
 from deepmf_sumo.recording.scenes import Moment, Recording, Scenes
-from deepmf_sumo.simulation.observation import LiveSignals, TrafficReader
+from deepmf_sumo.simulation.road_users import TrafficReader
+from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi, running
 from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
 

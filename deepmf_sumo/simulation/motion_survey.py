@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S
+from deepmf_sumo.datatypes import DT_S, AgentId, agent_ids
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics.traffic_conflicts import Motions
 from deepmf_sumo.network.sumo_net import edge_of
-from deepmf_sumo.simulation.observation import TrafficReader
+from deepmf_sumo.simulation.road_users import State, TrafficReader
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.sumo_config import Traffic, begun, read_configuration
 
@@ -100,7 +100,7 @@ class _Notes:
     """Columns that grow; constants are asked for once."""
 
     api: SumoApi
-    bodies: dict[str, int] = field(default_factory=dict)
+    bodies: dict[AgentId, int] = field(default_factory=dict)
     types: list[str] = field(default_factory=list)
     lanes: dict[str, int] = field(default_factory=dict)
     numbers: "array[float]" = field(default_factory=lambda: array("d"))
@@ -112,33 +112,33 @@ class _Notes:
 
     def look(self, step: int) -> None:
         """Note all that are on the road."""
-        vehicles = set(self.api.vehicle.getIDList())
-        seen: list[tuple[int, int, tuple[float, float, float, float, float]]] = []
-        for name, state in self.reader.states().items():
-            lane = self._lane(name, state[3], vehicle=name in vehicles)
+        seen: list[tuple[int, int, State]] = []
+        for agent, state in self.reader.states().items():
+            lane = self._lane(agent, state[3])
             if lane:
                 number = self.lanes.setdefault(lane, len(self.lanes))
-                seen.append((self._body(name, vehicle=name in vehicles), number, state))
+                seen.append((self._body(agent), number, state))
         for body, number, state in sorted(seen):
             self.rows.extend((step, body, number))
             self.numbers.extend(state)
 
-    def _lane(self, name: str, speed_mps: float, *, vehicle: bool) -> str:
-        """Empty for those that are not on the road."""
-        if not vehicle:
-            riding = self.api.person.getVehicle(name)
-            return "" if riding else str(self.api.person.getLaneID(name))
-        domain = self.api.vehicle
-        if speed_mps < _STANDING_MPS and domain.getStopState(name) & _PARKED:
+    def _lane(self, agent: AgentId, speed_mps: float) -> str:
+        """Empty for those beside the road: parked, or in a teleport."""
+        person, vehicle = agent_ids.person_of(agent), self.api.vehicle
+        if person is not None:
+            return str(self.api.person.getLaneID(person))
+        if speed_mps < _STANDING_MPS and vehicle.getStopState(agent) & _PARKED:
             return ""
-        return str(domain.getLaneID(name))
+        return str(vehicle.getLaneID(agent))
 
-    def _body(self, name: str, *, vehicle: bool) -> int:
-        if name not in self.bodies:
-            domain = self.api.vehicle if vehicle else self.api.person
-            self.bodies[name] = len(self.types)
-            self.types.append(str(domain.getTypeID(name)).partition("@")[0])
-        return self.bodies[name]
+    def _body(self, agent: AgentId) -> int:
+        if agent not in self.bodies:
+            person = agent_ids.person_of(agent)
+            domain = self.api.vehicle if person is None else self.api.person
+            self.bodies[agent] = len(self.types)
+            kind = domain.getTypeID(agent if person is None else person)
+            self.types.append(str(kind).partition("@")[0])
+        return self.bodies[agent]
 
     def surveyed(self, begin: float, until: float, *, complete: bool) -> Surveyed:
         names = tuple(self.bodies)

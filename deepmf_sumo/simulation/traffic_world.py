@@ -16,6 +16,7 @@ from deepmf_sumo.datatypes import (
     SignalState,
     TrafficCase,
     VehicleModel,
+    agent_ids,
 )
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry.ground import ground_of
@@ -23,7 +24,8 @@ from deepmf_sumo.network.sumo_road import signal_links
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.free_positions import FreePositions, Occupancy
-from deepmf_sumo.simulation.observation import LiveSignals, TrafficReader
+from deepmf_sumo.simulation.road_users import TrafficReader, on_foot
+from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.sumo_api import AV_TYPE, Backend, SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
 from deepmf_sumo.simulation.vehicle_control import Takeover
@@ -64,7 +66,7 @@ class TrafficWorld:
         self._frames = self._run_to(case.start_s)
         if case.av_id not in api.vehicle.getIDList():
             raise SimulationError(_absent(api, case))
-        self._only = None if case.only is None else {case.av_id, *case.only}
+        self._only = None if case.only is None else _named(api, {case.av_id, *case.only})
         if self._only is not None:
             self._leave_out_others(self._only)
             self._frames = [frame.of_agents(self._only) for frame in self._frames]
@@ -156,16 +158,25 @@ class TrafficWorld:
 
     def _leave_out_others(self, only: Collection[AgentId]) -> None:
         """Take everybody else off the road, before any of them has moved."""
-        for domain in (self._api.vehicle, self._api.person):
-            for agent in domain.getIDList():
-                if agent not in only:
-                    domain.remove(agent)
+        vehicle, person = self._api.vehicle, self._api.person
+        for name in vehicle.getIDList():
+            if name not in only:
+                vehicle.remove(name)
+        for name in person.getIDList():  # who is in a vehicle stays or goes with it
+            if agent_ids.of_person(name) not in only and on_foot(person.getVehicle(name)):
+                person.remove(name)
 
     def _note_step_length(self, configuration: Configuration) -> None:
         if abs(configuration.step_s - DT_S) > 1e-9:
             detail = f"{configuration.file.name} asks for {configuration.step_s:g} s, run at 0.1 s"
             event = Event(step=self._step, agent_id="", kind="step_length_changed", detail=detail)
             self.events.append(event)
+
+
+def _named(api: SumoApi, only: set[AgentId]) -> set[AgentId]:
+    """The named road users; a person may be named as SUMO has it, unless a vehicle has the name."""
+    vehicles = set(api.vehicle.getIDList())
+    return only | {agent_ids.of_person(name) for name in only - vehicles}
 
 
 def _check_start(case: TrafficCase, configuration: Configuration) -> None:

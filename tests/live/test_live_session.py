@@ -331,8 +331,8 @@ def test_persons_are_seen_from_when_they_come(folder, sumo):
     api.person.add("walker", "ab", 80.0)
     api.person.appendWalkingStage("walker", ["ab"], 200.0)
     step(api, session, 45)
-    assert "walker" not in policy.views[0].history.ids
-    row = policy.views[-1].history.row("walker")
+    assert "person walker" not in policy.views[0].history.ids
+    row = policy.views[-1].history.row("person walker")
     assert policy.views[-1].history.kinds[row] == "pedestrian"
 
 

@@ -1,96 +1,9 @@
-"""What is read from SUMO in each step: vehicles, persons, and the lights of lanes."""
+"""Traffic lights of a running SUMO: read from it, or shown as they were recorded."""
 
-from collections.abc import Mapping, Sequence
-from typing import Final
+from collections.abc import Mapping
 
-import numpy as np
-
-from deepmf_sumo.datatypes import (
-    AgentId,
-    AgentKind,
-    Floats,
-    SignalLink,
-    Signals,
-    SignalState,
-)
-from deepmf_sumo.simulation.frame import Body, Frame
+from deepmf_sumo.datatypes import SignalLink, Signals, SignalState
 from deepmf_sumo.simulation.sumo_api import SumoApi
-
-_KINDS: Final[Mapping[str, AgentKind]] = {
-    **dict.fromkeys(("bicycle", "scooter"), "cyclist"),
-    **dict.fromkeys(("pedestrian", "wheelchair"), "pedestrian"),
-    **dict.fromkeys(("tram", "rail", "rail_urban", "rail_fast", "rail_electric"), "other"),
-    **dict.fromkeys(("subway", "cable_car", "ship", "container", "aircraft", "drone"), "other"),
-}
-"""Of SUMO's vehicle classes those that are not vehicles on roads, and so never attack."""
-
-
-def kind_of(vehicle_class: str) -> AgentKind:
-    """The kind of SUMO's vehicles of a class; ``other`` on rails, on water and in the air."""
-    return _KINDS.get(vehicle_class, "vehicle")
-
-
-class Bodies:
-    """Kinds and sizes of the agents of a running SUMO, which is asked once for each."""
-
-    def __init__(self, api: SumoApi) -> None:
-        self._api = api
-        self._known: dict[AgentId, Body] = {}
-
-    def __getitem__(self, agent: AgentId) -> Body:
-        """Of an agent that has been asked for; raises KeyError for others."""
-        return self._known[agent]
-
-    def ask(self, agent: AgentId, *, person: bool = False) -> Body:
-        """Of a vehicle or person that is present, or has been asked for before."""
-        body = self._known.get(agent)
-        if body is None:
-            domain = self._api.person if person else self._api.vehicle
-            size = (domain.getLength(agent), domain.getWidth(agent), domain.getHeight(agent))
-            kind = "pedestrian" if person else kind_of(str(domain.getVehicleClass(agent)))
-            length, width, height = (float(value) for value in size)
-            body = self._known[agent] = Body(kind=kind, size_m=(length, width, height))
-        return body
-
-    def sizes_m(self, agents: Sequence[AgentId]) -> Floats:
-        """(N, 2) length and width."""
-        return np.array([self._known[one].size_m[:2] for one in agents]).reshape(-1, 2)
-
-
-class TrafficReader:
-    """All vehicles and persons of a running SUMO."""
-
-    def __init__(self, api: SumoApi) -> None:
-        self._api = api
-        self.bodies = Bodies(api)
-
-    def body(self, agent: AgentId) -> Body:
-        """Kind and size; raises KeyError for an agent that was never read."""
-        return self.bodies[agent]
-
-    def read(self) -> Frame:
-        """All agents, vehicles before persons, sorted by id."""
-        states = self.states()
-        ids = list(states)
-        return Frame.of_sumo(ids, list(states.values()), self.bodies.sizes_m(ids)[:, 0])
-
-    def states(self) -> dict[AgentId, tuple[float, float, float, float, float]]:
-        """As `read`, in SUMO's terms: front bumper x, y (m), angle (degrees), speed (m/s), z (m).
-
-        For a reader of thousands of steps, which converts them all at once.
-        """
-        vehicle, person = self._api.vehicle, self._api.person
-        present = [(vehicle, name) for name in sorted(vehicle.getIDList())]
-        present += [(person, name) for name in sorted(person.getIDList())]
-        states = {}
-        for domain, name in present:
-            self.bodies.ask(name, person=domain is person)
-            x_m, y_m, z_m = domain.getPosition3D(name)
-            # of the order of -1e9 while a vehicle is not on the road
-            speed_mps = max(0.0, domain.getSpeed(name))
-            states[str(name)] = (x_m, y_m, domain.getAngle(name), speed_mps, z_m)
-        return states
-
 
 # UNKNOWN and unobserved give `o` (off, blinking: yield), never `O`, which ends all right of way.
 _LETTER = {

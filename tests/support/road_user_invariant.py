@@ -1,0 +1,28 @@
+"""Invariant of every simulated frame: agents = SUMO's vehicles on the road + persons on foot.
+
+Who rides is asked of the vehicles here, and of the persons in the product.
+"""
+
+from deepmf_sumo.simulation.road_users import TrafficReader
+
+
+def use(patch) -> None:
+    """Check each frame that is read from SUMO."""
+    read = TrafficReader.states
+
+    def checked(reader):
+        states = read(reader)
+        expected = on_the_road(reader._api)
+        assert set(states) == expected, f"agents are not the road users: {set(states) ^ expected}"
+        return states
+
+    patch.setattr(TrafficReader, "states", checked)
+
+
+def on_the_road(api) -> set[str]:
+    """The agents that there have to be."""
+    vehicles = set(api.vehicle.getIDList()) - set(api.vehicle.getTeleportingIDList())
+    persons = set(api.person.getIDList())
+    if persons:
+        persons -= {one for name in vehicles for one in api.vehicle.getPersonIDList(name)}
+    return vehicles | {f"person {name}" for name in persons}
