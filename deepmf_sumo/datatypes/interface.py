@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from deepmf_sumo.datatypes._arrays import Floats
+from deepmf_sumo.datatypes._arrays import Floats, Frozen
 from deepmf_sumo.datatypes.plan import TurnRules
 from deepmf_sumo.datatypes.scene import AgentId, RoadMap, Scene, SignalState, Tracks
 
@@ -145,7 +145,7 @@ Case = RecordedCase | TrafficCase
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class View:
+class View(Frozen):
     """The world at one step: the present and the last second, never the future.
 
     Attributes:

@@ -65,7 +65,7 @@ class OpponentScores(Frozen):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlanReason:
+class PlanReason(Frozen):
     """Diagnostics of a plan: what it was chosen from, and why.
 
     Attributes:
