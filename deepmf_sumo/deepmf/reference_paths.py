@@ -199,7 +199,8 @@ def _goals(paths: list[OwnPath], av: Forecast, when: Ints, av_size_m: Floats) ->
     cos, sin = np.cos(turn)[None], np.sin(turn)[None]
     shift_along = spots[:, :1] * cos - spots[:, 1:] * sin
     shift_left = spots[:, :1] * sin + spots[:, 1:] * cos
-    # Points off the centre come after all centres: each costs as much as a mode e^5 less likely.
+    # Points off the centre come after all centres: each costs as much as a mode e^10 less likely.
+    # Likelihoods count by half, so that goals near unlikely modes are not crowded out.
     score = chance[None] / 2 - 5.0 * (np.arange(len(spots)) > 0)[:, None]
     every = np.ones(len(spots), dtype=np.int64)[:, None]
     return _Goals(

@@ -25,7 +25,6 @@ class Log:
 
     Attributes:
         rows: agents that are vehicles in SUMO, sorted by id. All others are boxes outside it.
-        stands: (A) never moves.
         routes: row -> edges; SUMO never drives rows without a route.
         match_m: (A) `matchThreshold`. Narrow for vehicles that stand: it decides whether a parked
             car blocks the lane. Wide for those that move: with a narrow one SUMO takes the nearest
@@ -35,7 +34,6 @@ class Log:
     """
 
     rows: tuple[int, ...]
-    stands: Bools
     routes: dict[int, tuple[str, ...]]
     match_m: Floats
     front_m: Floats
@@ -84,7 +82,6 @@ def log_of(case: RecordedCase) -> Log:
     front, angle = frames.to_sumo(tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0])
     return Log(
         rows=rows,
-        stands=stands,
         routes={row: route for row, route in routes.items() if route},
         match_m=np.where(stands, side, _MATCH_MOVING_M),
         front_m=front,

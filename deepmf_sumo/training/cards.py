@@ -9,7 +9,6 @@ from torch import nn
 
 import deepmf_sumo
 from deepmf_sumo import tables
-from deepmf_sumo.predictors.torch_networks import tensors
 from deepmf_sumo.predictors.weights import (
     DIGEST,
     FORMAT_VERSION,
@@ -18,7 +17,6 @@ from deepmf_sumo.predictors.weights import (
     digest_of,
     listed,
     read_card,
-    unchecked,
 )
 from deepmf_sumo.training.fit import checkpoints
 
@@ -58,20 +56,6 @@ def write_card(folder: Path, network: str, card: dict[str, Any]) -> None:
     full = {"format_version": FORMAT_VERSION, "deepmf_sumo": deepmf_sumo.__version__, **card}
     checkpoints.write(folder / f"{network}.json", (json.dumps(full, indent=1) + "\n").encode())
     checkpoints.write(folder / "card.md", _page(folder).encode())
-
-
-def add_digests(folder: Path) -> list[str]:
-    """Add digests of the current tensors to cards of earlier versions.
-
-    Returns the networks whose cards had none. Raises WeightsError if one cannot be read.
-    """
-    lacking = unchecked(folder)
-    for network in lacking:
-        card = read_card(folder, network)
-        tensors(folder, network)  # raises if they are damaged: then there must not be a digest
-        content = (folder / f"{network}.safetensors").read_bytes()
-        write_card(folder, network, card | {DIGEST: digest_of(content)})
-    return lacking
 
 
 def add_results(folder: Path, results: dict[str, Any]) -> None:

@@ -13,7 +13,6 @@ from safetensors.torch import load_file, save_file
 import deepmf_sumo
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import weights
-from deepmf_sumo.training import cards
 
 OPEN = Path(deepmf_sumo.__file__).parent / "weights" / "open"
 
@@ -91,12 +90,6 @@ def test_cards_of_earlier_versions_are_loaded_and_counted(folder, capsys):
         file.write_text(json.dumps(card))
     weights.load(folder)
     assert "2 cards without a digest of the tensors" in capsys.readouterr().err
-    assert cards.add_digests(folder) == ["opponent", "strive"]
-    assert cards.add_digests(folder) == []
-    assert weights.unchecked(folder) == []
-    for network in ("opponent", "strive"):
-        ours = json.loads((OPEN / f"{network}.json").read_text())
-        assert json.loads((folder / f"{network}.json").read_text()) == ours
 
 
 @pytest.mark.parametrize(
