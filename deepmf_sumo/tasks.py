@@ -44,7 +44,8 @@ class Task:
         run_id: ``<spec>--<scene>--<seed>``, safe as a file name, unique in a batch.
         scene: id in the recording; of a network its file name without suffix, or the moment.
         label: in a plan; None takes the names of spec and planner.
-        inputs: digest of what is in the files that it reads, see `inputs.fingerprinted`.
+        inputs: what the files are for that it reads, and the digest of what is in them, see
+            `inputs.fingerprinted`.
         record: where the scene is recorded; None of a network. Not part of `key`.
     """
 
@@ -52,7 +53,7 @@ class Task:
     spec: Spec
     scene: str
     label: Label | None = None
-    inputs: str = ""
+    inputs: tuple[tuple[str, str], ...] = ()
     record: RecordRef | None = field(default=None, compare=False)
 
     @property
@@ -61,7 +62,7 @@ class Task:
 
         Files count by content: where they are on this machine does not matter.
         """
-        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self._placeless(), self.inputs]
+        parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.placeless(), self.inputs]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def entropy(self) -> list[int]:
@@ -75,7 +76,7 @@ class Task:
             situation = f"{source.network.stem} {source.start_s:g} {source.av.vehicle}"
         return [self.spec.seed, crc32(situation.encode())]
 
-    def _placeless(self) -> dict[str, Any]:
+    def placeless(self) -> dict[str, Any]:
         """`resolved`, of files and folders the names alone."""
         values = self.resolved()
         named = {"network", "recording"} & values["source"].keys()

@@ -15,6 +15,7 @@ from deepmf_sumo.cli._parameters import FiniteRange
 from deepmf_sumo.errors import UsageError, exit_code
 
 if TYPE_CHECKING:
+    from deepmf_sumo.errors import Ending
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.sweep.batch import Options
     from deepmf_sumo.sweep.episode import Draw
@@ -224,7 +225,8 @@ def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
 def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
     """The exit code, see `errors.exit_code`.
 
-    Thresholds judge the results instead of the expectations of specs and the runs that failed.
+    Thresholds judge the results instead of the expectations of specs and the runs that failed, and
+    nothing else: what is missing, wrong or could not be exported counts beside the verdict.
     """
     from deepmf_sumo.results import folder
     from deepmf_sumo.sweep import batch
@@ -232,19 +234,19 @@ def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
 
     if not watched():
         click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
-    endings = batch.endings(results)
-    if not _all_exported(sweep, results):
-        endings.append("failed")
+    endings: set[Ending] = set(batch.endings(results))
+    exported = _all_exported(sweep, results)
     out = sweep.options.out
     if not folder.known(out):
         unlocked = "its file system has no locks: do not let two sweeps write into it at a time"
         click.echo(f"deepmf-sumo: {out}: {unlocked}", err=True)
-    verdict = judge(sweep) if sweep.thresholds or sweep.baseline else None
+    if sweep.thresholds or sweep.baseline:
+        endings = (endings & {"wrong"}) | {judge(sweep)}
+    if not exported:
+        endings.add("failed")
     if missing:
-        return exit_code("interrupted")
-    if verdict is None or "wrong" in endings:
-        return exit_code(*endings)
-    return verdict
+        endings.add("interrupted")
+    return exit_code(*endings)
 
 
 def _all_exported(sweep: Sweep, results: "Sequence[Result]") -> bool:
@@ -302,7 +304,7 @@ def check(sweep: Sweep) -> None:
             )
 
 
-def judge(sweep: Sweep) -> int:
+def judge(sweep: Sweep) -> "Ending":
     """Judge the result folder, show the verdict, and write it to junit.xml where asked for."""
     from deepmf_sumo import gate
     from deepmf_sumo.cli._screen import show_verdict
@@ -312,4 +314,4 @@ def judge(sweep: Sweep) -> int:
     show_verdict(verdict)
     if sweep.options.junit:
         write_junit(sweep.options.out / "junit.xml", verdict)
-    return verdict.exit_code
+    return verdict.ending

@@ -56,8 +56,8 @@ def command(
 
     \b
     Exit codes: 0 all holds; 1 a threshold or an expectation is broken, or something is worse than
-    the baseline; 2 a file is wrong; 3 no verdict: runs failed or are missing, or the runs are too
-    few to tell whether a threshold holds or something is worse than the baseline.
+    the baseline; 2 a file is wrong; 3 no verdict: runs failed or are missing, the attack is not
+    that of the baseline, or the runs are too few to tell whether something is worse.
     """
     from deepmf_sumo import gate
     from deepmf_sumo.cli import _screen as screen
@@ -107,6 +107,10 @@ def _rows(verdict: "Verdict") -> list[dict[str, Any]]:
             | {"was": each.found.old, "value": each.found.new, "difference": mean}
             | {"low": low, "high": high, "unit": each.unit, "runs": each.found.count}
             | {"state": each.state}
+        )
+    if verdict.apart:
+        found.append(
+            {"kind": "baseline", "group": ALL, "quantity": "attack", "state": "no verdict"}
         )
     if same := verdict.same_attacks:
         found.append(

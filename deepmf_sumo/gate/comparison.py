@@ -7,9 +7,9 @@ that equal planners raise a false alarm in at most 1 - confidence of all jobs, h
 compared.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate.rows import Results, Row
@@ -45,15 +45,8 @@ class Comparison:
 def compare(wanted: Baseline, new: Results, old: Results) -> list[Comparison]:
     """A comparison for each quantity asked for, and for `SHOWN` ones, which are not judged.
 
-    Raises UsageError where the baseline was made by another version of the program, or has no spec
-    in common with the results.
+    Raises UsageError where the baseline has no spec in common with the results.
     """
-    if new.version != old.version:
-        raise UsageError(
-            f"{old.source} was made by version {old.version} of deepmf-sumo and {new.source} by"
-            f" {new.version}: attacks of two versions differ; write the baseline again with"
-            " --write-baseline."
-        )
     ours, theirs = ({row.spec for row in each.rows.values()} for each in (new, old))
     if ours and theirs and not ours & theirs:
         raise UsageError(
@@ -90,26 +83,6 @@ def _groups(by: str, rows: Iterable[Row]) -> dict[str, str]:
 
 def _of(results: Results, by: str, member: str) -> list[Row]:
     return [row for row in results.rows.values() if by == "all" or getattr(row, by) == member]
-
-
-def attack_changed(new: Results, old: Results) -> tuple[int, list[str]]:
-    """In how many pairs the attack has another setup, and the settings that differ."""
-    common = new.rows.keys() & old.rows.keys()
-    pairs = [(new.rows[run_id], old.rows[run_id]) for run_id in sorted(common)]
-    changed = [(a, b) for a, b in pairs if a.attack and b.attack and a.attack != b.attack]
-    names = {
-        name
-        for a, b in changed
-        for name in differing(new.attacks.get(a.attack, {}), old.attacks.get(b.attack, {}))
-    }
-    return len(changed), sorted(names)
-
-
-def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> set[str]:
-    """Names of the settings that differ; of two different adversaries only ``adversary``."""
-    if a.get("adversary") != b.get("adversary"):
-        return {"adversary"}
-    return {name for name in a.keys() | b.keys() if a.get(name) != b.get(name)}
 
 
 def _compare(

@@ -5,18 +5,21 @@ A later job compares with that file (`results.json`): a result folder is too lar
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.gate.setups import moment_of, setup_of
 from deepmf_sumo.results import reader, sessions, stored
 from deepmf_sumo.results.quantities import COMPARABLE, judged
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.tasks import slug
 
-FORMAT_VERSION: Final = 2
+FORMAT_VERSION: Final = 3
+"""Files of format 2 are read: they contain less of the setup of attacks."""
 _KIND: Final = "deepmf-sumo results"
 _DIGITS: Final = 6
 
@@ -28,10 +31,13 @@ class Row:
     """One run.
 
     Attributes:
+        spec: its name, for a run without a result, too.
         network: the .sumocfg without its suffix, or the recording's scene.
         scene: the situation: of a recording, or a moment of a network's traffic.
         planner: its label in tables, e.g. ``idm corridor``.
-        attack: digest of the adversary, its settings and weights; `Results.attacks` has them.
+        moment: when and of which vehicle a network is attacked; empty of a recording.
+        attack: digest of what makes the attack, see `setups.setup_of`; `Results.attacks` has it.
+        source: digest of the network and its traffic, or of the recording.
         status: ``missing`` for a run of the manifest that has no result.
         judged: whether it says something about the AV, see `quantities.judged`.
         reason: why there is no result. broken: expectations of the spec that do not hold.
@@ -45,7 +51,9 @@ class Row:
     seed: int
     method: str = ""
     planner: str = ""
+    moment: str = ""
     attack: str = ""
+    source: str = ""
     status: Status
     judged: bool = False
     reason: str = ""
@@ -59,8 +67,7 @@ class Results:
     """All runs of a batch or benchmark, by id, and the version of the program that made them.
 
     Attributes:
-        attacks: by the digest in `Row.attack`, the setup: ``adversary``, ``weights`` and
-            ``adversary.KEY`` for each of its settings.
+        attacks: by the digest in `Row.attack`, the setup, see `setups.setup_of`.
         switched_off: sentences on times in which a live session could not attack.
     """
 
@@ -99,29 +106,64 @@ def _of_folder(out: Path) -> Results:
     manifest = stored.manifest_of(out)
     rows: dict[str, Row] = {}
     attacks: dict[str, dict[str, Any]] = {}
-    for run_id, result in reader.planned(out).items():
-        rows[run_id] = _missing(run_id) if result is None else _row(result)
+    planned = reader.planned(out)
+    for run_id, result in planned.items():
         if result is not None:
-            attacks.setdefault(rows[run_id].attack, _attack(result))
+            rows[run_id] = _row(result)
+            attacks.setdefault(rows[run_id].attack, setup_of(result))
+    known = stored.planned_of(out)
+    lacking = [run_id for run_id, result in planned.items() if result is None]
+    for run_id in lacking:
+        rows[run_id] = _missing(run_id, known.get(run_id) or _guessed(run_id, rows.values()))
+    rows = {run_id: rows[run_id] for run_id in planned}
     return Results(
         source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks,
         switched_off=sessions.switched_off(out),
     )  # fmt: skip
 
 
-def _missing(run_id: str) -> Row:
+def _missing(run_id: str, known: Mapping[str, Any]) -> Row:
     """The row of a run without a result of this batch."""
-    spec, scene, seed = run_id.rsplit("--", 2)
     return Row(
-        run_id=run_id, spec=spec, network=scene, scene=scene, seed=int(seed), status="missing",
+        run_id=run_id,
+        spec=known["spec"],
+        network=known["network"] or known["scene"],
+        scene=known["scene"],
+        seed=known["seed"],
+        method=known["method"],
+        planner=known["planner_label"],
+        status="missing",
         reason="the run has no result: it was not started, or interrupted",
-    )  # fmt: skip
+    )
+
+
+def _guessed(run_id: str, others: Iterable[Row]) -> dict[str, Any]:
+    """What the id of a run says of it, where an earlier version wrote the manifest.
+
+    Ids are in small letters and dashes: names are as in the runs of the same spec, if there are
+    any, and network and planner where all of these have the same.
+    """
+    spec, scene, seed = run_id.rsplit("--", 2)
+    of_spec = [row for row in others if slug(row.spec) == spec and row.status != "missing"]
+
+    def common(name: str, otherwise: str) -> str:
+        found = {getattr(row, name) for row in of_spec}
+        return str(found.pop()) if len(found) == 1 else otherwise
+
+    return {
+        "spec": common("spec", spec),
+        "scene": scene,
+        "network": common("network", scene),
+        "seed": int(seed),
+        "method": common("method", ""),
+        "planner_label": common("planner", ""),
+    }
 
 
 def _row(result: Result) -> Row:
     went = result["status"] == "ok"
     found = {name: one.of(result) for name, one in COMPARABLE.items()} if went else {}
-    attack = json.dumps(_attack(result), sort_keys=True).encode()
+    attack = json.dumps(setup_of(result), sort_keys=True).encode()
     return Row(
         run_id=result["run_id"],
         spec=result["spec"],
@@ -130,7 +172,9 @@ def _row(result: Result) -> Row:
         seed=result["seed"],
         method=result["method"] or result["spec"],
         planner=result["planner_label"] or result["planner"],
+        moment=moment_of(result),
         attack=hashlib.sha256(attack).hexdigest()[:16],
+        source=result["inputs"].get("source", "")[:16],
         status=result["status"],
         judged=judged(result),
         reason=result["error"] if not went or judged(result) else "no vehicle to attack",
@@ -140,18 +184,13 @@ def _row(result: Result) -> Row:
     )
 
 
-def _attack(result: Result) -> dict[str, Any]:
-    settings = {f"adversary.{key}": one for key, one in result["settings"]["adversary"].items()}
-    return {"adversary": result["adversary"], "weights": result["weights"], **settings}
-
-
 def _of_file(file: Path) -> Results:
     if not file.exists():
         raise UsageError(f"{file}: no such file or folder; write it with --write-baseline.")
     values = stored.mapping(file, again="write it with --write-baseline")
     if values.get("kind") != _KIND:
         raise UsageError(f"{file} is not a results file; write it with --write-baseline.")
-    if values.get("format_version") != FORMAT_VERSION:
+    if values.get("format_version") not in {2, FORMAT_VERSION}:
         raise UsageError(
             f"{file} has format {values.get('format_version')}, this version of deepmf-sumo reads"
             f" format {FORMAT_VERSION}; write it again with --write-baseline."

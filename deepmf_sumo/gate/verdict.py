@@ -8,24 +8,17 @@ attack, or nothing to judge by.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from deepmf_sumo import files
-from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gate import comparison, rows
+from deepmf_sumo.errors import Ending, UsageError, exit_code
+from deepmf_sumo.gate import comparison, rows, setups
 from deepmf_sumo.gate.comparison import Comparison
 from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.same_attacks import SameAttacks
-from deepmf_sumo.gate.thresholds import (
-    ALL,
-    UNFINISHED,
-    Baseline,
-    Judgement,
-    Thresholds,
-    judge,
-)
+from deepmf_sumo.gate.thresholds import ALL, UNFINISHED, Baseline, Judgement, Thresholds, judge
 from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
 from deepmf_sumo.results.quantities import COMPARABLE
@@ -33,8 +26,6 @@ from deepmf_sumo.tables import to_markdown
 
 _NAMED: Final = 5
 """Situations that a sentence names."""
-BROKEN = 1
-UNFIT = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +33,8 @@ class Verdict:
     """What holds, what does not, and why.
 
     Attributes:
-        comparisons: None without a baseline.
+        comparisons: None without a baseline, or where ``apart`` says why there is none.
+        apart: in what the attack differs from the baseline's, so that nothing can be compared.
         same_attacks: None where hits were not repeated.
         notes: sentences on what a reader should know before trusting it.
     """
@@ -53,24 +45,33 @@ class Verdict:
     comparisons: list[Comparison] | None
     same_attacks: SameAttacks | None
     notes: list[str]
+    apart: list[str] = field(default_factory=list)
+
+    @property
+    def ending(self) -> Ending:
+        """``failed`` where runs failed or are missing, or attacks differ from the baseline's.
+
+        Else ``broken`` for what is broken or worse; without such, ``failed`` where a comparison
+        cannot tell, and ``fine``.
+        """
+        if self.apart or any(one.state == "unfit" for one in self.judgements):
+            return "failed"
+        if any(self._broken()):
+            return "broken"
+        return "failed" if any(self._open()) else "fine"
 
     @property
     def exit_code(self) -> int:
-        """3 where runs failed or are missing; else 1 for what is broken or worse.
-
-        Without such, 3 where a comparison cannot tell, and 0.
-        """
-        if any(one.state == "unfit" for one in self.judgements):
-            return UNFIT
-        if any(self._broken()):
-            return BROKEN
-        return UNFIT if any(self._open()) else 0
+        """Of `ending`: 3, 1 or 0."""
+        return exit_code(self.ending)
 
     def findings(self) -> Iterator[str]:
         """A sentence for each broken bound, regression, expectation and open comparison."""
         for one in self.judgements:
             if one.state == "unfit":
                 yield sentence(one) + self._example(one)
+        if self.apart:
+            yield other_attack(self.baseline, self.apart)
         yield from self._broken()
         yield from self._open()
 
@@ -127,7 +128,9 @@ def check(
     judgements = [*judge(thresholds, list(found.rows.values())), *_attacked_throughout(found)]
     named = thresholds.baseline.results
     place = baseline or (Path(named) if named else None)
-    comparisons, same_attacks, notes = None, None, []
+    comparisons, same_attacks = None, None
+    apart: list[str] = []
+    notes: list[str] = []
     if repeat and not place:
         raise UsageError("--same-attacks repeats hits of a baseline: name it with --baseline.")
     if renewed:
@@ -136,10 +139,11 @@ def check(
             place, notes = None, [f"{renewed} is written again, so nothing is compared with it"]
     if place:
         old = rows.read(place)
-        comparisons = comparison.compare(thresholds.baseline, found, old)
-        compared = sum(one.state != "not judged" for one in comparisons)
-        notes = list(_notes(thresholds.baseline, found, old, compared))
-        same_attacks = repeat(out, place) if repeat else None
+        apart = setups.differences(found, old)
+        if not apart:
+            comparisons = comparison.compare(thresholds.baseline, found, old)
+            notes = list(_notes(thresholds.baseline, found, old, comparisons))
+            same_attacks = repeat(out, place) if repeat else None
     return Verdict(
         results=found,
         judgements=judgements,
@@ -147,6 +151,7 @@ def check(
         comparisons=comparisons,
         same_attacks=same_attacks,
         notes=[*found.switched_off, *notes],
+        apart=apart,
     )
 
 
@@ -258,13 +263,20 @@ def figure(value: float, unit: str) -> str:
     return f"{value:.3g}" if unit in {"", "1"} else f"{value:.3g} {unit}"
 
 
-def _notes(wanted: Baseline, new: Results, old: Results, compared: int) -> Iterator[str]:
-    changed, names = comparison.attack_changed(new, old)
-    if changed:
-        yield (
-            f"the attack is set up differently in {changed} pair{_s(changed)} ({', '.join(names)}):"
-            " differences may be the attack's, not the AV's"
-        )
+def other_attack(baseline: Path | None, apart: Sequence[str]) -> str:
+    """What differs, and what to do about it."""
+    more = f"; and {len(apart) - _NAMED} more" if len(apart) > _NAMED else ""
+    return (
+        f"no verdict against {baseline}, whose attack is another one: {'; '.join(apart[:_NAMED])}"
+        f"{more}; attack both planners alike, or write the baseline again with --write-baseline"
+    )
+
+
+def _notes(
+    wanted: Baseline, new: Results, old: Results, comparisons: Sequence[Comparison]
+) -> Iterator[str]:
+    yield from setups.notes(new, old)
+    compared = sum(one.state != "not judged" for one in comparisons)
     alone = len(new.rows.keys() - old.rows.keys()), len(old.rows.keys() - new.rows.keys())
     if any(alone):
         yield f"new runs: {alone[0]}; runs of the baseline that are gone: {alone[1]}"
@@ -298,6 +310,8 @@ def text(verdict: Verdict) -> str:
         lines += to_markdown(
             ("group", "quantity", "was", "is", "difference", ""), comparisons(verdict)
         )
+    if verdict.apart:
+        lines += ["", f"{other_attack(verdict.baseline, verdict.apart)}."]
     if verdict.same_attacks:
         same = verdict.same_attacks
         lines += ["", f"{own_hits(same)}: {same.state}. The runs: `{same.folder}`."]
@@ -371,6 +385,10 @@ def write_junit(path: Path, verdict: Verdict) -> None:
         if verdict.same_attacks:
             cases.append(_same_attacks(verdict.same_attacks))
         suites.append(("baseline", cases))
+    if verdict.apart:
+        marks = [Mark("error", other_attack(verdict.baseline, verdict.apart))]
+        case = TestCase(classname=f"baseline: {ALL}", name="attack", marks=marks)
+        suites.append(("baseline", [case]))
     by_spec: dict[str, list[TestCase]] = {}
     tolerated = _tolerated(verdict)
     for row in verdict.results.rows.values():

@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -155,10 +155,16 @@ class Store:
         file = stored.run_folder(self.out, run_id, stored.RUNS) / "result.json"
         return stored.result_of(file, whole=True)
 
-    def manifest(self, keys: dict[str, str], machine: dict[str, Any]) -> None:
+    def manifest(
+        self,
+        keys: Mapping[str, str],
+        machine: Mapping[str, Any],
+        planned: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         """Write the manifest of runs, given by id and `Task.key`.
 
-        ``machine`` is what may differ between equal batches.
+        ``machine`` is what may differ between equal batches; ``planned`` is the `result.identity`
+        of each run, so that one without a result belongs to its spec.
         """
         manifest = {
             "format_version": stored.FORMAT_VERSION,
@@ -166,7 +172,8 @@ class Store:
             "version": deepmf_sumo.__version__,
             "packages": {name: _installed(name) for name in _PACKAGES},
             "networks": runtime_and_device(),
-            "runs": keys,
+            "runs": dict(keys),
+            "planned": dict(planned or {}),
             "machine": {
                 "command": sys.argv,
                 "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),

@@ -360,13 +360,15 @@ def planned(out: Path) -> dict[str, Result | None]:
     None for a run without a result; that of an earlier batch does not count. Raises UsageError
     where a file cannot be read.
     """
+    known = stored.planned_of(out)
     found: dict[str, Result | None] = {}
     for run_id, key in stored.keys_of(out).items():
         file = out / "runs" / run_id / "result.json"
         result = stored.result_of(file) if file.is_file() else None
         if result is not None and result["key"] != key:
             result = None
-        if result is None or result["part"] == "main":
+        part = result["part"] if result else known.get(run_id, {}).get("part", "main")
+        if part == "main":
             found[run_id] = result
     return found
 

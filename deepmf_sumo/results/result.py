@@ -154,6 +154,8 @@ class Result(TypedDict, total=False):
         version: the paper's name for the period between plans.
         method, planner_label, base_method, part: of a plan, see `plans`.
         settings: of planner and adversary, with all defaults.
+        setup: the spec of this run alone, of files the names alone.
+        inputs: digests of what the run reads: ``source``, ``weights``, ``planner``, ``adversary``.
         error: why the run failed.
         refused: a record that cannot be used.
         expectations_broken: sentences of the spec's ``expect``.
@@ -190,6 +192,8 @@ class Result(TypedDict, total=False):
     weights: Required[str | None]
     seed: Required[int]
     settings: Required[dict[str, Any]]
+    setup: dict[str, Any]
+    inputs: dict[str, str]
     status: Required[Status]
     error: Required[str]
     refused: bool
@@ -246,6 +250,7 @@ COLUMNS: Final = (
     "turns",
     "turn_hits",
 )
+IDENTITY: Final = ("spec", "scene", "network", "seed", "method", "planner_label", "part")
 TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
 """Columns that differ between equal runs."""
 
@@ -375,7 +380,15 @@ def _identity(task: Task, status: Status, error: str = "") -> Result:
             "planner": planner.model_dump(mode="json"),
             "adversary": adversary.model_dump(mode="json"),
         },
+        "setup": task.placeless(),
+        "inputs": dict(task.inputs),
     }
+
+
+def identity(task: Task) -> dict[str, Any]:
+    """What the manifest says of a run: what tables and gates call it before it has a result."""
+    known = _identity(task, "ok")
+    return {name: known[name] for name in IDENTITY}
 
 
 def _version(adversary: Any) -> str | None:

@@ -123,6 +123,18 @@ class _Timings(_Part):
     simulation_s: float | None = None
 
 
+class _Planned(_Part):
+    """`result.identity`."""
+
+    spec: str
+    scene: str
+    network: str | None
+    seed: int
+    method: str
+    planner_label: str
+    part: str
+
+
 class _Result(_Part):
     """``result.json``; keys with a default are not in those of all versions."""
 
@@ -142,6 +154,8 @@ class _Result(_Part):
     seed: int
     settings: _Settings
     budget: _Budget = _Budget()
+    setup: dict[str, Any] | None = None
+    inputs: dict[str, str] = {}
     status: Literal["ok", "failed", "timeout", "skipped"]
     error: str
     expectations_broken: list[str]
@@ -271,6 +285,19 @@ def keys_of(out: Path) -> dict[str, str]:
     for run_id in keys:
         run_folder(out, run_id, file.name)
     return keys
+
+
+def planned_of(out: Path) -> dict[str, dict[str, Any]]:
+    """`result.identity` of each run of the manifest; earlier versions did not write it.
+
+    Raises UsageError where it is damaged.
+    """
+    file = out / MANIFEST
+    found = mapping(file).get("planned", {})
+    try:
+        return {str(run_id): dict(_Planned.model_validate(one)) for run_id, one in found.items()}
+    except (AttributeError, ValidationError):
+        raise _damaged(file, "planned: it does not name the runs", "run it again") from None
 
 
 def inputs_of(out: Path) -> dict[str, str]:

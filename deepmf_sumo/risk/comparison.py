@@ -14,8 +14,8 @@ from typing import Any, Final, Literal
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate import rows
-from deepmf_sumo.gate.comparison import differing
 from deepmf_sumo.gate.rows import Results, Row
+from deepmf_sumo.gate.setups import WHOM, differing
 from deepmf_sumo.results import sessions
 from deepmf_sumo.results.difference import Matched, match, two_sided
 from deepmf_sumo.results.quantities import COMPARABLE, Quantity
@@ -116,7 +116,6 @@ COMPARED: Final = (
 CONFIDENCE: Final = 0.95
 _IDENTITY: Final = ("spec", "network", "method", "planner")
 """What may differ on purpose between the runs of the two sides."""
-_WHOM: Final = "adversary.opponent"
 Differs = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
 """Name of what is not the same on both sides -> values of A, values of B."""
 
@@ -397,7 +396,7 @@ def _attacks_differ(old: Results, new: Results) -> str:
     sentences = []
     for name in sorted(names):
         values = [sorted({_text(one.get(name)) for one in side}) for side in setups]
-        if values[0] == values[1] or (name == _WHOM and max(map(len, values)) > 1):
+        if values[0] == values[1] or (name == WHOM and max(map(len, values)) > 1):
             continue
         sentences.append(f"{name}: {', '.join(values[0])} in A, {', '.join(values[1])} in B")
     return "; ".join(sentences)

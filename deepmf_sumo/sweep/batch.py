@@ -156,7 +156,11 @@ def begin(
         "timeout_s": options.timeout_s,
         "inputs": now,
     }
-    store.manifest({task.run_id: task.key for task in planned}, machine)
+    store.manifest(
+        {task.run_id: task.key for task in planned},
+        machine,
+        {task.run_id: result_module.identity(task) for task in planned},
+    )
     return tuple(path for path, got in before.items() if now.get(path, got) != got)
 
 

@@ -8,13 +8,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 from xml.etree import ElementTree as ET
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError, WeightsError
 from deepmf_sumo.simulation import sumo_config
-from deepmf_sumo.spec import FromNetwork, Spec
+from deepmf_sumo.spec import FromNetwork, Plugin, Spec
 from deepmf_sumo.tasks import Task
 
 _READ_BYTES: Final = 2**28
@@ -28,6 +28,10 @@ _FILES: Final = re.compile(r"files?$|^load-state$")
 
 _WRITTEN: Final = {"log-file", "save-state.files"}
 """Those that SUMO writes: what an earlier run left there is nothing that the next one reads."""
+
+
+Use = Literal["source", "weights", "planner", "adversary"]
+"""What a run reads a file for; ``source``: the network and its traffic, or the recording."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,10 +56,7 @@ def fingerprinted(tasks: Sequence[Task]) -> tuple[list[Task], tuple[Input, ...]]
     Files' names are not in it: copies of a file elsewhere are the same.
     """
     looked = _Looked()
-    marked = [
-        replace(task, inputs=_joined(one.digest for one in looked.inputs(task.spec)))
-        for task in tasks
-    ]
+    marked = [replace(task, inputs=looked.inputs(task.spec)) for task in tasks]
     return marked, looked.every()
 
 
@@ -63,26 +64,29 @@ class _Looked:
     """Each file is looked at once: thousands of tasks may read the same ones."""
 
     def __init__(self) -> None:
-        self._by_spec: dict[str, tuple[Input, ...]] = {}
+        self._by_spec: dict[str, tuple[tuple[str, str], ...]] = {}
         self._digests: dict[Path, str] = {}
 
-    def inputs(self, spec: Spec) -> tuple[Input, ...]:
-        """What a spec's runs read."""
+    def inputs(self, spec: Spec) -> tuple[tuple[str, str], ...]:
+        """For each use the digest of the files that a spec's runs read."""
         source = spec.source
         if isinstance(source, FromNetwork):
             read: tuple[object, ...] = (source.network, source.sumo_options)
         else:
             read = (source.recording,)
-        key = repr((*read, spec.weights, spec.planner.name, *_files(spec)))
+        key = repr((*read, spec.weights, spec.planner, spec.adversary))
         if key not in self._by_spec:
-            paths = dict.fromkeys(_paths(spec))
-            for path in paths:
-                self._digests.setdefault(path, digest(path))
-            found = {path: self._digests[path] for path in paths}
             self._by_spec[key] = tuple(
-                Input(path=path, digest=got) for path, got in found.items() if got
+                (use, _joined(found))
+                for use, paths in _paths(spec).items()
+                if (found := [got for path in dict.fromkeys(paths) if (got := self._digest(path))])
             )
         return self._by_spec[key]
+
+    def _digest(self, path: Path) -> str:
+        if path not in self._digests:
+            self._digests[path] = digest(path)
+        return self._digests[path]
 
     def every(self) -> tuple[Input, ...]:
         """What all specs read that were asked about."""
@@ -121,26 +125,30 @@ def digest(path: Path) -> str:
     return hasher.hexdigest()
 
 
-def _paths(spec: Spec) -> Iterator[Path]:
+def _paths(spec: Spec) -> dict[Use, list[Path]]:
+    """The files that a spec's runs read, by what they are for."""
     source = spec.source
     if isinstance(source, FromNetwork):
-        yield source.network
-        yield from _named(source.network)
-        yield from _beside(source.sumo_options)
+        read = [source.network, *_named(source.network), *_beside(source.sumo_options)]
     else:
-        yield source.recording
-    yield from _weights(spec.weights)
-    module, colon, _ = spec.planner.name.partition(":")
+        read = [source.recording]
+    return {
+        "source": read,
+        "weights": _weights(spec.weights),
+        "planner": list(_of_plugin(spec.planner)),
+        "adversary": list(_of_plugin(spec.adversary)),
+    }
+
+
+def _of_plugin(choice: Plugin) -> Iterator[Path]:
+    """The module of the user's, and the program or table that its key ``file`` names."""
+    module, colon, _ = choice.name.partition(":")
     origin = _origin(module) if colon else None
     if origin is not None:
         yield origin
-    yield from (Path(file).absolute() for file in _files(spec))
-
-
-def _files(spec: Spec) -> list[str]:
-    """The programs and tables of the planner and the adversary, by their key ``file``."""
-    named = (choice.settings.get("file") for choice in (spec.planner, spec.adversary))
-    return [file for file in named if isinstance(file, str) and file]
+    file = choice.settings.get("file")
+    if isinstance(file, str) and file:
+        yield Path(file).absolute()
 
 
 def _named(config: Path) -> Iterator[Path]:

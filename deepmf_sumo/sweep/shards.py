@@ -135,10 +135,13 @@ def joining(
 def copied(
     store: Store, shards: Sequence[Path], runs: Mapping[str, str], found: Mapping[str, Path]
 ) -> list[Result]:
-    """Copy the runs that are there into a new result folder; their results in order."""
-    keys = {run_id: key for run_id, key in runs.items() if run_id in found}
+    """Copy the runs that are there into a new result folder; their results in order.
+
+    The manifest names all runs, so that those that no shard has are known to be missing.
+    """
+    there = [run_id for run_id in runs if run_id in found]
     try:
-        for run_id in keys:
+        for run_id in there:
             beside = store.runs / f".{run_id}.partial"
             _check_plain(found[run_id])
             shutil.copytree(found[run_id], beside)
@@ -146,8 +149,9 @@ def copied(
     except OSError as error:
         raise OutputError(f"{store.out} cannot be written: {error.strerror or error}.") from None
     read = {path: digest for shard in shards for path, digest in stored.inputs_of(shard).items()}
-    store.manifest(keys, {"shards": [str(shard) for shard in shards], "inputs": read})
-    return [store.read_run(run_id) for run_id in keys]
+    planned = {run_id: one for shard in shards for run_id, one in stored.planned_of(shard).items()}
+    store.manifest(runs, {"shards": [str(shard) for shard in shards], "inputs": read}, planned)
+    return [store.read_run(run_id) for run_id in there]
 
 
 def _check_plain(folder: Path) -> None:

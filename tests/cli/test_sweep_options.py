@@ -92,6 +92,8 @@ def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
     assert f"2 runs are in no shard: the command without --shard, with --out {tmp_path}" in (
         capsys.readouterr().out
     )
+    assert call("check", tmp_path / "half", "--write-baseline", tmp_path / "b.json") == 3
+    assert "max_failed_runs is 2 (3 runs)" in capsys.readouterr().out
     assert call("merge", tmp_path / "twice", parts[0], parts[0]) == 2
     assert "give each shard once" in capsys.readouterr().err
     assert call("merge", *parts) == 2
@@ -202,6 +204,28 @@ def test_thresholds_are_judged_at_the_end(specs, whole, tmp_path, capsys):
     shutil.rmtree(next((whole / "runs").iterdir()))
     assert call(*sweep, "--max-minutes", 1e-9) == 130
     assert "1 run not begun: --resume goes on" in capsys.readouterr().out
+
+
+def test_a_spec_whose_runs_never_began_is_no_verdict(specs, whole, tmp_path, capsys):
+    """A name is the spec's own, not the id of its runs."""
+    shutil.rmtree(whole / "runs" / "part-1--tiny--1")
+    file = tmp_path / "thresholds.yaml"
+    file.write_text("version: 1\nmax_failed_runs: 9\nspecs: {part 1: {max_failed_runs: 0}}\n")
+    sweep = ("run", *specs, "--out", whole, "--resume", "--thresholds", file)
+    assert call(*sweep, "--max-minutes", 1e-9) == 130
+    assert call("check", whole, "-t", file) == 3
+    assert "spec part 1: max_failed_runs is 1 (1 run), allowed at most 0" in capsys.readouterr().out
+    assert call(*sweep) == 0
+
+
+def test_an_attack_that_is_switched_off_is_no_verdict(tiny, tmp_path, capsys):
+    names = [tiny_network.spec(tiny, f"cut {n}", adversary="rule", seed=str(n)) for n in range(6)]
+    assert call("run", *names, "--no-pictures", "--out", tmp_path / "old") == 0
+    new = ("run", *names, "--no-pictures", "--out", tmp_path / "new", "--set", "adversary=none")
+    capsys.readouterr()
+    assert call(*new, "--baseline", tmp_path / "old") == 3
+    assert "adversary was 'rule' and is 'none' (6 runs)" in capsys.readouterr().out
+    assert call("check", tmp_path / "old", "--baseline", tmp_path / "old") != 1
 
 
 def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, capsys):

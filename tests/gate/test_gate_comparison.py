@@ -241,9 +241,3 @@ def test_false_alarms_are_rare_and_regressions_are_found():
     found = sum("worse" in states(wanted, results(0.95), results(0.2)) for _ in range(20))
     assert alarms <= 4
     assert found >= 19
-
-
-def test_another_version_is_refused():
-    old = gate_doubles.results_of([gate_doubles.row()], Path("base.json"), version="0.0.9")
-    with pytest.raises(UsageError, match=r"base\.json was made by version 0\.0\.9"):
-        comparison.compare(RATE, rate_of(1), old)

@@ -1,0 +1,180 @@
+"""What makes the attack of a run, and where results and a baseline differ in it.
+
+Two planners can be compared where the same attack is tried on both. So all of the run's spec counts
+but `MAY_DIFFER`, with all defaults of the adversary, and what is in its files and weights.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from typing import TYPE_CHECKING, Any, Final
+
+from deepmf_sumo.results.result import Result
+
+if TYPE_CHECKING:
+    from deepmf_sumo.gate.rows import Results, Row
+
+MAY_DIFFER: Final = (
+    "version",  # of the spec's grammar: what it stands for is in the other keys
+    "name",
+    "expect",
+    "planner",  # what is compared
+    "seed",  # pairs of runs are compared, or specs with other seeds
+    "source.network",  # a path
+    "source.recording",
+    "source.scenes",
+    "source.start_s",  # the moment: `moment_of`
+    "source.av",
+)
+"""Keys of the spec, each with all below it, in which results and baseline may differ."""
+
+_FOLDERS: Final = re.compile(r"[^=,\s]*/")
+WHOM: Final = "adversary.opponent"
+"""The setting that holds the id of a vehicle where each moment has an opponent of its own."""
+
+_UNRECORDED: Final = "earlier version"
+"""The key of a setup of which less is recorded."""
+
+
+def setup_of(result: Result) -> dict[str, Any]:
+    """What makes a run's attack, by dotted name.
+
+    Results of earlier versions, without their spec, have adversary, weights and budget alone.
+    """
+    spec = result.get("setup")
+    if spec is None:
+        spec = {"weights": result["weights"], "budget": result.get("budget", {})}
+    adversary = {"adversary": result["settings"]["adversary"]}
+    found = {
+        name: value
+        for name, value in _flat({**spec, **adversary})
+        if not any(name == one or name.startswith(f"{one}.") for one in MAY_DIFFER)
+    }
+    found |= {"adversary": result["adversary"]}
+    beside = found.get("source.sumo_options")
+    if beside is not None:
+        found["source.sumo_options"] = [_FOLDERS.sub("", one) for one in beside]
+    if "profile" in result:
+        found["profile"] = result["profile"]  # type: ignore[typeddict-item]
+    inputs = result.get("inputs", {})
+    if "weights" in inputs:  # the name of a folder says nothing of what is in it
+        found["weights"] = f"files {inputs['weights'][:12]}"
+    if "adversary" in inputs:
+        found.pop("adversary.file", None)
+        found["adversary's files"] = f"files {inputs['adversary'][:12]}"
+    if result.get("setup") is None:
+        found[_UNRECORDED] = True
+    return found
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value
+
+
+def moment_of(result: Result) -> str:
+    """When and of which vehicle a network is attacked, e.g. ``ego at 40 s``; else empty."""
+    source = (result.get("setup") or {}).get("source", {})
+    vehicle = source.get("av", {}).get("vehicle")
+    return f"{vehicle} at {source.get('start_s', 0):g} s" if vehicle else ""
+
+
+def differences(new: "Results", old: "Results") -> list[str]:
+    """A sentence for each way in which the attack differs from the baseline's, most runs first.
+
+    A run is compared with that of the same id, else with all of the same spec.
+    """
+    found: Counter[str] = Counter()
+    if new.version != old.version:
+        told = f"the version of deepmf-sumo was {old.version} and is {new.version}"
+        found[told] = len(new.rows)
+    chosen = _aimed(new) | _aimed(old)
+    for row, others in _partners(new, old):
+        found.update(_differing(new, old, row, others, chosen))
+    return [f"{what} ({count} run{'s' * (count != 1)})" for what, count in found.most_common()]
+
+
+def notes(new: "Results", old: "Results") -> Iterator[str]:
+    """What may also explain a difference, and cannot be told from a change of the planner."""
+    pairs = [(row, old.rows[row.run_id]) for row in new.rows.values() if row.run_id in old.rows]
+    changed = sum(bool(a.source and b.source and a.source != b.source) for a, b in pairs)
+    if changed:
+        yield (
+            f"the network, its traffic or the recording has other content in {changed} of"
+            f" {len(pairs)} pairs: differences may be due to that"
+        )
+    less = [side.source for side in (new, old) if any(map(_is_less, side.attacks.values()))]
+    for source in less:
+        yield (
+            f"{source} is of an earlier version, which recorded of the attack its adversary,"
+            " weights and budget alone: only these are compared"
+        )
+
+
+def _is_less(setup: Mapping[str, Any]) -> bool:
+    return _UNRECORDED in setup or "duration_s" not in setup
+
+
+def _partners(new: "Results", old: "Results") -> Iterator[tuple["Row", list["Row"]]]:
+    """Each run with a known setup, and the runs of the baseline that it is compared with."""
+    by_spec = _by_spec(old)
+    for row in new.rows.values():
+        same = old.rows.get(row.run_id)
+        others = [same] if same and same.attack else by_spec.get(row.spec, [])
+        if row.attack and others:
+            yield row, others
+
+
+def _by_spec(side: "Results") -> dict[str, list["Row"]]:
+    found: dict[str, list[Row]] = {}
+    for row in side.rows.values():
+        if row.attack:
+            found.setdefault(row.spec, []).append(row)
+    return found
+
+
+def _differing(
+    new: "Results", old: "Results", row: "Row", others: Sequence["Row"], chosen: Set[str]
+) -> set[str]:
+    """Sentences on a run; ``chosen``: specs whose attacks aim at a vehicle of each moment."""
+    mine = new.attacks.get(row.attack, {})
+    same = others[0] if others[0].run_id == row.run_id else None
+    ignored = {WHOM} if row.spec in chosen and not same else set()
+    each = {one.attack: old.attacks.get(one.attack, {}) for one in others}
+    apart = [_between(mine, setup, differing(mine, setup) - ignored) for setup in each.values()]
+    nearest = min(apart, key=len)
+    if same and same.moment and row.moment and same.moment != row.moment:
+        nearest = nearest | {f"the moment was {same.moment} and is {row.moment}"}
+    return nearest
+
+
+def _aimed(side: "Results") -> set[str]:
+    """Specs whose attacks aim at a vehicle of each moment, as with ``adversary.opponent=met``."""
+    whom = {
+        spec: {side.attacks.get(row.attack, {}).get(WHOM) for row in rows}
+        for spec, rows in _by_spec(side).items()
+    }
+    return {spec for spec, values in whom.items() if len(values) > 1}
+
+
+def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> set[str]:
+    """Names of what differs in two setups; of two different adversaries only ``adversary``."""
+    names = a.keys() | b.keys()
+    if _is_less(a) or _is_less(b):
+        both = a.keys() & b.keys()
+        names = {name for name in names if name in both or name.startswith("adversary.")}
+    if a.get("adversary") != b.get("adversary"):
+        names = {name for name in names if not name.startswith("adversary")} | {"adversary"}
+    return {name for name in names if a.get(name, _shown) != b.get(name, _shown)}
+
+
+def _between(a: Mapping[str, Any], b: Mapping[str, Any], names: Iterable[str]) -> set[str]:
+    """``adversary.rule was 'likeliest' and is 'any'``."""
+    return {f"{name} was {_shown(b, name)} and is {_shown(a, name)}" for name in names}
+
+
+def _shown(setup: Mapping[str, Any], name: str) -> str:
+    return repr(setup[name]) if name in setup else "not said"
