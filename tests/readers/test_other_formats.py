@@ -176,7 +176,6 @@ class Harm:
             lambda d: d["metadata"].pop("sdc_id") and d["metadata"].pop("sdc_track_index"),
             "sdc_track",
         ),
-        (lambda d: d["metadata"].update(metadrive_processed=True), "recorded in MetaDrive"),
         (lambda d: d["tracks"]["7"]["state"].pop("heading"), "lacks the key 'heading'"),
         (lambda d: d["tracks"]["7"]["state"].update(heading=np.zeros(5)), "5 values, not 91"),
         (lambda d: d["tracks"]["7"].update(state=None), "not a valid scene"),
