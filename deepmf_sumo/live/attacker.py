@@ -183,8 +183,8 @@ def sessions(
 
     def taken(av: AgentId) -> set[AgentId]:
         """The other AVs and their opponents."""
-        others = {one.av_id: one.driving for one in found if one.av_id != av}
-        return {*others, *filter(None, others.values())}
+        others = [one for one in found if one.av_id != av]
+        return {one.av_id for one in others}.union(*(one.driving for one in others))
 
     for av, policy in zip(wish.avs, policies or [policy_of(spec) for _ in wish.avs], strict=True):
         scenery = Scenery(

@@ -1,6 +1,6 @@
 """One attack on a running simulation: views for the policy, the opponent's motion, its end."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -29,17 +29,17 @@ from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.av import ShownMotion
 from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.free_positions import FreePositions, Occupancy
+from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.recorder import EpisodeRecord, Recorder
 from deepmf_sumo.simulation.signals import LiveSignals
-from deepmf_sumo.simulation.vehicle_control import Takeover
+from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover
 
 _NEAR_M: Final = 150.0
 """Lights farther from the AV are not read: each costs a message."""
 
 
 class Surroundings:
-    """The road, its free positions and its lights.
+    """The road and its lights.
 
     Args:
         api: the simulation.
@@ -52,7 +52,6 @@ class Surroundings:
         self.net = net
         self.road: RoadMap = road_of_net(net, additional)
         road_index(self.road)  # seconds for a town: now, and not in the step of the first attack
-        self.positions = FreePositions(api, self.road)
         self._api = api
         links = signal_links(net)
         self._links = {lane: row for lane, row in links.items() if lane in self.road.lanes}
@@ -71,7 +70,7 @@ class Surroundings:
 _LAST_STEPS: Final = 2
 """After the longest attack: the step in which its end is observed."""
 _AROUND_M: Final = 150.0
-"""Around the opponent: the agents that could be in its way at a free position, at most 50 m off."""
+"""Around the opponent: the agents that could be in its way to a lane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,9 +113,8 @@ class Engagement:
         self._scenery = scenery
         observer, av = scenery.observer, scenery.av_id
         self._events: list[Event] = []
-        self._takeover = Takeover(
-            scenery.api, self._events, scenery.surroundings.positions, may_remove=False
-        )
+        self._takeover = Takeover(scenery.api, self._events)
+        owner = SumoOwner(self._takeover, self._around)
         self._motion = ShownMotion(scenery.api, av, observer.bodies.ask(av).size_m[0])
         longest = round(scenery.rules.longest_s / DT_S) + _LAST_STEPS
         recorder = Recorder(len(history) + longest, observer.bodies.ask)
@@ -129,17 +127,19 @@ class Engagement:
             free = _without(view, taken)
             rested = _without(free, tired)
             if rested is not free:
-                found = AttackSchedule(policy, rested, rng, scenery.rules)
+                found = AttackSchedule(policy, rested, rng, scenery.rules, owner)
                 if found.attacker is not None:
                     return found
-            return AttackSchedule(policy, free, rng, scenery.rules)
+            return AttackSchedule(policy, free, rng, scenery.rules, owner)
 
         road = scenery.surroundings.road
         self._record = EpisodeRecord(av, road, recorder, frame, longest, self._signals, schedule)
         touching = any(event.agent_id == av for event in self._record.judge.events)
         self.opponent_id = None if touching else self._record.schedule.attacker
-        self._from: Pose | None = None
-        self._to: Pose | None = None
+        self._step = self._record.step
+        self._from: Mapping[AgentId, Pose | None] = {}
+        self._to: Mapping[AgentId, Pose | None] = {}
+        self._seen: dict[AgentId, Occupancy] = {}
         self._lights: list[dict[str, SignalState]] = []
 
     @property
@@ -148,63 +148,70 @@ class Engagement:
         closed = self._record.schedule.closed
         return closed[0] if closed else None
 
+    @property
+    def leaving(self) -> bool:
+        """Whether the opponent of an attack that is over is on its way to where SUMO drives on."""
+        return self.turn is not None and bool(self._takeover.placed())
+
     def decide(self) -> None:
         """Choose the opponent's pose 0.1 s from now; the policy plans if that is due."""
-        self._lights.append(self._signals())
-        self._record.replan()
-        self._from = self._to or self._opponent_pose()
-        self._to = self._record.schedule.advance(self._record.step + 1)
+        self._seen.clear()
+        if self.turn is None:
+            self._lights.append(self._signals())
+            self._record.replan()
+        self._from, self._step = self._to, self._step + 1
+        self._to = self._record.schedule.advance(self._step)
 
     def place(self, share: float) -> None:
         """Put the opponent at a share of the way to its next pose; hand it back without one."""
-        opponent = self._record.schedule.attacker
-        if opponent is None:
-            return
-        if self._to is None or self._from is None:
-            self._let_go(opponent)
-            return
-        pose = self._to if share > 1 - 1e-9 else _between(self._from, self._to, share)
-        length_m = self._scenery.observer.bodies[opponent].size_m[0]
-        self._takeover.place(self._record.step + 1, opponent, pose, length_m)
+        for agent, to in self._to.items():
+            if to is None:
+                self._takeover.hand_back(self._step, agent)
+                continue
+            start = self._from.get(agent) or self._opponent_pose()
+            pose = to if share > 1 - 1e-9 or start is None else _between(start, to, share)
+            length_m = self._scenery.observer.bodies[agent].size_m[0]
+            self._takeover.place(self._step, agent, pose, length_m)
 
     def settle(self) -> None:
         """Correct what SUMO assumes of the opponent, after each of its steps."""
-        self._takeover.after_step(self._record.step + 1)
+        self._takeover.after_step()
 
     def look(self, sighting: Sighting) -> None:
-        """Record and judge 0.1 s; at the end of the attack the opponent is handed back."""
-        scenery, opponent = self._scenery, self._record.schedule.attacker
+        """Record and judge 0.1 s."""
+        scenery = self._scenery
         self._av_pose = self._motion.advance(scenery.observer.pose(sighting, scenery.av_id))
         self._record.add(self._shown(sighting))
-        if self.turn is not None:
-            self._let_go(opponent)
 
     def stop(self, ended: TurnEnd) -> None:
         """End the attack here: the AV has gone (``av_gone``), or the session is over (``time``)."""
-        opponent = self._record.schedule.attacker
         self._record.schedule.finish(self._record.step, ended)
-        self._let_go(opponent)
+
+    def let_go(self) -> None:
+        """Hand back to SUMO what is still driven here: the session is over."""
+        for agent in self._takeover.placed():
+            self._takeover.hand_back(self._step, agent)
 
     def rollout(self) -> Rollout:
         """What happened, with the last second before it; only after the end."""
         assert self.turn is not None
         return self._record.rollout(self.turn.ended, self._events, signals=self._lights)
 
-    def _let_go(self, opponent: AgentId | None) -> None:
-        if opponent is not None and self._takeover.placed() is not None:
-            self._takeover.hand_back(self._record.step, opponent, self._around(opponent))
+    def _around(self, agent: AgentId) -> Occupancy:
+        """The agents around a vehicle that is driven here, which may be far from the AV."""
+        if agent not in self._seen:
+            self._seen[agent] = self._look_around(agent)
+        return self._seen[agent]
 
-    def _around(self, opponent: AgentId) -> Occupancy | None:
-        """The agents around the opponent, which may be far from the AV; None if it is absent."""
-        observer, placed = self._scenery.observer, self._takeover.placed()
-        at = observer.position(opponent)
-        if at is None or placed is None:
-            return None
-        known = {opponent: (placed[1], Driver.POLICY)}
-        av = self._scenery.av_id
+    def _look_around(self, agent: AgentId) -> Occupancy:
+        observer, av = self._scenery.observer, self._scenery.av_id
+        placed = self._takeover.placed()
+        known = {one: (pose, Driver.POLICY) for one, pose in placed.items()}
         if observer.position(av) is not None:
             known[av] = (self._av_pose, Driver.PLANNER)
-        frame = observer.frame(observer.around(at, _AROUND_M), known)
+        at = observer.position(agent)
+        around = Sighting({}, {}) if at is None else observer.around(at, _AROUND_M)
+        frame = observer.frame(around, known)
         return Occupancy(frame=frame, size_m=observer.bodies.sizes_m(frame.ids), av_id=av)
 
     def _signals(self) -> dict[str, SignalState]:
@@ -214,9 +221,9 @@ class Engagement:
         """The sighting as policies and judges see it: the opponent is where it was placed."""
         scenery = self._scenery
         known = {scenery.av_id: (self._av_pose, Driver.PLANNER)}
-        placed = self._takeover.placed()
-        if placed is not None and self._there(placed[0], sighting):
-            known[placed[0]] = (placed[1], Driver.POLICY)
+        for agent, pose in self._takeover.placed().items():
+            if self._there(agent, sighting):
+                known[agent] = (pose, Driver.POLICY)
         return scenery.observer.frame(sighting, known)
 
     def _there(self, agent: AgentId, sighting: Sighting) -> bool:

@@ -77,7 +77,7 @@ class Lockstep:
 
     def _enough(self) -> bool:
         """Whether no other attack may begin: that many are over or under way."""
-        begun = [one.attacks + (one.driving is not None) for one in self._sessions]
+        begun = [one.attacks + one.engaged for one in self._sessions]
         return self._stay.attacks is not None and sum(begun) >= self._stay.attacks
 
     def run(self) -> End:
@@ -171,7 +171,8 @@ class Lockstep:
             sessions[0].check_script()
         if any(one.script_left for one in sessions):
             return "script_left"
-        if stay.attacks is not None and sum(one.attacks for one in sessions) >= stay.attacks:
+        done = stay.attacks is not None and sum(one.attacks for one in sessions) >= stay.attacks
+        if done and not any(one.driving for one in sessions):
             return "attacks"
         if stay.until_s is not None and self._time_s >= stay.until_s - _TOLERANCE_S:
             return "until"

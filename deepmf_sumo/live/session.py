@@ -101,6 +101,7 @@ class Session:
         self._teleported = False
         self._history: deque[Sighting] = deque(maxlen=HISTORY_STEPS)
         self._attack: Engagement | None = None
+        self._leaving: list[Engagement] = []  # their attacks are over
         self._begin_s = 0.0
         self._ended_s: dict[AgentId, float] = {}
         self._next_s = -np.inf
@@ -125,9 +126,14 @@ class Session:
         return attack.opponent_id if attack is not None and attack.turn is None else None
 
     @property
-    def driving(self) -> AgentId | None:
-        """The opponent, also in the step in which it comes back onto its lane."""
-        return self._attack.opponent_id if self._attack is not None else None
+    def engaged(self) -> bool:
+        """Whether an attack goes on, or has just ended."""
+        return self._attack is not None
+
+    @property
+    def driving(self) -> set[AgentId]:
+        """The opponent, and those of earlier attacks on their way back to a lane."""
+        return {one.opponent_id for one in self._engaged() if one.opponent_id is not None}
 
     @property
     def paused(self) -> bool:
@@ -151,13 +157,14 @@ class Session:
         self._call.not_before_s = -np.inf
 
     def before_step(self) -> None:
-        """Put the opponent at its pose at the end of the coming step."""
-        attack = self._attack
-        if attack is None or attack.turn is not None:
-            return
-        if self._part == 0:
-            attack.decide()
-        attack.place((self._part + 1) / self._parts)
+        """Put opponents at their poses at the end of the coming step."""
+        for engagement in self._engaged():
+            if self._part == 0:
+                engagement.decide()
+            engagement.place((self._part + 1) / self._parts)
+
+    def _engaged(self) -> list[Engagement]:
+        return [*self._leaving, *([] if self._attack is None else [self._attack])]
 
     def idle_frames(self) -> int:
         """Number of times 0.1 s that one step may last, since nothing can happen here before."""
@@ -175,14 +182,16 @@ class Session:
 
     def after_step(self) -> None:
         """Observe the step, and begin or end an attack."""
+        for engagement in self._engaged():
+            engagement.settle()
         if self._attack is not None:
-            self._attack.settle()
             moved = self._scenery.api.simulation.getStartingTeleportIDList()
             self._teleported |= self._scenery.av_id in moved
         self._part = (self._part + 1) % self._parts
         if self._part:
             return
         self._count_time()
+        self._leaving = [one for one in self._leaving if one.leaving]
         self._publish()
         if self._may_sleep():
             self._sleep()
@@ -212,6 +221,9 @@ class Session:
         if self._attack is not None and self._attack.turn is None:
             self._attack.stop("time")
             self._over()
+        for engagement in self._engaged():
+            engagement.let_go()
+        self._leaving.clear()
         self._next_s = np.inf
 
     def close(self) -> None:
@@ -237,7 +249,7 @@ class Session:
 
     def _may_sleep(self) -> bool:
         """Whether no attack can begin before a second of history could be observed."""
-        self._asleep = self._attack is None and self.time_s < self._due_s() - _WAKE_S
+        self._asleep = not self._engaged() and self.time_s < self._due_s() - _WAKE_S
         return self._asleep
 
     def _due_s(self) -> float:
@@ -283,7 +295,12 @@ class Session:
             return
         try:
             attack = Engagement(
-                scenery, tuple(self._history), self._policy, self._rng, self._tired(), self._taken()
+                scenery,
+                tuple(self._history),
+                self._policy,
+                self._rng,
+                self._tired(),
+                {*self._taken(), *self.driving},
             )
         except RunError as error:
             self.last_failure = str(error)
@@ -300,11 +317,13 @@ class Session:
         return [agent for agent, end_s in self._ended_s.items() if end_s > since]
 
     def _publish(self) -> None:
-        """Report an attack that is over, now that SUMO drives its opponent again."""
+        """Report an attack that is over; its opponent may still be on its way back to a lane."""
         attack = self._attack
         if attack is None or attack.turn is None:
             return
         self._attack = None
+        if attack.leaving:
+            self._leaving.append(attack)
         rollout = attack.rollout()
         if attack.turn.last_step <= rollout.now:
             return  # it was stopped before its first step

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import (
+    DT_S,
     Case,
     Command,
     Floats,
@@ -24,8 +25,11 @@ class Settings(PluginSettings):
     """No settings."""
 
 
+_BRAKES_MPS2: Final = 3.0
+
+
 class ReplayPlanner:
-    """Poses of the log; after its end and in its gaps the AV stands still."""
+    """Poses of the log. In its gaps the AV drives on evenly, after its end it comes to a stop."""
 
     def __init__(self) -> None:
         self._now = 0
@@ -55,20 +59,34 @@ class ReplayPlanner:
     def fixed_poses(self, steps: int) -> Floats:
         """(steps, 4) x, y, heading, signed speed of the recording after now."""
         after = self._poses[1 : steps + 1]
-        stands = np.repeat(self._poses[-1:] * [1, 1, 1, 0], steps - len(after), axis=0)
-        return np.concatenate([after, stands])
+        return np.concatenate([after, _stopped(self._poses[-1], steps - len(after))])
 
 
 def _poses(tracks: Tracks, row: int, now: int) -> Floats:
-    """(K, 4) poses from now to the end of the recording; speed 0 in gaps."""
-    valid, heading = tracks.valid[row, now:], tracks.heading_rad[row, now:]
-    velocity = tracks.velocity_mps[row, now:]
+    """(K, 4) poses from now to the last recorded step; in gaps evenly from end to end."""
+    known = np.flatnonzero(tracks.valid[row, now:])
+    heading, velocity = tracks.heading_rad[row, now:], tracks.velocity_mps[row, now:]
     speed = np.hypot(*velocity.T)
     backwards = (velocity * frames.unit(heading)).sum(-1) < 0  # it rolls
-    speed = np.where(valid, np.where(backwards, -speed, speed), 0.0)
-    known = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
-    poses = np.column_stack([tracks.position_m[row, now:], heading])[known]
-    return np.column_stack([poses, speed])
+    x, y = tracks.position_m[row, now:].T
+    columns = x, y, np.unwrap(heading[known]), np.where(backwards, -speed, speed)
+    steps = np.arange(known[-1] + 1)
+    given = [one if len(one) == len(known) else one[known] for one in columns]
+    poses = np.column_stack([np.interp(steps, known, one) for one in given])
+    inside = np.setdiff1d(steps, known)
+    moved = (poses[inside, :2] - poses[inside - 1, :2]) / DT_S
+    poses[inside, 3] = (moved * frames.unit(poses[inside, 2])).sum(-1)
+    poses[:, 2] = np.where(np.isin(steps, known), heading[: len(steps)], frames.wrap(poses[:, 2]))
+    return poses
+
+
+def _stopped(pose: Floats, steps: int) -> Floats:
+    """(steps, 4) poses after a pose (4), braking along its heading."""
+    x, y, heading, speed = pose
+    after = np.maximum(abs(speed) - _BRAKES_MPS2 * DT_S * np.arange(steps + 1), 0.0)
+    way = np.sign(speed) * np.cumsum((after[:-1] + after[1:]) / 2 * DT_S)
+    place = np.array([x, y]) + way[:, None] * frames.unit(heading)
+    return np.column_stack([place, np.full(steps, heading), np.sign(speed) * after[1:]])
 
 
 def build(settings: Settings) -> ReplayPlanner:

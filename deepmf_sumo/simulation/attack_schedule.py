@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -11,16 +12,26 @@ from deepmf_sumo.datatypes.plan import TurnEnd
 from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.geometry.ground import distance_m
+from deepmf_sumo.geometry.ground import distance_m, ground_of
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation.contacts import overlapping
 from deepmf_sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.simulation.ownership import NextOwner
+from deepmf_sumo.simulation.way_on import WayOn
 
 _MOVED_M = 0.05
+_PATIENCE_STEPS = 300
+"""A vehicle that has not got back onto a lane by then is SUMO's, wherever it is."""
 
 
 class Opponent:
     """The vehicle that a policy has chosen, the plans for it, and how its attack goes.
+
+    Args:
+        policy: chooses and drives it.
+        view: now.
+        rng: for the policy.
+        next_owner: drives it where no plan does; see `ownership`.
 
     Attributes:
         id: None if there is no policy, or the policy found no opponent.
@@ -33,8 +44,19 @@ class Opponent:
     Raises SimulationError for a choice that is not among the agents of the view.
     """
 
-    def __init__(self, policy: Policy | None, view: View, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        policy: Policy | None,
+        view: View,
+        rng: np.random.Generator,
+        next_owner: NextOwner,
+    ) -> None:
         self._policy = policy
+        self._next_owner, self._road = next_owner, view.road
+        self._driven: Pose | None = None  # where it was put for the last step
+        self._way: WayOn | None = None
+        self._alone_steps = 0
+        self._planned_from = np.zeros(3)
         self.first_step = view.step
         self.follows = False
         self.harmless: int | None = view.step
@@ -68,29 +90,75 @@ class Opponent:
                 f"The policy planned for '{plan.agent_id}', but its opponent is '{self.id}'."
             )
         self.plans.append(plan)
+        row = view.history.row(self.id)
+        here = view.history.position_m[row, -1], view.history.z_m[row, -1:]
+        self._planned_from = np.concatenate(here)
         if plan.reason is None or plan.reason.collides.any():
             self.harmless = None
         elif self.harmless is None:
             self.harmless = view.step
 
     def advance(self, step: int) -> Pose | None:
-        """Go on to ``step``: the pose that the plan has for it, or None and an event at its end."""
+        """Go on to ``step``: where the opponent is put, or None where its next owner drives it."""
         plan = self.plans[-1] if self.plans else None
-        follows = plan is not None and plan.covers(step)
-        if self.id is not None and self.follows and not follows:
-            detail = "the opponent goes on without a plan"
+        ended = self.follows
+        self.follows = plan is not None and plan.covers(step)
+        if plan is not None and self.follows:
+            self._driven, self._way, self._alone_steps = _planned(plan, step), None, 0
+            return self._driven
+        pose = self.leave(step)
+        if ended and self.id is not None:
+            detail = "it is driven on from where it is" if pose is None else self._on_its_way()
             self.events.append(Event(step=step, agent_id=self.id, kind="plan_ended", detail=detail))
-        self.follows = follows
-        if plan is None or not follows:
+        return pose
+
+    def leave(self, step: int) -> Pose | None:
+        """Go on to ``step`` without a plan: to the next owner as soon as that can take it."""
+        agent, owner = self.id, self._next_owner
+        if agent is None or self._driven is None:
             return None
-        at = step - plan.first_step
-        return Pose(
-            x_m=float(plan.position_m[at, 0]),
-            y_m=float(plan.position_m[at, 1]),
-            heading_rad=float(plan.heading_rad[at]),
-            speed_mps=float(plan.speed_mps[at]),
-            course_rad=_course(plan.position_m[max(at - 1, 0) : at + 2]),
-        )
+        creep_mps = owner.creep_mps(agent)
+        given_up = creep_mps > 0 and self._alone_steps >= _PATIENCE_STEPS
+        if given_up or owner.takes(agent, step, self._driven):
+            self._driven, self._way, self._alone_steps = None, None, 0
+            return None
+        self._alone_steps += 1
+        if self._way is None:
+            cost = partial(owner.lane_cost, agent)
+            self._way = WayOn(self._road, self._driven, self._height_m(), creep_mps, cost)
+        self._driven = self._way.next(partial(owner.clear, agent))
+        return self._driven
+
+    def go_on_as(self, before: "Opponent") -> None:
+        """It was the opponent ``before``, and is still on its way to its next owner."""
+        self._driven, self._way = before._driven, before._way  # noqa: SLF001
+        self._alone_steps = before._alone_steps  # noqa: SLF001
+
+    def _on_its_way(self) -> str:
+        assert self.id is not None
+        if self._next_owner.creep_mps(self.id) > 0:
+            return "SUMO cannot drive it from where it is: it returns to a lane first"
+        return "the log has it elsewhere: it comes to a stop"
+
+    def _height_m(self) -> float:
+        """Height at the last pose, which follows the road from where the plan began."""
+        plan, driven = self.plans[-1], self._driven
+        assert driven is not None
+        way = [self._planned_from[:2], *plan.position_m, (driven.x_m, driven.y_m)]
+        z_m = ground_of(self._road).follow(np.array([way]), self._planned_from[2:])
+        return float(z_m[0, -1])
+
+
+def _planned(plan: Plan, step: int) -> Pose:
+    """The pose that a plan has for a step."""
+    at = step - plan.first_step
+    return Pose(
+        x_m=float(plan.position_m[at, 0]),
+        y_m=float(plan.position_m[at, 1]),
+        heading_rad=float(plan.heading_rad[at]),
+        speed_mps=float(plan.speed_mps[at]),
+        course_rad=_course(plan.position_m[max(at - 1, 0) : at + 2]),
+    )
 
 
 def _course(position_m: Floats) -> float | None:
@@ -117,33 +185,40 @@ class AttackSchedule:
         view: at the first step.
         rng: for the policy.
         rules: when an attack ends; None: one opponent attacks, and a contact ends the episode.
+        next_owner: drives opponents where no plan does; see `ownership`.
 
     Attributes:
         closed: the attacks in turn that are over; empty without rules.
     """
 
     def __init__(
-        self, policy: Policy | None, view: View, rng: np.random.Generator, rules: TurnRules | None
+        self,
+        policy: Policy | None,
+        view: View,
+        rng: np.random.Generator,
+        rules: TurnRules | None,
+        next_owner: NextOwner,
     ) -> None:
         self._policy, self._rng, self._rules = policy, rng, rules
+        self._next_owner = next_owner
         self._av = view.av_id
         self._opponents: list[Opponent] = []
         self.closed: tuple[Turn, ...] = ()
         self._ongoing: Opponent | None = None
-        self._released: AgentId | None = None
+        self._leaving: list[Opponent] = []
         self._clear = True
         self._next = self._latest = view.step
         self._begin(view)
 
     @property
-    def controlled(self) -> AgentId | None:
-        """The vehicle that the world places at the pose, or hands back to SUMO without one."""
-        return self.attacker or self._released
-
-    @property
     def attacker(self) -> AgentId | None:
         """The vehicle whose contact with the AV counts as a hit."""
         return self._ongoing.id if self._ongoing else None
+
+    @property
+    def leaving(self) -> bool:
+        """Whether a vehicle whose attack is over is still on its way to its next owner."""
+        return bool(self._leaving)
 
     @property
     def opponent_id(self) -> AgentId | None:
@@ -176,9 +251,16 @@ class AttackSchedule:
         if self._ongoing is not None:
             self._ongoing.replan(self._within_turn(view, self._ongoing.first_step))
 
-    def advance(self, step: int) -> Pose | None:
-        """Go on to ``step``: the opponent's pose there; None if no plan has one."""
-        return self._ongoing.advance(step) if self._ongoing is not None else None
+    def advance(self, step: int) -> dict[AgentId, Pose | None]:
+        """Go on to ``step``: where the vehicles of attacks are put.
+
+        None: the world drives the vehicle as all others, from this step on.
+        """
+        poses = {one.id: one.leave(step) for one in self._leaving if one.id is not None}
+        self._leaving = [one for one in self._leaving if one.id and poses[one.id] is not None]
+        if self._ongoing is not None and self._ongoing.id is not None:
+            poses[self._ongoing.id] = self._ongoing.advance(step)
+        return poses
 
     def after_step(self, step: int, frame: Frame, size_m: Floats, *, hit: bool) -> bool:
         """Close the attack if it is over; returns whether the episode is.
@@ -189,9 +271,9 @@ class AttackSchedule:
             size_m: (N, 2) their lengths and widths.
             hit: the AV and the attacker have come into contact.
         """
-        self._released = None
         if self._rules is None:
             return hit
+        self._leaving = [one for one in self._leaving if one.id in frame.ids]
         if self._av not in frame.ids:
             return False
         if self._ongoing is None:
@@ -202,8 +284,8 @@ class AttackSchedule:
             return False
         ended = self._ending(self._ongoing, self._rules, step, frame, size_m, hit=hit)
         if ended is not None:
-            self._released = self.attacker if self.attacker in frame.ids else None
             self._close(step, ended)
+            self._leaving = [one for one in self._leaving if one.id in frame.ids]
         return False
 
     def finish(self, step: int, ended: TurnEnd) -> None:
@@ -214,18 +296,22 @@ class AttackSchedule:
     def _begin(self, view: View) -> None:
         """Choose an opponent, unless the end is near or no vehicle can attack."""
         if self._rules is None:
-            self._start(Opponent(self._policy, view, self._rng))
+            self._start(Opponent(self._policy, view, self._rng, self._next_owner))
             return
         self._next = view.step + _RETRY_STEPS
         if self._policy is None or view.steps_left < _SHORTEST_STEPS:
             return
         for shown in self._choices(self._within_turn(view, view.step), self._rules):
-            opponent = Opponent(self._policy, shown, self._rng)
+            opponent = Opponent(self._policy, shown, self._rng, self._next_owner)
             if opponent.id is not None:
                 self._start(opponent)
                 return
 
     def _start(self, opponent: Opponent) -> None:
+        for one in self._leaving:
+            if one.id == opponent.id:
+                opponent.go_on_as(one)
+        self._leaving = [one for one in self._leaving if one.id != opponent.id]
         self._opponents.append(opponent)
         self._ongoing = opponent
 
@@ -299,6 +385,7 @@ class AttackSchedule:
             gap_m=opponent.gap_m,
         )
         self.closed = (*self.closed, turn)
+        self._leaving.append(opponent)
         self._ongoing = None
         self._clear = False
         self._next = step + _PAUSE_STEPS

@@ -10,6 +10,8 @@ from deepmf_sumo.geometry import boxes, frames, impact
 from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.simulation.frame import Frame
 
+Pair = frozenset[AgentId]
+
 
 def overlapping(
     row: int, centre_m: Floats, heading_rad: Floats, size_m: Floats, z_m: Floats
@@ -31,11 +33,17 @@ def overlapping(
     return np.flatnonzero(hit).tolist()
 
 
-class Judge:
-    """Finds the first overlap of the AV and of the opponent with every other agent.
+_APART_M = 0.25
+"""Recorded boxes that touch tremble: a pair has come apart if its boxes are farther apart."""
 
-    A pair that overlaps at the first frame, or in the frame in which one of the two appears, has
-    not driven into each other: it is not counted, and an event says so.
+
+class Judge:
+    """Finds the first contact of the AV and of the opponent with every other agent.
+
+    A contact is an overlap into which a pair has driven. A pair that begins to overlap at the first
+    frame, in the frame in which one of the two appears, or in the step in which one of the two
+    changes its owner (`ownership`) has not driven into each other: that is not counted, an event
+    says so, and the pair may come into contact once it has come apart.
     """
 
     def __init__(self, av_id: AgentId, opponent_id: AgentId | None) -> None:
@@ -43,16 +51,23 @@ class Judge:
         self.events: list[Event] = []
         self._drivers: list[AgentId] = [av_id] if opponent_id is None else [av_id, opponent_id]
         self._av, self.opponent_id = av_id, opponent_id
-        self._settled: set[frozenset[AgentId]] = set()
+        self._counted: set[Pair] = set()
+        self._excused: set[Pair] = set()
         self._before: Frame | None = None
 
     def look(self, step: int, frame: Frame, size_m: Floats) -> None:
         """Judge one frame; ``size_m`` (N, 2) are the lengths and widths of its agents."""
+        if self._excused:
+            self._excused &= {pair for *_, pair in self._overlapping(frame, size_m + 2 * _APART_M)}
         for me, other, pair in self._overlapping(frame, size_m):
-            if pair not in self._settled:
-                self._settled.add(pair)
+            if pair not in self._counted | self._excused:
                 self._settle(step, frame, size_m, me, other)
         self._before = frame
+
+    @property
+    def excuses(self) -> bool:
+        """Whether a pair overlaps, or nearly does, without a contact."""
+        return bool(self._excused)
 
     def hit(self, step: int) -> bool:
         """Whether the AV and the opponent came into contact at a step."""
@@ -65,13 +80,12 @@ class Judge:
         """
         self.opponent_id = opponent_id
         self._drivers = [self._av] if opponent_id is None else [self._av, opponent_id]
-        self._settled &= {pair for _, _, pair in self._overlapping(frame, size_m)}
+        self._excused |= self._counted & {pair for *_, pair in self._overlapping(frame, size_m)}
+        self._counted.clear()
         self._before = None
         self.look(step, frame, size_m)
 
-    def _overlapping(
-        self, frame: Frame, size_m: Floats
-    ) -> Iterator[tuple[int, int, frozenset[AgentId]]]:
+    def _overlapping(self, frame: Frame, size_m: Floats) -> Iterator[tuple[int, int, Pair]]:
         """Row of the AV or the opponent, row of the other agent, and their ids."""
         for mine in self._drivers:
             if mine not in frame.ids:
@@ -82,13 +96,29 @@ class Judge:
 
     def _settle(self, step: int, frame: Frame, size_m: Floats, me: int, other: int) -> None:
         mine, theirs = frame.ids[me], frame.ids[other]
-        before = self._before
-        if before is None or mine not in before.ids or theirs not in before.ids:
-            kind = "overlap_at_start" if before is None else "appeared_in_overlap"
+        pair = frozenset((mine, theirs))
+        kind = self._excuse(frame, mine, theirs)
+        if kind is not None:
+            self._excused.add(pair)
             detail = f"with {theirs}; not counted as a contact"
             self.events.append(Event(step=step, agent_id=mine, kind=kind, detail=detail))
             return
-        self.contacts.append(self._contact(step, frame, before, size_m, me, other))
+        assert self._before is not None
+        self._counted.add(pair)
+        self.contacts.append(self._contact(step, frame, self._before, size_m, me, other))
+
+    def _excuse(self, frame: Frame, mine: AgentId, theirs: AgentId) -> str | None:
+        """The event of an overlap that begins in a frame and is no contact; None if it is one."""
+        before = self._before
+        if before is None:
+            return "overlap_at_start"
+        if mine not in before.ids or theirs not in before.ids:
+            return "appeared_in_overlap"
+        owners = [
+            [one.driver[one.ids.index(agent)] for agent in (mine, theirs)]
+            for one in (before, frame)
+        ]
+        return None if owners[0] == owners[1] else "overlap_at_hand_over"
 
     def _kind(self, mine: AgentId, theirs: AgentId) -> ContactKind:
         if mine != self._av:

@@ -104,12 +104,11 @@ def run(
             view = record.view(world.av.path())
             command = planner.act(view)
         with _timed(seconds, "simulation"):
-            pose = record.schedule.advance(record.step + 1)
-            opponent = record.schedule.controlled
-            frame = world.step(command, opponent, pose)
+            attacker = record.schedule.attacker
+            frame = world.step(command, record.schedule.advance(record.step + 1))
             over = record.add(frame)
         for observer in observers:
-            observer.on_step(frame, opponent)
+            observer.on_step(frame, attacker)
         leaders.append(world.av.leaders)
         lights.append(view.signals)
         if over:
@@ -140,7 +139,7 @@ def _begun(
         history[-1],
         case.duration_steps,
         world.signals,
-        lambda view: AttackSchedule(policy, view, rng, case.turns),
+        lambda view: AttackSchedule(policy, view, rng, case.turns, world.next_owner),
     )
 
 

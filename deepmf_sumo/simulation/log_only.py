@@ -32,6 +32,7 @@ from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.log_plan import check_route, recorded_body
+from deepmf_sumo.simulation.ownership import LogOwner
 from deepmf_sumo.simulation.recorder import EpisodeRecord, Recorder
 
 
@@ -52,7 +53,7 @@ def run(
         world.frame(world.now),
         case.duration_steps,
         lambda: signals[recorder.step],
-        lambda view: AttackSchedule(policy, view, rng, None),
+        lambda view: AttackSchedule(policy, view, rng, None, LogOwner(case.scene.tracks)),
     )
     seconds = {"planner": 0.0, "policy": time.perf_counter() - begin, "simulation": 0.0}
     hit = False
@@ -78,11 +79,17 @@ def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
     poses = {step: schedule.advance(step) for step in range(first, stop + 1)}
     opponent = schedule.opponent_id
     if opponent is not None:
-        world.drive(opponent, {step: pose for step, pose in poses.items() if pose is not None})
-    for step in world.first_overlaps(opponent, first, stop + 1):
-        for look in (step - 1, step):
+        own = {step: placed[opponent] for step, placed in poses.items()}
+        world.drive(opponent, {step: pose for step, pose in own.items() if pose is not None})
+    begins, looked = world.new_overlaps(opponent, first, stop + 1), -1
+    for step in range(first, stop + 1):
+        # a pair that overlaps without a contact is judged at each step, for it may come apart
+        if step not in begins and not record.judge.excuses:
+            continue
+        for look in (step,) if looked == step - 1 else (step - 1, step):
             frame = world.frame(look)
             record.judge.look(look, frame, world.sizes_m(frame.ids))
+        looked = step
         if record.judge.hit(step):
             stop = step
             break
@@ -154,10 +161,10 @@ class _LogOnly:
         """Kind and size as recorded."""
         return recorded_body(self._tracks, self._tracks.row(agent))
 
-    def first_overlaps(self, opponent: AgentId | None, first: int, stop: int) -> list[int]:
-        """Steps before ``stop`` at which AV or opponent first overlap another agent."""
+    def new_overlaps(self, opponent: AgentId | None, first: int, stop: int) -> set[int]:
+        """Steps before ``stop`` at which AV or opponent begin to overlap another agent."""
         found: set[int] = set()
-        span = slice(first, stop)
+        span = slice(first - 1, stop)
         there = self._driver[:, span] != Driver.NOBODY
         state = self._state[:, span]
         reach = np.hypot(*self._size_m.T) / 2
@@ -175,9 +182,11 @@ class _LogOnly:
                 self._size_m[row],
             )
             hit &= ~clear(state[me, at, 2], state[row, at, 2])
-            _, earliest = np.unique(row[hit], return_index=True)
-            found |= {first + int(step) for step in at[hit][earliest]}
-        return sorted(found)
+            overlap = np.zeros(there.shape, bool)
+            overlap[row[hit], at[hit]] = True
+            begins = overlap[:, 1:] & ~overlap[:, :-1]
+            found |= {first + int(step) for step in np.flatnonzero(begins.any(axis=0))}
+        return found
 
     def _drive(
         self, row: int, steps: Ints, poses: Floats, course_rad: Floats, driver: Driver

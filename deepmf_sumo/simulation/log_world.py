@@ -1,7 +1,7 @@
 """The world of a recorded scene: the AV in SUMO, vehicles that follow the log or SUMO."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +25,8 @@ from deepmf_sumo.simulation.av import Av, ShownMotion, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.ignored_vehicles import IgnoredVehicles
 from deepmf_sumo.simulation.log_plan import Log, check_route, log_of, recorded_body, recorded_frame
+from deepmf_sumo.simulation.occupancy import Occupancy
+from deepmf_sumo.simulation.ownership import LogOwner, NextOwner
 from deepmf_sumo.simulation.signals import ReplayedSignals
 from deepmf_sumo.simulation.sumo_api import (
     ANY_ROUTE,
@@ -37,7 +39,7 @@ from deepmf_sumo.simulation.sumo_api import (
     running,
     write_types,
 )
-from deepmf_sumo.simulation.vehicle_control import Takeover, move
+from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover, move
 from deepmf_sumo.simulation.world import World
 
 _EXACT = 2  # keepRoute: exactly there, on or off the lanes
@@ -220,6 +222,34 @@ class FreeTraffic:
         return poses
 
 
+class _LogOrSumo:
+    """The next owner among recorded agents: SUMO of those that it drives, else the log."""
+
+    def __init__(
+        self, log: LogOwner, sumo: SumoOwner, sumo_drives: Callable[[AgentId], bool]
+    ) -> None:
+        self._log, self._sumo, self._sumo_drives = log, sumo, sumo_drives
+
+    def _of(self, agent: AgentId) -> NextOwner:
+        return self._sumo if self._sumo_drives(agent) else self._log
+
+    def creep_mps(self, agent: AgentId) -> float:
+        """Of its owner."""
+        return self._of(agent).creep_mps(agent)
+
+    def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:
+        """Of its owner."""
+        return self._of(agent).takes(agent, step, pose)
+
+    def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
+        """Of its owner."""
+        return self._of(agent).clear(agent, poses)
+
+    def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
+        """Of the log: lanes of recordings are not SUMO's, which does not know their names."""
+        return self._log.lane_cost(agent, lane_id)
+
+
 _OPTIONS = (
     *("--step-method.ballistic", "true"),  # positions move at the mean speed of a step
     *("--time-to-teleport", "-1"),
@@ -270,6 +300,9 @@ class LogWorld:
         self._placed = PlacedVehicles(self._recorded)
         self._free = FreeTraffic(self._recorded, self.events)
         self._takeover = Takeover(api, self.events)
+        self.next_owner: NextOwner = _LogOrSumo(
+            LogOwner(self._tracks), SumoOwner(self._takeover, self._occupancy), self._sumo_drives
+        )
         self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals, self._log.passed)
         start = self._recorded.pose(self._av_row, self._now)
         length = float(self._tracks.size_m[self._av_row, 0])
@@ -293,7 +326,7 @@ class LogWorld:
         """The recorded lights at this step."""
         return self._signals.states(self._step)
 
-    def step(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
+    def step(self, command: Command, poses: Mapping[AgentId, Pose | None]) -> Frame:
         """One step; an opponent without a pose is driven like all others."""
         self._step += 1
         step = self._step
@@ -302,14 +335,14 @@ class LogWorld:
             size = self._tracks.size_m[rows, :2]
             self._ignored.update(self._frame, size, self.av.path())
         av_driver = self._drive_av(command)
-        taken = self._drive_opponent(opponent, pose)
-        self._place_others(step, taken)
+        driven = self._drive_opponents(poses)
+        self._place_others(step, {self._row[agent] for agent in driven})
         self._signals.show(step)
         self._placed.before_step()
         self._api.simulationStep()
         self._placed.after_step()
         self._free.after_step(step)
-        self._takeover.after_step(step)
+        self._takeover.after_step()
         extra: dict[AgentId, tuple[Pose, Driver]] = {}
         if self.av.present:
             self.av.after_step()
@@ -317,13 +350,21 @@ class LogWorld:
             if step == self._now + 1 and av_driver is Driver.PLANNER and command.kind != "pose":
                 self._note_alignment()
         extra |= self._free.advance()
-        if opponent is not None and pose is not None:
-            extra[opponent] = (pose, Driver.POLICY)
+        extra |= {agent: (pose, Driver.POLICY) for agent, pose in driven.items()}
         logged = np.ones(self._tracks.agents, bool)
         logged[[self._row[agent] for agent in extra] + [self._av_row]] = False
         logged[list(self._free.entered - self._free.lost)] = False
         self._frame = recorded_frame(self._tracks, step, logged).with_poses(self._raised(extra))
         return self._frame
+
+    def _sumo_drives(self, agent: AgentId) -> bool:
+        return self._free.drives(self._row[agent])
+
+    def _occupancy(self, agent: AgentId) -> Occupancy:  # noqa: ARG002
+        """All agents at the end of the last step."""
+        rows = [self._row[one] for one in self._frame.ids]
+        size_m = self._tracks.size_m[rows, :2]
+        return Occupancy(frame=self._frame, size_m=size_m, av_id=self.av.id)
 
     def _raised(
         self, poses: dict[AgentId, tuple[Pose, Driver]]
@@ -383,7 +424,7 @@ class LogWorld:
 
     def _settle(self) -> None:
         """A step of SUMO that leaves the recorded agents where they are now."""
-        self._place_others(self._now, None)
+        self._place_others(self._now, ())
         self._signals.show(self._now)
         self._placed.before_step()
         self._api.simulationStep()
@@ -424,28 +465,26 @@ class LogWorld:
         self.av.place(pose if moves else replace(pose, speed_mps=0.0))
         return Driver.LOG
 
-    def _drive_opponent(self, opponent: AgentId | None, pose: Pose | None) -> int | None:
-        """Place the opponent at its pose, or hand it back; its row while a policy drives it."""
-        if opponent is None:
-            return None
-        row = self._row[opponent]
-        if self._free.drives(row):
-            if pose is None:
-                self._takeover.hand_back(self._step, opponent)
+    def _drive_opponents(self, poses: Mapping[AgentId, Pose | None]) -> dict[AgentId, Pose]:
+        """Place opponents at their poses, hand the others back; the poses of those placed."""
+        for agent, pose in poses.items():
+            row = self._row[agent]
+            if not self._free.drives(row):
+                if pose is not None and self._tracks.kinds[row] == "vehicle":
+                    self._placed.put(row, pose)
+            elif pose is None:
+                self._takeover.hand_back(self._step, agent)
             else:
-                length = float(self._tracks.size_m[row, 0])
-                self._takeover.place(self._step, opponent, pose, length)
-        elif pose is not None and self._tracks.kinds[row] == "vehicle":
-            self._placed.put(row, pose)
-        return None if pose is None else row
+                self._takeover.place(self._step, agent, pose, float(self._tracks.size_m[row, 0]))
+        return {agent: pose for agent, pose in poses.items() if pose is not None}
 
-    def _place_others(self, step: int, taken: int | None) -> None:
+    def _place_others(self, step: int, taken: Collection[int]) -> None:
         if step >= self._tracks.steps:
             return
         valid = self._tracks.valid[:, step]
         free = self._case.traffic == "sumo"
         for row in self._log.rows:
-            if row == taken or self._free.drives(row) or not valid[row]:
+            if row in taken or self._free.drives(row) or not valid[row]:
                 continue
             if free and self._free.may_enter(row):
                 self._free.enter(row, step)

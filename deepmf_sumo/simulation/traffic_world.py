@@ -1,6 +1,6 @@
 """The world of a SUMO configuration: SUMO's own traffic, up to the start and from there on."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -23,12 +23,13 @@ from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.network.sumo_road import signal_links
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.simulation.free_positions import FreePositions, Occupancy
+from deepmf_sumo.simulation.occupancy import Occupancy
+from deepmf_sumo.simulation.ownership import NextOwner
 from deepmf_sumo.simulation.road_users import TrafficReader, on_foot
 from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.sumo_api import AV_TYPE, Backend, SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
-from deepmf_sumo.simulation.vehicle_control import Takeover
+from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover
 from deepmf_sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0
@@ -75,7 +76,8 @@ class TrafficWorld:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
         self.av = Av(api, case.av_id, length, read_pose(api, case.av_id, length))
-        self._opponent = Takeover(api, self.events, FreePositions(api, case.road))
+        self._takeover = Takeover(api, self.events, leaves=True)
+        self.next_owner: NextOwner = SumoOwner(self._takeover, self._occupancy)
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
     def history(self) -> list[Frame]:
@@ -91,23 +93,33 @@ class TrafficWorld:
         """States of SUMO's lights now."""
         return self._signals.states()
 
-    def step(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
+    def step(self, command: Command, poses: Mapping[AgentId, Pose | None]) -> Frame:
         """One step of SUMO, which drives an opponent without a pose."""
         self._step += 1
         self.av.drive(command)
-        if opponent is not None and pose is not None:
-            length = self.body(opponent).size_m[0]
-            self._opponent.place(self._step, opponent, pose, length)
-        elif opponent is not None and self._opponent.placed() is not None:
-            self._opponent.hand_back(self._step, opponent, self._occupancy())
+        for agent, pose in poses.items():
+            if pose is not None:
+                self._takeover.place(self._step, agent, pose, self.body(agent).size_m[0])
+            else:
+                self._takeover.hand_back(self._step, agent)
         self._api.simulationStep()
         if self._only is not None:
             self._leave_out_others(self._only)
         if self.av.present:
             self.av.after_step()
-        self._opponent.after_step(self._step)
+        self._takeover.after_step()
+        self._note_teleports()
         self._frame = self._shown(self._reader.read())
         return self._frame
+
+    def _note_teleports(self) -> None:
+        """Say which vehicles SUMO took off the road, or put onto it elsewhere: they were stuck."""
+        simulation = self._api.simulation
+        moved = {*simulation.getStartingTeleportIDList(), *simulation.getEndingTeleportIDList()}
+        for agent in sorted(moved - {self.av.id}):
+            detail = "SUMO took it for stuck"
+            event = Event(step=self._step, agent_id=agent, kind="teleported", detail=detail)
+            self.events.append(event)
 
     def _shown(self, frame: Frame) -> Frame:
         """What SUMO has after a step, with AV and opponent where they are shown and were put."""
@@ -123,9 +135,9 @@ class TrafficWorld:
         if av.id in frame.ids:
             put = av.placed is not None
             shown[av.id] = self._raised(av.id, av.pose, frame, put=put), Driver.PLANNER
-        placed = self._opponent.placed()
-        if placed is not None and placed[0] in frame.ids:
-            shown[placed[0]] = self._raised(*placed, frame, put=True), Driver.POLICY
+        for agent, pose in self._takeover.placed().items():
+            if agent in frame.ids:
+                shown[agent] = self._raised(agent, pose, frame, put=True), Driver.POLICY
         return frame.with_poses(shown)
 
     def _raised(self, agent: AgentId, pose: Pose, frame: Frame, *, put: bool) -> Pose:
@@ -140,7 +152,7 @@ class TrafficWorld:
         z_m = self._ground.follow(moved, self._frame.z_m[row : row + 1])
         return replace(pose, z_m=float(z_m[0, 1]))
 
-    def _occupancy(self) -> Occupancy:
+    def _occupancy(self, agent: AgentId) -> Occupancy:  # noqa: ARG002
         """All agents at the end of the last step."""
         size_m = np.array([self.body(agent).size_m[:2] for agent in self._frame.ids])
         return Occupancy(frame=self._frame, size_m=size_m, av_id=self.av.id)

@@ -1,19 +1,15 @@
 """Control of vehicles in SUMO's traffic: placing them at poses, and handing them back to SUMO."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Event, Floats
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.simulation.frame import Pose
-from deepmf_sumo.simulation.free_positions import (
-    FreePosition,
-    FreePositions,
-    Occupancy,
-    permitted,
-)
+from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
 MATCH_M: Final = 5.0
@@ -30,7 +26,10 @@ _BEYOND_M: Final = 0.1
 _BEYOND_TURN_M: Final = 2.5  # where a vehicle may turn back
 _STRAIGHT_ON = 0.5  # cosine of the angle to the lane: one that turns back has a larger angle
 _TURNS_BACK = ("t", "T")  # directions of links
-_ASKEW_RAD: Final = np.radians(60.0)
+_ASKEW_RAD: Final = 0.1
+_CREEP_MPS: Final = 5.0
+_OFF_ROUTE_COSTS_M: Final = 10.0
+"""A lane off its route is as good as one on it that is farther off by this."""
 
 
 def move(
@@ -128,7 +127,7 @@ class HandOver:
 
     def __init__(self, api: SumoApi) -> None:
         self._api = api
-        self._hurried: tuple[AgentId, float] | None = None
+        self._hurried: dict[AgentId, float] = {}
         self._class: dict[AgentId, str] = {}
         self._lost: set[AgentId] = set()
         self._length_m: dict[AgentId, float] = {}  # of vehicles that SUMO has shorter
@@ -142,7 +141,7 @@ class HandOver:
             self._class[vehicle_id] = str(vehicle.getVehicleClass(vehicle_id))
             vehicle.setVehicleClass(vehicle_id, "ignoring")
         if float(vehicle.getLateralSpeed(vehicle_id)) != 0.0 and not sublane:
-            self._hurried = vehicle_id, float(vehicle.getMaxSpeedLat(vehicle_id))
+            self._hurried[vehicle_id] = float(vehicle.getMaxSpeedLat(vehicle_id))
             vehicle.setMaxSpeedLat(vehicle_id, _AT_ONCE_MPS)
 
     def fit(self, vehicle_id: AgentId, pose: Pose, length_m: float) -> None:
@@ -181,6 +180,10 @@ class HandOver:
         if permission is not None:
             self._api.vehicle.setVehicleClass(vehicle_id, permission)
 
+    def permission(self, vehicle_id: AgentId) -> str:
+        """The vehicle's class, while it is taken the one that it had before."""
+        return self._class.get(vehicle_id) or str(self._api.vehicle.getVehicleClass(vehicle_id))
+
     def lose(self, vehicle_id: AgentId) -> None:
         """The vehicle has left the road; if SUMO brings it back, SUMO drives it."""
         if vehicle_id in self._class or vehicle_id in self._length_m:
@@ -188,15 +191,16 @@ class HandOver:
 
     def after_step(self) -> None:
         """Restore the lateral speed of the vehicle, and the class of those that are back."""
-        if self._hurried is None and not self._lost:
+        if not self._hurried and not self._lost:
             return
         there = self._api.vehicle.getIDList()
         for vehicle_id in self._lost.intersection(there):
             self._lost.remove(vehicle_id)
             self.give_back(vehicle_id)
-        if self._hurried is not None and self._hurried[0] in there:
-            self._api.vehicle.setMaxSpeedLat(*self._hurried)
-        self._hurried = None
+        for vehicle_id, speed_mps in self._hurried.items():
+            if vehicle_id in there:
+                self._api.vehicle.setMaxSpeedLat(vehicle_id, speed_mps)
+        self._hurried.clear()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -209,160 +213,126 @@ class _Taken:
 
 
 class Takeover:
-    """The one vehicle that a policy drives in SUMO's traffic.
+    """The vehicles that a policy drives in SUMO.
 
     Args:
         api: a running SUMO.
         events: notes are added to it.
-        positions: for a vehicle that SUMO cannot drive from its pose; None: the nearest lane, free
-            or not.
-        may_remove: whether a vehicle without a free position, or beyond the end of the network, is
-            removed from the simulation; else it is put on the nearest lane, or goes on.
+        leaves: whether a vehicle that is placed beyond the end of the network is taken off the
+            road, as SUMO does with its own.
     """
 
-    def __init__(
-        self,
-        api: SumoApi,
-        events: list[Event],
-        positions: FreePositions | None = None,
-        *,
-        may_remove: bool = True,
-    ) -> None:
+    def __init__(self, api: SumoApi, events: list[Event], *, leaves: bool = False) -> None:
         self._api = api
         self._events = events
-        self._positions = positions
-        self._may_remove = may_remove
+        self._leaves = leaves
         self._ends = NetworkEnds(api)
         self._hand_over = HandOver(api)
-        self._taken: _Taken | None = None
-        self._moved: tuple[_Taken, float] | None = None
+        self._taken: dict[AgentId, _Taken] = {}
         self._gone: set[AgentId] = set()
 
-    def placed(self) -> tuple[AgentId, Pose] | None:
-        """The vehicle and the pose it was put at in the last step; None while SUMO drives."""
-        taken = self._taken
-        return None if taken is None else (taken.agent, taken.pose)
+    def placed(self) -> dict[AgentId, Pose]:
+        """The vehicles that SUMO does not drive, and where they were put in the last step."""
+        return {agent: taken.pose for agent, taken in self._taken.items()}
 
     def place(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> None:
-        """Put the vehicle at the pose at the end of the coming step, or take it off the road.
-
-        In SUMO's traffic (with ``positions``, and where it may be removed) it leaves where the
-        network ends, as all do.
-        """
+        """Put a vehicle at the pose at the end of the coming step, or take it off the road."""
         if not self._present(step, agent):
             return
-        traffic = self._positions is not None and self._may_remove
-        if traffic and self._ends.passed(agent, pose, length_m):
+        if self._leaves and self._ends.passed(agent, pose, length_m):
             self._api.vehicle.remove(agent, _ARRIVED)
             self._gone.add(agent)
             self._note(step, agent, "opponent_gone", "it left where the network ends")
             return
-        if self._taken is None or self._taken.agent != agent:  # the last one may have left
-            route = tuple(self._api.vehicle.getRoute(agent))
-            stops = has_stops(self._api, agent)
-            self._taken = _Taken(
-                agent=agent, length_m=length_m, route=route, stops=stops, pose=pose
-            )
-            if stops:
-                detail = "it has stops, so SUMO's vehicles see it on its own route alone"
-                self._note(step, agent, "seen_on_route", detail)
-            self._hand_over.take(agent)
-        self._taken.pose = pose
+        if agent not in self._taken:
+            self._taken[agent] = self._take(step, agent, pose, length_m)
+        taken = self._taken[agent]
+        taken.pose = pose
         self._hand_over.fit(agent, pose, length_m)
-        move(self._api, agent, pose, length_m, MATCH_M, on_route=self._taken.stops)
+        move(self._api, agent, pose, length_m, MATCH_M, on_route=taken.stops)
 
-    def after_step(self, step: int) -> None:
-        """Tell SUMO the speed: else it would be that of the jump, cut to the vehicle's limits."""
+    def _take(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> _Taken:
+        route = tuple(self._api.vehicle.getRoute(agent))
+        stops = has_stops(self._api, agent)
+        if stops:
+            detail = "it has stops, so SUMO's vehicles see it on its own route alone"
+            self._note(step, agent, "seen_on_route", detail)
+        self._hand_over.take(agent)
+        return _Taken(agent=agent, length_m=length_m, route=route, stops=stops, pose=pose)
+
+    def after_step(self) -> None:
+        """Tell SUMO the speeds: else they would be those of jumps, cut to the vehicles' limits."""
         self._hand_over.after_step()
         there = self._api.vehicle.getIDList()
-        if self._taken is not None and self._taken.agent in there:
-            self._api.vehicle.setPreviousSpeed(self._taken.agent, self._taken.pose.speed_mps)
-        elif self._taken is not None:
-            self._hand_over.lose(self._taken.agent)
-            self._taken = None  # if SUMO brings it back, it is somewhere else
-        if self._moved is not None and self._moved[0].agent in there:
-            taken, speed_mps = self._moved
-            self._api.vehicle.setPreviousSpeed(taken.agent, speed_mps)
-            self._restore_route(step, taken)
-        self._moved = None
+        for agent, taken in list(self._taken.items()):
+            if agent in there:
+                self._api.vehicle.setPreviousSpeed(agent, max(taken.pose.speed_mps, 0.0))
+            else:
+                self._hand_over.lose(agent)
+                del self._taken[agent]  # if SUMO brings it back, it is somewhere else
 
-    def hand_back(self, step: int, agent: AgentId, around: Occupancy | None = None) -> None:
-        """Let SUMO drive the vehicle from the coming step on.
+    def drivable(self, agent: AgentId, occupancy: Occupancy) -> bool:
+        """Whether SUMO can drive a vehicle on from its pose without moving or turning it.
 
-        A vehicle that SUMO could not drive on from its pose (off-centre, against the direction of
-        the lane, or overlapping others) is put on the nearest free position of a lane, or removed
-        if there is none and that is allowed. It may overlap the AV: SUMO separates the two.
-
-        Args:
-            step: now.
-            agent: the vehicle.
-            around: the agents around it, needed with `FreePositions`; without the vehicle if it is
-                on no road, because SUMO teleports it.
+        Without its sublane model SUMO keeps a vehicle off-centre for ever, where it reaches into
+        the next lane unseen, and stops it for good inside a junction under `lanechange.duration`.
+        It may overlap the AV: SUMO separates the two.
         """
-        taken = self._taken
+        taken, vehicle = self._taken.get(agent), self._api.vehicle
+        if taken is None or agent not in vehicle.getIDList():
+            return True  # it is SUMO's already, or gone
+        lane_id = vehicle.getLaneID(agent)
+        if not lane_id or not self.permitted(agent, lane_id) or occupancy.touched(agent):
+            return False
+        lane = np.array(self._api.lane.getShape(lane_id), float)[:, :2]
+        at = np.array([taken.pose.x_m, taken.pose.y_m])
+        along = float(polylines.project(lane, at).heading_rad)
+        if abs(float(frames.difference(along, taken.pose.heading_rad))) > _ASKEW_RAD:
+            return False
+        sublane = float(self._api.simulation.getOption("lateral-resolution")) > 0
+        return sublane or abs(vehicle.getLateralLanePosition(agent)) <= _BESIDE_M
+
+    def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
+        """See `ownership.NextOwner`: lanes of its class, and those of its route before others."""
+        taken = self._taken.get(agent)
+        if taken is None or not self.permitted(agent, lane_id):
+            return None
+        if lane_id.startswith(":") or lane_id.rpartition("_")[0] in taken.route:
+            return 0.0
+        return None if taken.stops else _OFF_ROUTE_COSTS_M
+
+    def permitted(self, agent: AgentId, lane_id: str) -> bool:
+        """Whether SUMO lets a vehicle use a lane: by its class from before it was taken."""
+        permission = self._hand_over.permission(agent)
+        allowed = self._api.lane.getAllowed(lane_id)
+        return (not allowed or permission in allowed) and (
+            permission not in self._api.lane.getDisallowed(lane_id)
+        )
+
+    def hand_back(self, step: int, agent: AgentId) -> None:
+        """Let SUMO drive a vehicle from the coming step on: from where it is, if it is `drivable`.
+
+        Off every lane SUMO drives nothing. There a vehicle is taken off the road if it ``leaves``;
+        else it is put on the nearest lane.
+        """
+        taken = self._taken.pop(agent, None)
         if taken is None or not self._present(step, agent):
             return
-        self._taken = None
+        vehicle = self._api.vehicle
         self._hand_over.give_back(agent)
-        if self._positions is None:
-            self._hand_to_nearest_lane(step, taken)
-        elif around is None or agent not in around.frame.ids:
-            self._note(step, agent, "opponent_gone", "SUMO has taken it off the road")
-        elif self._drivable(taken, self._positions, around):
-            self._go_on(step, taken)
-        else:
-            free = self._positions.nearest(
-                agent, around.frame, around.size_m, taken.route, on_route=taken.stops
-            )
-            if free is not None:
-                self._put(step, taken, free)
-            elif self._may_remove:
-                self._api.vehicle.remove(agent)
-                self._note(step, agent, "removed", "no free place on a lane within 50 m")
-            else:
-                self._hand_to_nearest_lane(step, taken)
-
-    def _go_on(self, step: int, taken: _Taken) -> None:
-        self._note(step, taken.agent, "handed_back", "SUMO drives on along the route")
-        self._restore_route(step, taken)
-
-    def _hand_to_nearest_lane(self, step: int, taken: _Taken) -> None:
-        vehicle, agent = self._api.vehicle, taken.agent
         lane_id = vehicle.getLaneID(agent)
-        if lane_id and permitted(self._api, agent, lane_id):
-            self._go_on(step, taken)
+        if lane_id and self.permitted(agent, lane_id):
+            self._note(step, agent, "handed_back", "SUMO drives on along the route")
+            self._restore_route(step, taken)
+            return
+        if self._leaves:
+            vehicle.remove(agent)
+            self._note(step, agent, "removed", "it stands where SUMO drives no vehicle")
             return
         x, y = vehicle.getPosition(agent)
         keep = _SNAP_TO_ROUTE if taken.stops else _SNAP_TO_LANE
         vehicle.moveToXY(agent, "", -1, x, y, vehicle.getAngle(agent), keep, _SNAP_M)
         self._note(step, agent, "handed_back", "put on the nearest lane, where SUMO drives on")
-
-    def _drivable(self, taken: _Taken, positions: FreePositions, around: Occupancy) -> bool:
-        """Whether SUMO can drive on from the pose of the vehicle.
-
-        Without its sublane model SUMO keeps a vehicle off-centre for ever, where it reaches into
-        the next lane unseen, and stops it for good inside a junction under `lanechange.duration`.
-        """
-        vehicle, agent = self._api.vehicle, taken.agent
-        lane_id = vehicle.getLaneID(agent)
-        if not lane_id or not permitted(self._api, agent, lane_id):
-            return False
-        if around.touched(agent):
-            return False
-        if positions.askew_rad(lane_id, taken.pose) > _ASKEW_RAD:
-            return False
-        sublane = float(self._api.simulation.getOption("lateral-resolution")) > 0
-        return sublane or abs(vehicle.getLateralLanePosition(agent)) <= _BESIDE_M
-
-    def _put(self, step: int, taken: _Taken, free: FreePosition) -> None:
-        edge, _, lane = free.lane_id.rpartition("_")
-        angle = float(frames.sumo_angle(free.heading_rad))
-        x, y = free.front_m
-        keep = _EXACT_ON_ROUTE if taken.stops else _EXACT
-        self._api.vehicle.moveToXY(taken.agent, edge, int(lane), x, y, angle, keep, MATCH_M)
-        self._moved = taken, free.speed_mps
-        detail = f"put on lane {free.lane_id}, {free.moved_m:.1f} m away, where SUMO drives on"
-        self._note(step, taken.agent, "handed_back", detail)
 
     def _restore_route(self, step: int, taken: _Taken) -> None:
         """Send a vehicle that has left its route to its destination."""
@@ -383,3 +353,31 @@ class Takeover:
             self._gone.add(agent)
             self._note(step, agent, "opponent_gone", "left the traffic")
         return present
+
+
+class SumoOwner:
+    """SUMO as the next owner of vehicles that were taken over; see `ownership.NextOwner`.
+
+    Args:
+        takeover: of the vehicles.
+        occupancy: the agents around a vehicle now.
+    """
+
+    def __init__(self, takeover: Takeover, occupancy: Callable[[AgentId], Occupancy]) -> None:
+        self._takeover, self._occupancy = takeover, occupancy
+
+    def creep_mps(self, agent: AgentId) -> float:  # noqa: ARG002
+        """So slowly a vehicle turns onto a lane, where SUMO drives on."""
+        return _CREEP_MPS
+
+    def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:  # noqa: ARG002
+        """Whether SUMO can drive the agent on from where it is."""
+        return self._takeover.drivable(agent, self._occupancy(agent))
+
+    def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
+        """Whether nothing is in the way of the agent."""
+        return self._occupancy(agent).clear(agent, poses)
+
+    def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
+        """Lanes of its class; those of its route before others."""
+        return self._takeover.lane_cost(agent, lane_id)

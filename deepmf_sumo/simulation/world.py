@@ -1,9 +1,11 @@
 """What the episode's loop needs of a simulated world, whatever it was made of."""
 
+from collections.abc import Mapping
 from typing import Protocol
 
 from deepmf_sumo.datatypes import AgentId, Command, Event, Floats, SignalState
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.simulation.ownership import NextOwner
 
 
 class DrivenAv(Protocol):
@@ -49,6 +51,11 @@ class World(Protocol):
         """The current states of the lights, by lane id of the case's road."""
         ...
 
-    def step(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:
-        """One step: the AV as commanded, the opponent at the pose (None: as without a policy)."""
+    @property
+    def next_owner(self) -> NextOwner:
+        """What drives opponents where no plan does."""
+        ...
+
+    def step(self, command: Command, poses: Mapping[AgentId, Pose | None]) -> Frame:
+        """One step: the AV as commanded, opponents at their poses (None: as without a policy)."""
         ...

@@ -6,7 +6,7 @@ contacts are judged by the same oriented boxes.
 """
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -31,6 +31,7 @@ from deepmf_sumo.exporters.scenarionet import described, packed
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.log_plan import recorded_body, recorded_frame
+from deepmf_sumo.simulation.ownership import LogOwner, NextOwner
 
 AvName = Literal["replay", "idm"]
 _STANDS_MPS: Final = 0.05
@@ -134,6 +135,7 @@ class MetaDriveWorld:
         self._env, self._case = env, case
         self._tracks, self._step = case.scene.tracks, case.scene.now
         self._row = {agent: row for row, agent in enumerate(self._tracks.ids)}
+        self.next_owner: NextOwner = LogOwner(self._tracks)
         self._origin = self._tracks.position_m[self._row[case.av_id], self._step]
         env.reset(seed=number)
 
@@ -152,12 +154,13 @@ class MetaDriveWorld:
         signals = self._case.scene.signals
         return signals.at(min(self._step, signals.state.shape[1] - 1))
 
-    def step(self, command: Command, opponent: AgentId | None, pose: Pose | None) -> Frame:  # noqa: ARG002
+    def step(self, command: Command, poses: Mapping[AgentId, Pose | None]) -> Frame:  # noqa: ARG002
         """One step of MetaDrive, at whose end the opponent is at the pose."""
         self._step += 1
         driven = {}
-        if opponent is not None and pose is not None and self._put(opponent, pose):
-            driven[opponent] = self._at_height(opponent, pose), Driver.POLICY
+        for opponent, pose in poses.items():
+            if pose is not None and self._put(opponent, pose):
+                driven[opponent] = self._at_height(opponent, pose), Driver.POLICY
         self._env.step([0.0, 0.0])
         shown = {self._case.av_id: (self._pose(self._env.agent), Driver.PLANNER), **driven}
         logged = np.array([agent not in shown for agent in self._tracks.ids])

@@ -1,9 +1,8 @@
 """What becomes of opponents in somebody else's simulation when their attack is over."""
 
 import libsumo
+import numpy as np
 import pytest
-
-from deepmf_sumo.simulation.free_positions import FreePositions
 
 from tests.support.live_doubles import OPTIONS, Brake, session_on, step
 from tests.support.tiny_network import build
@@ -28,22 +27,55 @@ def handed_back(fought):
     return [event.detail for event in one.rollout.events if event.kind == "handed_back"]
 
 
-@pytest.mark.parametrize("sideways", [1.0, -3.0], ids=["beside the middle", "off the road"])
-def test_who_is_not_on_the_middle_of_a_lane_is_put_there(folder, sumo, sideways):
+def motion(sumo, session, steps):
+    """(steps, 3) x, y, speed of the leader after each step of the script."""
+    rows = []
+    for _ in range(steps):
+        step(sumo, session, 1)
+        x, y = sumo.vehicle.getPosition("leader")
+        rows.append((x, y, sumo.vehicle.getSpeed("leader")))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("sideways", [1.0, -3.0, -9.0], ids=["beside", "off", "far off"])
+def test_who_is_not_on_the_middle_of_a_lane_drives_there_in_the_users_simulation(
+    folder, sumo, sideways
+):
     session, fought = session_on(sumo, folder, Brake(sideways=sideways), pause_s=100.0)
-    step(sumo, session, 34)
-    assert sumo.vehicle.getLateralLanePosition("leader") == 0.0
-    assert sumo.vehicle.getSpeed("leader") == pytest.approx(4.3, abs=0.6)  # 4.0 at the end
-    (detail,) = handed_back(fought)
-    assert detail.startswith("put on lane ab_")
+    rows = motion(sumo, session, 100)
+    assert abs(sumo.vehicle.getLateralLanePosition("leader")) <= 0.1
+    assert sumo.vehicle.getLaneID("leader")
+    assert sumo.vehicle.getSpeed("leader") > 7.0  # SUMO has driven on
+    moved = np.hypot(*np.diff(rows[:, :2], axis=0).T)
+    assert moved.max() < 0.1 * rows[:, 2].max() + 0.2
+    assert np.abs(np.diff(rows[31:, 1])).max() < 0.4  # the front, as it turns
+    assert handed_back(fought) == []  # it was still on its way when the attack was told of
+    assert session.driving == set()
 
 
-def test_a_vehicle_stays_in_the_simulation_where_no_place_is_free(folder, sumo, monkeypatch):
-    monkeypatch.setattr(FreePositions, "nearest", lambda *_, **__: None)
-    session, fought = session_on(sumo, folder, Brake(sideways=-3.0), pause_s=100.0)
+def test_a_vehicle_on_the_middle_of_its_lane_is_sumos_in_the_next_step(folder, sumo):
+    session, fought = session_on(sumo, folder, Brake(), pause_s=100.0)
     step(sumo, session, 35)
-    assert sumo.vehicle.getLaneID("leader") == "ab_0"
-    assert handed_back(fought) == ["put on the nearest lane, where SUMO drives on"]
+    assert handed_back(fought) == ["SUMO drives on along the route"]
+
+
+def test_a_session_that_ends_leaves_no_vehicle_where_sumo_cannot_drive_it(folder, sumo):
+    session, _ = session_on(sumo, folder, Brake(sideways=-9.0), pause_s=100.0)
+    step(sumo, session, 33)
+    assert session.driving == {"leader"}
+    session.close()
+    assert session.driving == set()
+    sumo.simulationStep()
+    assert sumo.vehicle.getLaneID("leader")
+
+
+def test_a_vehicle_on_its_way_back_attacks_nobody(folder, sumo):
+    policy = Brake(sideways=-9.0)
+    session, fought = session_on(sumo, folder, policy, pause_s=0.0)
+    step(sumo, session, 40)
+    assert session.driving == {"leader"}
+    assert len(fought) == 1
+    assert all("leader" not in view.history.ids for view in policy.views[1:])
 
 
 def test_an_attack_is_told_of_even_if_the_connection_is_lost_in_it(folder, sumo, monkeypatch):

@@ -9,6 +9,7 @@ from deepmf_sumo.datatypes import HISTORY_STEPS, Command, Driver, Event, Plan
 from deepmf_sumo.simulation import episode
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 
+from tests.support.owners import Owner
 from tests.support.predictor_doubles import straight_road
 
 NOW = HISTORY_STEPS - 1
@@ -25,6 +26,7 @@ class Road:
     def __init__(self, gone_after=1000):
         self.events = [Event(step=NOW + 2, agent_id="av", kind="noted")]
         self.av = SimpleNamespace(present=True, leaders=("other",), path=lambda: None)
+        self.next_owner = Owner()
         self.steps = 0
         self.gone_after = gone_after
 
@@ -42,11 +44,11 @@ class Road:
     def signals(self):
         return {}
 
-    def step(self, command, opponent, pose):
+    def step(self, command, poses):
         assert command.kind == "sumo"
         self.steps += 1
         self.av.present = self.steps < self.gone_after
-        return self.frame(self.steps, pose)
+        return self.frame(self.steps, poses.get("other"))
 
 
 class Planner:

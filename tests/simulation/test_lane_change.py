@@ -39,7 +39,7 @@ for step in range(40):
     else:
         av.drive(Command(kind="pose", x_m=pose.x_m, y_m=pose.y_m, heading_rad=0.0, speed_mps=8.0))
     libsumo.simulationStep()
-    takeover.after_step(step) if who == "opponent" else av.after_step()
+    takeover.after_step() if who == "opponent" else av.after_step()
 print(vehicle.getLaneID("leader"), vehicle.getMaxSpeedLat("leader") == before)
 """
 
@@ -83,7 +83,7 @@ for step, (x_m, y_m, turned) in enumerate(path + 20 * path[-1:]):
     else:
         av.drive(Command(kind="pose", x_m=x_m, y_m=y_m, heading_rad=turned, speed_mps=2.0))
     libsumo.simulationStep()
-    takeover.after_step(step) if who == "opponent" else av.after_step()
+    takeover.after_step() if who == "opponent" else av.after_step()
     vehicle.getLeader("line_7.0", 100.0)
 print("put on", vehicle.getLaneID(car), vehicle.getLeader("line_7.0", 100.0)[0])
 if who == "opponent":
@@ -145,7 +145,7 @@ for step, (x, y, angle) in enumerate(fronts):
                          speed_mps=5.0))
     lengths.add(vehicle.getLength(lorry))
     libsumo.simulationStep()
-    takeover.after_step(step) if who == "opponent" else av.after_step()
+    takeover.after_step() if who == "opponent" else av.after_step()
 print("off the lanes", vehicle.getLaneID(lorry) == "", min(lengths) < 10.0 == max(lengths))
 takeover.hand_back(60, lorry) if who == "opponent" else av.drive(Command(kind="sumo"))
 print("length", vehicle.getLength(lorry))

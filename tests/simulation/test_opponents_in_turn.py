@@ -8,13 +8,13 @@ import pytest
 
 from deepmf_sumo.datatypes import HISTORY_STEPS, Driver, Plan, TurnRules, View
 from deepmf_sumo.datatypes.rollout import decisive
-from deepmf_sumo.geometry import boxes
 from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, simulate
 from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.frame import Frame, Pose
 
 from tests.support import tiny_network
+from tests.support.owners import Owner
 from tests.support.predictor_doubles import straight_road, straight_tracks
 
 NOW = HISTORY_STEPS - 1
@@ -71,10 +71,9 @@ class FirstOfAll:
         )
 
 
-def begun(policy=None, rules=RULES, agents=NEAR, steps_left=1000):
-    return AttackSchedule(
-        policy or FirstOfAll(), view(agents, steps_left=steps_left), np.random.default_rng(0), rules
-    )
+def begun(policy=None, rules=RULES, agents=NEAR, steps_left=1000, taking=True):
+    seen, rng = view(agents, steps_left=steps_left), np.random.default_rng(0)
+    return AttackSchedule(policy or FirstOfAll(), seen, rng, rules, Owner(taking=taking))
 
 
 def go_on(turns, step, agents=NEAR, hit=False):
@@ -90,7 +89,7 @@ def test_one_opponent_is_the_whole_episode():
     turns = begun(policy, rules=None)
     far = {**NEAR, "a": (500, 0, 0, 10)}
     assert not any(go_on(turns, step, far) for step in range(NOW, NOW + 90))
-    assert (turns.attacker, turns.controlled, turns.opponent_id) == ("a", "a", "a")
+    assert (turns.attacker, turns.opponent_id) == ("a", "a")
     assert go_on(turns, NOW + 90, hit=True)
     turns.finish(NOW + 91, "contact")
     assert turns.closed == ()
@@ -104,12 +103,13 @@ def test_who_hit_is_let_go_for_a_step_and_another_one_attacks():
     (turn,) = turns.closed
     assert (turn.opponent_id, turn.first_step, turn.last_step) == ("a", NOW, NOW + 1)
     assert (turn.ended, turn.gap_m) == ("contact", 0.0)
-    assert (turns.attacker, turns.controlled, turns.due(NOW + 1)) == (None, "a", False)
-    go_on(turns, NOW + 1)
-    assert turns.controlled is None
+    assert (turns.attacker, turns.leaving, turns.due(NOW + 1)) == (None, True, False)
+    assert turns.advance(NOW + 2) == {"a": None}  # its next owner takes it
+    assert not turns.leaving
+    assert turns.advance(NOW + 3) == {}
     assert [step for step in range(NOW, NOW + 12) if turns.due(step)] == [NOW + 11]
     go_on(turns, NOW + 11)
-    assert (turns.attacker, turns.controlled) == ("b", "b")
+    assert turns.attacker == "b"
     assert policy.seen[2][1] == ("av", "b")
 
 
@@ -264,7 +264,9 @@ def test_several_opponents_hit_in_one_episode_and_all_drive_on(rollout):
         row = rollout.tracks.row(turn.opponent_id)
         driven = rollout.driver[row, turn.first_step + 1 : turn.last_step + 1]
         assert (driven == Driver.POLICY).all()
-        assert rollout.driver[row, turn.last_step + 1] == Driver.SUMO
+        # from where it was hit it drives back to the middle of its lane, to be SUMO's again
+        after = rollout.driver[row, turn.last_step + 1 :]
+        assert len(after) < 60 or (after == Driver.SUMO).any()
     assert rollout.tracks.valid[:, -1].all()
     assert rollout.tracks.speed_mps[:, -1].max() > 5.0
 
@@ -292,31 +294,41 @@ def test_equal_seeds_give_equal_turns(busy, rollout):
     assert again.tracks.position_m.tobytes() == rollout.tracks.position_m.tobytes()
 
 
-def test_who_is_handed_back_amid_others_or_beside_the_road_is_put_on_a_free_place(busy):
+def test_who_is_off_the_road_when_its_attack_is_over_drives_back_to_a_lane(busy):
     found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0))
-    moved = [event for event in found.events if "put on lane" in event.detail]
-    assert moved
+    last_y = [
+        found.tracks.position_m[found.tracks.row(one.opponent_id), one.last_step, 1]
+        for one in found.turns
+    ]
+    first = found.turns[int(np.argmin(last_y))]
+    tracks, row = found.tracks, found.tracks.row(first.opponent_id)
+    after = found.driver[row, first.last_step + 1 :]
+    on_its_way = int(np.argmax(after == Driver.SUMO))
+    assert on_its_way > 5
+    assert (after[:on_its_way] == Driver.POLICY).all()
+    back = first.last_step + 1 + on_its_way
+    y = tracks.position_m[row, first.last_step : back + 1, 1]
+    assert min(y) < -8.0
+    assert -7.0 < y[-1] < 0.0
+    assert np.abs(np.diff(y)).max() < 0.5
     assert {event.kind for event in found.events} <= {"handed_back", "step_length_changed"}
-    tracks = found.tracks
-    for event in moved:
-        row, step = tracks.row(event.agent_id), event.step + 1
-        there = [one for one in np.flatnonzero(tracks.valid[:, step]) if one != row]
-        hit = boxes.overlap(
-            tracks.position_m[row, step], tracks.heading_rad[row, step], tracks.size_m[row, :2],
-            tracks.position_m[there, step], tracks.heading_rad[there, step],
-            tracks.size_m[there, :2],
-        )  # fmt: skip
-        assert not hit.any()
-        assert -7.0 < tracks.position_m[row, step, 1] < 0.0
 
 
-def test_without_a_free_place_a_vehicle_is_taken_out_and_it_is_said(busy, monkeypatch):
-    from deepmf_sumo.simulation.free_positions import FreePositions
+def test_two_vehicles_at_once_where_one_is_still_on_its_way_back(busy):
+    found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0))
+    driven = (found.driver == Driver.POLICY).sum(axis=0)
+    assert driven.max() == 2
 
-    monkeypatch.setattr(FreePositions, "nearest", lambda *_, **__: None)
-    found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0), steps=50)
+
+def test_who_cannot_get_back_onto_a_lane_is_taken_out_and_it_is_said(busy, monkeypatch):
+    from deepmf_sumo.simulation import attack_schedule
+    from deepmf_sumo.simulation.vehicle_control import Takeover
+
+    monkeypatch.setattr(attack_schedule, "_PATIENCE_STEPS", 5)
+    monkeypatch.setattr(Takeover, "lane_cost", lambda *_: None)
+    found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0), steps=60)
     (event, *_) = [event for event in found.events if event.kind == "removed"]
-    assert "no free place" in event.detail
+    assert "where SUMO drives no vehicle" in event.detail
     assert not found.tracks.valid[found.tracks.row(event.agent_id), event.step + 1 :].any()
 
 

@@ -119,7 +119,7 @@ def test_replay_is_the_log_for_everybody(following):
 def test_sumo_has_replayed_vehicles_where_and_as_fast_as_the_log(following):
     with log_world.opened(following, idm.TREIBER, "libsumo") as (_, world):
         for _ in range(5):
-            world.step(Command(kind="sumo"), None, None)
+            world.step(Command(kind="sumo"), {})
         vehicle, log = world._api.vehicle, following.scene.tracks
         row = log.row("lead")
         x, y = vehicle.getPosition("lead")

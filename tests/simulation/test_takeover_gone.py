@@ -41,43 +41,44 @@ def sumo(there, options=None, classes=None):
     return SimpleNamespace(vehicle=vehicle, simulation=simulation)
 
 
-def placed(there, events, positions=None):
-    takeover = Takeover(sumo(there), events, positions)
+def placed(there, events):
+    takeover = Takeover(sumo(there), events)
     takeover.place(1, "ov", Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=5), 4.5)
-    takeover.after_step(1)
+    takeover.after_step()
     return takeover
 
 
 def test_one_that_comes_back_is_not_where_it_was_put():
     there = ["ov"]
     takeover = placed(there, [])
-    assert takeover.placed() is not None
+    assert set(takeover.placed()) == {"ov"}
     there.clear()
-    takeover.after_step(2)
+    takeover.after_step()
     there.append("ov")
-    takeover.after_step(3)
-    assert takeover.placed() is None
+    takeover.after_step()
+    assert takeover.placed() == {}
 
 
-def test_one_on_no_road_is_not_moved():
-    events = []
-    takeover = placed(["ov"], events, positions=object())
-    takeover.hand_back(2, "ov", None)
-    assert takeover.placed() is None
+def test_one_that_sumo_has_taken_off_the_road_is_not_moved():
+    events, there = [], ["ov"]
+    takeover = placed(there, events)
+    there.clear()
+    takeover.hand_back(2, "ov")
+    assert takeover.placed() == {}
     (event,) = events
-    assert (event.kind, event.detail) == ("opponent_gone", "SUMO has taken it off the road")
+    assert (event.kind, event.detail) == ("opponent_gone", "left the traffic")
 
 
 def test_one_that_comes_back_has_its_own_class():
     there, classes = ["ov"], {"ov": "taxi"}
     takeover = Takeover(sumo(there, {"lanechange.duration": "3"}, classes), [])
     takeover.place(1, "ov", Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=5), 4.5)
-    takeover.after_step(1)
+    takeover.after_step()
     assert classes == {"ov": "ignoring"}
     there.clear()
-    takeover.after_step(2)
+    takeover.after_step()
     there.append("ov")
-    takeover.after_step(3)
+    takeover.after_step()
     assert classes == {"ov": "taxi"}
 
 
@@ -131,15 +132,15 @@ def test_a_network_ends_where_no_lane_leads_on_but_back(links, heading_rad, fron
     assert ends.passed("ov", pose, 4.0) is passed
 
 
-@pytest.mark.parametrize("may_remove", [True, False])
-def test_only_a_vehicle_that_may_be_removed_leaves_at_the_end(may_remove):
+@pytest.mark.parametrize("leaves", [True, False])
+def test_only_a_vehicle_that_may_be_removed_leaves_at_the_end(leaves):
     events, there = [], ["ov"]
     api = sumo(there)
     api.vehicle.getLaneID = lambda _: "end_0"
     api.vehicle.remove = lambda agent, reason: there.remove(agent)
     api.edge = SimpleNamespace(getLaneNumber=lambda _: 1)
     api.lane = SimpleNamespace(getLinks=lambda _: (), getShape=lambda _: [(0.0, 0.0), (100.0, 0.0)])
-    takeover = Takeover(api, events, object(), may_remove=may_remove)
+    takeover = Takeover(api, events, leaves=leaves)
     takeover.place(1, "ov", Pose(x_m=110, y_m=0, heading_rad=0, speed_mps=5), 4.5)
-    assert there == ([] if may_remove else ["ov"])
-    assert [event.kind for event in events] == ["opponent_gone"] * may_remove
+    assert there == ([] if leaves else ["ov"])
+    assert [event.kind for event in events] == ["opponent_gone"] * leaves

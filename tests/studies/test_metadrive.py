@@ -54,7 +54,7 @@ def world():
 
 
 def stepped(world, opponent=None, pose=None):
-    return world.step(Command(kind="sumo"), opponent, pose)
+    return world.step(Command(kind="sumo"), {} if opponent is None else {opponent: pose})
 
 
 def test_the_av_is_where_metadrive_has_it_and_others_are_where_they_were(world):
