@@ -5,7 +5,6 @@ change needs netconvert, both networks are built by it from the same one, for it
 anew. The changes are also written as a patch, which netconvert and netedit take.
 """
 
-import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,11 +18,10 @@ from deepmf_sumo.countermeasures import signals
 from deepmf_sumo.countermeasures.document import Change
 from deepmf_sumo.errors import SimulationError, UsageError, nearest
 from deepmf_sumo.network import sumo_tools
+from deepmf_sumo.simulation import sumo_options
 from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
 
 PATCH: Final = "patch"
-_INPUT: Final = re.compile(r"(-files?|^additional|^route-?files|^net|^load-state)$")
-"""Options of SUMO that name files to read."""
 _LARGEST: Final = 2_000_000_000
 _LEAST_BEHIND_M: Final = 10.0
 """Of the edge behind one that has become longer."""
@@ -259,21 +257,25 @@ class _Work:
                 _place_named(tree.getroot(), path.parent)
             _write(folder / name, tree)
         options = _tree(self.config.file)
-        for section in (options.getroot(), *options.getroot()):
-            for option in [one for one in section if _INPUT.search(one.tag)]:
-                if "gui" in option.tag:
+        for section in list(options.iter()):
+            for option in list(section):
+                name = sumo_options.long_name(option.tag)
+                if name == "gui-settings-file":
                     section.remove(option)
-                elif "output" not in option.tag:
+                elif sumo_options.names_files(name):
                     self._point(option, changed)
         file = folder / self.config.file.name
         _write(file, options)
         return file
 
     def _point(self, option: ET.Element, changed: Mapping[Path, Path]) -> None:
-        key = "value" if "value" in option.attrib else "v"
-        paths = [Path(os.path.expandvars(one.strip())) for one in option.get(key, "").split(",")]
-        whole = [(self.config.file.parent / one).resolve() for one in paths]
-        option.set(key, ",".join(str(changed.get(one, one).resolve()) for one in whole))
+        name = sumo_options.long_name(option.tag)
+        written = sumo_options.of_configuration(self.config.file).get(name, "")
+        paths = sumo_options.paths(written, self.config.file.parent)
+        option.attrib.pop("v", None)
+        option.text = None
+        moved = (changed.get(one, one).resolve() for one in paths)
+        option.set("value", sumo_options.in_configuration(moved))
 
     def _write_patch(self) -> None:
         options = {"nod": "-n", "edg": "-e", "tll": "-i"}

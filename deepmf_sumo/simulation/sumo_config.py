@@ -1,4 +1,4 @@
-"""SUMO configurations: reading them, their command line, and a SUMO held shortly before a start.
+"""SUMO configurations, and a SUMO held shortly before a start.
 
 The runs of an attack on a network share the traffic, and start at different times. If they are
 ordered by start time, SUMO simulates that traffic once: it is held shortly before each start, a
@@ -14,83 +14,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
-from xml.sax import SAXException
 
 from deepmf_sumo.datatypes import TrafficCase, VehicleModel
-from deepmf_sumo.errors import SimulationError, UsageError
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.simulation import sumo_options
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, Backend, SumoApi, running, write_types
-
-_SHORT: Final = {
-    "a": "additional-files",
-    "b": "begin",
-    "c": "configuration-file",
-    "e": "end",
-    "n": "net-file",
-    "r": "route-files",
-}
-_SYNONYMS: Final = _SHORT | {
-    "additional": "additional-files",
-    "net": "net-file",
-    "routes": "route-files",
-    "config": "configuration-file",
-    "srand": "seed",
-}
-_OURS: Final = {
-    "step-length": "every run steps by 0.1 s",
-    "seed": "give --seed before the --",
-    "random": "runs can be repeated",
-    "configuration-file": "give the .sumocfg before the --",
-    "remote-port": "the simulation is not shared",
-    "num-clients": "the simulation is not shared",
-    "collision.action": "contacts are judged by the boxes of the vehicles",
-    "output-prefix": "outputs of attacked traffic are discarded",
-    "no-step-log": "nothing is printed",
-    "duration-log.disable": "nothing is printed",
-    "no-warnings": "nothing is printed",
-    "xml-validation": "it is off",
-}
-"""Options that a user cannot give, and why."""
-_VALUE: Final = re.compile(r"^(?!-)|^-[\d.]")  # -1 is a value, -b is not
-_FILES: Final = re.compile(r"files?$|^load-state$")
-
-
-def parse(options: Sequence[str]) -> dict[str, str]:
-    """Names, in SUMO's long spelling, and values; files are absolute, a switch is ``true``.
-
-    Raises UsageError for a word that is not an option, an option that is given twice, or one of
-    those that are set for every run.
-    """
-    found: dict[str, str] = {}
-    for name, value in _pairs(options):
-        if name in _OURS:
-            raise UsageError(f"SUMO's option --{name} cannot be given: {_OURS[name]}.")
-        if name in found:
-            raise UsageError(f"SUMO's option --{name} is given twice.")
-        found[name] = _absolute(value) if _FILES.search(name) else value
-    return found
-
-
-def _pairs(options: Sequence[str]) -> Iterator[tuple[str, str]]:
-    left = list(options)
-    while left:
-        word = left.pop(0)
-        long = word.startswith("--")
-        if not word.startswith("-") or word in {"-", "--"} or _VALUE.match(word):
-            raise UsageError(
-                f"'{word}' is not a SUMO option: after -- each must begin with a dash."
-            )
-        name, equals, value = word.lstrip("-").partition("=")
-        if not long and name not in _SHORT:
-            raise UsageError(f"SUMO's option -{name} is not understood here: write it out, --NAME.")
-        name = _SYNONYMS.get(name, name) if long else _SHORT[name]
-        if not equals:
-            value = left.pop(0) if left and _VALUE.match(left[0]) else "true"
-        yield name, value
-
-
-def _absolute(files: str) -> str:
-    return ",".join(str(Path(file.strip()).absolute()) for file in files.split(","))
-
 
 SUMO_SEED: Final = 23423
 """SUMO's default."""
@@ -145,27 +73,23 @@ _NO = {"false", "0", "no", "off", "f", "-"}
 def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
     """Read a .sumocfg, with SUMO's options ``beside`` it.
 
-    Raises SimulationError if the file is missing, is not XML, names no network or a file that does
-    not exist, or asks for the mesoscopic model; UsageError for options that cannot be given.
+    Raises SimulationError if the file is missing, is not XML, names no network, a file that does
+    not exist or a path with a comma, or asks for the mesoscopic model; UsageError for options that
+    cannot be given.
     """
-    import sumolib
-
     if not file.is_file():
         raise SimulationError(f"There is no SUMO configuration '{file}'.")
-    try:
-        options = {
-            _SYNONYMS.get(option.name, option.name): str(option.value)
-            for option in sumolib.options.readOptions(str(file))
-        }
-    except (SAXException, OSError, UnicodeError) as error:
-        raise SimulationError(f"'{file}' cannot be read as a SUMO configuration: {error}") from None
-    given = parse(beside)
+    _check_name(file.absolute())
+    options = sumo_options.of_configuration(file)
+    given = sumo_options.parse(beside)
     options |= given
     if "net-file" not in options:
         raise SimulationError(f"'{file}' names no network: it needs <net-file value=\"...\"/>.")
-    net = _beside(file, options["net-file"])
-    if not net.is_file():
-        raise SimulationError(f"'{file}' names the network '{net}', which does not exist.")
+    net, *others = _inputs(file, options["net-file"], "network") or [None]
+    if net is None or others:
+        raise SimulationError(
+            f"'{file}' names {1 + len(others) if net else 0} networks; name one in <net-file>."
+        )
     if options.get("mesosim", "false").lower() not in _NO:
         raise SimulationError(
             f"'{file}' asks for SUMO's mesoscopic model (mesosim), which has no positions of"
@@ -191,17 +115,21 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
 
 
 def _inputs(file: Path, names: str, kind: str) -> tuple[Path, ...]:
-    """Paths of a list of files. Raises SimulationError for one that does not exist."""
-    paths = tuple(_beside(file, name.strip()) for name in names.split(",") if name.strip())
-    for path in paths:
+    """Paths of a list of files. Raises SimulationError for one that cannot be given to SUMO."""
+    found = sumo_options.paths(names, file.parent)
+    for path in found:
+        _check_name(path)
         if not path.is_file():
             raise SimulationError(f"'{file}' names the {kind} '{path}', which does not exist.")
-    return paths
+    return found
 
 
-def _beside(file: Path, name: str) -> Path:
-    path = Path(os.path.expandvars(name))  # SUMO expands ${VARIABLES}, too
-    return path if path.is_absolute() else (file.parent / path).resolve()
+def _check_name(path: Path) -> None:
+    if "," in str(path):
+        raise SimulationError(
+            f"'{path}' has a comma in its path, at which SUMO separates the names of files; rename"
+            " the folder."
+        )
 
 
 def _end(file: Path, text: str | None) -> float | None:
@@ -211,14 +139,18 @@ def _end(file: Path, text: str | None) -> float | None:
 
 def _seconds(file: Path, name: str, text: str) -> float:
     """Seconds of a time, which SUMO writes as such or as [days:]hours:minutes:seconds."""
+    parts = text.split(":")
     try:
-        parts = [float(part) for part in text.split(":")]
+        if len(parts) not in {1, 3, 4}:
+            raise ValueError
+        numbers = [float(part) for part in parts]
     except ValueError:
-        raise SimulationError(f"'{file}' has {name} '{text}', which is not a time.") from None
-    total = 0.0
-    for part, scale in zip(reversed(parts), (1.0, 60.0, 3600.0, 86400.0), strict=False):
-        total += part * scale
-    return total
+        raise SimulationError(
+            f"'{file}' has {name} '{text}', which is not a time: write seconds, or"
+            " [days:]hours:minutes:seconds."
+        ) from None
+    scales = (86400.0, 3600.0, 60.0, 1.0)[-len(numbers) :]
+    return sum(number * scale for number, scale in zip(numbers, scales, strict=True))
 
 
 _TO_ROOT = "../" * 64

@@ -3,31 +3,20 @@
 import hashlib
 import importlib.util
 import os
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
-from xml.etree import ElementTree as ET
 
 from deepmf_sumo import files
-from deepmf_sumo.errors import UsageError, WeightsError
-from deepmf_sumo.simulation import sumo_config
+from deepmf_sumo.errors import SimulationError, UsageError, WeightsError
+from deepmf_sumo.simulation import sumo_options
 from deepmf_sumo.spec import FromNetwork, Plugin, Spec
 from deepmf_sumo.tasks import Task
 
 _READ_BYTES: Final = 2**28
 """Up to this size files are compared by content, above by their names and sizes."""
-
-_SYNONYMS: Final = {"net", "n", "routes", "r", "additional", "a", "weights", "w"}
-"""Short names of SUMO's options that name files."""
-
-_FILES: Final = re.compile(r"files?$|^load-state$")
-"""Options of SUMO that name files."""
-
-_WRITTEN: Final = {"log-file", "save-state.files"}
-"""Those that SUMO writes: what an earlier run left there is nothing that the next one reads."""
 
 
 Use = Literal["source", "weights", "planner", "adversary"]
@@ -153,32 +142,24 @@ def _of_plugin(choice: Plugin) -> Iterator[Path]:
 
 def _named(config: Path) -> Iterator[Path]:
     """Files that a .sumocfg names; those that these name in turn are not looked for."""
-    try:
-        elements = list(ET.parse(config).iter())  # noqa: S314 - SUMO reads it, too
-    except (ET.ParseError, OSError):
-        return
-    for element in elements:
-        yield from _read_by(element.tag, element.get("value", ""), config.parent)
+    with suppress(SimulationError):
+        yield from _read_by(sumo_options.of_configuration(config), config.parent)
 
 
-def _beside(sumo_options: Sequence[str]) -> Iterator[Path]:
+def _beside(beside: Sequence[str]) -> Iterator[Path]:
     """Files that SUMO's options beside the configuration name, as ``--name value`` or ``=value``.
 
     None where they are wrong, which the run says.
     """
     with suppress(UsageError):
-        for name, value in sumo_config.parse(sumo_options).items():
-            yield from _read_by(name, value, Path.cwd())
+        yield from _read_by(sumo_options.parse(beside), Path.cwd())
 
 
-def _read_by(option: str, value: str, folder: Path) -> Iterator[Path]:
-    """Files that SUMO reads for an option; their names are as of the folder."""
-    if option in _WRITTEN or not (option in _SYNONYMS or _FILES.search(option)):
-        return
-    for name in value.split(","):
-        path = folder / os.path.expandvars(name.strip())  # SUMO knows ${VARIABLES}, too
-        if name.strip() and path.is_file():
-            yield path
+def _read_by(options: Mapping[str, str], folder: Path) -> Iterator[Path]:
+    """Files that SUMO reads for options; their names are as of the folder."""
+    for name, value in options.items():
+        if sumo_options.names_files(name):
+            yield from (path for path in sumo_options.paths(value, folder) if path.is_file())
 
 
 def _weights(name: str) -> list[Path]:

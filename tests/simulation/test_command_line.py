@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.simulation.sumo_config import SUMO_SEED, parse, read_configuration
+from deepmf_sumo.simulation.sumo_config import SUMO_SEED, read_configuration
+from deepmf_sumo.simulation.sumo_options import parse
 
 from tests.support.tiny_network import build
 
