@@ -116,6 +116,9 @@ class Engagement:
         self._takeover = Takeover(scenery.api, self._events)
         owner = SumoOwner(self._takeover, self._around)
         self._motion = ShownMotion(scenery.api, av, observer.bodies.ask(av).size_m[0])
+        if detail := observer.bodies.stiffened():
+            now = len(history) - 1
+            self._events.append(Event(step=now, agent_id=av, kind="av_is_stiff", detail=detail))
         longest = round(scenery.rules.longest_s / DT_S) + _LAST_STEPS
         recorder = Recorder(len(history) + longest, observer.bodies.ask)
         for sighting in history:

@@ -86,7 +86,7 @@ class Observer:
         self._subscribed: list[int] = []
         self._at: tuple[float, float] | None = None
         self._looks = 0
-        self.bodies = Bodies(api)
+        self.bodies = Bodies(api, av_id)
 
     def look(self) -> Sighting | None:
         """The agents that are present now; None if the AV is not."""
@@ -171,7 +171,7 @@ class Observer:
                 poi.unsubscribeContext(point, domain, radius_m)
             finally:
                 poi.remove(point)
-        return Sighting(seen[_VEHICLES], _on_foot(seen[_PERSONS]))
+        return Sighting(self._boxes(seen[_VEHICLES]), _on_foot(seen[_PERSONS]))
 
     def close(self) -> None:
         """Remove the subscription and its point."""
@@ -218,7 +218,22 @@ class Observer:
     def _seen(self) -> Sighting:
         results = self._api.poi.getContextSubscriptionResults
         persons = results(self._points[_PERSONS]) if _PERSONS in self._subscribed else {}
-        return Sighting(results(self._points[_VEHICLES]), _on_foot(persons))
+        return Sighting(self._boxes(results(self._points[_VEHICLES])), _on_foot(persons))
+
+    def _boxes(self, vehicles: States) -> States:
+        """The same, with all boxes of vehicles that bend."""
+        bent = [name for name in vehicles if self._known(name) and name in self.bodies.bent]
+        if not bent:
+            return vehicles
+        found = dict(vehicles)
+        for name in bent:
+            (x, y, z), angle = vehicles[name][POSITION], vehicles[name][ANGLE]
+            boxes = self.bodies.long.boxes(name, (x, y, angle, vehicles[name][SPEED], z))
+            found |= {
+                agent: {POSITION: (one[0], one[1], one[4]), ANGLE: one[2], SPEED: one[3]}
+                for agent, one in boxes.items()
+            }
+        return found
 
     @staticmethod
     def _circle(state: Mapping[int, Any], body: Body) -> Circle:

@@ -43,6 +43,8 @@ class Motions:
     Attributes:
         dt_s: length of a step.
         size_m: (V, 2) length and width.
+        parts: (V) the road user that each is a part of, else its own index: ascending. A vehicle
+            that bends is several boxes. None: no road user has parts.
         step: (K) not decreasing. body: (K) index of the road user, ascending within a step.
         position_m: (K, 2) box centres. heading_rad, speed_mps, z_m: (K).
         lane: (K) index of a lane. edge_of_lane: (L) index of the lane's edge.
@@ -58,6 +60,12 @@ class Motions:
     z_m: Floats
     lane: Ints
     edge_of_lane: Ints
+    parts: Ints | None = None
+
+    @cached_property
+    def whole(self) -> Ints:
+        """(V) ``parts``."""
+        return np.arange(len(self.size_m)) if self.parts is None else self.parts
 
     @cached_property
     def velocity_mps(self) -> Floats:
@@ -158,7 +166,7 @@ class _Encounter(NamedTuple):
 
 
 def find(motions: Motions, limits: Limits) -> Found:
-    """All conflicts of all pairs.
+    """All conflicts of all pairs; of vehicles of several boxes, those of the nearest boxes.
 
     Steps with a time to collision within the limit belong to one conflict of the pair unless more
     than ``limits.pet_s`` lie between them.
@@ -201,7 +209,9 @@ def _near(motions: Motions, seconds: float) -> Iterator[tuple[Ints, Ints]]:
     for end in ends:
         areas = shapely.box(low[begin:end, 0], low[begin:end, 1], *high[begin:end].T)
         pairs = shapely.STRtree(areas).query(areas)
-        held.append(np.sort(pairs[:, pairs[0] < pairs[1]], axis=0) + begin)
+        of = motions.whole[motions.body[begin:end]]
+        others = (pairs[0] < pairs[1]) & (of[pairs[0]] != of[pairs[1]])
+        held.append(np.sort(pairs[:, others], axis=0) + begin)
         begin, count = end, count + held[-1].shape[1]
         if count > _BLOCK:
             yield _joined(held)
@@ -229,10 +239,11 @@ def _swept(motions: Motions, seconds: float) -> tuple[Floats, Floats]:
 def _encounters(motions: Motions, limits: Limits) -> Iterator[_Encounter]:
     mine, theirs, ttc = courses(motions, limits)
     a, b, step = motions.body[mine], motions.body[theirs], motions.step[mine]
-    order = np.lexsort((step, b, a))
+    order = np.lexsort((step, motions.whole[b], motions.whole[a]))
     a, b, step, ttc = a[order], b[order], step[order], ttc[order]
     pause = np.diff(step) > limits.pet_s / motions.dt_s
-    breaks = np.flatnonzero((np.diff(a) != 0) | (np.diff(b) != 0) | pause) + 1
+    changes = [np.diff(motions.whole[one]) != 0 for one in (a, b)]
+    breaks = np.flatnonzero(changes[0] | changes[1] | pause) + 1
     for part in np.split(np.arange(len(step)), breaks) if len(step) else ():
         least = part[int(ttc[part].argmin())]
         yield _Encounter(
@@ -284,7 +295,8 @@ def _conflict(motions: Motions, limits: Limits, one: _Encounter) -> TrafficConfl
     angle = float(np.degrees(frames.difference(*motions.heading_rad[at[::-1]])))
     during = np.concatenate([motions.rows(body, one.begin, one.end) for body in pair])
     delta_s = float(np.hypot(*np.diff(motions.velocity_mps[at], axis=0)[0]))
-    mass = motions.size_m[list(pair)].prod(axis=1)
+    area_m2 = np.bincount(motions.whole, weights=motions.size_m.prod(axis=1))
+    mass = area_m2[motions.whole[list(pair)]]
     delta_v = (delta_s * mass[::-1] / mass.sum()).tolist()
     return TrafficConflict(
         first=pair[0],

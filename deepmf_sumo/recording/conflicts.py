@@ -178,7 +178,8 @@ def observation(seen: Surveyed, limits: Limits) -> Observation:
     """The conflicts of what was surveyed."""
     motions = seen.motions
     found = find(motions, limits)
-    users = np.unique(np.stack([motions.lane, motions.body]), axis=1)
+    whole = motions.whole[motions.body]
+    users = np.unique(np.stack([motions.lane, whole]), axis=1)
     driven = {
         name: tuple(users[1, users[0] == lane].tolist()) for lane, name in enumerate(seen.lanes)
     }
@@ -186,8 +187,8 @@ def observation(seen: Surveyed, limits: Limits) -> Observation:
         begin_s=seen.begin_s,
         until_s=seen.until_s,
         complete=seen.complete,
-        users=len(seen.names),
-        user_steps=len(motions.step),
+        users=len(np.unique(motions.whole)),
+        user_steps=int((whole == motions.body).sum()),
         conflicts=tuple(_observed(seen, one) for one in found.conflicts),
         left_out=found.left_out,
         driven=driven,
@@ -223,7 +224,7 @@ def _side(seen: Surveyed, one: TrafficConflict, which: int) -> Side:
     x, y = motions.position_m[row].tolist()
     length, width = motions.size_m[body].tolist()
     return Side(
-        id=seen.names[body],
+        id=seen.names[motions.whole[body]],
         type=seen.types[body],
         lane=seen.lanes[motions.lane[one.pet_rows[which]]],
         lanes=tuple(seen.lanes[lane] for lane in one.lanes[which]),

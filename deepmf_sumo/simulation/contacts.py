@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Contact, Event, Floats
+from deepmf_sumo.datatypes import AgentId, Contact, Event, Floats, agent_ids
 from deepmf_sumo.datatypes.rollout import ContactKind
 from deepmf_sumo.geometry import boxes, frames, impact
 from deepmf_sumo.geometry.ground import clear
@@ -43,7 +43,8 @@ class Judge:
     A contact is an overlap into which a pair has driven. A pair that begins to overlap at the first
     frame, in the frame in which one of the two appears, or in the step in which one of the two
     changes its owner (`ownership`) has not driven into each other: that is not counted, an event
-    says so, and the pair may come into contact once it has come apart.
+    says so, and the pair may come into contact once it has come apart. A vehicle of several boxes
+    counts once.
     """
 
     def __init__(self, av_id: AgentId, opponent_id: AgentId | None) -> None:
@@ -61,7 +62,7 @@ class Judge:
             self._excused &= {pair for *_, pair in self._overlapping(frame, size_m + 2 * _APART_M)}
         for me, other, pair in self._overlapping(frame, size_m):
             if pair not in self._counted | self._excused:
-                self._settle(step, frame, size_m, me, other)
+                self._settle(step, frame, size_m, me, other, pair)
         self._before = frame
 
     @property
@@ -92,11 +93,12 @@ class Judge:
                 continue
             me = frame.ids.index(mine)
             for other in overlapping(me, frame.position_m, frame.heading_rad, size_m, frame.z_m):
-                yield me, other, frozenset((mine, frame.ids[other]))
+                yield me, other, frozenset((mine, agent_ids.whole_of(frame.ids[other])))
 
-    def _settle(self, step: int, frame: Frame, size_m: Floats, me: int, other: int) -> None:
+    def _settle(
+        self, step: int, frame: Frame, size_m: Floats, me: int, other: int, pair: Pair
+    ) -> None:
         mine, theirs = frame.ids[me], frame.ids[other]
-        pair = frozenset((mine, theirs))
         kind = self._excuse(frame, mine, theirs)
         if kind is not None:
             self._excused.add(pair)
@@ -140,7 +142,7 @@ class Judge:
         )
         approach = (velocity * towards).sum(-1)
         relative = velocity[1] - velocity[0]
-        area = size.prod(-1)
+        area = np.array([_area_m2(frame, size_m, row) for row in (me, other)])
         poses = np.column_stack([frame.position_m, frame.heading_rad])
         return Contact(
             kind=self._kind(mine, theirs),
@@ -159,6 +161,13 @@ class Judge:
             ),
             delta_v_mps=float(np.hypot(*relative) * area[1] / area.sum()),
         )
+
+
+def _area_m2(frame: Frame, size_m: Floats, row: int) -> float:
+    """Area of a road user, with all its boxes."""
+    whole = agent_ids.whole_of(frame.ids[row])
+    rows = [row for row, one in enumerate(frame.ids) if agent_ids.whole_of(one) == whole]
+    return float(size_m[rows].prod(axis=1).sum())
 
 
 def _nearest_point(of: Floats, centre: Floats, heading: float, size: Floats) -> Floats:

@@ -12,7 +12,8 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics.traffic_conflicts import Motions
 from deepmf_sumo.network.sumo_net import edge_of
-from deepmf_sumo.simulation.road_users import State, TrafficReader
+from deepmf_sumo.simulation.long_vehicles import State
+from deepmf_sumo.simulation.road_users import TrafficReader
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.sumo_config import Traffic, begun, read_configuration
 
@@ -50,7 +51,8 @@ class Surveyed:
 
     Attributes:
         until_s: time of the last step. complete: the configuration ends there, or all have left.
-        names, types: of the V road users; persons have their own types.
+        names, types: of the V road users; persons have their own types. A vehicle that bends is
+            several, one after the other.
         lanes: names of the L lanes.
     """
 
@@ -127,16 +129,18 @@ class _Notes:
         person, vehicle = agent_ids.person_of(agent), self.api.vehicle
         if person is not None:
             return str(self.api.person.getLaneID(person))
-        if speed_mps < _STANDING_MPS and vehicle.getStopState(agent) & _PARKED:
+        whole = agent_ids.whole_of(agent)
+        if speed_mps < _STANDING_MPS and vehicle.getStopState(whole) & _PARKED:
             return ""
-        return str(vehicle.getLaneID(agent))
+        lane = str(vehicle.getLaneID(whole))
+        return lane and self.reader.bodies.long.lane.get(agent, lane)
 
     def _body(self, agent: AgentId) -> int:
         if agent not in self.bodies:
             person = agent_ids.person_of(agent)
             domain = self.api.vehicle if person is None else self.api.person
             self.bodies[agent] = len(self.types)
-            kind = domain.getTypeID(agent if person is None else person)
+            kind = domain.getTypeID(agent_ids.whole_of(agent) if person is None else person)
             self.types.append(str(kind).partition("@")[0])
         return self.bodies[agent]
 
@@ -167,5 +171,6 @@ class _Notes:
                 edge_of_lane=np.array(
                     [edges.setdefault(edge_of(lane), len(edges)) for lane in self.lanes]
                 ),
+                parts=np.array([self.bodies[agent_ids.whole_of(one)] for one in names], int),
             ),
         )

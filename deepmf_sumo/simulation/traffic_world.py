@@ -59,7 +59,7 @@ class TrafficWorld:
     ) -> None:
         self.events: list[Event] = []
         self._api = api
-        self._reader = TrafficReader(api)
+        self._reader = TrafficReader(api, case.av_id)
         self._step = HISTORY_STEPS - 1
         self._ground = ground_of(case.road)
         self._note_step_length(configuration)
@@ -70,8 +70,11 @@ class TrafficWorld:
         self._only = None if case.only is None else _named(api, {case.av_id, *case.only})
         if self._only is not None:
             self._leave_out_others(self._only)
-            self._frames = [frame.of_agents(self._only) for frame in self._frames]
+            self._frames = [_of_bodies(frame, self._only) for frame in self._frames]
         self._frame = self._frames[-1]
+        if detail := self._reader.bodies.stiffened():
+            event = Event(step=self._step, agent_id=case.av_id, kind="av_is_stiff", detail=detail)
+            self.events.append(event)
         if model is not None:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
@@ -189,6 +192,11 @@ def _named(api: SumoApi, only: set[AgentId]) -> set[AgentId]:
     """The named road users; a person may be named as SUMO has it, unless a vehicle has the name."""
     vehicles = set(api.vehicle.getIDList())
     return only | {agent_ids.of_person(name) for name in only - vehicles}
+
+
+def _of_bodies(frame: Frame, only: Collection[AgentId]) -> Frame:
+    """The frame with the named road users and their parts alone."""
+    return frame.of_agents({one for one in frame.ids if agent_ids.whole_of(one) in only})
 
 
 def _check_start(case: TrafficCase, configuration: Configuration) -> None:

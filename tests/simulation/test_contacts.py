@@ -52,6 +52,17 @@ def test_broadside_collision_is_the_strikers():
     assert contact.relative_mps == pytest.approx(np.hypot(10, 8))
 
 
+def test_a_vehicle_of_several_boxes_is_met_once_with_its_whole_mass():
+    def boxes(x):
+        parts = {"tram": (20, 3, 0, 0), "tram part 2": (16, 3, 0, 0), "tram part 3": (12, 3, 0, 0)}
+        return frame(av=(x, 1.5 if x > 9 else 0, 0, 10), **parts)
+
+    judge = judged(boxes(8), boxes(11), boxes(15), boxes(19), opponent=None)
+    (contact,) = judge.contacts
+    assert (contact.kind, contact.second_id) == ("av_other", "tram part 3")
+    assert contact.delta_v_mps == pytest.approx(10 * 3 / 4)
+
+
 def test_heavier_box_is_slowed_less():
     before = frame(av=(0, 0, 0, 10), ov=(6.6, 0, 0, 0))
     after = frame(av=(1, 0, 0, 10), ov=(6.6, 0, 0, 0))
