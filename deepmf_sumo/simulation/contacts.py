@@ -87,7 +87,7 @@ class Judge:
         self.look(step, frame, size_m)
 
     def _overlapping(self, frame: Frame, size_m: Floats) -> Iterator[tuple[int, int, Pair]]:
-        """Row of the AV or the opponent, row of the other agent, and their ids."""
+        """Row of the AV or the opponent, row of the other agent, and the ids of the pair."""
         for mine in self._drivers:
             if mine not in frame.ids:
                 continue
