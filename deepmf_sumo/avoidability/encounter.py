@@ -5,13 +5,13 @@ the first step at which the AV may react. Third parties are the agents that an e
 must not hit instead.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from deepmf_sumo.avoidability.av_path import AvPath, route_ahead
+from deepmf_sumo.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.avoidability.manoeuvres import GRID, Driven
 from deepmf_sumo.avoidability.reference_drivers import Approach
 from deepmf_sumo.datatypes import Bools, Case, Contact, Floats, Ints, RecordedCase, Rollout, Tracks
@@ -114,33 +114,25 @@ def _opponent_motion(rollout: Rollout, row: int, first: int, last: int) -> tuple
     return position[: last - first + 1], heading[: last - first + 1]
 
 
-class Expected(NamedTuple):
-    """Where the opponent would have been without the attack, at F steps from ``first_step`` on.
-
-    ``position_m``: (F, 2). ``known``: (F).
-    """
-
-    first_step: int
-    position_m: Floats
-    known: Bools
-
-
 def onset_step(rollout: Rollout, case: Case, opponent: int, first: int, contact: int) -> int:
     """First step of first..contact - 1 with a sign of the attack; ``first`` without a sign.
 
-    A sign is that the opponent is more than 0.5 m from its position without the attack (the
-    recorded one; in SUMO's traffic the likeliest prediction of the first plan), or that the two
-    would collide within 3 s at constant velocities.
+    A sign is that the opponent is more than 0.5 m from its position without the attack
+    (`counterfactual`), or that the two would collide within 3 s at constant velocities.
     """
-    return onset_of(rollout, _expected(rollout, case, opponent), opponent, first, contact)
+    alone = counterfactual(rollout, case, rollout.tracks.ids[opponent])
+    return onset_of(rollout, alone, opponent, first, contact)
 
 
 def onset_of(
-    rollout: Rollout, expected: Expected | None, opponent: int, first: int, contact: int
+    rollout: Rollout, alone: Counterfactual | None, opponent: int, first: int, contact: int
 ) -> int:
     """As `onset_step`, where it is known already where the opponent would have been."""
     steps = np.arange(first, contact)
-    departed = _departure_m(rollout, expected, opponent, steps) > DEPARTURE_M
+    departed = np.zeros(len(steps), bool)
+    if alone is not None:
+        where = rollout.tracks.position_m[opponent, first:contact]
+        departed = alone.away_m(where, first) > DEPARTURE_M
     signs = np.flatnonzero(departed | _on_course(rollout, opponent, steps))
     return int(steps[signs[0]]) if len(signs) else first
 
@@ -178,44 +170,6 @@ def _on_course(rollout: Rollout, opponent: int, steps: Ints) -> Bools:
     )
     level = ~clear(tracks.z_m[av, steps], tracks.z_m[opponent, steps])
     return on_collision_course(first, second) & level
-
-
-def _expected(rollout: Rollout, case: Case, opponent: int) -> Expected | None:
-    name = rollout.tracks.ids[opponent]
-    if isinstance(case, RecordedCase) and name in case.scene.tracks.ids:
-        # a rollout starts at the recording's first step, so that steps are the same in both
-        return recorded_motion(case.scene.tracks, name)
-    plan = rollout.plans[0] if rollout.plans else None
-    if plan is None or plan.reason is None:
-        return None
-    candidates = plan.reason.candidates
-    origin = plan.reason.origin or ("mode",) * len(candidates.probability)
-    return likeliest_motion(plan.first_step, candidates.futures.position_m, origin)
-
-
-def recorded_motion(recorded: Tracks, name: str) -> Expected:
-    """That of a recording."""
-    row = recorded.row(name)
-    return Expected(0, recorded.position_m[row], recorded.valid[row])
-
-
-def likeliest_motion(first_step: int, position_m: Floats, origin: Sequence[str]) -> Expected:
-    """The likeliest prediction of candidates (M, F, 2), most likely first, with origins (M)."""
-    mode = position_m[origin.index("mode") if "mode" in origin else 0]
-    return Expected(first_step, mode, np.ones(len(mode), bool))
-
-
-def _departure_m(rollout: Rollout, expected: Expected | None, opponent: int, steps: Ints) -> Floats:
-    """(K) distance to the opponent's position without the attack; 0 where that is unknown."""
-    distance = np.zeros(len(steps))
-    if expected is None:
-        return distance
-    at = steps - expected.first_step
-    known = (at >= 0) & (at < len(expected.known))
-    known[known] = expected.known[at[known]]
-    where = rollout.tracks.position_m[opponent, steps[known]]
-    distance[known] = np.hypot(*(where - expected.position_m[at[known]]).T)
-    return distance
 
 
 class ThirdParties(NamedTuple):

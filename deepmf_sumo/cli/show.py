@@ -9,7 +9,10 @@ from deepmf_sumo.cli._parameters import format_option
 from deepmf_sumo.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from deepmf_sumo.results.groups import Group
+    from deepmf_sumo.results.reader import Run
 
 
 @click.command("show", short_help="Show results side by side.")
@@ -48,6 +51,7 @@ def command(
         _show_failures(folders, form)
         return
     groups = comparison.groups(folders)
+    _warn([run for group in groups for run in group.runs])
     if csv_file or form != "table":
         table = comparison.compare(groups)
     if csv_file:
@@ -69,6 +73,7 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
 
     results = Results.open(*folders)
     looked = list(failures(results))
+    _warn(results.runs)
     for run, _, why in looked:
         if why:
             click.echo(f"deepmf-sumo: {run.run_id} cannot be described: {why}", err=True)
@@ -81,6 +86,13 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
         if form != "json":  # a cell is a text
             values = [one | {"run_ids": " ".join(one["run_ids"])} for one in values]
         screen.emit(form, values)
+
+
+def _warn(runs: "Sequence[Run]") -> None:
+    from deepmf_sumo.results.reader import judged_before
+
+    if said := judged_before(runs):
+        click.echo(f"deepmf-sumo: {said}.", err=True)
 
 
 def _named(group: "Group", folders: tuple[Path, ...]) -> str:

@@ -95,6 +95,9 @@ class _Situation:
             contact with the AV ends the episode.
         only: road users beside the AV; None: all. Others are not there from the start on, nor in
             the history.
+        unattacked: (A, T) the same episode without attack, at the steps of its rollouts, where SUMO
+            drives the traffic; None before it is simulated, and where it cannot be. What a vehicle
+            would have done says `avoidability.counterfactual`, not this alone.
     """
 
     name: str
@@ -106,6 +109,7 @@ class _Situation:
     av_driver: AvDriver = "planner"
     turns: TurnRules | None = None
     only: tuple[AgentId, ...] | None = None
+    unattacked: Tracks | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,15 +134,12 @@ class TrafficCase(_Situation):
     Attributes:
         net_file: the network that the configuration names.
         sumo_options: beside the configuration, as on SUMO's command line.
-        unattacked: (A, T) the same episode without attack, at the steps of its rollouts; metrics
-            compare attacks with it. None before it is simulated.
     """
 
     config: Path
     start_s: float
     net_file: Path
     sumo_options: tuple[str, ...] = ()
-    unattacked: Tracks | None = None
 
 
 Case = RecordedCase | TrafficCase

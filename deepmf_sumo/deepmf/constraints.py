@@ -13,7 +13,7 @@ from typing import ClassVar, Final, Literal, Protocol
 import numpy as np
 
 from deepmf_sumo.avoidability.av_path import State
-from deepmf_sumo.avoidability.encounter import Expected, likeliest_motion
+from deepmf_sumo.avoidability.counterfactual import likeliest
 from deepmf_sumo.avoidability.grading import Past, avoidable
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
@@ -195,7 +195,9 @@ class Fair(Constraint):
     """A competent driver in the AV's place could avoid the candidate (`avoidability.grading`).
 
     That driver takes over at the first sign of the attack, as in the judgement of the result: what
-    both have driven since the first plan is part of what it had to avoid.
+    both have driven since the first plan is part of what it had to avoid. A plan knows no future:
+    where the opponent would have been is its likeliest prediction here, while the judgement takes
+    what happens without the attack (`avoidability.counterfactual`). So the two may differ.
     """
 
     name = "fair"
@@ -239,7 +241,7 @@ class Driven:
     def __init__(self) -> None:
         self._poses = np.empty((0, 2, 3))  # of both, at the steps up to the last plan
         self._step = 0
-        self._expected: Expected | None = None
+        self._expected_m = np.empty((0, 2))  # from the step after the first plan on
 
     def note(self, situation: Situation, own: Candidates) -> None:
         """Add the steps since the last plan; ``own``: the candidates of this one."""
@@ -248,9 +250,8 @@ class Driven:
         poses = np.concatenate(
             [view.history.position_m[rows], view.history.heading_rad[rows][..., None]], axis=-1
         ).swapaxes(0, 1)
-        if self._expected is None:
-            position_m = own.forecast.futures.position_m
-            self._expected = likeliest_motion(view.step + 1, position_m, own.origin)
+        if not len(self._poses):
+            self._expected_m = likeliest(own.forecast.futures.position_m, own.origin)
             self._poses = poses[-1:]
         elif view.step > self._step:
             seen = min(view.step - self._step, len(poses))
@@ -268,11 +269,10 @@ class Driven:
 
     def expected_m(self, steps: int) -> Floats:
         """(H + 1 + steps, 2) where the opponent was expected, from the first plan on."""
-        expected, count = self._expected, len(self._poses) + steps
+        count = len(self._poses) + steps
         found = np.full((count, 2), np.nan)
-        if expected is not None:
-            known = expected.position_m[: count - 1]
-            found[1 : 1 + len(known)] = known
+        known = self._expected_m[: count - 1]
+        found[1 : 1 + len(known)] = known
         return found
 
 

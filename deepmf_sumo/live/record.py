@@ -85,7 +85,7 @@ class Results:
         if self._simulations > 1:  # of another traffic, perhaps
             scene = f"{self._simulations}-{scene}"
         task = Task(run_id=run_id, spec=self._spec, scene=scene)
-        found = self._measured(task, attack)
+        found = self._measured(task, attack, folder)
         files.write_json(folder / "result.json", found)
         self._keys[run_id] = task.key
         self._found.append(found)
@@ -95,11 +95,11 @@ class Results:
         self._store.manifest(self._keys, {})
         self._store.finish(self._found, junit_too=False, interrupted=False)
 
-    def _measured(self, task: Task, attack: LiveAttack) -> Result:
+    def _measured(self, task: Task, attack: LiveAttack, folder: Path) -> Result:
         """The row of the attack; one that cannot be measured has the reason instead."""
         begin = time.perf_counter()
         try:
-            found = _finished(task, attack, self._setting, begin)
+            found = _finished(task, attack, self._setting, folder)
         except Exception as error:  # noqa: BLE001 - it must not end the user's simulation
             traceback.print_exc()
             reason = f"not measured: {type(error).__name__}: {error}"
@@ -127,7 +127,8 @@ class Results:
         self._nets[self._net] = kept
 
 
-def _finished(task: Task, attack: LiveAttack, setting: Setting, begin: float) -> Result:
+def _finished(task: Task, attack: LiveAttack, setting: Setting, folder: Path) -> Result:
+    begin = time.perf_counter()
     rollout = replace(attack.rollout, turns=())  # an attack of its own
     case = TrafficCase(
         name=task.run_id,
@@ -142,6 +143,7 @@ def _finished(task: Task, attack: LiveAttack, setting: Setting, begin: float) ->
     spent = [sum(one.reason.milliseconds.values()) for one in rollout.plans if one.reason]
     found_attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)
     metrics = measure(rollout, case)
+    artifacts.write_unattacked(folder, rollout, case)
     found = result.finished(task, case, found_attack, metrics, time.perf_counter() - begin)
     found["timings"]["simulation_s"] = None  # another program ran SUMO
     found["search"]["simulations"] = 0

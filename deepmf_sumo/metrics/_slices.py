@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepmf_sumo.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.datatypes import (
     AgentId,
     Bools,
@@ -15,9 +16,7 @@ from deepmf_sumo.datatypes import (
     Contact,
     Driver,
     Floats,
-    RecordedCase,
     Rollout,
-    Tracks,
 )
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import DIRECTION_MPS
@@ -104,15 +103,14 @@ def compared_stretches(rollout: Rollout, case: Case, *, beyond: bool) -> list[St
         raise NotMeasurable(NEVER_DRIVEN)
     last = rollout.now + case.duration_steps
     attack = planned_poses(rollout, row, last if beyond else rollout.tracks.steps - 1)
-    mine = reference.row(rollout.tracks.ids[row])
-    shared = np.zeros(reference.steps, bool)
-    shared[[step for step in attack if step < reference.steps]] = True
+    shared = np.zeros(len(reference.known), bool)
+    shared[[step for step in attack if step < len(shared)]] = True
     return [
         Stretch(
             np.array([attack[step] for step in range(run.start, run.stop)]),
-            reference.position_m[mine, run],
+            reference.position_m[run],
         )
-        for run in runs(shared & reference.valid[mine])
+        for run in runs(shared & reference.known)
     ]
 
 
@@ -128,19 +126,17 @@ def planned_poses(rollout: Rollout, row: int, last: int) -> dict[int, Floats]:
     return found
 
 
-def unattacked(rollout: Rollout, case: Case, agent_id: AgentId) -> Tracks:
-    """Road users without the attack: the recording, or the same episode of a network's traffic.
+def unattacked(rollout: Rollout, case: Case, agent_id: AgentId) -> Counterfactual:
+    """The agent's motion without the attack (`avoidability.counterfactual`).
 
-    A rollout starts at its first step: steps are the same in both. Raises NotMeasurable where it
-    does not have the agent after now, within the case's duration.
+    Raises NotMeasurable where it is known only which lane the agent would have kept to, and where
+    the agent would have been absent after now, within the case's duration.
     """
-    tracks = case.scene.tracks if isinstance(case, RecordedCase) else case.unattacked
+    found = counterfactual(rollout, case, agent_id)
     steps = slice(rollout.now + 1, rollout.now + 1 + case.duration_steps)
-    if tracks is None or agent_id not in tracks.ids:
+    if found.by == "lane" or not found.known[steps].any():
         raise NotMeasurable(NO_REFERENCE)
-    if not tracks.valid[tracks.row(agent_id), steps].any():
-        raise NotMeasurable(NO_REFERENCE)
-    return tracks
+    return found
 
 
 class Accelerations(NamedTuple):

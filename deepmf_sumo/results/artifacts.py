@@ -1,16 +1,17 @@
-"""``plans.npz`` of a run; what a run left as a Rollout; and a Rollout as a scene."""
+"""``plans.npz`` and ``unattacked.npz`` of a run, and what a run left as a Rollout."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo import files
-from deepmf_sumo.avoidability.encounter import Expected, likeliest_motion
+from deepmf_sumo.avoidability.counterfactual import By, Counterfactual, likeliest, predicted
 from deepmf_sumo.datatypes import (
     DT_S,
+    Case,
     Contact,
     OpponentScores,
     Plan,
@@ -18,9 +19,11 @@ from deepmf_sumo.datatypes import (
     Rollout,
 )
 from deepmf_sumo.results import signals, stored, tracks
+from deepmf_sumo.results.result import counterfactual_of
 from deepmf_sumo.results.tracks import read_tracks
 
 PLANS: Final = "plans.npz"
+UNATTACKED: Final = "unattacked.npz"
 
 
 def write_plans(path: Path, rollout: Rollout) -> None:
@@ -66,8 +69,39 @@ def read_scores(folder: Path) -> OpponentScores | None:
         )
 
 
-def read_likeliest(folder: Path) -> Expected | None:
-    """Where the opponent would have been by the first plan; None where it has no candidates."""
+def write_unattacked(folder: Path, rollout: Rollout, case: Case) -> None:
+    """Where the opponent would have been without the attack, to the bit, as it was judged.
+
+    No file where no vehicle attacked.
+    """
+    alone = counterfactual_of(rollout, case)
+    if alone is None:
+        return
+    arrays: dict[str, NDArray[Any]] = {
+        "agent_id": np.array(rollout.opponent_id),
+        "by": np.array(alone.by),
+        "position_m": alone.position_m,
+        "known": alone.known,
+    }
+    files.write(folder / UNATTACKED, files.npz(arrays))
+
+
+def read_unattacked(folder: Path) -> Counterfactual | None:
+    """What `write_unattacked` wrote; None in folders of earlier versions, which lack it."""
+    if not (folder / UNATTACKED).is_file():
+        return None
+    with stored.arrays(folder / UNATTACKED) as arrays:
+        by, position, known = str(arrays["by"]), arrays["position_m"], arrays["known"]
+        if by not in get_args(By) or position.shape != (len(known), 2):
+            raise ValueError(f"{UNATTACKED} of {folder} is damaged")
+        return Counterfactual(by=cast(By, by), position_m=position, known=known)
+
+
+def read_predicted(folder: Path) -> Counterfactual | None:
+    """The likeliest prediction of the first plan, with which earlier versions judged attacks.
+
+    None where it has no candidates.
+    """
     with stored.arrays(folder / PLANS) as arrays:
         if "00/candidate_position_m" not in arrays:
             return None
@@ -77,7 +111,7 @@ def read_likeliest(folder: Path) -> Expected | None:
             if "00/candidate_origin" in arrays
             else ["mode"] * len(position)
         )
-        return likeliest_motion(int(arrays["00/first_step"]), position, origin)
+        return predicted(int(arrays["00/first_step"]), likeliest(position, origin))
 
 
 def _plan(plan: Plan) -> dict[str, NDArray[Any]]:

@@ -161,7 +161,7 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
     meeting = Meeting.of(tracks, (contact.first_id, contact.second_id), contact.step, road)
     onset = first = max(rollout.now, meeting.since)
     if first < contact.step:
-        onset = onset_of(rollout, run.expected(), meeting.other, first, contact.step)
+        onset = onset_of(rollout, run.unattacked(), meeting.other, first, contact.step)
     turned = meeting.turned()
     strayed = meeting.type in _ON_LANES and meeting.strayed()
     judged = not strayed or bool(run.metric("red_light"))

@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 import pandas as pd
 
 from deepmf_sumo import readers
-from deepmf_sumo.avoidability.encounter import Expected, recorded_motion
+from deepmf_sumo.avoidability.counterfactual import Counterfactual
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Scene
 from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.files import cache_folder
@@ -255,19 +255,56 @@ class Run:
             raise UsageError(f"{self.folder}/sumo holds no net.net.xml; run it again for figures.")
         return road_of_net(net), lost
 
-    def expected(self) -> Expected | None:
-        """Where the opponent would have been without the attack: as recorded, or as predicted.
+    def unattacked(self) -> Counterfactual | None:
+        """Where the opponent would have been without the attack, as the run was judged.
 
-        None where that is not known. Raises `stored.DAMAGE`.
+        None where that is not known. Runs of earlier versions do not tell: they were judged by the
+        recording, and on networks by the prediction of the first plan. Raises `stored.DAMAGE`.
         """
+        kept = artifacts.read_unattacked(self.folder)
+        if kept is not None:
+            return kept
         opponent = self.rollout.opponent_id
         try:
             scene = self.recording()
         except (ReaderError, UsageError):
             return None
         if scene is None:
-            return artifacts.read_likeliest(self.folder)
-        return recorded_motion(scene.tracks, opponent) if opponent in scene.tracks.ids else None
+            return artifacts.read_predicted(self.folder)
+        tracks = scene.tracks
+        if opponent not in tracks.ids:
+            return None
+        row = tracks.row(opponent)
+        return Counterfactual(by="log", position_m=tracks.position_m[row], known=tracks.valid[row])
+
+    @property
+    def judged_by_plan(self) -> bool:
+        """Whether an earlier version judged it, in SUMO's traffic, by what its own plan predicted.
+
+        Methods whose plans predict nothing were judged without a motion to compare with.
+        """
+        if self.status != "ok" or not self.has_result:
+            return False
+        try:
+            found, file = self.result, self.folder / "spec.yaml"
+            if not found["opponent"] or found["counterfactual"] is not None:
+                return False
+            traffic = document.read(file).values.get("traffic") if file.is_file() else None
+        except stored.DAMAGE:  # what is damaged is reported where it is shown
+            return False
+        return found["network"] is not None or traffic == "sumo"
+
+
+def judged_before(runs: Sequence[Run]) -> str:
+    """A sentence on the runs that an earlier version judged by their own plans; empty if none."""
+    count = sum(run.judged_by_plan for run in runs)
+    if not count:
+        return ""
+    return (
+        f"an earlier version judged {count} of {len(runs)} runs, in traffic of SUMO, by what their"
+        " own plan predicted (DeepMF, CAT) or without it (other methods): compare their avoidable"
+        " hits neither with each other nor with those of this version; run them again"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

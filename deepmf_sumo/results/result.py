@@ -11,6 +11,7 @@ from typing import Any, Final, Literal, Required, TypedDict
 import numpy as np
 
 from deepmf_sumo import plugins, tables
+from deepmf_sumo.avoidability.counterfactual import By, Counterfactual, counterfactual
 from deepmf_sumo.datatypes import (
     Attack,
     Case,
@@ -81,6 +82,19 @@ def _part(turn: Turn, rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
     return rollout.of_turn(turn), replace(case, duration_steps=min(left, longest))
 
 
+def counterfactual_of(rollout: Rollout, case: Case) -> Counterfactual | None:
+    """Where the opponent would have been without the attack; None where no vehicle attacked."""
+    opponent = rollout.opponent_id
+    if opponent is None or opponent not in rollout.tracks.ids:
+        return None
+    return counterfactual(rollout, case, opponent)
+
+
+def _compared_with(rollout: Rollout, case: Case) -> By | None:
+    alone = counterfactual_of(rollout, case)
+    return alone.by if alone is not None else None
+
+
 def _turn(turn: Turn, rollout: Rollout, case: Case, measure: Measure) -> dict[str, Any]:
     cut, its_case = _part(turn, rollout, case)
     hit = cut.first("av_opponent")
@@ -91,6 +105,7 @@ def _turn(turn: Turn, rollout: Rollout, case: Case, measure: Measure) -> dict[st
         "ended": turn.ended,
         "outcome": cut.outcome,
         "hit_speed_mps": hit.relative_mps if hit else None,
+        "counterfactual": _compared_with(cut, its_case),
         "metrics": {value.name: value.value for value in measure(cut, its_case)},
     }
 
@@ -163,6 +178,10 @@ class Result(TypedDict, total=False):
         outcome: ``av_opponent`` (a hit), else the earliest other contact, else ``none``.
         ended: why the episode ended.
         steps, duration_steps: simulated steps, and those that were asked for.
+        counterfactual: what tells where the opponent would have been without the attack: ``log``
+            (the recording), ``episode`` (the same episode without attack), or ``lane`` (it keeps to
+            its lane, where the episode cannot be repeated). None without an opponent, and in
+            results of earlier versions.
         opponent_score: softmax of the scores.
         metrics: by name.
         samples: the opponent's accelerations, for pooled naturalness.
@@ -205,6 +224,7 @@ class Result(TypedDict, total=False):
     steps: int
     duration_steps: int
     opponent: str | None
+    counterfactual: str | None
     opponent_score: float | None
     contacts: list[ContactValues]
     events: list[dict[str, Any]]
@@ -284,6 +304,7 @@ def finished(
         "steps": rollout.tracks.steps - 1 - rollout.now,
         "duration_steps": case.duration_steps,
         "opponent": rollout.opponent_id,
+        "counterfactual": _compared_with(*decisive),
         "opponent_score": _opponent_score(decisive[0], task.spec.adversary.settings),
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
         "events": [asdict(event) for event in rollout.events],

@@ -170,6 +170,7 @@ class _Finished(_Result):
     steps: int = Field(ge=0)
     duration_steps: int = 0
     opponent: str | None
+    counterfactual: str | None = None
     opponent_score: float | None = None
     contacts: Sequence[_Contact]
     events: list[_Event] = []

@@ -170,6 +170,7 @@ class Episode:
         by_turn = result.judged(rollout, case, measure)
         write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
+        artifacts.write_unattacked(folder, *decisive)
         signals.write_signals(folder / signals.FILE, rollout, case.road)
         done = Exportable.of(rollout, case)
         if self.sumo or isinstance(task.spec.source, FromNetwork):
@@ -288,11 +289,14 @@ def _recorded(record: RecordRef, cache: Path) -> tuple[Scene, SumoNet]:
 
 
 def _with_unattacked(task: Task, case: Case) -> Case:
-    """The case of a network with its episode without attack, with which metrics compare.
+    """The case with its episode without attack, with which all attacks of the run are compared.
 
-    It comes first: SUMO is at the moment, and the copy that simulates it leaves it there.
+    Simulated once a run, whatever the number of episodes of a search, and only where the traffic
+    reacts: a log stays what it is. It comes first: SUMO is at the moment, and the copy that
+    simulates it leaves it there.
     """
-    if not isinstance(case, TrafficCase) or task.spec.adversary.name == "none":
+    logged = isinstance(case, RecordedCase) and case.traffic == "log"
+    if logged or task.spec.adversary.name == "none":
         return case
     rollout = fork.tried(task, lambda: _simulated(task, case, None), case)
     return replace(case, unattacked=rollout.tracks)

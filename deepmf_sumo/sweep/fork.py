@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import IO, Any, NoReturn, TypeVar
 
 from deepmf_sumo import simulation
-from deepmf_sumo.datatypes import Case, TrafficCase, VehicleModel
+from deepmf_sumo.datatypes import Case, RecordedCase, TrafficCase, VehicleModel
 from deepmf_sumo.errors import DeepmfError, PlannerError
 from deepmf_sumo.planners import _checked
 from deepmf_sumo.planners.remote import reaper
@@ -251,12 +251,15 @@ def _alone() -> bool:
     return known and sum(1 for _ in Path("/proc/self/task").iterdir()) == len(threads)
 
 
-def tried(task: Task, simulate: Callable[[], T], case: TrafficCase) -> T:
+def tried(task: Task, simulate: Callable[[], T], case: Case) -> T:
     """What an episode returns, one of several of a run: in a copy with SUMO at the moment.
 
     So SUMO gets there once for all of them. The road of ``case`` is shared, not copied. Where this
-    process is not a copy itself, or has threads, the episode is simulated here.
+    process is not a copy itself, or has threads, the episode is simulated here; that of a recording
+    is in a copy anyway, so that the attack begins in the same process as its unattacked episode.
     """
+    if isinstance(case, RecordedCase):
+        return _copied(simulate, case.road) if _alone() else simulate()
     if not _is_copy or not _alone():
         return simulate()
     what = passage(task)

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import readers
-from deepmf_sumo.avoidability import av_path, encounter, grading, reference_drivers
+from deepmf_sumo.avoidability import av_path, grading, reference_drivers
 from deepmf_sumo.avoidability.av_path import route_ahead
+from deepmf_sumo.avoidability.counterfactual import counterfactual
 from deepmf_sumo.avoidability.encounter import AFTER_S, encounter_of
-from deepmf_sumo.datatypes import Forecast, Futures, PlanReason, Scene
+from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.geometry import polylines
 
 from tests.support.drawn_attacks import NO_ROAD, NOW, attack, cut_in
-from tests.support.rollout_doubles import in_traffic, straight
+from tests.support.rollout_doubles import straight
 
 
 class Unaware:
@@ -61,14 +62,11 @@ def test_futures_have_the_onset_of_the_judgement(av, opponent):
     """What `fair` asks before anything is driven is what the judgement asks afterwards."""
     rollout, case = attack(av, opponent)
     found = encounter_of(rollout, case)
-    row = rollout.tracks.row(rollout.opponent_id)
-    expected = encounter._expected(rollout, case, row)
+    alone = counterfactual(rollout, case, rollout.opponent_id)
     expected_m = np.full((found.approach.steps, 2), np.nan)
-    if expected is not None:
-        at = np.arange(found.first_step, found.first_step + found.approach.steps)
-        at = at - expected.first_step
-        known = (at >= 0) & (at < len(expected.known))
-        expected_m[known] = expected.position_m[at[known]]
+    shown = slice(found.first_step, found.first_step + found.approach.steps)
+    known = alone.position_m[shown]
+    expected_m[: len(known)] = np.where(alone.known[shown, None], known, np.nan)
     onset = grading._onsets(found.path, found.approach, found.av_along_m, expected_m)
     # velocities of futures are those of the last 0.2 s
     assert onset == pytest.approx([found.onset], abs=2)
@@ -99,40 +97,6 @@ def test_onset_is_a_departure_from_the_recording_or_a_collision_course():
     rollout, case = attack(straight(0, 0, 14), leaving)
     later = encounter_of(rollout, case)
     assert later.onset > found.onset
-
-
-def test_in_sumo_traffic_the_likeliest_prediction_stands_in_for_the_recording():
-    leaving = straight(60, 3.5, 10)
-    leaving[20:, 1] -= np.minimum(0.1 * np.arange(71), 3.5)
-    leaving[20:, 0] -= 0.02 * np.arange(71) ** 2
-    rollout, recorded = attack(straight(0, 0, 14), leaving)
-    case = in_traffic(recorded)
-    unknown = encounter_of(rollout, case).onset
-    modes = np.stack([leaving[11:], straight(60, 3.5, 10)[11:]])
-    plan = rollout.plans[0]
-    # 0.4 m aside and 0.32 m behind
-    told = replace(plan, reason=reason_of(modes, origin=("goal", "mode")))
-    assert encounter_of(replace(rollout, plans=(told,)), case).onset == 24 - NOW
-    told = replace(plan, reason=reason_of(modes, origin=("mode", "mode")))
-    assert encounter_of(replace(rollout, plans=(told,)), case).onset == unknown > 24 - NOW
-
-
-def reason_of(modes, origin):
-    futures = Futures(agent_id="b", position_m=modes[..., :2], heading_rad=modes[..., 2])
-    none = np.zeros((2, 1))
-    return PlanReason(
-        scores=None,
-        candidates=Forecast(futures=futures, probability=[0.6, 0.4]),
-        reactions=(),
-        collides=none > 0,
-        collision_step=none,
-        value=none[:, 0],
-        product=none[:, 0],
-        chosen=0,
-        rule="expected",
-        bent_m=none[:, 0],
-        origin=origin,
-    )
 
 
 def test_an_opponent_that_appears_late_cannot_be_answered_before():

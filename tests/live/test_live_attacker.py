@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sumo
 
@@ -106,6 +107,13 @@ def test_deepmf_attacks_and_the_vehicle_is_sumos_again(started, tmp_path):
     )  # fmt: skip
     assert result["metrics"]["min_gap"]["value"] == pytest.approx(row["min_gap_m"], abs=1e-3)
     assert result["metrics"]["red_light"]["value"] == 0.0  # there are no lights
+    # an episode that another program steps cannot be repeated without the attack
+    assert result["counterfactual"] == "lane"
+    assert result["metrics"]["path_sspd"]["value"] is None
+    (kept,) = Results.open(out).runs
+    np.testing.assert_allclose(
+        kept.unattacked().position_m[11:, 1], kept.rollout.tracks.position_m[1, 11:, 1], atol=0.1
+    )
     (line,) = comparison.compare(comparison.groups([out])).to_dict("records")
     assert (line["planner"], line["runs"], line["version"]) == ("script", 1, "S1")
     (network,) = risk.read([out])

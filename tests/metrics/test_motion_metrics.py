@@ -127,7 +127,7 @@ def test_distance_to_the_recording():
 
 def test_paths_of_plan_and_recording():
     beside = straight(-8, 3.5, 12)
-    beside[:, 1] += 1.0
+    beside[11:, 1] += 1.0
     rollout = with_opponent(beside)
     assert measured("path_sspd", rollout).value == pytest.approx(1.0, abs=0.02)
     assert measured("path_hausdorff", rollout).value == pytest.approx(1.0, abs=0.02)

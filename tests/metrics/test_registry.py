@@ -89,5 +89,5 @@ def test_what_several_metrics_need_is_computed_once(monkeypatch, module, name, t
         return real(*arguments, **options)
 
     monkeypatch.setattr(module, name, counted)
-    metrics.measure(rollout_of(PATHS, contacts=[contact_of()]), case_of())
+    metrics.measure(rollout_of(PATHS, contacts=[contact_of()]), case_of(PATHS))
     assert len(calls) == times

@@ -24,6 +24,7 @@ _FACTS: Final = (
     "error", "expectations_broken",
 )  # fmt: skip
 """Keys of ``result.json`` that the page shows as they are."""
+_BEFORE: Final = "an earlier version judged this run by its own plan"
 _ENDED: Final = {"too_long": "longest time of a turn", "time": "end of the run"}
 """Names of `datatypes.turn` that do not explain themselves."""
 
@@ -54,16 +55,18 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     run = Run.of_row(out, table)
     result, missing = _result(run)
     shown: dict[str, Any] = {}
-    place, failure = "", None
+    place, failure, before = "", None, ""
     if result and table["status"] == "ok":
         try:
             shown, place, road = _shown(run, roads, result["turns"] or [])
             failure, missing = _failure(run, road)
+            before = _BEFORE if run.judged_by_plan else ""
         except stored.DAMAGE as error:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
     elif run.status != "ok":
         failure = failure_of(run)
-    note = "; ".join(part for part in (table.get("error", ""), missing, *_broken(result)) if part)
+    said = (table.get("error", ""), missing, before, *_broken(result))
+    note = "; ".join(part for part in said if part)
     return RunPage(
         row=run_row(table, result, place, note),
         details=packed({**_facts(run, result), **shown, "missing": missing}),
