@@ -13,7 +13,6 @@ from deepmf_sumo.datatypes import (
     AgentKind,
     Bools,
     Floats,
-    Ints,
     Lane,
     Neighbour,
     Polygon,
@@ -24,10 +23,11 @@ from deepmf_sumo.datatypes import (
     SignalState,
     StopSign,
     Tracks,
-    frozen,
 )
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.readers import _motion_checks
+from deepmf_sumo.readers._motion_checks import FARTHEST_M
 from deepmf_sumo.readers._recording import Recording, RecordingTracks, quoted
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
@@ -38,12 +38,6 @@ MOST_POINTS: Final = 2_000_000
 """The largest maps of scenes have 2 000 features with 100 000 points in all."""
 LONGEST_REPAIR: Final = 2000
 """Characters of the sentence about one repair, which can name many ids."""
-FASTEST_MPS: Final = 80.0
-"""Faster motion between two steps is a jump of the tracker."""
-JUMP_M: Final = 3.0
-"""So is motion that exceeds the distance explained by the recorded speeds by this much."""
-FARTHEST_M: Final = 1e6
-"""Recordings have their origin closer than this."""
 TYPICAL_SIZE_M: Final[dict[AgentKind, tuple[float, float, float]]] = {
     "vehicle": (4.7, 2.0, 1.7),
     "pedestrian": (0.9, 0.9, 1.75),
@@ -75,6 +69,7 @@ def confirmed(scene: Scene) -> Scene:
         tracks, now = scene.tracks, scene.now
         _refuse_ids(scene.name, tracks.ids, scene.signals.lane_ids, scene.road)
         _refuse_extent(tracks.ids, tracks.steps, now)
+        _refuse_twice(tracks.ids, scene.signals.lane_ids)
         _refuse_values(tracks)
         _refuse_av(scene.av_id, tracks.valid[tracks.row(scene.av_id)], now)
         _refuse_unknown(scene)
@@ -90,11 +85,13 @@ def _checked(recording: Recording) -> Scene:
     steps = raw.valid.shape[1]
     _refuse_ids(recording.name, raw.ids, recording.signals.lane_ids, recording.road)
     _refuse_extent(raw.ids, steps, now)
+    _refuse_twice(raw.ids, recording.signals.lane_ids)
     av_id = _named_av(recording)
-    timestamps = _timestamps(recording.timestamps_s, steps, repairs)
-    _drop_impossible_states(raw, repairs)
+    timestamps = _motion_checks.timestamps(recording.timestamps_s, steps, repairs)
+    _motion_checks.drop_impossible_states(raw, repairs)
     _refuse_av(av_id, raw.valid[raw.ids.index(av_id)], now, repairs)
-    _cut_jumps(raw, timestamps, now, av_id, repairs)
+    _motion_checks.refuse_other_rate(raw, timestamps)
+    _motion_checks.cut_jumps(raw, timestamps, now, av_id, repairs)
     road = _repaired_road(recording.road, repairs)
     tracks = _finished(raw, now, av_id, repairs)
     return Scene(
@@ -153,7 +150,7 @@ def _ids_of(road: RoadMap) -> Iterator[str]:
 
 
 def _refuse_extent(agents: Sequence[str], steps: int, now: int) -> None:
-    """Raises ReaderError for too many states, a missing future, or an id that occurs twice."""
+    """Raises ReaderError for too many states, or a missing future."""
     if len(agents) * steps > MOST_STATES:
         raise ReaderError(
             f"has {len(agents)} agents over {steps} steps, more than {MOST_STATES} states in all"
@@ -163,9 +160,14 @@ def _refuse_extent(agents: Sequence[str], steps: int, now: int) -> None:
             f"has {steps} steps, but the current one is {now}, so that no future was recorded; "
             "take a file of the training or validation split"
         )
-    twice = next((agent for agent, count in Counter(agents).items() if count > 1), None)
-    if twice is not None:
-        raise ReaderError(f"two tracks have the id {twice}")
+
+
+def _refuse_twice(agents: Iterable[str], signals: Iterable[str]) -> None:
+    """Raises ReaderError for an id of two tracks, or a lane of two signals."""
+    for ids, said in ((agents, "two tracks have the id"), (signals, "two signals are of lane")):
+        twice = next((one for one, count in Counter(ids).items() if count > 1), None)
+        if twice is not None:
+            raise ReaderError(f"{said} {twice}")
 
 
 def _refuse_unknown(scene: Scene) -> None:
@@ -178,6 +180,7 @@ def _refuse_unknown(scene: Scene) -> None:
     times = scene.timestamps_s
     if not np.isfinite(times).all() or (np.diff(times) < 0).any():
         raise ReaderError("'timestamps_s' is not finite or runs backwards")
+    _motion_checks.timestamps(times, scene.tracks.steps, [])
     strange = scene.signals.state[scene.signals.state > max(SignalState)]
     if len(strange):
         raise ReaderError(f"'signals_state' has the unknown state {strange[0]}")
@@ -216,22 +219,6 @@ def _refuse_av(av_id: str, valid: Bools, now: int, repairs: Sequence[str] = ()) 
         raise ReaderError(f"the AV ({av_id}) has no valid state at the current step {now}{why}")
 
 
-def _timestamps(recorded: Floats, steps: int, repairs: list[str]) -> Floats:
-    """As recorded, or on the grid of 0.1 s if the recorded ones cannot be right."""
-    grid = frozen(np.arange(steps) * DT_S)
-    if not len(recorded):
-        return grid
-    if len(recorded) != steps:
-        raise ReaderError(f"has {len(recorded)} timestamps, but {steps} steps")
-    if not np.isfinite(recorded).all() or (np.diff(recorded) < 0).any():
-        repairs.append("The timestamps are not finite or run backwards; 0.1 s a step was used.")
-        return grid
-    spacing = float(np.median(np.diff(recorded)))
-    if abs(spacing - DT_S) > DT_S / 4:
-        raise ReaderError(f"was recorded every {spacing:.3g} s; only {DT_S} s can be used")
-    return recorded
-
-
 # Motion
 
 
@@ -246,62 +233,6 @@ def _refuse_values(tracks: Tracks) -> None:
     flat = ~(tracks.size_m[:, :2] > 0).all(-1)
     if flat.any():
         raise ReaderError(f"agent {tracks.ids[int(flat.argmax())]} has no length or width")
-
-
-def _drop_impossible_states(raw: RecordingTracks, repairs: list[str]) -> None:
-    """Make states invalid whose numbers are not finite or a million metres away, in place."""
-    finite = (
-        np.isfinite(raw.position_m).all(-1)
-        & np.isfinite(raw.velocity_mps).all(-1)
-        & np.isfinite(raw.heading_rad)
-    )
-    near = (np.abs(np.where(finite[..., None], raw.position_m, 0.0)) < FARTHEST_M).all(-1)
-    bad = raw.valid & ~(finite & near)
-    repairs.extend(
-        f"Agent {raw.ids[row]}: {int(bad[row].sum())} states that are not finite numbers, or "
-        "are too far away, were dropped."
-        for row in np.flatnonzero(bad.any(axis=1))
-    )
-    raw.valid = raw.valid & ~bad
-
-
-def _cut_jumps(
-    raw: RecordingTracks, timestamps_s: Floats, now: int, av_id: str, repairs: list[str]
-) -> None:
-    """Where a track jumps it becomes another object's: keep the part at ``now``, in place.
-
-    A track that is not valid at ``now`` keeps its longest part. Raises ReaderError if the AV's
-    track jumps.
-    """
-    both = raw.valid[:, 1:] & raw.valid[:, :-1]
-    moved = np.where(both[..., None], np.diff(raw.position_m[..., :2], axis=1), 0.0)
-    distance = np.hypot(moved[..., 0], moved[..., 1])
-    velocity = np.where(raw.valid[..., None], raw.velocity_mps, 0.0)
-    speed = np.hypot(velocity[..., 0], velocity[..., 1])
-    # A frame that the recorder lost doubles the distance between two steps; its timestamps tell.
-    seconds = np.maximum(np.diff(timestamps_s), DT_S)
-    explained = np.maximum(speed[:, 1:], speed[:, :-1]) * seconds + JUMP_M
-    jumps = (distance > explained) | (distance > FASTEST_MPS * seconds)
-    for row in np.flatnonzero(jumps.any(axis=1)):
-        at = np.flatnonzero(jumps[row])
-        largest = distance[row, at].max()
-        what = f"jumps by up to {largest:.1f} m within a step, first after step {at[0]}"
-        if raw.ids[row] == av_id:
-            raise ReaderError(f"the AV ({av_id}) {what}")
-        start, stop = _part_to_keep(raw.valid[row], at, now)
-        lost = int(raw.valid[row].sum() - raw.valid[row, start:stop].sum())
-        raw.valid[row, :start] = raw.valid[row, stop:] = False
-        repairs.append(
-            f"Agent {raw.ids[row]} {what}; {lost} states before or after the jump were dropped."
-        )
-
-
-def _part_to_keep(valid: Bools, jumps: Ints, now: int) -> tuple[int, int]:
-    borders = [0, *(int(jump) + 1 for jump in jumps), len(valid)]
-    parts = list(itertools.pairwise(borders))
-    if valid[now]:
-        return next(part for part in parts if part[0] <= now < part[1])
-    return max(parts, key=lambda part: int(valid[part[0] : part[1]].sum()))
 
 
 def _finished(raw: RecordingTracks, now: int, av_id: str, repairs: list[str]) -> Tracks:

@@ -81,7 +81,12 @@ class RoadBuilder:
     stop_signs: list[StopSign] = field(default_factory=list)
 
     def lane(self, name: str, kind: LaneKind, xyz: Floats, **known: Any) -> None:
-        """Add a lane; ``known`` are further attributes of `Lane`."""
+        """Add a lane; ``known`` are further attributes of `Lane`.
+
+        Raises ValueError if there is one of this id.
+        """
+        if name in self.lanes:
+            raise ValueError(f"two lanes have the id {name}")
         self.lanes[name] = Lane(id=name, kind=kind, centre_m=xyz[:, :2], z_m=xyz[:, 2], **known)
 
     def line(self, name: str, kind: int, xyz: Floats) -> None:
@@ -113,6 +118,10 @@ class RoadBuilder:
         )
 
 
+TWO_STATES: Final = "{} signal states of a lane that has another one at the same step were used."
+"""What is said where a file has two states of a lane at a step, of which the last one counts."""
+
+
 class SignalsBuilder:
     """Signals of L lanes over T steps: ``state`` and ``seen`` (L, T), ``stop_m`` (L, 3)."""
 
@@ -121,6 +130,12 @@ class SignalsBuilder:
         self.state = np.zeros((len(lane_ids), steps), "uint8")
         self.seen = np.zeros(self.state.shape, bool)
         self.stop_m = np.zeros((len(lane_ids), 3))
+
+    def see(self, row: int, step: int, state: int) -> bool:
+        """Set a state; whether another one was there."""
+        is_other = bool(self.seen[row, step]) and int(self.state[row, step]) != state
+        self.state[row, step], self.seen[row, step] = state, True
+        return is_other
 
     def built(self) -> Signals:
         """The signals as they were filled in."""

@@ -26,6 +26,7 @@ from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import _lane_links, _single_file
 from deepmf_sumo.readers._checks import is_placed
 from deepmf_sumo.readers._recording import (
+    TWO_STATES,
     Recording,
     RecordingTracks,
     RoadBuilder,
@@ -188,6 +189,7 @@ def _radians(
     mean cosine between heading and velocity. If both are alike, numbers beyond a full turn are
     degrees; without such numbers, files with object ids have radians, and all others degrees.
     """
+    valid = valid & np.isfinite(written)
     moving = valid & (np.hypot(velocity[..., 0], velocity[..., 1]) > MOVING_MPS)
     direction = np.arctan2(velocity[..., 1], velocity[..., 0])
     gain = np.cos(np.radians(written) - direction) - np.cos(written - direction)
@@ -222,8 +224,6 @@ def _road(features: Sequence[Described], repairs: list[str]) -> RoadMap:
         element = int(feature.get("map_element_id", -1))
         match feature["type"]:
             case "lane":
-                if name in road.lanes:
-                    raise ValueError(f"two lanes have the id {name}")
                 road.lane(name, lane_kind(element), xyz)
             case "road_line":
                 road.line(name, _kind(element, FIRST_LINE, 8), xyz)
@@ -313,7 +313,7 @@ def _lane_at(light: Described, lanes: Mapping[str, Lane], taken: set[str]) -> st
 def _over_time(rows: Mapping[str, Described], steps: int, repairs: list[str]) -> Signals:
     signals = SignalsBuilder(list(rows), steps)
     strange: set[str] = set()
-    outside = 0
+    outside = changed = 0
     for row, light in enumerate(rows.values()):
         for step, name in zip(light["time_index"], light["state"], strict=True):
             if not 0 <= int(step) < steps:
@@ -321,12 +321,13 @@ def _over_time(rows: Mapping[str, Described], steps: int, repairs: list[str]) ->
                 continue
             if name not in STATES:
                 strange.add(str(name))
-            signals.state[row, int(step)] = STATES.get(name, 0)
-            signals.seen[row, int(step)] = True
+            changed += signals.see(row, int(step), STATES.get(name, 0))
         for axis, key in enumerate(("x", "y", "z")):
             signals.stop_m[row, axis] = light[key][-1] if light.get(key) else 0.0
     if strange:
         repairs.append(f"Unknown signal states were read as unknown: {', '.join(sorted(strange))}.")
+    if changed:
+        repairs.append(TWO_STATES.format(changed))
     if outside:
         repairs.append(f"{outside} signal states of steps that are not recorded were dropped.")
     return signals.built()

@@ -24,6 +24,7 @@ from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import _bounded, _checks, _tfrecord
 from deepmf_sumo.readers._recording import (
     MPS_PER_MPH,
+    TWO_STATES,
     Recording,
     RecordingTracks,
     RoadBuilder,
@@ -120,7 +121,9 @@ def _recording(message: pb.Scenario, source: Source) -> Recording:
     where = f"{source.file} record {source.record}"
     _refuse(message, where)
     ids = [str(track.id) for track in message.tracks]
+    repairs: list[str] = []
     try:
+        road = _road(message.map_features)
         av_id = agent_at(ids, message.sdc_track_index, "sdc_track_index")
         to_predict = tuple(
             agent_at(ids, wanted.track_index, "tracks_to_predict")
@@ -135,11 +138,12 @@ def _recording(message: pb.Scenario, source: Source) -> Recording:
         now=max(message.current_time_index, HISTORY_STEPS - 1),
         timestamps_s=np.fromiter(message.timestamps_seconds, float),
         tracks=_tracks(message, ids),
-        road=_road(message.map_features),
-        signals=_signals(message.dynamic_map_states),
+        road=road,
+        signals=_signals(message.dynamic_map_states, repairs),
         av_id=av_id,
         interest=tuple(str(agent) for agent in message.objects_of_interest),
         to_predict=to_predict,
+        repairs=repairs,
     )
 
 
@@ -189,17 +193,20 @@ def _states(track: pb.Track) -> Floats:
     return np.array(values, float).reshape(-1, 10)
 
 
-def _signals(states: Iterable[pb.DynamicMapState]) -> Signals:
+def _signals(states: Iterable[pb.DynamicMapState], repairs: list[str]) -> Signals:
     per_step = [list(step.lane_states) for step in states]
     rows: dict[int, int] = {}
     for light in (light for step in per_step for light in step):
         rows.setdefault(light.lane, len(rows))
     signals = SignalsBuilder([str(lane) for lane in rows], len(per_step))
+    changed = 0
     for step, lights in enumerate(per_step):
         for light in lights:
             row, point = rows[light.lane], light.stop_point
-            signals.state[row, step], signals.seen[row, step] = light.state, True
+            changed += signals.see(row, step, light.state)
             signals.stop_m[row] = point.x, point.y, point.z
+    if changed:
+        repairs.append(TWO_STATES.format(changed))
     return signals.built()
 
 
