@@ -36,6 +36,13 @@ def own(kind: Kind, name: str) -> bool:
     return name in _own(kind) and all(point.name != name for point in _entry_points(kind))
 
 
+def module_of(kind: Kind, name: str) -> str | None:
+    """The module of a plug-in that is not of this package; None of its own, and of none."""
+    if ":" in name:
+        return name.partition(":")[0]
+    return next((point.module for point in _entry_points(kind) if point.name == name), None)
+
+
 @functools.cache
 def _own(kind: Kind) -> tuple[str, ...]:
     """Names of this package's plug-ins; cached, because folders are slow to list."""

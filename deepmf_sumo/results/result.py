@@ -170,7 +170,8 @@ class Result(TypedDict, total=False):
         method, planner_label, base_method, part: of a plan, see `plans`.
         settings: of planner and adversary, with all defaults.
         setup: the spec of this run alone, of files the names alone.
-        inputs: digests of what the run reads: ``source``, ``weights``, ``planner``, ``adversary``.
+        inputs: digests of what the run reads: ``source``, ``weights``, ``planner``,
+            ``adversary``, ``others`` (code of metrics and readers that is not of this package).
         error: why the run failed.
         refused: a record that cannot be used.
         expectations_broken: sentences of the spec's ``expect``.

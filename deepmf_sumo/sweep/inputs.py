@@ -1,26 +1,30 @@
 """The files that tasks read: whether they are the same as before, and on another machine."""
 
 import hashlib
-import importlib.util
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
-from deepmf_sumo import files
-from deepmf_sumo.errors import SimulationError, UsageError, WeightsError
+from deepmf_sumo import files, plugins
+from deepmf_sumo.errors import UsageError, WeightsError
 from deepmf_sumo.simulation import sumo_options
+from deepmf_sumo.simulation.files_read import files_read
 from deepmf_sumo.spec import FromNetwork, Plugin, Spec
+from deepmf_sumo.sweep import user_code
 from deepmf_sumo.tasks import Task
 
 _READ_BYTES: Final = 2**28
-"""Up to this size files are compared by content, above by their names and sizes."""
+"""Up to this size files are compared by content, above by names and sizes, apart from code."""
 
-
-Use = Literal["source", "weights", "planner", "adversary"]
+Use = Literal["source", "weights", "planner", "adversary", "others"]
 """What a run reads a file for; ``source``: the network and its traffic, or the recording."""
+
+_CLASS: Final = re.compile(r"([A-Za-z_][\w.]*):[A-Za-z_]\w*")
+"""``my_package.my_module:MyPlanner``"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,13 +105,15 @@ def digest(path: Path) -> str:
     """Of a file or of all in a folder; empty where there is none that can be read."""
     try:
         found = list(files.inside(path)) if path.is_dir() else [path]
+        found = [one for one in found if one.parent.name != "__pycache__"]
         sizes = [one.stat().st_size for one in found]
         small = sum(sizes) <= _READ_BYTES
         hasher = hashlib.sha256()
         for file, size in zip(found, sizes, strict=True):
             name = os.fsencode(file.relative_to(path))
             hasher.update(b"%s %d " % (name, size))
-            for piece in files.pieces(file, _READ_BYTES) if small else ():
+            whole = small or file.suffix == ".py"
+            for piece in files.pieces(file, _READ_BYTES) if whole else ():
                 hasher.update(piece)
     except (OSError, ValueError):
         return ""
@@ -117,49 +123,56 @@ def digest(path: Path) -> str:
 def _paths(spec: Spec) -> dict[Use, list[Path]]:
     """The files that a spec's runs read, by what they are for."""
     source = spec.source
-    if isinstance(source, FromNetwork):
-        read = [source.network, *_named(source.network), *_beside(source.sumo_options)]
-    else:
-        read = [source.recording]
+    read = _of_sumo(source) if isinstance(source, FromNetwork) else [source.recording]
     return {
         "source": read,
         "weights": _weights(spec.weights),
-        "planner": list(_of_plugin(spec.planner)),
-        "adversary": list(_of_plugin(spec.adversary)),
+        "planner": list(_of_plugin("planners", spec.planner)),
+        "adversary": list(_of_plugin("adversaries", spec.adversary)),
+        "others": list(_of_others(("metrics", "readers"))),
     }
 
 
-def _of_plugin(choice: Plugin) -> Iterator[Path]:
-    """The module of the user's, and the program or table that its key ``file`` names."""
-    module, colon, _ = choice.name.partition(":")
-    origin = _origin(module) if colon else None
-    if origin is not None:
-        yield origin
-    file = choice.settings.get("file")
-    if isinstance(file, str) and file:
-        yield Path(file).absolute()
+def _of_plugin(kind: plugins.Kind, choice: Plugin) -> Iterator[Path]:
+    """Code of the user's, and what its settings name: other code, programs, tables, folders."""
+    module = plugins.module_of(kind, choice.name)
+    yield from user_code.of_module(module) if module else ()
+    for text in _texts(choice.settings):
+        if match := _CLASS.fullmatch(text):
+            yield from user_code.of_module(match[1])
+            continue
+        path = Path(text).absolute()
+        with suppress(OSError, ValueError):  # a text is rarely a name of a file
+            if path.is_file():
+                yield from user_code.of_program(path)
+            elif os.sep in text.strip(os.sep) and path.is_dir():
+                yield path
 
 
-def _named(config: Path) -> Iterator[Path]:
-    """Files that a .sumocfg names; those that these name in turn are not looked for."""
-    with suppress(SimulationError):
-        yield from _read_by(sumo_options.of_configuration(config), config.parent)
+def _texts(value: object) -> Iterator[str]:
+    """All texts in the settings of a plug-in, at any depth."""
+    inside = value.values() if isinstance(value, Mapping) else value
+    if isinstance(value, str):
+        yield value
+    elif isinstance(inside, Iterable):
+        for one in inside:
+            yield from _texts(one)
 
 
-def _beside(beside: Sequence[str]) -> Iterator[Path]:
-    """Files that SUMO's options beside the configuration name, as ``--name value`` or ``=value``.
+def _of_others(kinds: Sequence[plugins.Kind]) -> Iterator[Path]:
+    """Code of plug-ins that no spec names: metrics are measured, and readers tried, in any case."""
+    for kind in kinds:
+        for name in plugins.names(kind):
+            module = plugins.module_of(kind, name)
+            yield from user_code.of_module(module) if module else ()
 
-    None where they are wrong, which the run says.
-    """
+
+def _of_sumo(source: FromNetwork) -> list[Path]:
+    """What SUMO reads; of options beside the configuration that are wrong the run tells."""
+    beside: dict[str, str] = {}
     with suppress(UsageError):
-        yield from _read_by(sumo_options.parse(beside), Path.cwd())
-
-
-def _read_by(options: Mapping[str, str], folder: Path) -> Iterator[Path]:
-    """Files that SUMO reads for options; their names are as of the folder."""
-    for name, value in options.items():
-        if sumo_options.names_files(name):
-            yield from (path for path in sumo_options.paths(value, folder) if path.is_file())
+        beside = sumo_options.parse(source.sumo_options)
+    return files_read(source.network, beside)
 
 
 def _weights(name: str) -> list[Path]:
@@ -180,12 +193,3 @@ def _weights(name: str) -> list[Path]:
             return []
     kinds = {".json", ".onnx", ".safetensors"}
     return sorted(file for file in folder.glob("*") if file.suffix in kinds)
-
-
-def _origin(module: str) -> Path | None:
-    """The file of a module of the user's."""
-    try:
-        found = importlib.util.find_spec(module)
-    except (ImportError, ValueError):
-        return None
-    return Path(found.origin).absolute() if found and found.origin else None

@@ -13,8 +13,8 @@ from deepmf_sumo.countermeasures.building import build as changed
 from deepmf_sumo.countermeasures.document import Change
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.simulation import sumo_options
+from deepmf_sumo.simulation.files_read import files_read
 from deepmf_sumo.simulation.sumo_config import read_configuration
-from deepmf_sumo.sweep import inputs
 
 from tests.support.tiny_network import build
 
@@ -74,7 +74,7 @@ def test_sumo_and_we_read_the_same(spelling, folder):
     assert found.net == folder / NETS.get(spelling, NET)
     assert found.routes == (folder / ROUTES,)
     assert found.end_s == 2.0
-    assert set(inputs._named(config)) == {found.net, folder / ROUTES}
+    assert set(files_read(config, {})) == {config, found.net, folder / ROUTES}
 
 
 @pytest.mark.sumo

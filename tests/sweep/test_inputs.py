@@ -1,10 +1,12 @@
 """What runs read, told from what else lies beside it."""
 
 import shutil
+import sys
+from importlib import metadata
 
 import pytest
 
-from deepmf_sumo import spec, tasks
+from deepmf_sumo import plugins, spec, tasks
 from deepmf_sumo.sweep.inputs import fingerprinted
 
 from tests.support import tiny_network
@@ -42,6 +44,74 @@ def test_weights_count_but_not_their_curves(tiny, tmp_path):
     assert key() == first
     (weights / "marginal.safetensors").write_bytes(b"2")
     assert key() != first
+
+
+@pytest.mark.parametrize("kind", ["json", "onnx", "safetensors"])
+def test_every_kind_of_weights_counts(tiny, tmp_path, kind):
+    """The light installation has graphs (.onnx) alone."""
+    weights = tmp_path / "mine"
+    weights.mkdir()
+    (weights / f"marginal.{kind}").write_bytes(b"1")
+    path = tiny_network.spec(tiny, "one")
+    sets = [f"weights={weights}"]
+    first, names = read(path, sets)
+    assert f"marginal.{kind}" in names
+    (weights / f"marginal.{kind}").write_bytes(b"2")
+    second, _ = read(path, sets)
+    assert dict(first).keys() == {"source", "weights"}
+    assert dict(first)["source"] == dict(second)["source"]
+    assert dict(first)["weights"] != dict(second)["weights"]
+
+
+PLANNERS = {
+    "a class": "{name: mine_planner:Mine}",
+    "apart": "{name: isolated, planner: mine_planner:Mine}",
+    "a program": "{name: program, file: FOLDER/mine_planner.py}",
+    "a command": "{name: program, command: [python3, FOLDER/mine_planner.py]}",
+}
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_what_a_planner_imports_counts_however_it_is_started(tiny, tmp_path, monkeypatch, planner):
+    for name in ("mine_helper", "mine_planner"):  # of another test's folder
+        sys.modules.pop(name, None)
+    (tmp_path / "mine_helper.py").write_text("CRUISE = 12")
+    (tmp_path / "mine_planner.py").write_text(
+        "from deepmf_sumo.planners.idm import Settings, build as base\n"
+        "import mine_helper\n"
+        "class Mine:\n    Settings = Settings\n    build = staticmethod(base)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tiny_network.spec(tiny, "one")
+    sets = [f"planner={PLANNERS[planner].replace('FOLDER', str(tmp_path))}"]
+    first, names = read(path, sets)
+    assert {"mine_planner.py", "mine_helper.py"} <= names
+    (tmp_path / "mine_helper.py").write_text("CRUISE = 1")
+    second, _ = read(path, sets)
+    assert {use for use in dict(first) if dict(first)[use] != dict(second)[use]} == {"planner"}
+
+
+def test_code_of_installed_plug_ins_counts(tiny, tmp_path, monkeypatch):
+    """A metric is measured in each run; an adversary is named by the spec."""
+    (tmp_path / "mine_plugin.py").write_text(
+        "from deepmf_sumo.adversaries.none import Settings, build\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    known = plugins._entry_points
+
+    def points(kind):
+        point = metadata.EntryPoint("mine", "mine_plugin", f"deepmf_sumo.{kind}")
+        return (*known(kind), *([point] if kind in {"adversaries", "metrics"} else []))
+
+    monkeypatch.setattr(plugins, "_entry_points", points)
+    path = tiny_network.spec(tiny, "one")
+    first, names = read(path, ["adversary=mine"])
+    assert "mine_plugin.py" in names
+    with (tmp_path / "mine_plugin.py").open("a") as file:
+        file.write("# another\n")
+    second, _ = read(path, ["adversary=mine"])
+    changed = {use for use in dict(first) if dict(first)[use] != dict(second)[use]}
+    assert changed == {"adversary", "others"}
 
 
 def test_the_table_that_an_opponent_drives_counts(tiny, tmp_path):
