@@ -7,10 +7,11 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.network.lane_graph import (
-    LaneGraph,
+from deepmf_sumo.errors import ConversionError
+from deepmf_sumo.network.lane_graph import LaneGraph, crossings
+from deepmf_sumo.network.movements import (
     Movement,
-    crossings,
+    TooManyMovementsError,
     inner_lanes,
     lanes_to_pin,
     movements,
@@ -104,15 +105,21 @@ def layout(graph: LaneGraph, signalled: Set[str]) -> Layout:
 
     An edge with both ends at one junction moves inside it, if possible; that may join further
     junctions, so this is repeated until nothing changes. It terminates: each round moves a lane
-    inside for the first time, or pins one as an edge.
+    inside for the first time, or pins one as an edge. Raises ConversionError if lanes of a single
+    point alone make more movements than a junction may have.
     """
     crossing = crossings(graph.shapes)
     # A bridge across a gap is not in the scene: the lanes at its ends stay separate, as edges.
     pinned = {lane_id for pair in graph.gaps for lane_id in pair}
     inside = inner_lanes(graph, crossing, signalled) - pinned
     while True:
-        found = movements(graph, inside)
-        to_pin = lanes_to_pin(graph, inside, found) - pinned
+        try:
+            found = movements(graph, inside)
+            to_pin = lanes_to_pin(graph, inside, found) - pinned
+        except TooManyMovementsError as error:
+            to_pin = set(error.busiest)
+            if not to_pin:  # points alone, which cannot be edges
+                raise ConversionError(f"The junctions of the scene have {error}.") from None
         if to_pin:
             pinned |= to_pin
             inside -= to_pin
