@@ -29,9 +29,9 @@ from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.simulation.av import ShownMotion
 from deepmf_sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.simulation.observation import LiveSignals
 from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.recorder import EpisodeRecord, Recorder
-from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover
 
 _NEAR_M: Final = 150.0

@@ -77,7 +77,8 @@ class NetLink:
 
     Attributes:
         via: the lane inside the junction, or empty.
-        light: the traffic light's id, or empty. index: of the link in it.
+        light: the traffic light's id, or empty. index: of the link in it; -1 if it shows the link
+            nothing, as at the rails of a crossing.
         state, direction: SUMO's letters, e.g. ``M`` has right of way, ``s`` straight on.
     """
 
@@ -91,8 +92,14 @@ class NetLink:
 
     @property
     def onto(self) -> str:
-        """The lane that comes next."""
-        return self.via or self.target
+        """The lane that comes next.
+
+        At a light of a network without lanes inside its junctions a name for the straight way over
+        the junction: links of several lights, or states, lead to one lane behind it.
+        """
+        if self.via or not self.light or self.starts_inside:
+            return self.via or self.target
+        return f":{self.origin}>{self.target}"
 
     @property
     def starts_inside(self) -> bool:
@@ -274,7 +281,7 @@ def _edge(element: ET.Element) -> NetEdge:
         end=element.get("to", ""),
         function=element.get("function", ""),
         type=element.get("type", ""),
-        lanes=tuple(_lane(lane, key) for lane in element.iter("lane")),
+        lanes=tuple(_lane(lane, key, row) for row, lane in enumerate(element.iter("lane"))),
         name=_name(element),
         bidi=element.get("bidi", ""),
     )
@@ -285,12 +292,12 @@ def _name(element: ET.Element) -> str:
     return " ".join(element.get("name", "").split())
 
 
-def _lane(element: ET.Element, edge: str) -> NetLane:
+def _lane(element: ET.Element, edge: str, index: int) -> NetLane:
     allow = element.get("allow")
     return NetLane(
         id=element.get("id", ""),
         edge=edge,
-        index=int(number(element, "index", 0)),
+        index=index,  # as SUMO counts; that in the file is 0 for all lanes of some edges
         speed_mps=number(element, "speed", 13.89),
         length_m=number(element, "length", 0),
         width_m=number(element, "width", 3.2),

@@ -36,6 +36,8 @@ from deepmf_sumo.network.sumo_net import (
 BROKEN_WHITE: Final = 1
 SOLID_DOUBLE_YELLOW: Final = 7
 BOUNDARY: Final = 1
+_SHORTEST_M: Final = 0.1
+"""Length of a lane over a junction whose lanes meet in a point, so that it has a direction."""
 _BESIDE_M: Final = 3.0
 """From the middle of a lane: an edge farther away is not the lane's."""
 MOUTH_M: Final = 1.0
@@ -170,6 +172,8 @@ def _roadway(ring_m: Floats, walking_m: list[Floats]) -> Floats:
     return shapely.get_coordinates(outline)[:-1]
 
 
+_ON_FOOT: Final = {"crossing", "walkingarea"}
+"""Functions of edges for pedestrians alone."""
 _VEHICLES: Final = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")
 _FREEWAY_MPS: Final = 24.0
 """Limits above 86 km/h are those of roads without crossings."""
@@ -183,7 +187,8 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
 
     One lane per SUMO lane that vehicles or bicycles may use, with its id, those inside junctions
     too (``interpolating``). Joins lead over the lanes inside; pedestrian crossings become
-    crosswalks; painted lines and road edges are derived from the lanes' widths.
+    crosswalks; painted lines and road edges are derived from the lanes' widths. Where a network has
+    lights and no lanes inside its junctions, there are straight lanes over them (`NetLink.onto`).
 
     Args:
         net_file: .net.xml or .net.xml.gz.
@@ -199,10 +204,14 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         for lane in edge.lanes
         if (kind := _kind(edge, lane)) and len(lane.shape_m) > 1
     }
+    straight = _straight_lanes(net, lanes)
     after: dict[str, list[str]] = defaultdict(list)
     before: dict[str, list[str]] = defaultdict(list)
     for link in net.links:
-        if link.origin in lanes and link.onto in lanes:
+        if link.onto in straight:
+            after[link.origin].append(link.onto)
+            before[link.target].append(link.onto)
+        elif link.origin in lanes and link.onto in lanes:
             after[link.origin].append(link.onto)
             before[link.onto].append(link.origin)
     lines, edges = borders(net, lanes)
@@ -216,7 +225,8 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
             for edge in net.edges.values()
             for lane in edge.lanes
             if lane.id in lanes
-        },
+        }
+        | straight,
         lines=lines,
         edges=edges,
         polygons=(*_crossings(net), *(shape for file in additional for shape in _polygons(file))),
@@ -242,14 +252,45 @@ def _road_stamped(files: tuple[Path, ...], _stamps: tuple[int, ...]) -> RoadMap:
 def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:
     """Links of traffic lights, by the lane behind the light: a lane of the net's road map.
 
+    A lane has one link: it begins at one light. A link may have a second light in the middle of the
+    junction. Those of pedestrian crossings are left out.
+
     Raises SimulationError if the file cannot be read or is not a SUMO network.
     """
-    links: dict[str, list[SignalLink]] = defaultdict(list)
-    for link in read_once(net_file).links:
-        # Connections that start inside a junction are for pedestrians.
-        if link.light and not link.starts_inside:
-            links[link.onto].append(SignalLink(light=link.light, index=link.index))
-    return {lane_id: tuple(row) for lane_id, row in links.items()}
+    net = read_once(net_file)
+    foot = {name for name, edge in net.edges.items() if edge.function in _ON_FOOT}
+    return {
+        link.onto: (SignalLink(light=link.light, index=link.index),)
+        for link in net.links
+        if link.light and link.index >= 0 and not foot.intersection(link.edges)
+    }
+
+
+def _straight_lanes(net: NetFile, kinds: dict[str, LaneKind]) -> dict[str, Lane]:
+    """Lanes over junctions that have lights and no lanes inside, by name."""
+    of_id = {lane.id: lane for edge in net.edges.values() for lane in edge.lanes}
+    found = {}
+    for link in net.links:
+        known = link.origin in kinds and link.target in kinds
+        if not known or link.onto in (link.via, link.target):
+            continue
+        origin, target = of_id[link.origin], of_id[link.target]
+        line = np.stack([origin.shape_m[-1], target.shape_m[0]])
+        if np.hypot(*(line[1] - line[0])[:2]) < _SHORTEST_M:
+            way = origin.shape_m[-1] - origin.shape_m[-2]
+            line[1] = line[0] + _SHORTEST_M * way / max(float(np.hypot(*way[:2])), 1e-9)
+        found[link.onto] = Lane(
+            id=link.onto,
+            kind=kinds[link.target],
+            centre_m=line[:, :2],
+            z_m=line[:, 2],
+            interpolating=True,
+            width_m=min(origin.width_m, target.width_m),
+            speed_limit_mps=min(origin.speed_mps, target.speed_mps),
+            next=(target.id,),
+            previous=(origin.id,),
+        )
+    return found
 
 
 def _kind(edge: NetEdge, lane: NetLane) -> LaneKind | None:

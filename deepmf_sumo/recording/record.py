@@ -14,8 +14,8 @@ from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.recording.driver_population import DriverMix
 from deepmf_sumo.recording.scenes import Moment, Recording, Scenes
+from deepmf_sumo.simulation.observation import LiveSignals
 from deepmf_sumo.simulation.road_users import TrafficReader
-from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi, running
 from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
 
@@ -105,7 +105,8 @@ def slow_down(api: SumoApi, road: RoadMap) -> None:
     """Lower the speed limit of each lane with bends to a comfortable speed."""
     for lane in road.lanes.values():
         speed = _comfortable(lane)
-        if speed < api.lane.getMaxSpeed(lane.id):
+        # a straight lane may be one that SUMO does not have
+        if np.isfinite(speed) and speed < api.lane.getMaxSpeed(lane.id):
             api.lane.setMaxSpeed(lane.id, speed)
 
 

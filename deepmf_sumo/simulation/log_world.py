@@ -25,9 +25,9 @@ from deepmf_sumo.simulation.av import Av, ShownMotion, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.ignored_vehicles import IgnoredVehicles
 from deepmf_sumo.simulation.log_plan import Log, check_route, log_of, recorded_body, recorded_frame
+from deepmf_sumo.simulation.observation import ReplayedSignals
 from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.ownership import LogOwner, NextOwner
-from deepmf_sumo.simulation.signals import ReplayedSignals
 from deepmf_sumo.simulation.sumo_api import (
     ANY_ROUTE,
     AV_TYPE,

@@ -23,10 +23,10 @@ from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.network.sumo_road import signal_links
 from deepmf_sumo.simulation.av import Av, read_pose
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.simulation.observation import LiveSignals
 from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.ownership import NextOwner
 from deepmf_sumo.simulation.road_users import TrafficReader, on_foot
-from deepmf_sumo.simulation.signals import LiveSignals
 from deepmf_sumo.simulation.sumo_api import AV_TYPE, Backend, SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
 from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover

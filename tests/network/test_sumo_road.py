@@ -175,8 +175,8 @@ def test_a_missing_net_is_an_error_that_names_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        (' index="0"', ' index="inf"', "index of <lane> .* is 'inf', not a number"),
-        (' index="0"', ' index="1e400"', "index of <lane> .* is '1e400', not a number"),
+        (' speed="13.00"', ' speed="inf"', "speed of <lane> .* is 'inf', not a number"),
+        (' speed="13.00"', ' speed="1e400"', "speed of <lane> .* is '1e400', not a number"),
         (' speed="13.00"', ' speed="fast"', "speed of <lane> .* is 'fast', not a number"),
         (' linkIndex="0"', ' linkIndex="x"', "linkIndex of <connection> .* is 'x', not a number"),
         (' shape="', ' shape="a,b ', "the shape 'a,b .* is not a list of x,y or x,y,z"),

@@ -9,7 +9,7 @@ import pytest
 from deepmf_sumo.datatypes import SignalLink, SignalState
 from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
 from deepmf_sumo.simulation import network_case, simulate
-from deepmf_sumo.simulation.signals import LiveSignals
+from deepmf_sumo.simulation.observation import LiveSignals
 
 from tests.support import tiny_network
 from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road

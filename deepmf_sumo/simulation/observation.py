@@ -102,11 +102,11 @@ class LiveSignals:
         self._links = links
 
     def states(self) -> dict[str, SignalState]:
-        """The current states, by lane id; of several links of a lane the first counts."""
+        """The current states, by lane id; a lane begins at one light (`signal_links`)."""
         lights: dict[str, str] = {}
         states = {}
         for lane, links in self._links.items():
-            link = links[0]
+            (link,) = links
             if link.light not in lights:
                 lights[link.light] = self._api.trafficlight.getRedYellowGreenState(link.light)
             if link.index < len(lights[link.light]):  # a program may have fewer states than links
