@@ -159,7 +159,7 @@ def _of_planner(run: Run) -> Failure | None:
 def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) -> Failure:
     tracks = rollout.tracks
     meeting = Meeting.of(tracks, (contact.first_id, contact.second_id), contact.step, road)
-    onset = first = max(rollout.now, meeting.since)
+    onset = first = max(_begin(run, rollout), meeting.since)
     if first < contact.step:
         onset = onset_of(rollout, run.unattacked(), meeting.other, first, contact.step)
     turned = meeting.turned()
@@ -186,6 +186,13 @@ def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) 
         opponent="car" if tracks.size_m[meeting.other, 0] < _LONG_M else "truck or bus",
         ran_red=bool(run.metric("red_light")),
     )
+
+
+def _begin(run: Run, rollout: Rollout) -> int:
+    """Step at which the attack that hit began: of opponents in turn that of its turn."""
+    turns = run.result["turns"] or []
+    hit = next((one for one in turns if one["ended"] == "contact"), None)
+    return rollout.now + (round(hit["begin_s"] / rollout.dt_s) if hit else 0)
 
 
 def _action(tracks: Tracks, av: int, onset: int, contact: int, road: RoadMap | None) -> Action:

@@ -367,6 +367,21 @@ def test_failures_of_a_result_folder(folder):
     assert failure.conflict in words._CAREFUL
 
 
+@pytest.mark.sumo
+def test_the_onset_of_a_turn_is_not_before_it(tmp_path):
+    """The opponent was elsewhere since 0.3 s; its turn began at 1.5 s."""
+    made = Folder(tmp_path)
+    made.add("one", speed=14.0)
+    (run,) = Results.open(made.out).runs
+    assert failure_of(run).onset_s == pytest.approx(3.0 - 0.3)
+    turn = {"opponent": "b", "begin_s": 1.5, "end_s": 3.0, "ended": "contact",
+            "outcome": "av_opponent", "hit_speed_mps": 1.0, "metrics": {}}  # fmt: skip
+    file = run.folder / "result.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"turns": [turn]}))
+    (run,) = Results.open(made.out).runs
+    assert failure_of(run).onset_s == pytest.approx(1.5)
+
+
 def test_a_run_that_cannot_be_read_is_named(folder, capsys):
     file = folder / "runs" / "00-one" / "tracks.csv.gz"
     files.write(file, file.read_bytes()[:40])

@@ -1,0 +1,1 @@
+"""How attacks in the traffic of SUMO are judged, now and before."""
