@@ -317,6 +317,8 @@ def announce_moments(request: Request, found: Found) -> None:
         click.echo(shown(f"{name} {steps}"), err=True)
     if not found.moments:
         click.echo(shown(f"no vehicle to attack in {name}: {found.reason}"))
+        for line in found.notes:
+            click.echo(shown(line), err=True)
         return
     span = f"{found.begin_s:g} to {found.until_s:g} s"
     limit = "the limit of vehicle steps is reached; " * (request.scouting.until_s is None)

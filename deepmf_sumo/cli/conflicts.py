@@ -135,6 +135,7 @@ def _about(wanted: "Survey", limits: "Limits", seen: "Observation") -> dict[str,
         "road_user_steps": seen.user_steps,
         "conflicts": len(seen.conflicts),
         "left_out": dict(seen.left_out),
+        "sumo_warnings": list(seen.warnings),
     }
 
 
@@ -189,7 +190,7 @@ def _show(
     lines += [
         f"not counted: {counted(count, 'encounter')} {why}" for why, count in seen.left_out.items()
     ]
-    for line in lines:
+    for line in (*lines, *seen.warnings):
         console.print(screen.escape(line), soft_wrap=True)
     if sites:
         beside = _BESIDE if sites[0].beside is not None else ()

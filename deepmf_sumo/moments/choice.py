@@ -63,6 +63,7 @@ def choose(
             )
     if wish.again and len(moments) < wish.count and not none_at_all:
         reason = "the other vehicles are not there at their times, or no vehicle is near them"
+    said = sightings.warnings
     return Found(
         moments=tuple(sorted(moments, key=lambda one: (one.start_s, one.av))),
         suitable=len(rows),
@@ -73,7 +74,7 @@ def choose(
         reason=reason,
         from_s=from_s,
         from_why=why,
-        notes=_notes(sightings, wish, rows, met) if moments and met else (),
+        notes=(*(_notes(sightings, wish, rows, met) if moments and met else ()), *said),
     )
 
 

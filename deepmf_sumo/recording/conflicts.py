@@ -74,6 +74,7 @@ class Observation:
         users: number of road users. user_steps: of their steps of 0.1 s.
         left_out: encounters that are not conflicts, by reason.
         driven: for each lane, the road users (by number) that were on it.
+        warnings: SUMO's, see `simulation.sumo_words`.
     """
 
     begin_s: float
@@ -84,6 +85,7 @@ class Observation:
     conflicts: tuple[Observed, ...]
     left_out: Mapping[str, int]
     driven: Mapping[str, tuple[int, ...]]
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,6 +194,7 @@ def observation(seen: Surveyed, limits: Limits) -> Observation:
         conflicts=tuple(_observed(seen, one) for one in found.conflicts),
         left_out=found.left_out,
         driven=driven,
+        warnings=seen.warnings,
     )
 
 

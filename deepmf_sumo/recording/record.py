@@ -14,6 +14,7 @@ from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.recording.driver_population import DriverMix
 from deepmf_sumo.recording.scenes import Moment, Recording, Scenes
+from deepmf_sumo.simulation import sumo_words
 from deepmf_sumo.simulation.observation import LiveSignals
 from deepmf_sumo.simulation.road_users import TrafficReader
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi, running
@@ -48,7 +49,8 @@ def record(recording: Recording) -> Iterator[Scene]:
     rng = np.random.default_rng(recording.seed)
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         mix = DriverMix(Path(folder) / "drivers.add.xml", rng) if recording.diverse else None
-        with running(_arguments(configuration, recording, mix)) as api:
+        arguments = [*_arguments(configuration, recording, mix), *sumo_words.to_file(Path(folder))]
+        with running(arguments, folder=Path(folder)) as api:
             yield from _scenes(api, recording, configuration, road, mix, rng)
 
 

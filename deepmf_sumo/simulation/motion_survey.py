@@ -1,7 +1,7 @@
 """How all road users of a SUMO configuration move at each step, without attacks."""
 
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -53,7 +53,7 @@ class Surveyed:
         until_s: time of the last step. complete: the configuration ends there, or all have left.
         names, types: of the V road users; persons have their own types. A vehicle that bends is
             several, one after the other.
-        lanes: names of the L lanes.
+        lanes: names of the L lanes. warnings: SUMO's, see `sumo_words`.
     """
 
     begin_s: float
@@ -63,6 +63,7 @@ class Surveyed:
     types: tuple[str, ...]
     lanes: tuple[str, ...]
     motions: Motions
+    warnings: tuple[str, ...] = ()
 
 
 def survey(wanted: Survey) -> Surveyed:
@@ -73,7 +74,8 @@ def survey(wanted: Survey) -> Surveyed:
     configuration = read_configuration(wanted.config, wanted.sumo_options)
     ends = [one for one in (configuration.end_s, wanted.until_s) if one is not None]
     until = min(ends, default=np.inf)
-    with begun(Traffic(configuration=configuration, seed=wanted.seed)) as api:
+    warned: list[str] = []
+    with begun(Traffic(configuration=configuration, seed=wanted.seed), warned=warned) as api:
         if wanted.from_s is not None and wanted.from_s > api.simulation.getTime() + DT_S / 2:
             api.simulationStep(wanted.from_s)
         notes = _Notes(api)
@@ -94,7 +96,7 @@ def survey(wanted: Survey) -> Surveyed:
             f"no vehicle drove in '{wanted.config}' from {begin:g} to {now:g} s, so there are no"
             " conflicts to look for; choose other times, or give it traffic."
         )
-    return notes.surveyed(begin, now, complete=complete)
+    return replace(notes.surveyed(begin, now, complete=complete), warnings=tuple(warned))
 
 
 @dataclass

@@ -13,6 +13,7 @@ from typing import Any, Final, Literal, Protocol, cast
 
 from deepmf_sumo.datatypes import VehicleModel
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.simulation import sumo_words
 
 Backend = Literal["libsumo", "traci", "gui"]
 
@@ -64,11 +65,19 @@ class SumoApi(Protocol):
 
 @contextmanager
 def running(
-    arguments: Sequence[str], backend: Backend = "libsumo", *, runs_already: bool = False
+    arguments: Sequence[str],
+    backend: Backend = "libsumo",
+    *,
+    folder: Path | None = None,
+    runs_already: bool = False,
 ) -> Iterator[SumoApi]:
     """SUMO from start to end; its errors inside the context are raised as SimulationError.
 
-    ``runs_already``: it was started with these arguments, and is at the wanted time.
+    Args:
+        arguments: of the command line.
+        backend: how it is run.
+        folder: where the arguments let it write its messages (`sumo_words`).
+        runs_already: it was started with these arguments, and is at the wanted time.
     """
     api = _api(backend)
     refusals = (api.TraCIException, api.FatalTraCIError)
@@ -82,7 +91,8 @@ def running(
     except refusals as error:
         # repr() of libsumo's errors is the name of a wrapper object; str() is the message
         reason = str(error).strip() if started else _why_not(arguments, str(error).strip())
-        raise SimulationError(f"SUMO refused{_what(arguments)}: {reason}") from error
+        words = reason if folder is None else sumo_words.before(reason, folder)
+        raise SimulationError(f"SUMO refused{_what(arguments)}: {words}") from error
     finally:
         with suppress(*refusals):
             api.close()

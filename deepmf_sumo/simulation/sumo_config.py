@@ -17,7 +17,7 @@ from typing import Final
 
 from deepmf_sumo.datatypes import TrafficCase, VehicleModel
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation import sumo_options
+from deepmf_sumo.simulation import sumo_options, sumo_words
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, Backend, SumoApi, running, write_types
 
 SUMO_SEED: Final = 23423
@@ -174,6 +174,7 @@ class _Held:
 
     traffic: Traffic
     arguments: list[str]
+    folder: Path
     api: SumoApi
     ending: ExitStack
     process: int
@@ -183,18 +184,40 @@ _held: _Held | None = None  # libsumo is one simulation a process
 
 
 @contextmanager
-def begun(traffic: Traffic, backend: Backend = "libsumo") -> Iterator[SumoApi]:
-    """SUMO with the traffic: the one that is held, if it has the same, else started anew."""
+def begun(
+    traffic: Traffic, backend: Backend = "libsumo", warned: list[str] | None = None
+) -> Iterator[SumoApi]:
+    """SUMO with the traffic: the one that is held, if it has the same, else started anew.
+
+    ``warned`` gets the warnings of a SUMO that was started anew, when it has ended.
+    """
     global _held  # noqa: PLW0603
     held = _held
     if held and held.traffic == traffic and backend == "libsumo":
         _held = None
-        with running(held.arguments, runs_already=True) as api:
+        with (
+            _messages(held) as folder,
+            running(held.arguments, folder=folder, runs_already=True) as api,
+        ):
             yield api
         return
     release()
-    with _arguments(traffic) as arguments, running(arguments, backend) as api:
-        yield api
+    with _arguments(traffic) as (arguments, folder):
+        with running(arguments, backend, folder=folder) as api:
+            yield api
+        if warned is not None:
+            warned += sumo_words.warnings_in(folder)
+
+
+@contextmanager
+def _messages(held: _Held) -> Iterator[Path]:
+    """Where a SUMO that was held writes its messages: copies of it do not share a file."""
+    if held.process == os.getpid():
+        yield held.folder
+        return
+    with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
+        sumo_words.divert(held.folder, Path(folder))
+        yield Path(folder)
 
 
 def hold(case: TrafficCase, model: VehicleModel | None) -> None:
@@ -210,19 +233,20 @@ def hold(case: TrafficCase, model: VehicleModel | None) -> None:
     if not (_held and _held.traffic == traffic and _held.api.simulation.getTime() <= until_s):
         release()
         with ExitStack() as ending:
-            arguments = ending.enter_context(_arguments(traffic))
-            api = ending.enter_context(running(arguments))
+            arguments, folder = ending.enter_context(_arguments(traffic))
+            api = ending.enter_context(running(arguments, folder=folder))
             _held = _Held(
-                traffic=traffic, arguments=arguments, api=api, ending=ending.pop_all(),
-                process=os.getpid(),
+                traffic=traffic, arguments=arguments, folder=folder, api=api,
+                ending=ending.pop_all(), process=os.getpid(),
             )  # fmt: skip
     api = _held.api
     try:
         if api.simulation.getTime() < until_s:
             api.simulationStep(until_s)
     except (api.TraCIException, api.FatalTraCIError) as error:
+        reason = sumo_words.before(str(error), _held.folder)
         release()
-        raise SimulationError(f"SUMO does not come to {until_s:g} s: {error}") from error
+        raise SimulationError(f"SUMO does not come to {until_s:g} s: {reason}") from error
 
 
 def release() -> None:
@@ -236,22 +260,28 @@ def release() -> None:
 
 
 @contextmanager
-def _arguments(traffic: Traffic) -> Iterator[list[str]]:
+def _arguments(traffic: Traffic) -> Iterator[tuple[list[str], Path]]:
     """Arguments for SUMO: the traffic up to the start does not depend on the purpose of the run.
 
-    Outputs of the configuration go to a temporary folder: else parallel runs would write into one
-    another's files, and over the user's.
+    Outputs of the configuration go to a temporary folder, which is given, too: else parallel runs
+    would write into one another's files, and over the user's.
     """
     configuration = traffic.configuration
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         types = write_types(Path(folder) / "types.add.xml", traffic.model)
         additional = ",".join(str(path) for path in (*configuration.additional, types))
-        yield [
-            *("-c", str(configuration.file)),
-            *configuration.options,
-            *("--additional-files", additional),
-            *("--seed", str(traffic.seed)),
-            *("--random", "false"),
-            *("--output-prefix", f"{_TO_ROOT}{folder.lstrip('/')}/"),
-            *STEP_OPTIONS,
-        ]
+        prefix = f"{_TO_ROOT}{folder.lstrip('/')}/"
+        heard = sumo_words.OPTION in configuration.options  # the user's own goes there, too
+        yield (
+            [
+                *("-c", str(configuration.file)),
+                *configuration.options,
+                *("--additional-files", additional),
+                *("--seed", str(traffic.seed)),
+                *("--random", "false"),
+                *("--output-prefix", prefix),
+                *(() if heard else sumo_words.to_file(Path(folder), prefix)),
+                *STEP_OPTIONS,
+            ],
+            Path(folder),
+        )

@@ -87,6 +87,7 @@ class Sightings:
         to_end_m: (K) left of the edge; 0 inside the junction at its end, and there alone.
         parked: (K).
         projected_m: the corners that were asked for, in the network's frame.
+        warnings: SUMO's, see `sumo_words`.
     """
 
     begin_s: float
@@ -105,6 +106,7 @@ class Sightings:
     speed_mps: Floats
     parked: Bools
     projected_m: tuple[tuple[float, float], ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def scout(scouting: Scouting) -> Sightings:
@@ -113,10 +115,12 @@ def scout(scouting: Scouting) -> Sightings:
     Raises SimulationError, with SUMO's own message, if it cannot be run.
     """
     configuration = read_configuration(scouting.config, scouting.sumo_options)
-    with begun(Traffic(configuration=configuration, seed=scouting.seed)) as api:
+    warned: list[str] = []
+    with begun(Traffic(configuration=configuration, seed=scouting.seed), warned=warned) as api:
         corners = (api.simulation.convertGeo(*one, fromGeo=True) for one in scouting.corners)
         projected = tuple((float(x), float(y)) for x, y in corners)
-        return replace(_scout(api, scouting, configuration), projected_m=projected)
+        sightings = _scout(api, scouting, configuration)
+    return replace(sightings, projected_m=projected, warnings=tuple(warned))
 
 
 class Growth(NamedTuple):

@@ -139,9 +139,9 @@ def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_
         "planned =",
         "from deepmf_sumo.simulation import sumo_config\n"
         "taken, begun = [], sumo_config.running\n"
-        "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
+        "def noted(arguments, backend='libsumo', *, runs_already=False, **more):\n"
         f"    open({str(used)!r}, 'a').write('held ' if runs_already else 'anew ')\n"
-        "    return begun(arguments, backend, runs_already=runs_already)\n"
+        "    return begun(arguments, backend, runs_already=runs_already, **more)\n"
         "sumo_config.running = noted\nplanned =",
     )
     command = [
@@ -263,9 +263,9 @@ def test_sumo_is_started_in_copies_alone(tiny, tmp_path):
     watched = COUNTED.replace(
         "planned =",
         "import os\nfrom deepmf_sumo.simulation import sumo_config\nrunning = sumo_config.running\n"
-        "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
+        "def noted(arguments, backend='libsumo', *, runs_already=False, **more):\n"
         f"    runs_already or open({str(started)!r}, 'a').write(f'{{os.getpid()}} ')\n"
-        "    return running(arguments, backend, runs_already=runs_already)\n"
+        "    return running(arguments, backend, runs_already=runs_already, **more)\n"
         "sumo_config.running = noted\nprint(os.getpid())\nplanned =",
     )
     source = "{{network: tiny.sumocfg, start_s: {}, av: {{vehicle: av}}}}"
@@ -298,9 +298,9 @@ def test_episodes_of_one_run_begin_from_one_sumo_and_do_what_others_do(tiny, tmp
     watched = COUNTED.replace(
         "planned =",
         "from deepmf_sumo.simulation import sumo_config\nrunning = sumo_config.running\n"
-        "def noted(arguments, backend='libsumo', *, runs_already=False):\n"
+        "def noted(arguments, backend='libsumo', *, runs_already=False, **more):\n"
         f"    open({str(started)!r}, 'a').write('held ' if runs_already else 'anew ')\n"
-        "    return running(arguments, backend, runs_already=runs_already)\n"
+        "    return running(arguments, backend, runs_already=runs_already, **more)\n"
         "sumo_config.running = noted\nplanned =",
     )
     here = COUNTED.replace(
