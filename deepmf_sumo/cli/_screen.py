@@ -119,6 +119,8 @@ def progress() -> Iterator[Callable[[Progress], None]]:
     def report(now: Progress) -> None:
         if now.again and not (now.last or now.lost):
             console.print(escape(_again(now)), soft_wrap=True)
+        for line in _others(now) if not (now.last or now.lost) else ():
+            console.print(escape(line), soft_wrap=True)
         for line in now.unwritten:
             console.print(escape(line), soft_wrap=True)
         last = f"{now.last['run_id']}, {_outcome(now.last)}" if now.last else ""
@@ -166,6 +168,26 @@ def _again(now: Progress) -> str:
         f"{now.again} runs that succeeded before are done again: their spec, the version or the"
         f" files that they read have changed{': ' * bool(which)}{which}"
     )
+
+
+def _others(now: Progress) -> Iterator[str]:
+    """What the folder has beside the runs of this command."""
+    from deepmf_sumo.report.table import counted
+
+    if now.others:
+        yield f"{counted(now.others, 'run')} of earlier commands in the folder: kept in its tables"
+    if now.unbegun:
+        yield (
+            f"{counted(now.unbegun, 'run')} of other specs in the folder: never begun; name these"
+            " specs with --resume"
+        )
+    if now.stale:
+        named = ", ".join(now.stale[:3]) + ", ..." * (len(now.stale) > 3)
+        yield (
+            f"{counted(len(now.stale), 'run')} of earlier commands in the folder: in no table any"
+            f" more, since the version or files that they read have changed ({named}); name their"
+            " specs with --resume to do them again"
+        )
 
 
 _BEFORE_GUESSING: Final = 5

@@ -407,20 +407,28 @@ def _against(adversary: Plugin, moment: Moment) -> Plugin:
     return Plugin(name=adversary.name, **settings)
 
 
-def table(chosen: Iterable[tuple[str, Moment]]) -> str:
-    """``moments.csv``, from run ids and their moments."""
-    rows = [{"run_id": run_id, **asdict(moment)} for run_id, moment in chosen]
+def rows(chosen: Iterable[tuple[str, Moment]]) -> list[dict[str, Any]]:
+    """Rows of ``moments.csv``, from run ids and their moments."""
+    return [{"run_id": run_id, **asdict(moment)} for run_id, moment in chosen]
+
+
+def table(rows: Iterable[Mapping[str, Any]]) -> str:
+    """``moments.csv``."""
     names = ["run_id", *(field.name for field in fields(Moment))]
     return tables.to_csv(rows, names, cell=tables.exact)
 
 
-def flow_table(found: Iterable[tuple[Spec, Found]]) -> str:
-    """``flow.csv``, from specs and what was found: vehicles at each place, and hours."""
-    rows = [
+def flow_rows(found: Iterable[tuple[Spec, Found]]) -> list[dict[str, Any]]:
+    """Rows of ``flow.csv``, from specs and what was found: vehicles at each place, and hours."""
+    return [
         {"spec": spec.name, "network": _network(spec), **asdict(flow), "hours": round(one.hours, 5)}
         for spec, one in found
         for flow in one.flows
     ]
+
+
+def flow_table(rows: Iterable[Mapping[str, Any]]) -> str:
+    """``flow.csv``."""
     names = ["spec", "network", *(field.name for field in fields(Flow)), "hours"]
     return tables.to_csv(rows, names, cell=tables.exact)
 

@@ -84,14 +84,25 @@ def _noting(
     options: batch.Options,
     report: Report,
 ) -> Report:
-    """The report, which also writes moments and flows as soon as the folder is there, and empty."""
-    table = moments.table((run_id, one) for run_id, one in chosen if one)
-    flow = moments.flow_table(traffic)
+    """The report, which also writes moments and flows as soon as the folder is there, and empty.
+
+    Those of runs of earlier commands that a resumed folder keeps stay.
+    """
+    mine = [(run_id, one) for run_id, one in chosen if one]
+    specs = {spec.name for spec, _ in traffic}
+    rows, flows = moments.rows(mine), moments.flow_rows(traffic)
 
     def tell(progress: Progress) -> None:
         if progress.last is None:
-            files.write(options.out / stored.MOMENTS, table)
-            files.write(options.out / stored.FLOW, flow)
+            out = options.out
+            kept = stored.keys_of(out).keys() - {run_id for run_id, _ in mine}
+            earlier, passed = {}, []
+            if kept:
+                earlier, passed = stored.moments_of(out), stored.flows_of(out)
+            before = [row for run_id, row in earlier.items() if run_id in kept]
+            passed = [row for row in passed if row["spec"] not in specs]
+            files.write(out / stored.MOMENTS, moments.table([*rows, *before]))
+            files.write(out / stored.FLOW, moments.flow_table([*flows, *passed]))
         report(progress)
 
     return tell

@@ -199,7 +199,7 @@ class Store:
             files.write(self.out / result.TABLE, by_turn)
         files.write_json(self.out / "summary.json", summary(results, interrupted=interrupted))
         if junit_too:
-            junit.write(self.out / "junit.xml", results)
+            junit.write(self.out / junit.FILE, results)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET  # written, never parsed
 from deepmf_sumo import files
 from deepmf_sumo.results.result import Result
 
+FILE: Final = "junit.xml"
 Kind = Literal["failure", "error", "skipped"]
 
 _FORBIDDEN: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

@@ -10,7 +10,7 @@ from deepmf_sumo import errors
 from deepmf_sumo import tasks as tasks_module
 from deepmf_sumo.errors import Ending, UsageError
 from deepmf_sumo.files import cache_folder
-from deepmf_sumo.results import exports, stored
+from deepmf_sumo.results import exports, junit, stored
 from deepmf_sumo.results import result as result_module
 from deepmf_sumo.results.folder import Store, opened
 from deepmf_sumo.results.reader import Run
@@ -18,12 +18,15 @@ from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec import Expect, Spec
 from deepmf_sumo.sweep import episode, fork, shards
 from deepmf_sumo.sweep.inputs import Input, fingerprinted
+from deepmf_sumo.sweep.others import Others
+from deepmf_sumo.sweep.others import others as find_others
 from deepmf_sumo.sweep.ray_cluster import Cluster
 from deepmf_sumo.sweep.shards import Shard
 from deepmf_sumo.sweep.workers import Executor, Finished, Limits, Local
 from deepmf_sumo.tasks import Task
 
 _ADDRESS: Final = re.compile(r"ray://(\[[0-9a-fA-F:]+\]|[^\s:/]+)(?::(\d{1,5}))?/?")
+_NONE: Final = Others()
 _CLIENT_PORT: Final = 10001
 """Of Ray's own for programs outside the cluster."""
 
@@ -98,6 +101,9 @@ class Progress:
         again: successful runs of an earlier batch that are repeated, since their spec or version
             differs, or files that they read have changed.
         changed: files that an earlier batch read with other content.
+        others, unbegun: runs of other commands in the folder that are kept, and that have no
+            result.
+        stale: ids of runs of other commands that are in no table any more.
         unwritten: why ``last``, or at first a run that is kept, is missing in a format.
     """
 
@@ -107,6 +113,9 @@ class Progress:
     lost: int = 0
     again: int = 0
     changed: tuple[str, ...] = ()
+    others: int = 0
+    unbegun: int = 0
+    stale: tuple[str, ...] = ()
     unwritten: tuple[str, ...] = ()
     last: Result | None = None
 
@@ -135,21 +144,26 @@ def run_tasks(
     every, read = fingerprinted(planned)
     mine = options.shard.choose(every) if options.shard else every
     with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
-        changed = begin(store, mine, options, read)
+        others = find_others(store, mine) if options.resume else Others()
+        changed = begin(store, mine, options, read, others)
         shards.note(options.out, every if options.shard else None)
-        return fill(store, mine, options, report, changed=changed)
+        return fill(store, mine, options, report, changed=changed, others=others)
 
 
 def begin(
-    store: Store, planned: Sequence[Task], options: Options, read: Sequence[Input]
+    store: Store,
+    planned: Sequence[Task],
+    options: Options,
+    read: Sequence[Input],
+    others: Others = _NONE,
 ) -> tuple[str, ...]:
     """Write the manifest, with what may differ between equal batches in a part of its own.
 
-    ``read`` is what the runs read. Returns the files that an earlier batch of the folder read with
-    other content.
+    ``read`` is what the runs read; ``others`` are runs that the folder has beside them. Returns the
+    files that an earlier batch of the folder read with other content.
     """
     before = stored.inputs_of(store.out)
-    now = {str(one.path): one.digest for one in read}
+    now = {str(one.path): one.digest for one in (*others.read, *read)}
     machine = {
         "executor": options.executor,
         "jobs": options.jobs,
@@ -157,9 +171,9 @@ def begin(
         "inputs": now,
     }
     store.manifest(
-        {task.run_id: task.key for task in planned},
+        others.keys | {task.run_id: task.key for task in planned},
         machine,
-        {task.run_id: result_module.identity(task) for task in planned},
+        others.planned | {task.run_id: result_module.identity(task) for task in planned},
     )
     return tuple(path for path, got in before.items() if now.get(path, got) != got)
 
@@ -172,10 +186,12 @@ def fill(
     *,
     queue: Callable[[Task], Any] | None = None,
     changed: tuple[str, ...] = (),
+    others: Others = _NONE,
 ) -> list[Result]:
     """Do the tasks that have no result yet, and write the tables, in a folder with a manifest.
 
-    Runs start in the order of the key ``queue``; ``changed`` is that of `begin`.
+    Runs start in the order of the key ``queue``; ``changed`` is that of `begin`. The tables have
+    ``others``, too; the results are of the tasks alone.
     """
     before = {task.run_id: result for task in planned if (result := store.earlier(task))}
     found = {
@@ -184,7 +200,7 @@ def fill(
         if task.run_id in before and before[task.run_id]["key"] == task.key
     }
     left = [task for task in planned if task.run_id not in found]
-    if left:
+    if left or others.stale:
         store.forget_views()
     if queue:
         left.sort(key=queue)
@@ -196,6 +212,9 @@ def fill(
         kept=len(found),
         again=len(before) - len(found),
         changed=changed,
+        others=others.kept,
+        unbegun=others.unbegun,
+        stale=others.stale,
         unwritten=tuple(one for kept in found.values() for one in _unwritten(store, options, kept)),
     )
     report(now)
@@ -213,7 +232,9 @@ def fill(
         found |= _unheard(store, [task for task in left if task.run_id not in found])
         results = [found[task.run_id] for task in planned if task.run_id in found]
         expects = any(task.spec.expect != Expect() for task in planned)
-        store.finish(results, junit_too=options.junit or expects, interrupted=interrupted)
+        junit_too = options.junit or expects or (store.out / junit.FILE).is_file()
+        every = [*others.before, *results, *others.after]
+        store.finish(every, junit_too=junit_too, interrupted=interrupted)
     return results
 
 

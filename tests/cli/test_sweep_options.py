@@ -218,6 +218,53 @@ def test_a_spec_whose_runs_never_began_is_no_verdict(specs, whole, tmp_path, cap
     assert call(*sweep) == 0
 
 
+def test_runs_of_specs_that_are_not_named_stay(specs, whole, folders, capsys):
+    one = ("run", specs[1], "--no-pictures", "--out", whole, "--resume")
+    assert call(*one) == 0
+    assert "2 runs of earlier commands in the folder: kept in its tables" in capsys.readouterr().err
+    assert same_bytes.differences(folders / "whole", whole) == []
+    assert call("check", whole, "--write-baseline", whole.parent / "b.json") == 0
+    assert "3 runs: 3 judged" in capsys.readouterr().out
+
+
+def test_an_order_of_commands_is_the_order_of_the_tables(specs, folders, tmp_path):
+    for names in (specs[:1], specs[1:2], specs[1:]):
+        more = ("--out", tmp_path / "out", "--resume")
+        assert call("run", *names, "--no-pictures", *more) == 0
+    assert same_bytes.differences(folders / "whole", tmp_path / "out") == []
+
+
+def test_a_run_of_another_spec_whose_files_changed_is_in_no_table(tiny, tmp_path, capsys):
+    other = Path(shutil.copytree(tiny, tmp_path / "other"))
+    a = tiny_network.spec(tiny, "stays", duration_s="0.5")
+    b = tiny_network.spec(other, "changes", duration_s="0.5")
+    out = ("--no-pictures", "--out", tmp_path / "out")
+    assert call("run", a, b, *out) == 0
+    (other / "tiny.rou.xml").write_text((other / "tiny.rou.xml").read_text() + "<!-- x -->")
+    capsys.readouterr()
+    assert call("run", a, *out, "--resume") == 0
+    told = capsys.readouterr().err
+    assert "1 run of earlier commands in the folder: in no table any more" in told
+    assert "(changes--tiny--0)" in told
+    assert list(stored.keys_of(tmp_path / "out")) == ["stays--tiny--0"]
+    assert (tmp_path / "out" / "runs" / "changes--tiny--0" / "result.json").is_file()
+    assert call("run", b, *out, "--resume") == 0
+    assert [row["run_id"] for row in stored.rows_of(tmp_path / "out")] == [
+        "stays--tiny--0",
+        "changes--tiny--0",
+    ]
+
+
+def test_runs_of_another_spec_that_never_began_are_still_missing(specs, whole, capsys):
+    shutil.rmtree(whole / "runs" / "part-1--tiny--1")
+    sweep = ("run", "--no-pictures", "--out", whole, "--resume")
+    assert call(*sweep, *specs, "--max-minutes", 1e-9) == 130
+    assert call(*sweep, specs[0]) == 130
+    assert "1 run of other specs in the folder: never begun" in capsys.readouterr().err
+    assert call("check", whole, "--write-baseline", whole.parent / "b.json") == 3
+    assert call(*sweep, specs[1]) == 0
+
+
 def test_an_attack_that_is_switched_off_is_no_verdict(tiny, tmp_path, capsys):
     names = [tiny_network.spec(tiny, f"cut {n}", adversary="rule", seed=str(n)) for n in range(6)]
     assert call("run", *names, "--no-pictures", "--out", tmp_path / "old") == 0

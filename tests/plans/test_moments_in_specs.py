@@ -155,3 +155,17 @@ def test_what_a_plan_does_not_go_with(tiny, tmp_path, monkeypatch, capsys, more,
     one = tiny_network.spec(tiny, "one")
     assert call("run", one, "--without", "x", "--out", tmp_path / "out") == 2
     assert "--without is for a plan" in capsys.readouterr().err
+
+
+@pytest.mark.sumo
+def test_moments_of_a_spec_that_is_not_named_stay(tiny, tmp_path):
+    first = tiny_network.spec(tiny, "first", source=MOMENTS)
+    second = tiny_network.spec(tiny, "second", source=MOMENTS)
+    run = ("run", "--no-pictures", "--set", "duration_s=0.5", "--out", tmp_path / "out")
+    assert call(*run, first, second) == 0
+    before = [rows(tmp_path / "out" / name) for name in ("moments.csv", "flow.csv", "runs.csv")]
+    assert call(*run, second, "--resume") == 0
+    after = [rows(tmp_path / "out" / name) for name in ("moments.csv", "flow.csv", "runs.csv")]
+    for old, new in zip(before, after, strict=True):
+        assert sorted(map(repr, old)) == sorted(map(repr, new))
+    assert len(after[0]) == 4
