@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from deepmf_sumo.countermeasures.document import Change
+from deepmf_sumo.datatypes.signals import GREEN_LETTERS, YELLOW_LETTERS
 from deepmf_sumo.errors import UsageError
 
 LEAST_GREEN_S: Final = 5.0
 """Less is not left of a green that gives time to a change."""
-_GREEN: Final = "Gg"
-_YELLOW: Final = "yY"
 _TIMES: Final = ("duration", "minDur", "maxDur")
 Foes = Callable[[int, int], bool]
 """Whether the ways of two links meet."""
@@ -32,7 +31,7 @@ class Phase:
 
     def green(self, link: int) -> bool:
         """Whether a link may go."""
-        return self.state[link] in _GREEN
+        return self.state[link] in GREEN_LETTERS
 
     def longer(self, seconds: float) -> "Phase":
         """The phase with more time, or with less."""
@@ -105,7 +104,7 @@ def _with_yellow(name: str, cycle: list[Phase], yellow_s: float, *, keep: bool) 
         behind = cycle[(place + 1) % len(cycle)]
         ending = [link for link in _links(cycle) if phase.green(link) and not behind.green(link)]
         found.append(phase)
-        if any(behind.state[link] not in _YELLOW for link in ending):
+        if any(behind.state[link] not in YELLOW_LETTERS for link in ending):
             state = _between(phase, behind, ending, "y")
             found.append(Phase(state, yellow_s))
             found[-2] = _shorter(name, phase, yellow_s, keep=keep)
@@ -119,7 +118,7 @@ def _with_all_red(name: str, cycle: list[Phase], red_s: float, *, keep: bool) ->
         behind = cycle[(place + 1) % len(cycle)]
         gone = [
             link for link in _links(cycle)
-            if phase.state[link] in _YELLOW and behind.state[link] not in _YELLOW
+            if phase.state[link] in YELLOW_LETTERS and behind.state[link] not in YELLOW_LETTERS
         ]  # fmt: skip
         found.append(phase)
         if gone and _begins(phase, behind):
@@ -141,7 +140,7 @@ def _begins(phase: Phase, behind: Phase) -> bool:
 def _between(phase: Phase, behind: Phase, ending: Sequence[int], letter: str) -> str:
     """The state of a phase between two: what goes on stays, what ends has the letter."""
     state = [
-        old if old in _GREEN and new in _GREEN else "r" if new in _GREEN else old
+        "r" if new in GREEN_LETTERS and old not in GREEN_LETTERS else old
         for old, new in zip(phase.state, behind.state, strict=True)
     ]
     for link in ending:
@@ -150,7 +149,7 @@ def _between(phase: Phase, behind: Phase, ending: Sequence[int], letter: str) ->
 
 
 def _is_yellow(cycle: Sequence[Phase], place: int) -> bool:
-    return bool(set(cycle[place].state) & set(_YELLOW))
+    return bool(set(cycle[place].state) & set(YELLOW_LETTERS))
 
 
 def _is_pause(cycle: Sequence[Phase], place: int) -> bool:
@@ -185,7 +184,7 @@ def _green_before(cycle: Sequence[Phase], place: int) -> int:
     """The phase before a change from which it takes time: the nearest with green, no yellow."""
     for back in range(1, len(cycle) + 1):
         one = (place - back) % len(cycle)
-        if set(cycle[one].state) & set(_GREEN) and not _is_yellow(cycle, one):
+        if set(cycle[one].state) & set(GREEN_LETTERS) and not _is_yellow(cycle, one):
             return one
     return place
 

@@ -31,9 +31,9 @@ from deepmf_sumo.datatypes import (
     Bools,
     Floats,
     Lane,
-    SignalState,
     View,
 )
+from deepmf_sumo.datatypes.signals import FORBIDS, HALTS, STOP_FIRST
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.lane_assignment import (
     EVERY_STEPS,
@@ -50,8 +50,6 @@ from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.geometry.ground import clear
 
-RED: Final = frozenset({SignalState.STOP, SignalState.ARROW_STOP})
-HALT: Final = RED | {SignalState.CAUTION, SignalState.ARROW_CAUTION}
 OVER_M: Final = 2.0
 """A front farther than this past a line has crossed it, and did not merely stop late."""
 YELLOW_MPS2: Final = 3.0
@@ -68,13 +66,15 @@ class Line(NamedTuple):
 
     Attributes:
         lane: that it bounds. point_m: (2) on the lane. heading_rad: of the lane there.
-        sign: True for a stop sign, False for a light.
+        light: at the start of the lane; else a sign on it.
+        sign: a vehicle that stood here goes on: a stop sign, or a light that flashes red.
         brake_mps2: a vehicle that can stop with at most this braking must stop.
     """
 
     lane: Lane
     point_m: Floats
     heading_rad: float
+    light: bool
     sign: bool
     brake_mps2: float
 
@@ -85,9 +85,11 @@ class Line(NamedTuple):
         ahead, left = local[..., 0], local[..., 1]
         over = (ahead > OVER_M) & (np.abs(left) <= width_m(self.lane))
         crossed: Bools = np.asarray(over.any(axis=1))
-        if not self.sign:
+        if self.light:
             lanes = [lane.id for lane in driven.assignment.lanes]
-            return crossed & driven.assignment.driven[:, lanes.index(self.lane.id)]
+            crossed &= driven.assignment.driven[:, lanes.index(self.lane.id)]
+        if not self.sign:
+            return crossed
         waiting = (ahead <= OVER_M) & (ahead > -_STOP_ZONE_M)
         stands = np.asarray((waiting & (driven.speed_mps < _STOP_MPS)).any(axis=1))
         return crossed & ~stands
@@ -112,15 +114,17 @@ def stop_lines(view: View, assignment: LaneAssignment) -> list[Line]:
     lines = []
     known = {lane.id: lane for lane in assignment.lanes if len(lane.centre_m) > 1}
     for lane in known.values():
-        if view.signals.get(lane.id) in HALT:
+        state = view.signals.get(lane.id)
+        if state in HALTS or state in STOP_FIRST:
             dx, dy = lane.centre_m[1] - lane.centre_m[0]
-            brake = RED_MPS2 if view.signals[lane.id] in RED else YELLOW_MPS2
-            lines.append(Line(lane, lane.centre_m[0], float(np.arctan2(dy, dx)), False, brake))
+            brake = YELLOW_MPS2 if state in HALTS - FORBIDS else RED_MPS2
+            heading, then_goes = float(np.arctan2(dy, dx)), state in STOP_FIRST
+            lines.append(Line(lane, lane.centre_m[0], heading, True, then_goes, brake))
     for sign in view.road.stop_signs:
         for lane in (known[name] for name in sign.lane_ids if name in known):
             foot = polylines.project(lane.centre_m, sign.position_m)
             point, _ = polylines.points_at(lane.centre_m, foot.along_m)
-            lines.append(Line(lane, point, float(foot.heading_rad), True, RED_MPS2))
+            lines.append(Line(lane, point, float(foot.heading_rad), False, True, RED_MPS2))
     return lines
 
 
@@ -165,7 +169,7 @@ def takes_priority(view: View, driven: LaneFutures) -> Bools:
     takes = np.zeros(len(driven.position_m), bool)
     for row, lane in enumerate(driven.assignment.lanes):
         first = [view.road.lanes[name] for name in lane.gives_way_to if name in view.road.lanes]
-        first = [one for one in first if view.signals.get(one.id) not in RED]
+        first = [one for one in first if view.signals.get(one.id) not in FORBIDS]
         if not first or driven.assignment.begins[row]:
             continue
         av_poses = driven.av_position_m, driven.av_heading_rad
@@ -340,5 +344,5 @@ class Law:
         self._owed = {
             (agent_id, lane)
             for agent_id, lane in self._owed
-            if lane not in view.signals or view.signals[lane] in HALT
+            if lane not in view.signals or view.signals[lane] in HALTS | STOP_FIRST
         }

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Bools, Floats, Rollout, Signals, SignalState
 from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
+from deepmf_sumo.datatypes.signals import steady
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.geometry import frames
@@ -45,15 +46,8 @@ _LARGEST_NET: Final = 2**30
 _AFTER_S: Final = 3600.0
 """How long the last phase lasts after the run."""
 _OFF: Final = ("off", "off;off;off")
-_STATES: Final = {
-    SignalState.STOP: ("red", "on;off;off"),
-    SignalState.ARROW_STOP: ("red", "on;off;off"),
-    SignalState.CAUTION: ("yellow", "off;on;off"),
-    SignalState.ARROW_CAUTION: ("yellow", "off;on;off"),
-    SignalState.GO: ("green", "off;off;on"),
-    SignalState.ARROW_GO: ("green", "off;off;on"),
-}
-"""As a word and as lamps from top to bottom. Lights that are off or flash are off."""
+_LAMPS: Final[dict[str, str]] = {"red": "on;off;off", "yellow": "off;on;off", "green": "off;off;on"}
+"""From top to bottom. Lights that are off or flash are off."""
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
 _CONVERSION_S: Final = 600.0
 
@@ -229,9 +223,15 @@ def _signals(network: ET.Element, run: Exportable, first: int, how: str) -> None
             phase = _add(controller, "Phase", name=f"phase {number}",
                          duration=_m((end - begin) * run.rollout.dt_s))  # fmt: skip
             for name, row in sorted(rows.items()):
-                word, lamps = _STATES.get(SignalState(states[row, begin]), _OFF)
+                word, lamps = _lamps(SignalState(states[row, begin]))
                 _add(phase, "TrafficSignalState", trafficSignalId=name,
                      state=word if how == "words" else lamps)  # fmt: skip
+
+
+def _lamps(state: SignalState) -> tuple[str, str]:
+    """As a word, and as lamps."""
+    colour = steady(state)
+    return _OFF if colour is None else (colour, _LAMPS[colour])
 
 
 def _known(signals: Signals) -> NDArray[np.uint8]:

@@ -13,6 +13,7 @@ from deepmf_sumo.datatypes import (
     Rollout,
     SignalState,
 )
+from deepmf_sumo.datatypes.signals import FORBIDS, HALTS
 from deepmf_sumo.geometry import frames, polylines, road
 from deepmf_sumo.geometry.lane_map import WIDTH_M
 from deepmf_sumo.metrics import Episode, NotMeasurable, _slices, metric, once
@@ -22,8 +23,6 @@ _CURVATURE, _TURN_NOISE_RAD = 0.3, 0.1  # turning circles are at least 3.3 m in 
 _SIDEWAYS, _SLIDING_MPS = 0.5, 2.0  # sine of 30 degrees; slow motion has no exact direction
 _NOISE_M = 0.1  # error of a state, mainly of the measured one before the first driven pose
 _MOVING_MPS = 1.0
-_RED = {SignalState.STOP, SignalState.ARROW_STOP}
-_STOPS = _RED | {SignalState.CAUTION, SignalState.ARROW_CAUTION}
 _SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
 
 
@@ -179,7 +178,7 @@ def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:
     """
     for step, lane_ids in _crossed(rollout, case, row, steps).items():
         lights = rollout.signals[step - 1 - rollout.now]  # as they were before the step
-        if all(lights.get(lane_id) in _RED for lane_id in lane_ids):
+        if all(lights.get(lane_id) in FORBIDS for lane_id in lane_ids):
             return True
     return False
 
@@ -199,7 +198,7 @@ def late_at_signal_s(rollout: Rollout, case: Case, row: int, steps: Bools) -> fl
 
 def _stopping(signals: tuple[dict[str, SignalState], ...], lane_id: str) -> int:
     """For how many of the last steps a light has been yellow or red."""
-    other = (at for at, each in enumerate(reversed(signals)) if each.get(lane_id) not in _STOPS)
+    other = (at for at, each in enumerate(reversed(signals)) if each.get(lane_id) not in HALTS)
     return next(other, len(signals))
 
 

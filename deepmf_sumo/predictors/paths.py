@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats, SignalState
+from deepmf_sumo.datatypes.signals import Colour, colour
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.predictors.lanes import Foot, RoadIndex, first_signal, lane_sequences
 
@@ -25,9 +26,7 @@ _REACH_M = 6.5
 _TURN_RAD = np.deg2rad(52.0)
 _MAX_ROUTES = 48
 _DUPLICATE_M = 1.2
-_RED = {SignalState.STOP, SignalState.ARROW_STOP, SignalState.FLASHING_STOP}
-_YELLOW = {SignalState.CAUTION, SignalState.ARROW_CAUTION, SignalState.FLASHING_CAUTION}
-_GREEN = {SignalState.GO, SignalState.ARROW_GO}
+_COLOURS: Final[tuple[Colour, ...]] = ("red", "yellow", "green")
 _ALONG = np.arange(NODES) * NODE_SPACING_M
 
 
@@ -167,13 +166,14 @@ def _describe(
 
 def _one_hot(signal: SignalState) -> Floats:
     state = np.zeros(5)
-    state[1 if signal in _RED else 2 if signal in _YELLOW else 3 if signal in _GREEN else 4] = 1.0
+    state[1 + signal_colour(signal)] = 1.0
     return state
 
 
 def signal_colour(signal: SignalState) -> int:
     """0 red, 1 yellow, 2 green, 3 unknown."""
-    return int(_one_hot(signal)[1:].argmax())
+    found = colour(signal)
+    return len(_COLOURS) if found is None else _COLOURS.index(found)
 
 
 def _fan(merge_m: float) -> Floats:

@@ -15,7 +15,8 @@ import numpy as np
 
 from deepmf_sumo.avoidability.encounter import onset_of
 from deepmf_sumo.avoidability.grading import GRADES, Grade
-from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, SignalState, Tracks
+from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes.signals import FORBIDS, GOES, STOP_FIRST
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.metrics.driving import lights_passed
@@ -272,13 +273,10 @@ def _by_lights(rollout: Rollout, meeting: Meeting, road: RoadMap) -> Who:
     mine, theirs = (
         lights_passed(rollout, road, row, place, _JUNCTION_M) for row in (meeting.av, meeting.other)
     )
-    goes, stops = (
-        {SignalState.GO, SignalState.ARROW_GO},
-        {SignalState.STOP, SignalState.ARROW_STOP},
-    )
-    if mine & goes and theirs and theirs <= stops:
+    stops = FORBIDS | STOP_FIRST
+    if mine & GOES and theirs and theirs <= stops:
         return "AV"
-    return "opponent" if theirs & goes and mine and mine <= stops else ""
+    return "opponent" if theirs & GOES and mine and mine <= stops else ""
 
 
 def _by_map(meeting: Meeting) -> Who:

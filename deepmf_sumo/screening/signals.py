@@ -5,12 +5,11 @@ from collections import defaultdict
 from collections.abc import Iterator
 from typing import Final
 
+from deepmf_sumo.datatypes.signals import GREEN_LETTERS, YELLOW_LETTERS
 from deepmf_sumo.screening.findings import Case, Judged, Severity
 from deepmf_sumo.screening.guidelines import KMH, Clearing, Guideline
 from deepmf_sumo.screening.roads import Program, Roads, Way, common_place, for_motors
 
-_GREEN: Final = "Gg"
-_YELLOW: Final = "Yy"
 _OFF: Final = "off"
 _SLACK_S: Final = 0.05
 _CLEAR_S: Final = 1.0
@@ -96,7 +95,7 @@ class _Light:
         """Phases at which its green has just ended."""
         shown = self._shown(way)
         for place, letter in enumerate(shown):
-            if shown[place - 1] in _GREEN and letter not in _GREEN:
+            if shown[place - 1] in GREEN_LETTERS and letter not in GREEN_LETTERS:
                 yield place
 
     def _from(self, place: int) -> Iterator[int]:
@@ -118,7 +117,7 @@ class _Light:
         for end in self._ends(way):
             phases = []
             for place in self._from(end):
-                if shown[place] not in _YELLOW:
+                if shown[place] not in YELLOW_LETTERS:
                     break
                 phases.append(self.program.phases[place])
             if not all(one.fixed for one in phases):
@@ -206,17 +205,17 @@ class _Light:
         None where the other one has green already, or the first one again before it.
         """
         mine, its = self._shown(one), self._shown(two)
-        if its[end - 1] in _GREEN:
+        if its[end - 1] in GREEN_LETTERS:
             return None
         every = red = 0.0
         for place in self._from(end):
-            if its[place] in _GREEN:
+            if its[place] in GREEN_LETTERS:
                 return every, red
-            if mine[place] in _GREEN:
+            if mine[place] in GREEN_LETTERS:
                 return None
             seconds = self.program.phases[place].least_s
             every += seconds
-            red += 0.0 if mine[place] in _YELLOW else seconds
+            red += 0.0 if mine[place] in YELLOW_LETTERS else seconds
         return None
 
     def _left(self, way: Way) -> None:
@@ -229,7 +228,7 @@ class _Light:
             met = {
                 one.lane.id: one.lane.speed_mps
                 for one in towards
-                if letter == "g" and self._shown(one)[place] in _GREEN
+                if letter == "g" and self._shown(one)[place] in GREEN_LETTERS
             }
             if (len(met), max(met.values(), default=0.0)) > (lanes, fastest):
                 lanes, fastest, where = len(met), max(met.values()), place

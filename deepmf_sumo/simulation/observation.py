@@ -3,34 +3,8 @@
 from collections.abc import Mapping
 
 from deepmf_sumo.datatypes import SignalLink, Signals, SignalState
+from deepmf_sumo.datatypes.signals import FORBIDS, LETTER_OF, STATE_OF
 from deepmf_sumo.simulation.sumo_api import SumoApi
-
-# UNKNOWN and unobserved give `o` (off, blinking: yield), never `O`, which ends all right of way.
-_LETTER = {
-    SignalState.UNKNOWN: "o",
-    SignalState.ARROW_STOP: "r",
-    SignalState.ARROW_CAUTION: "y",
-    SignalState.ARROW_GO: "G",
-    SignalState.STOP: "r",
-    SignalState.CAUTION: "y",
-    SignalState.GO: "G",
-    SignalState.FLASHING_STOP: "o",  # SUMO has a letter for it, at which vehicles never go on
-    SignalState.FLASHING_CAUTION: "o",
-}
-_STATE = {
-    "r": SignalState.STOP,
-    "s": SignalState.FLASHING_STOP,
-    "u": SignalState.STOP,
-    "y": SignalState.CAUTION,
-    "Y": SignalState.CAUTION,
-    "g": SignalState.GO,
-    "G": SignalState.GO,
-    "o": SignalState.FLASHING_CAUTION,
-    "O": SignalState.UNKNOWN,
-}
-
-
-_RED = {SignalState.STOP, SignalState.ARROW_STOP}
 
 
 class ReplayedSignals:
@@ -73,7 +47,7 @@ class ReplayedSignals:
         """Set all lights to the recording's states at a step."""
         letters = {light: ["o"] * count for light, count in self._count.items()}
         for lane, state in self.states(step).items():
-            letter = "o" if step in self.passed_red.get(lane, ()) else _LETTER[state]
+            letter = "o" if step in self.passed_red.get(lane, ()) else LETTER_OF[state]
             for link in self._links.get(lane, ()):
                 if link.light in letters and link.index < len(letters[link.light]):
                     letters[link.light][link.index] = letter
@@ -87,7 +61,7 @@ class ReplayedSignals:
 def _red_phase(signals: Signals, lane: str, step: int) -> range:
     """Steps of the red phase of a lane at a step; empty if it is not red."""
     steps = signals.state.shape[1]
-    red = [signals.at(one).get(lane) in _RED for one in range(steps)]
+    red = [signals.at(one).get(lane) in FORBIDS for one in range(steps)]
     if step >= steps or not red[step]:
         return range(0)
     begin = max((one + 1 for one in range(step) if not red[one]), default=0)
@@ -110,5 +84,5 @@ class LiveSignals:
             if link.light not in lights:
                 lights[link.light] = self._api.trafficlight.getRedYellowGreenState(link.light)
             if link.index < len(lights[link.light]):  # a program may have fewer states than links
-                states[lane] = _STATE[lights[link.light][link.index]]
+                states[lane] = STATE_OF[lights[link.light][link.index]]
         return states

@@ -129,6 +129,16 @@ def test_before_a_stop_sign_one_stands():
     assert is_lawful(waits, drive("b", -9, 0, 2.0 * SECONDS), AWAY, 2.0 * SECONDS)
 
 
+def test_a_light_that_flashes_red_is_a_stop_sign():
+    view = at_light(SignalState.FLASHING_STOP, speed=10.0)
+    assert not is_lawful(view, drive("b", -40, 0, 10.0), AWAY, 10.0)
+    stops_there = np.maximum(10.0 - 1.65 * SECONDS, 0.0)
+    starts = np.where(SECONDS > 7.0, 2.0 * (SECONDS - 7.0), stops_there)
+    assert is_lawful(view, drive("b", -40, 0, starts), AWAY, starts)
+    other = replace(view, signals={"up": SignalState.FLASHING_STOP})
+    assert is_lawful(other, drive("b", -40, 0, 10.0), AWAY, 10.0)
+
+
 def test_who_stood_before_a_stop_sign_need_not_stop_again_at_the_next_plan():
     sign = StopSign(id="s", position_m=np.array([-5.0, 0.0]), z_m=0.0, lane_ids=("west",))
     road = replace(crossing(), stop_signs=(sign,))

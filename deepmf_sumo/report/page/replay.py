@@ -23,8 +23,8 @@ from deepmf_sumo.datatypes import (
     Ints,
     RoadMap,
     Rollout,
-    SignalState,
 )
+from deepmf_sumo.datatypes.signals import FORBIDS, GOES, HALTS, STOP_FIRST
 from deepmf_sumo.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures.episode import met_at
 from deepmf_sumo.results import stored
@@ -65,13 +65,9 @@ _SAME_PLACE_M: Final = 0.5
 UNKNOWN_WIDTH_M: Final = 3.5
 """Of a lane whose width the source does not state."""
 _LIGHTS: Final = {
-    SignalState.STOP: "stop",
-    SignalState.ARROW_STOP: "stop",
-    SignalState.FLASHING_STOP: "stop",
-    SignalState.CAUTION: "caution",
-    SignalState.ARROW_CAUTION: "caution",
-    SignalState.GO: "go",
-    SignalState.ARROW_GO: "go",
+    **dict.fromkeys(FORBIDS | STOP_FIRST, "stop"),
+    **dict.fromkeys(HALTS - FORBIDS, "caution"),
+    **dict.fromkeys(GOES, "go"),
 }
 """Others are drawn as if they were off: a yellow that flashes asks to yield, as no light does."""
 
