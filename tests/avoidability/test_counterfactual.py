@@ -169,6 +169,29 @@ def test_lanes_go_on_at_junctions_and_past_the_end_of_the_map():
     np.testing.assert_allclose(alone.away_m(turning[:, :2], 0)[60:], np.arange(31), atol=1e-9)
 
 
+def test_it_follows_the_lanes_where_they_bend_and_branch():
+    """A quarter circle of 40 m to either side after a straight: the vehicle takes the left one."""
+    angle = np.linspace(0, np.pi / 2, 41)
+    bend = 40 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    after = lane("before", (-100, 0), (0, 0), next=("left", "right"))
+    left = replace(after, id="left", centre_m=bend, next=())
+    right = replace(after, id="right", centre_m=bend * [1, -1], next=())
+    road = RoadMap(lanes={one.id: one for one in (after, left, right)})
+    way = 8 * 0.1 * (np.arange(91) - 40)
+    turned = np.clip(way / 40, 0, np.pi / 2)
+    beyond = np.maximum(way - 20 * np.pi, 0)
+    x, y = np.minimum(way, 0) + 40 * np.sin(turned), 40 * (1 - np.cos(turned)) + beyond
+    rollout = rollout_of({"av": AV + 500, "b": np.column_stack([x, y, turned])})
+    alone = counterfactual(rollout, replace(in_traffic(case_of()), road=road), "b")
+    assert alone.known[NOW:].all()
+    assert alone.away_m(np.column_stack([x, y]), 0).max() < 0.02  # chords of 1.6 m
+    late = np.arange(91) > 60
+    cut = np.column_stack([x + late * np.sin(turned), y - late * np.cos(turned)])  # 1 m outwards
+    gone = rollout_of({"av": AV + 500, "b": np.column_stack([cut, turned])})
+    alone = counterfactual(gone, replace(in_traffic(case_of()), road=road), "b")
+    np.testing.assert_allclose(alone.away_m(cut, 0)[61:], 1.0, atol=0.02)
+
+
 @pytest.mark.parametrize(("z_m", "away_m"), [(6.0, 0.0), (0.0, 80 * np.sin(np.pi / 9))])
 def test_the_lane_is_that_of_the_level_on_which_the_vehicle_is(z_m, away_m):
     """A bridge crosses a road by 20 degrees; the vehicle is 0.2 m beside the middle of both."""
