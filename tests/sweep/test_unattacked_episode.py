@@ -1,6 +1,8 @@
 """What a run is compared with: the same episode without attack, simulated once, and kept."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,12 +10,16 @@ import pytest
 import yaml
 
 import deepmf_sumo
+from deepmf_sumo import spec
 from deepmf_sumo.avoidability.encounter import onset_of
 from deepmf_sumo.readers import npz
 from deepmf_sumo.results.failures import failure_of
 from deepmf_sumo.results.stored import DAMAGE
+from deepmf_sumo.sweep import episode, fork
+from deepmf_sumo.tasks import Task
 
 from tests.support import simulated_worlds, tiny_network
+from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight
 
 
 def braking(x, y, speed, steps=80, brake=4.0):
@@ -87,3 +93,26 @@ def test_an_attack_is_compared_with_the_same_episode_without_it(world, tmp_path)
     (run.folder / "unattacked.npz").write_bytes(b"not an archive")
     with pytest.raises(DAMAGE):
         run.unattacked()
+
+
+@pytest.mark.parametrize(
+    ("world", "adversary", "simulated"),
+    [("log", "bga", 0), ("sumo", "bga", 1), ("net", "bga", 1), ("net", "none", 0)],
+)
+def test_it_is_one_more_episode_a_run_where_the_traffic_reacts(
+    world, adversary, simulated, monkeypatch
+):
+    calls = []
+
+    def simulate(task, case, policy):
+        calls.append(policy)
+        return rollout_of({"av": straight(0, 0, 10)}, opponent_id=None)
+
+    monkeypatch.setattr(episode, "_simulated", simulate)
+    monkeypatch.setattr(fork, "tried", lambda task, simulate, case: simulate())
+    case = in_traffic(case_of()) if world == "net" else replace(case_of(), traffic=world)
+    scenario = Path(__file__).parents[2] / "scenarios" / "cut_in.yaml"
+    task = Task(run_id="one", spec=spec.load(scenario, [f"adversary={adversary}"]), scene="one")
+    found = episode._with_unattacked(task, case)
+    assert calls == [None] * simulated
+    assert (found.unattacked is not None) == bool(simulated)
