@@ -1,17 +1,19 @@
 """What a program calls instead of the command line; offered by `deepmf_sumo` itself."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal
 
 from deepmf_sumo import moments as moments_module
 from deepmf_sumo import plans, readers, spec
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.readers import Refusal
-from deepmf_sumo.report import picture, tables
+from deepmf_sumo.report import benchmark, picture
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.sweep import batch
+from deepmf_sumo.sweep.limits import MEMORY_MB, TIMEOUT_S
 
 
 def run(
@@ -22,10 +24,16 @@ def run(
     seeds: Sequence[int] = (),
     jobs: int = 1,
     pictures: bool = False,
+    figures: bool = False,
+    timeout_s: float | None = TIMEOUT_S,
+    memory_mb: float | None = MEMORY_MB,
     resume: bool = False,
     overwrite: bool = False,
 ) -> Results:
-    """Run specs, or a plan, and write a result folder: that of ``deepmf-sumo run``, byte for byte.
+    """Run specs, or a plan, and write a result folder, as ``deepmf-sumo run`` does.
+
+    Runs, tables and limits are those of the command, byte for byte. Two defaults differ: the
+    command draws the pictures of specs and the figures of plans unless told otherwise.
 
     Runs are done in worker processes, so a script calls this below ``if __name__ == "__main__":``.
 
@@ -37,6 +45,9 @@ def run(
             of it.
         jobs: number of runs at a time.
         pictures: draw each run as ``picture.png``.
+        figures: draw the figures of a plan.
+        timeout_s: end a run that takes longer; None never does.
+        memory_mb: end a run that takes more memory; None never does.
         resume: keep the runs that an earlier call finished.
         overwrite: delete earlier results in ``out``; with neither they are refused.
 
@@ -46,12 +57,15 @@ def run(
     OutputError for a folder that cannot be used; RunError where no worker starts.
     """
     paths = [Path(path) for path in ([specs] if isinstance(specs, str | Path) else specs)]
-    options = _options(out, jobs, pictures, resume, overwrite)
+    options = batch.Options(
+        out=Path(out), jobs=jobs, draw=picture.draw if pictures else None, timeout_s=timeout_s,
+        memory_mb=memory_mb, resume=resume, overwrite=overwrite,
+    )  # fmt: skip
     if any(map(plans.is_plan, paths)):
         if len(paths) > 1 or seeds:
             raise UsageError("A plan is run by itself, and its seeds are its key 'seeds'.")
         plans.run(plans.load(paths[0], sets), replace(options, sumo=False))
-        tables.write(options.out)
+        benchmark.finish(options.out, figures=figures)
     else:
         loaded = [spec.load(path, list(sets)) for path in paths]
         if seeds:
@@ -73,17 +87,27 @@ def attack(
     polygon: str | Path | None = None,
     from_s: float | None = None,
     until_s: float | None = None,
+    prefer: Literal["both", "spread", "encounters"] | None = None,
     encounters: bool = False,
+    moments_of: str | Path | None = None,
+    duration_s: float | None = None,
+    opponents: Literal["one", "in_turn"] | None = None,
+    planner: str | Mapping[str, Any] | None = None,
+    profile: spec.ProfileName | None = None,
     all_conflicts: bool = False,
     seed: int | None = None,
     sets: Sequence[str] = (),
     sumo_options: Sequence[str] = (),
     jobs: int = 1,
     pictures: bool = False,
+    timeout_s: float | None = TIMEOUT_S,
+    memory_mb: float | None = MEMORY_MB,
     resume: bool = False,
     overwrite: bool = False,
 ) -> Results:
     """Attack vehicles of SUMO configurations, as ``deepmf-sumo attack --no-risk`` does.
+
+    Each argument is an option of the command; pictures are drawn only where asked for.
 
     Runs are done in worker processes, so a script calls this below ``if __name__ == "__main__":``.
 
@@ -101,15 +125,25 @@ def attack(
         from_s: attack from this time on; None means once the number of vehicles has settled, or at
             any time where ``av`` or ``at_s`` is given.
         until_s: look for moments up to this time only.
-        encounters: first attack before another vehicle crosses the AV's path, wherever that is;
-            without it moments are spread, and such encounters come first at each place.
-        all_conflicts: opponents also drive into the AV from behind, against the traffic, or so
-            that no driver could avoid it.
+        prefer: ``spread`` moments over places and time; first ``encounters``, before another
+            vehicle crosses the AV's path; None means ``both``: spread, encounters first at each
+            place.
+        encounters: the same as ``prefer="encounters"``.
+        moments_of: a result folder, or its moments.csv: attack the same vehicles at the same times.
+        duration_s: of an attack; None means 8 s.
+        opponents: ``one``, or one after another ``in_turn``; None means one up to 15 s.
+        planner: what drives the AV: a name, or a mapping with ``name`` and settings; None means
+            ``idm``.
+        profile: the kind of attack, see `deepmf_sumo.spec`; None means ``fair``.
+        all_conflicts: the profile ``any``, on the road: opponents also drive into the AV from
+            behind, against the traffic, or so that no driver could avoid it.
         seed: of all choices and of SUMO; None means the configuration's own.
         sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.
         jobs: number of runs at a time.
         pictures: draw each run as ``picture.png``.
+        timeout_s: end a run that takes longer; None never does.
+        memory_mb: end a run that takes more memory; None never does.
         resume: keep the runs that an earlier call finished.
         overwrite: delete earlier results in ``out``; with neither they are refused.
 
@@ -119,11 +153,21 @@ def attack(
     OutputError for a folder that cannot be used; RunError where no worker starts.
     """
     paths = [Path(path) for path in ([configs] if isinstance(configs, str | Path) else configs)]
+    if encounters and prefer not in (None, "encounters"):
+        raise UsageError(f"encounters contradicts prefer={prefer!r}; give one of them.")
+    keys = {
+        "duration_s": duration_s,
+        "opponents": opponents,
+        "planner": {"name": planner} if isinstance(planner, str) else planner and dict(planner),
+        "profile": profile,
+        "seed": seed,
+    }
     documents = moments_module.documents(
         paths,
-        {} if seed is None else {"seed": seed},
+        {key: value for key, value in keys.items() if value is not None},
         sets,
         sumo_options=sumo_options,
+        all_conflicts=all_conflicts,
         from_s=from_s,
         until_s=until_s,
         count=moments,
@@ -132,24 +176,21 @@ def attack(
         at_s=tuple(at_s),
         junctions=tuple(junctions),
         edges=tuple(edges),
-        polygon=None if polygon is None else str(Path(polygon).absolute()),
-        prefer="encounters" if encounters else None,
+        polygon=_absolute(polygon),
+        of=_absolute(moments_of),
+        prefer="encounters" if encounters else prefer,
     )
-    specs = [moments_module.spec_of(one, all_conflicts=all_conflicts) for one in documents]
-    plans.run_specs(specs, _options(out, jobs, pictures, resume, overwrite), by_option=True)
+    specs = [moments_module.spec_of(one) for one in documents]
+    options = batch.Options(
+        out=Path(out), jobs=jobs, draw=picture.draw if pictures else None, timeout_s=timeout_s,
+        memory_mb=memory_mb, resume=resume, overwrite=overwrite,
+    )  # fmt: skip
+    plans.run_specs(specs, options, by_option=True)
     return Results.of(Path(out))
 
 
-def _options(
-    out: str | Path, jobs: int, pictures: bool, resume: bool, overwrite: bool
-) -> batch.Options:
-    return batch.Options(
-        out=Path(out),
-        jobs=jobs,
-        draw=picture.draw if pictures else None,
-        resume=resume,
-        overwrite=overwrite,
-    )
+def _absolute(path: str | Path | None) -> str | None:
+    return None if path is None else str(Path(path).absolute())
 
 
 def read_scenes(*paths: str | Path) -> Iterator[Scene | Refusal]:

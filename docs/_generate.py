@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 from deepmf_sumo import metrics, plugins
 from deepmf_sumo.errors import EXIT_CODES
 from deepmf_sumo.results.quantities import QUANTITIES
+from deepmf_sumo.spec.profiles import LONG_S, PROFILES
 
 FEW = 3
 """A map with more keys has a table of its own."""
@@ -135,6 +136,21 @@ def settings(kind: str) -> str:
     return "\n\n".join(parts)
 
 
+def profiles() -> str:
+    """What each profile of a spec stands for."""
+    rows = (
+        [
+            f"`{name}`",
+            ", ".join(f"`{one}`" for one in known.constraints) or "none",
+            f"`{known.form}`",
+            f"`{known.rule}`" if known.rule else "the form's",
+            "`in_turn`" if known.in_turn else "`one`",
+        ]
+        for name, known in PROFILES.items()
+    )
+    return table(f"profile, constraints, form, rule, opponents above {LONG_S:g} s", rows)
+
+
 def metric_tables() -> str:
     """All metrics by their module, with the definitions that results print."""
     by_module: dict[str, list[metrics.Metric]] = {}
@@ -170,5 +186,6 @@ def exit_codes() -> str:
 
 GENERATED = {
     "columns": columns, "exit_codes": exit_codes, "fields": fields, "metrics": metric_tables,
+    "profiles": profiles,
     "quantities": quantities, "settings": settings,
 }  # fmt: skip

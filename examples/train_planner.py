@@ -142,13 +142,13 @@ class Traffic(gymnasium.Env[Floats, int]):
             if aggressiveness is not None:
                 adversary = {
                     "name": "deepmf", "version": "S2", "aggressiveness": aggressiveness,
-                    "no_rear_end": True,
+                    "constraints": ["no_rear_end"],
                 }  # fmt: skip
             spec = Spec.model_validate(
                 {
-                    "version": 2, "name": "training", "duration_s": 8.0, "traffic": "sumo",
+                    "version": 3, "name": "training", "duration_s": 8.0, "traffic": "sumo",
                     "source": {"recording": str(self._scenes)}, "adversary": adversary,
-                    "planner": {"name": "idm", "perception": "corridor"},
+                    "planner": {"name": "idm", "perception": "corridor"}, "profile": "any",
                 }
             )  # fmt: skip
             self._environments[aggressiveness] = AttackEnv(spec, reward=REWARD)
@@ -260,9 +260,9 @@ def test(out: Path, jobs: int) -> int:
         return 2
     spec = out / "test.yaml"
     spec.write_text(
-        "version: 2\nname: test\nduration_s: 8.0\ntraffic: sumo\n"
+        "version: 3\nname: test\nduration_s: 8.0\ntraffic: sumo\n"
         f"source: {{recording: {(out / 'held_out').resolve()}}}\n"
-        "adversary: {name: deepmf, version: S1, no_rear_end: true}\n"
+        "profile: any\nadversary: {name: deepmf, version: S1, constraints: [no_rear_end]}\n"
     )
     planners = {
         name: f"{{name: 'train_planner:Driver', policy: {(out / name).resolve()}.npz}}"

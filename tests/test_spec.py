@@ -155,7 +155,7 @@ BAD = {
     "sexagesimal": (("seed: 3", "seed: 1:30"), "'1:30' is not a plain decimal number"),
     "negative": (("seed: 3", "seed: -1"), "greater than or equal to 0"),
     "infinite": (("42.0", ".inf"), "finite number"),
-    "version": (("version: 1", "version: 3"), ":2: key 'version': 3"),
+    "version": (("version: 1", "version: 4"), ":2: key 'version': 4"),
     "missing": (("name: cut-in\n", ""), "key 'name': Field required"),
     "no such file": (("town.sumocfg", "twon.sumocfg"), ":4: key 'source.network': 'twon.sumocfg'"),
     "source kind": (("network", "netwrok"), ":4: key 'source'"),

@@ -1,5 +1,6 @@
-"""Versions 1 and 2 of specs and plans: which rule DeepMF has where none is said."""
+"""Versions of specs and plans: which rule DeepMF has where none is said, and what is recorded."""
 
+import copy
 import json
 import sys
 import types
@@ -11,8 +12,6 @@ import yaml
 from deepmf_sumo import plugins, spec, tasks
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.errors import SpecError
-from deepmf_sumo.live import attacker
-from deepmf_sumo.moments import search
 from deepmf_sumo.plans import entries, plan
 from deepmf_sumo.results import result
 
@@ -56,10 +55,13 @@ RULES = {
 }
 
 
-@pytest.mark.parametrize(("adversary", "first", "second"), RULES.values(), ids=RULES)
+@pytest.mark.parametrize(("adversary", "first", "second"), copy.deepcopy(RULES).values(), ids=RULES)
 def test_the_rule_where_none_is_said(write, adversary, first, second):
     assert settings_of(spec.load(write(1, adversary))).rule == first
     assert settings_of(spec.load(write(2, adversary))).rule == second
+    if isinstance(adversary, dict) and adversary.pop("fair", False):
+        adversary["constraints"] = ["fair"]
+    assert settings_of(spec.load(write(3, adversary))).rule == second
 
 
 @pytest.mark.parametrize("level", [0.0, 0.5])
@@ -104,7 +106,7 @@ def test_a_run_of_version_2_records_the_rule_that_held(write, tmp_path):
 
 
 @pytest.mark.parametrize("adversary", ["S1", {"form": "paper"}, {"aggressiveness": 0.5}, "bga"])
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_what_a_run_records_reads_back_to_equal_settings(write, tmp_path, version, adversary):
     loaded = spec.load(write(version, adversary))
     again = tmp_path / "again.yaml"
@@ -113,12 +115,12 @@ def test_what_a_run_records_reads_back_to_equal_settings(write, tmp_path, versio
     assert settings_of(spec.load(again)) == settings_of(loaded)
 
 
-@pytest.mark.parametrize("version", ["2", 3, 0, 2.0, True])
+@pytest.mark.parametrize("version", ["2", 4, 0, 2.0, True])
 def test_other_versions_are_refused_in_one_sentence(write, version):
     with pytest.raises(SpecError) as refused:
         spec.load(write(version))
     assert str(refused.value).endswith(
-        f"key 'version': {version!r}: must be 1 or 2, a number without quotes; a later version"
+        f"key 'version': {version!r}: must be 1, 2 or 3, a number without quotes; a later version"
         " needs a newer deepmf-sumo."
     )
 
@@ -126,13 +128,14 @@ def test_other_versions_are_refused_in_one_sentence(write, version):
 def test_a_weight_of_a_rule_that_does_not_hold_is_refused(write):
     weighted = {"name": "deepmf", "likelihood_weight": 0.1}
     assert settings_of(spec.load(write(1, weighted))).rule == "expected"
-    with pytest.raises(SpecError, match=r"adversary\.likelihood_weight.*add rule: expected"):
-        spec.load(write(2, weighted))
+    for version in (2, 3):
+        with pytest.raises(SpecError, match=r"adversary\.likelihood_weight.*add rule: expected"):
+            spec.load(write(version, weighted))
     assert settings_of(spec.load(write(2, weighted | {"rule": "pair"}))).likelihood_weight == 0.1
 
 
 def test_published_form_and_likeliest_contradict_each_other_in_both(write):
-    for version in (1, 2):
+    for version in (1, 2, 3):
         with pytest.raises(SpecError, match="form 'paper' contradicts rule: 'likeliest'"):
             spec.load(write(version, {"form": "paper", "rule": "likeliest"}))
 
@@ -144,7 +147,7 @@ def test_a_plug_in_that_derives_from_deepmf_keeps_its_own_defaults(write, monkey
     module = types.ModuleType("derived_module")
     module.Mine = type("Mine", (), {"Settings": Derived, "build": print})
     monkeypatch.setitem(sys.modules, "derived_module", module)
-    for version in (1, 2):
+    for version in (1, 2, 3):
         loaded = spec.load(write(version, "derived_module:Mine"))
         assert loaded.adversary.settings == {}
         assert settings_of(loaded).rule == "pair"
@@ -161,7 +164,7 @@ methods:
 """
 
 
-@pytest.mark.parametrize(("version", "rule"), [(1, "expected"), (2, "likeliest")])
+@pytest.mark.parametrize(("version", "rule"), [(1, "expected"), (2, "likeliest"), (3, "likeliest")])
 def test_plans_have_the_versions_of_specs(write, tmp_path, version, rule):
     write()
     file = tmp_path / "plan.yaml"
@@ -174,34 +177,12 @@ def test_plans_have_the_versions_of_specs(write, tmp_path, version, rule):
 def test_a_plan_of_another_version_or_with_a_useless_weight_is_refused(write, tmp_path):
     write()
     file = tmp_path / "plan.yaml"
-    file.write_text(PLAN.format(version=3))
-    with pytest.raises(SpecError, match=r"plan\.yaml:1: key 'version': 3: must be 1 or 2"):
+    file.write_text(PLAN.format(version=4))
+    with pytest.raises(SpecError, match=r"plan\.yaml:1: key 'version': 4: must be 1, 2 or 3"):
         plan.load(file)
     file.write_text(PLAN.format(version=2).replace("rule: expected, ", ""))
     with pytest.raises(SpecError, match=r"plan\.yaml:8: .*add rule: expected.*'weighted'"):
         entries.entries_of(plan.load(file), tmp_path)
-
-
-def test_without_a_file_the_rule_is_likeliest(tmp_path):
-    live = attacker.spec_of(attacker.Wish(avs=("ego",)))
-    assert settings_of(live).rule == "likeliest"
-    assert settings_of(live).no_rear_end
-    assert settings_of(live).fair
-    assert settings_of(live).constraints == ("on_road", "with_traffic")
-    config = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
-    [document] = search.documents([config], {"seed": 1}, count=3)
-    attacked = search.spec_of(document)
-    assert (attacked.version, settings_of(attacked).rule) == (2, "likeliest")
-    assert settings_of(attacked).no_rear_end
-    saved = tmp_path / "saved.yaml"
-    saved.write_text(yaml.safe_dump(document.values))
-    assert spec.load(saved) == attacked
-    paper = attacker.spec_of(attacker.Wish(avs=("ego",), sets=("adversary.form=paper",)))
-    assert settings_of(paper).rule == "expected"
-    rams = attacker.spec_of(
-        attacker.Wish(avs=("ego",), sets=("adversary=S2", "adversary.no_rear_end=false"))
-    )
-    assert (settings_of(rams).period_s, settings_of(rams).no_rear_end) == (2.0, False)
 
 
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))
@@ -211,20 +192,18 @@ STUDIES = sorted(
 
 
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
-def test_scenarios_are_of_version_2_and_take_its_rule(file):
-    loaded = spec.load(file)
-    assert loaded.version == 2
-    assert not {"rule", "likelihood_weight"} & set(yaml.safe_load(file.read_text())["adversary"])
+def test_scenarios_are_of_version_3_and_name_their_profile(file):
+    loaded, written = spec.load(file), yaml.safe_load(file.read_text())
+    assert (loaded.version, written["profile"]) == (3, "any")
+    assert not {"rule", "likelihood_weight"} & set(written["adversary"])
     assert settings_of(loaded).rule == "likeliest"
+    assert settings_of(loaded).constraints == ()
 
 
 @pytest.mark.parametrize("file", STUDIES, ids=lambda file: file.stem)
-def test_studies_of_version_2_say_their_rule(file):
+def test_studies_name_their_profile_and_their_rule(file):
     values = yaml.safe_load(file.read_text())
-    if file.stem == "recorded":  # its rule is that of the command line or of an ablation
-        assert values["version"] == 1
-        return
-    assert values["version"] == 2
+    assert (values["version"], values["profile"]) == (3, "any")
     methods = values.get("methods", {"spec": values}).values()
     chosen = [one["adversary"] for one in methods if isinstance(one, dict)]
     ours = [one for one in chosen if isinstance(one, dict) and one["name"] == "deepmf"]
@@ -232,10 +211,14 @@ def test_studies_of_version_2_say_their_rule(file):
     assert all("rule" in one or one.get("form") == "paper" for one in ours)
 
 
-def test_the_schema_knows_both_versions_and_the_default_of_each():
+def test_the_schema_knows_all_versions_and_the_default_of_each():
     schema = spec.schema()
-    assert schema["properties"]["version"]["enum"] == [1, 2]
+    assert schema["properties"]["version"]["enum"] == [1, 2, 3]
+    assert schema["properties"]["profile"]["enum"] == ["fair", "any", "lawful", "paper"]
+    assert schema["properties"]["profile"]["default"] == "fair"
     rule = schema["$defs"]["adversary.deepmf"]["properties"]["rule"]
-    assert rule["default"] == "expected in version 1, likeliest in version 2"
+    assert (
+        rule["default"] == "expected in version 1, likeliest in version 2, likeliest in version 3"
+    )
     packed = (ROOT / "deepmf_sumo" / "data" / "spec.schema.json").read_text("utf-8")
     assert json.loads(packed) == schema

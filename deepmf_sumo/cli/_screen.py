@@ -150,6 +150,8 @@ def table(results: Sequence[Result], summary: dict[str, Any], out: Path) -> None
     from deepmf_sumo.report import table as tables
 
     console = wide()
+    if told := summary["profile"]:
+        console.print(escape(told), soft_wrap=True)
     grid = plain_grid(tables.HEADINGS)
     for result, row in zip(results, tables.rows(results), strict=True):
         bad = result["status"] != "ok" or result["expectations_broken"]
@@ -299,7 +301,7 @@ def show_verdict(verdict: Verdict) -> None:
     from deepmf_sumo.gate.verdict import LONGEST_LIST, comparisons, counts, own_hits, thresholds
 
     console = wide()
-    console.print(escape(counts(list(verdict.results.rows.values()))), soft_wrap=True)
+    console.print(escape(counts(verdict)), soft_wrap=True)
     grid = plain_grid(("group", "threshold", "allowed", "measured", "runs", ""))
     for line in thresholds(verdict):
         _add(grid, line)
@@ -528,7 +530,10 @@ def show_session(done: Attached, avs: Sequence[str], out: Path) -> None:
         why += ", before the attack under way was over, which is not counted"
     file = f"{out}/{'attacks.jsonl' if count else 'session.json'}"
     console.print(
-        escape(f"{attacks}, {counted(hits, 'contact')}{why_none}; {why}; {file}"),
+        escape(
+            f"profile {done.profile}; {attacks}, {counted(hits, 'contact')}{why_none}; {why};"
+            f" {file}"
+        ),
         soft_wrap=True,
     )
     for line in sessions.sentences(done.switches):
@@ -570,8 +575,12 @@ def show_study(out: Path, results: Sequence[Result], expected: int, made: Sequen
     from deepmf_sumo.report.table import counted
     from deepmf_sumo.report.tables.layouts import read_content
     from deepmf_sumo.results.quantities import COLUMNS
+    from deepmf_sumo.results.result import profile
+    from deepmf_sumo.spec.profiles import headline
 
     console = wide()
+    if told := headline(map(profile, results)):
+        console.print(escape(told), soft_wrap=True)
     more = {one.name: one.short for one in COLUMNS if one.short}
     grid = plain_grid(("planner", "method"), ("hits", "rate, 95 %", *more.values()))
     for row in read_content(out).main:

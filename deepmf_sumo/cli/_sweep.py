@@ -13,6 +13,7 @@ import click
 import deepmf_sumo
 from deepmf_sumo.cli._parameters import FiniteRange
 from deepmf_sumo.errors import UsageError, exit_code
+from deepmf_sumo.sweep.limits import MEMORY_MB, TIMEOUT_S
 
 if TYPE_CHECKING:
     from deepmf_sumo.errors import Ending
@@ -167,11 +168,11 @@ def _limits() -> tuple[Callable[..., Any], ...]:
             help="Start no run after M minutes: exit code 130; --resume does the others.",
         ),
         click.option(
-            "--timeout", "timeout_s", metavar="S", type=_POSITIVE, default=600.0, show_default=True,
-            help="End a run that takes more seconds.",
+            "--timeout", "timeout_s", metavar="S", type=_POSITIVE, default=TIMEOUT_S,
+            show_default=True, help="End a run that takes more seconds.",
         ),
         click.option(
-            "--memory", "memory_mb", metavar="MB", type=_POSITIVE, default=4096.0,
+            "--memory", "memory_mb", metavar="MB", type=_POSITIVE, default=MEMORY_MB,
             show_default=True, help="End a run that takes more memory.",
         ),
     )  # fmt: skip

@@ -58,7 +58,7 @@ Tell = Callable[[dict[str, Any]], None]
 )  # fmt: skip
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True,
-    help="Set adversary.KEY, weights or seed; may be repeated.",
+    help="Set profile, adversary.KEY, weights or seed; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--net", type=click.Path(exists=True, dir_okay=False, path_type=Path),

@@ -118,7 +118,7 @@ def command(
     It is short for `deepmf-sumo run` with a spec whose source is {network: CONFIG, moments: {...}}.
     """
     if file is not None:
-        _save(file, _documents(ctx.meta[AFTER], configs, sets, wanted))
+        _save(file, _documents(ctx.meta[AFTER], configs, sets, wanted, all_conflicts))
         return
     given = {"sets": sets, "all_conflicts": all_conflicts, **wanted}
     ctx.exit(attacked(ctx.meta[AFTER], configs, mapped=mapped, **given))
@@ -139,8 +139,8 @@ def attacked(
     from deepmf_sumo.cli._screen import announce_moments, progress
 
     sweep = Sweep.begin(wanted, pictures=True)
-    documents = _documents(sumo_options, configs, sets, wanted)
-    specs = [moments.spec_of(one, all_conflicts=all_conflicts) for one in documents]
+    documents = _documents(sumo_options, configs, sets, wanted, all_conflicts)
+    specs = [moments.spec_of(one) for one in documents]
     with progress() as report:
         results = plans.run_specs(specs, sweep.options, report, announce_moments, by_option=True)
     code = end_of_runs(sweep, results)
@@ -154,6 +154,7 @@ def _documents(
     configs: tuple[Path, ...],
     sets: tuple[str, ...],
     wanted: dict[str, Any],
+    all_conflicts: bool,
 ) -> "list[Document]":
     """The specs that the options are short for."""
     from deepmf_sumo import moments
@@ -164,7 +165,9 @@ def _documents(
     chosen = {key: wanted[key] for key in _MOMENTS}
     for key in ("of", "polygon"):
         chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
-    return moments.documents(configs, keys, sets, sumo_options=sumo_options, **chosen)
+    return moments.documents(
+        configs, keys, sets, sumo_options=sumo_options, all_conflicts=all_conflicts, **chosen
+    )
 
 
 _KEYS = ("duration_s", "opponents", "planner", "seed")
@@ -178,10 +181,11 @@ _MOMENTS = (
 def _save(file: Path, documents: "list[Document]") -> None:
     import yaml
 
-    from deepmf_sumo import files
+    from deepmf_sumo import files, moments
 
     if len(documents) > 1:
         raise UsageError("--save-spec goes with one configuration: a spec has one network.")
+    moments.spec_of(documents[0])  # what is wrong with it shows now; files become absolute
     text = yaml.safe_dump(documents[0].values, sort_keys=False, allow_unicode=True)
     with files.writing(file):
         files.write(file, text)

@@ -18,7 +18,8 @@ from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.errors import nearest
 from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.predictors.base import MOST_MODES
-from deepmf_sumo.spec import VERSIONS, Spec
+from deepmf_sumo.spec import VERSIONS
+from deepmf_sumo.spec.profiles import SWITCHES, with_listed
 
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
@@ -42,9 +43,6 @@ _PAPER: Final[dict[str, Any]] = {
     "keep_tail": False,
     "sector": None,
     "aggressiveness": None,
-    "fair": False,
-    "lawful": False,
-    "no_rear_end": False,
     "constraints": (),
     "goal": "hit",
     "tries": 1,
@@ -71,8 +69,8 @@ class Settings(plugins.Settings):
             one whose best candidate has at least 95 % of the largest collision mass attacks: a
             vehicle that interacts with the AV need not be able to reach it. 1 as published; more
             only with ``argmax`` and ``partner``. Null: 3 with these, else 1.
-        rule: see `deepmf.scoring`. Specs of version 2 that say nothing have ``likeliest`` in the
-            form ``extended``; these settings know of no versions.
+        rule: see `deepmf.scoring`. Specs of versions 2 and 3 that say nothing have ``likeliest`` in
+            the form ``extended``; these settings know of no versions.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
         comfort_weight: P(OV) falls with the mean square acceleration and with the time off the
             road, see `deepmf.candidates`, s4/m2. Null: 1 for the choices of the likeliest
@@ -99,15 +97,12 @@ class Settings(plugins.Settings):
             dangerous), in place of ``rule`` and ``likelihood_weight``: see
             `deepmf.scoring.Balance`. 0.5 is the rule ``likeliest``; the limits are
             multiplied by 2^(aggressiveness - 0.5). Null: the rule decides.
-        fair: only candidates that a competent driver in the AV's place could avoid
-            (`avoidability.grading`) at the time of the choice; if there are none, no attack. True
-            by default in the command ``attack``.
-        lawful: only candidates that break no traffic rule (`deepmf.traffic_rules`); if none of
-            them meets the AV, no attack.
-        no_rear_end: only candidates that do not drive into the AV's rear end from behind; if none
-            of the others meets the AV, no attack. True by default in the command ``attack``.
-        constraints: names of further constraints, see `deepmf.constraints`; ``on_road`` and
-            ``with_traffic`` by default in the command ``attack``.
+        constraints: names, see `deepmf.constraints`, of what every candidate must fulfil; if none
+            that meets the AV does, there is no attack. ``fair``: a competent driver in the AV's
+            place could avoid it (`avoidability.grading`) at the time of the choice; ``lawful``: it
+            breaks no traffic rule (`deepmf.traffic_rules`); ``no_rear_end``: it does not drive into
+            the AV's rear end from behind; ``on_road``, ``with_traffic``, ``clean``. By default
+            those of the spec's profile.
         goal: what ends the tries: a ``hit``; or an ``avoidable`` one, with the metric
             `valid_collision` 1: candidates are then ``fair``, and ``clean`` (see
             `deepmf.constraints`).
@@ -136,9 +131,6 @@ class Settings(plugins.Settings):
     keep_tail: bool = False
     sector: SectorName | Annotated[int, Field(ge=0, le=7)] | None = None
     aggressiveness: float | None = Field(default=None, ge=0.0, le=1.0)
-    fair: bool = False
-    lawful: bool = False
-    no_rear_end: bool = False
     constraints: tuple[str, ...] = Field(default=(), strict=False)
     goal: Goal = "hit"
     tries: int = Field(default=1, ge=1, le=1000)
@@ -151,6 +143,16 @@ class Settings(plugins.Settings):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_form(cls, values: Any) -> Any:
+        if isinstance(values, dict):
+            values = with_listed(values)
+            for switch in SWITCHES:
+                if switch in values and values[switch] is not False:
+                    raise ValueError(f"{switch} is {values[switch]!r}; it must be true or false")
+                if switch in values:  # it contradicts the goal
+                    raise ValueError(
+                        f"goal 'avoidable' drives {switch} candidates alone; leave {switch}: false"
+                        " out"
+                    )
         if isinstance(values, dict) and values.get("form") == "paper":
             return _PAPER | {"reactions": _PAPER_REACTIONS} | values
         return values
@@ -183,12 +185,6 @@ class Settings(plugins.Settings):
         return self
 
     @model_validator(mode="after")
-    def _one_goal(self) -> Self:
-        if self.goal == "avoidable" and "fair" in self.model_fields_set and not self.fair:
-            raise ValueError("goal 'avoidable' drives fair candidates alone; leave fair: false out")
-        return self
-
-    @model_validator(mode="after")
     def _one_rule(self) -> Self:
         other = {"rule", "likelihood_weight"} & self.model_fields_set
         if self.aggressiveness is not None and other:
@@ -206,7 +202,7 @@ class Settings(plugins.Settings):
 
     @model_validator(mode="after")
     def _not_both_ways(self) -> Self:
-        if self.no_rear_end and self.wanted_sector == SECTORS.index("rear"):
+        if "no_rear_end" in self.constraints and self.wanted_sector == SECTORS.index("rear"):
             raise ValueError("sector 'rear' and no_rear_end contradict each other; leave one out")
         return self
 
@@ -229,7 +225,7 @@ class Settings(plugins.Settings):
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Results contain these keys only with values that are not the defaults."""
         values: dict[str, Any] = handler(self)
-        for key in ("constraints", "form", "goal", "no_rear_end", "tries"):
+        for key in ("form", "goal", "tries"):
             if getattr(self, key) == type(self).model_fields[key].default:
                 del values[key]
         return values
@@ -237,14 +233,9 @@ class Settings(plugins.Settings):
     @property
     def constrained(self) -> frozenset[str]:
         """Names of the constraints on the choice."""
-        own = {
-            "lawful": self.lawful,
-            "fair": self.fair,
-            "no_rear_end": self.no_rear_end,
-            "sector": self.sector is not None,
-        }
+        sector = () if self.sector is None else ("sector",)
         goal = ("clean", "fair") if self.goal == "avoidable" else ()
-        return frozenset({*(name for name, on in own.items() if on), *goal, *self.constraints})
+        return frozenset({*sector, *goal, *self.constraints})
 
     @property
     def period_steps(self) -> int | None:
@@ -289,23 +280,3 @@ class Settings(plugins.Settings):
     def wanted_sector(self) -> int | None:
         """0..7; None for any."""
         return SECTORS.index(self.sector) if isinstance(self.sector, str) else self.sector
-
-
-def unasked(spec: Spec, *, all_conflicts: bool = False) -> dict[str, Any]:
-    """Wishes of an attack on traffic for which a spec says nothing.
-
-    The opponent does not ram the AV from behind, drive against the traffic to hit it, or drive so
-    that no competent driver could avoid it (``all_conflicts``: it may), and does not leave the
-    road. Empty for other adversaries and for the form of the paper.
-    """
-    chosen = spec.adversary.settings
-    if spec.adversary.name != "deepmf" or chosen.get("form") == "paper" or chosen.get("lawful"):
-        return {}
-    more: dict[str, Any] = {}
-    if not all_conflicts and chosen.get("sector") not in {"rear", SECTORS.index("rear")}:
-        listed = chosen.get("constraints", ())
-        wishes = ("no_rear_end",) if chosen.get("goal") == "avoidable" else ("no_rear_end", "fair")
-        more.update({one: True for one in wishes if one not in chosen and one not in listed})
-    if "constraints" not in chosen and chosen.get("goal") != "avoidable":
-        more["constraints"] = ["on_road"] if all_conflicts else ["on_road", "with_traffic"]
-    return more

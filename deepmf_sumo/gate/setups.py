@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, Final
 
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.spec.profiles import applies_to, described
 
 if TYPE_CHECKING:
     from deepmf_sumo.gate.rows import Results, Row
@@ -54,8 +55,12 @@ def setup_of(result: Result) -> dict[str, Any]:
     beside = found.get("source.sumo_options")
     if beside is not None:
         found["source.sumo_options"] = [_FOLDERS.sub("", one) for one in beside]
-    if "profile" in result:
-        found["profile"] = result["profile"]  # type: ignore[typeddict-item]
+    if not applies_to(result["adversary"]):
+        found.pop("profile", None)
+    elif result.get("profile"):  # specs of versions 1 and 2 do not say theirs
+        found["profile"] = result["profile"]
+    if spec.get("version", 3) < 3:
+        found.setdefault("opponents", "one")
     inputs = result.get("inputs", {})
     if "weights" in inputs:  # the name of a folder says nothing of what is in it
         found["weights"] = f"files {inputs['weights'][:12]}"
@@ -178,3 +183,9 @@ def _between(a: Mapping[str, Any], b: Mapping[str, Any], names: Iterable[str]) -
 
 def _shown(setup: Mapping[str, Any], name: str) -> str:
     return repr(setup[name]) if name in setup else "not said"
+
+
+def meant(setup: Mapping[str, Any]) -> str:
+    """The profile of a setup with its constraints, see `profiles.described`; empty without one."""
+    constraints = setup.get("adversary.constraints", ())
+    return described(str(setup.get("profile") or ""), map(str, constraints))

@@ -18,10 +18,12 @@ from deepmf_sumo.gate import comparison, rows, setups
 from deepmf_sumo.gate.comparison import Comparison
 from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.same_attacks import SameAttacks
+from deepmf_sumo.gate.setups import meant
 from deepmf_sumo.gate.thresholds import ALL, UNFINISHED, Baseline, Judgement, Thresholds, judge
 from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
 from deepmf_sumo.results.quantities import COMPARABLE
+from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.tables import to_markdown
 
 _NAMED: Final = 5
@@ -301,7 +303,7 @@ def write_summary(path: Path, verdict: Verdict) -> None:
 def text(verdict: Verdict) -> str:
     """Title, tables, and the runs to look at; long lists are cut, which the text says."""
     rows = list(verdict.results.rows.values())
-    lines = [f"## deepmf-sumo: {_TITLES[verdict.exit_code]}", "", counts(rows), ""]
+    lines = [f"## deepmf-sumo: {_TITLES[verdict.exit_code]}", "", counts(verdict), ""]
     lines += to_markdown(
         ("group", "threshold", "allowed", "measured", "runs", ""), thresholds(verdict)
     )
@@ -329,8 +331,10 @@ def text(verdict: Verdict) -> str:
     return "\n".join(lines) + "\n\n"
 
 
-def counts(rows: Sequence[Row]) -> str:
-    """``40 runs: 36 judged, 3 with no vehicle to attack, 1 failed or missing``."""
+def counts(verdict: Verdict) -> str:
+    """``40 runs: 36 judged, 3 with no vehicle to attack, 1 failed or missing; profile fair``."""
+    rows, attacks = list(verdict.results.rows.values()), verdict.results.attacks
+    told = headline(map(meant, (attacks.get(row.attack, {}) for row in rows)))
     unfinished = sum(row.status in UNFINISHED for row in rows)
     skipped = sum(row.status == "skipped" for row in rows)
     judged = sum(row.judged for row in rows)
@@ -339,7 +343,7 @@ def counts(rows: Sequence[Row]) -> str:
     parts += [f"{unattacked} with no vehicle to attack"] if unattacked else []
     parts += [f"{skipped} skipped"] if skipped else []
     parts += [f"{unfinished} failed or missing"] if unfinished else []
-    return f"{len(rows)} run{_s(len(rows))}: {', '.join(parts)}"
+    return f"{len(rows)} run{_s(len(rows))}: {', '.join(parts)}{'; ' * bool(told)}{told}"
 
 
 def thresholds(verdict: Verdict) -> Iterator[tuple[str, ...]]:

@@ -14,7 +14,6 @@ import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Plan, TurnRules, View
 from deepmf_sumo.deepmf.policy import Settings, build
-from deepmf_sumo.deepmf.settings import unasked
 from deepmf_sumo.errors import SimulationError, UsageError, nearest
 from deepmf_sumo.live.connection import (
     LiveApi,
@@ -35,6 +34,7 @@ from deepmf_sumo.live.triggers import AtEdge, Trigger, parse
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.spec import Spec, of_document
 from deepmf_sumo.spec.document import Document
+from deepmf_sumo.spec.loading import assign
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Wish:
         triggers: ``time=S``, ``edge=ID``, ``ttc=S``; an attack begins when one of them fires.
             Empty: whenever a vehicle can attack.
         duration_s: maximum of an attack. pause_s: after it.
-        sets: ``key=value`` as in specs: ``adversary``, ``weights`` and ``seed``.
+        sets: ``key=value`` as in specs: ``profile``, ``adversary``, ``weights`` and ``seed``.
         net: the network file; None asks SUMO.
     """
 
@@ -106,12 +106,12 @@ def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
 
 
 def spec_of(wish: Wish) -> Spec:
-    """The settings as a spec would have them, with the wishes of `attack` where nothing is said.
+    """The settings as a spec of one attack in a network has them.
 
     Raises SpecError or UsageError.
     """
     values: dict[str, Any] = {
-        "version": 2,
+        "version": 3,
         "name": "live",
         # not used: the simulation runs already
         "source": {"network": ".", "av": {"vehicle": wish.avs[0]}},
@@ -120,19 +120,13 @@ def spec_of(wish: Wish) -> Spec:
     document = Document(file=Path("deepmf-sumo attach"), values=values)
     for assignment in wish.sets:
         key = assignment.partition("=")[0].strip()
-        if key.partition(".")[0] not in {"adversary", "weights", "seed"}:
+        if key.partition(".")[0] not in {"profile", "adversary", "weights", "seed"}:
             raise UsageError(
-                f"--set {assignment}: of a running simulation only adversary, weights and seed can "
-                "be set."
+                f"--set {assignment}: of a running simulation only profile, adversary, weights and"
+                " seed can be set."
             )
-        if key.startswith("adversary.") and isinstance(values["adversary"], str):
-            values["adversary"] = {"version": values["adversary"]}
-        document.assign(assignment)
+        assign(document, assignment)
     spec = of_document(document)
-    more = unasked(spec)
-    if more:
-        values["adversary"] = {"name": spec.adversary.name, **spec.adversary.settings, **more}
-        spec = of_document(document)
     if spec.adversary.name != "deepmf":
         raise UsageError(
             f"adversary '{spec.adversary.name}' tries attacks in simulations of its own; in a "
@@ -243,7 +237,8 @@ class Attacker:
         trigger: ``time=S``, ``edge=ID``, ``ttc=S``, several of them, or ``call``: only when
             `attack` is called. None: whenever a vehicle can attack.
         duration_s: maximum of an attack. pause_s: after it, before the next.
-        sets: ``key=value`` as in specs, or several, of ``adversary``, ``weights`` and ``seed``.
+        sets: ``key=value`` as in specs, or several, of ``profile``, ``adversary``, ``weights`` and
+            ``seed``.
         net: the network file; None asks SUMO, which names it relative to its working folder.
         out: folder for ``attacks.jsonl`` and the attacks as runs of a result folder; None writes
             nothing.
@@ -352,6 +347,7 @@ class Attached:
     """The result of `attach`.
 
     Attributes:
+        profile: of the attacks, as `spec.profiles.described` says it.
         rows: the attacks. end: why it left, at ``time_s`` of the simulation.
         last_failure: why the last try to attack failed.
         collisions: what SUMO does at a collision, its ``--collision.action``.
@@ -360,6 +356,7 @@ class Attached:
         switches: when new attacks were turned off and on, as in ``session.json``.
     """
 
+    profile: str
     rows: list[dict[str, Any]]
     end: End
     time_s: float
@@ -460,6 +457,7 @@ def attach(
     finally:
         record.finish(end, steps.ended_s)
     return Attached(
+        profile=record.profile,
         rows=record.rows,
         end=why,
         time_s=steps.ended_s,

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo import files
+from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.live.session import LiveAttack, Switch
@@ -27,7 +27,7 @@ from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.tracks import write_tracks
-from deepmf_sumo.spec import Spec
+from deepmf_sumo.spec import Spec, profiles
 from deepmf_sumo.tasks import Task
 
 
@@ -196,11 +196,17 @@ class Record:
         self._overwrite, self._ways = overwrite, ways
         self._results: Results | None = None
         self._held = ExitStack()
+        choice = spec.adversary
+        settings = plugins.settings("adversaries", choice.name, choice.settings)
+        constraints = sorted(settings.constrained - {"sector"})
+        self.profile = profiles.described(spec.profile, constraints)
         self._about = {
             "format_version": FORMAT_VERSION,
             "tool": "deepmf-sumo",
             "version": deepmf_sumo.__version__,
             "avs": list(avs),
+            "profile": spec.profile,
+            "constraints": constraints,
             "adversary": spec.adversary.model_dump(mode="json"),
             "weights": spec.weights,
             "seed": spec.seed,

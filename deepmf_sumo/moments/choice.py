@@ -14,13 +14,12 @@ from deepmf_sumo.moments.encounters import FROM_M, NONE, Encounters, nobody_met
 from deepmf_sumo.moments.moment import REACH_M, Found, Moment, Wish, around, opponents, suitable
 from deepmf_sumo.network.sumo_net import NetFile
 from deepmf_sumo.simulation.traffic_survey import Ints, Sightings
+from deepmf_sumo.spec.profiles import LONG_S
 
 ALONG: Final = "along"
 _TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"} | {
     "t": "turnaround"
 }
-LONG_S: Final = 15.0
-"""An attack on one opponent is decided by then."""
 _CLOSER: Final = 1e-3
 """Weight of how close an encounter is: among equals alone."""
 

@@ -13,10 +13,9 @@ from typing import Any, Final
 from zlib import crc32
 
 from deepmf_sumo import files, tables
-from deepmf_sumo.deepmf.settings import unasked
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
 from deepmf_sumo.moments.area import Area, area_of, inside
-from deepmf_sumo.moments.choice import LONG_S, choose, turns_of
+from deepmf_sumo.moments.choice import choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
 from deepmf_sumo.moments.flow import flows
 from deepmf_sumo.moments.moment import Flow, Found, Moment, VehicleTime, Wish, check_times
@@ -25,8 +24,9 @@ from deepmf_sumo.results.stored import MOMENTS
 from deepmf_sumo.simulation import demand
 from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
 from deepmf_sumo.simulation.traffic_survey import EVERY_S, Scouting, scout
-from deepmf_sumo.spec import FromMoments, Plugin, Spec, of_document, takes_turns
+from deepmf_sumo.spec import FromMoments, Plugin, Spec, of_document, profiles
 from deepmf_sumo.spec.document import Document
+from deepmf_sumo.spec.loading import assign, expand
 from deepmf_sumo.sweep import workers
 from deepmf_sumo.tasks import Task, moment_name, run_id_of, slug
 from deepmf_sumo.texts import of_cell
@@ -261,29 +261,38 @@ def documents(
     sets: Sequence[str] = (),
     *,
     sumo_options: Sequence[str] = (),
+    all_conflicts: bool = False,
     **wanted: Any,
 ) -> list[Document]:
     """The specs that ``attack`` is short for, one for each configuration.
+
+    They say what the options say; the rest is that of every spec of their version and profile.
 
     Args:
         configs: .sumocfg files; their runs are named after them.
         keys: of all specs; ``seed`` is the configuration's own where it is not given.
         sets: ``key=value`` over them.
         sumo_options: beside the configurations.
-        wanted: keys of `Moments`; None is not given. Unlike in a spec, ``prefer`` is then ``both``,
-            and ``from_s`` ``settled`` unless vehicles or times are given.
+        all_conflicts: DeepMF's opponents may ram the AV from behind, drive against the traffic, or
+            so that no competent driver could avoid it; off the road they attack nobody.
+        wanted: keys of `Moments`; None is not given.
 
-    Raises SimulationError for a configuration that cannot be read, UsageError or SpecError.
+    Raises SimulationError for a configuration that cannot be read, UsageError where
+    ``all_conflicts`` contradicts a key, or SpecError.
     """
     if wanted.get("of") and len(configs) > 1:
         raise UsageError(
             f"--moments-of goes with one configuration, and {len(configs)} are given: vehicles are"
             " those of one traffic."
         )
-    return [
+    found = [
         _document(config, name, keys, sets, sumo_options, wanted)
         for config, name in zip(configs, names_of(configs), strict=True)
     ]
+    if all_conflicts:
+        for document in found:
+            _allow_all(document)
+    return found
 
 
 def _document(
@@ -299,16 +308,12 @@ def _document(
         for key, value in wanted.items()
         if value not in (None, ())
     }
-    if "of" not in moments:
-        moments.setdefault("prefer", "both")
-        if not moments.keys() & {"at_s", "av"}:  # a vehicle that is named may leave before
-            moments.setdefault("from_s", "settled")
     source = {"network": str(config.absolute()), "moments": moments}
     if sumo_options:
         source["sumo_options"] = list(sumo_options)
     if "seed" not in keys:  # a seed that cannot be used is refused only where it would be used
         keys = {**keys, "seed": read_configuration(config, tuple(sumo_options)).seed}
-    values = {"version": 2, "name": name, "source": source, **keys}
+    values = {"version": 3, "name": name, "source": source, **keys}
     places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in keys}
     places |= {("source", "moments", key): _OPTIONS.get(key, f"--{key}") for key in moments}
     document = Document(file=Path("deepmf-sumo attack"), values=values, places=places)
@@ -316,50 +321,52 @@ def _document(
         key = assignment.partition("=")[0].strip().partition(".")[0]
         if key == "source":
             raise UsageError(f"--set {assignment}: the source is chosen by the other options.")
-        document.assign(assignment)
+        if key == "version":
+            raise UsageError(f"--set {assignment}: attack is short for specs of version 3.")
+        assign(document, assignment)
         places.setdefault((key,), f"--set {assignment}")
     return document
 
 
-def spec_of(document: Document, *, all_conflicts: bool = False) -> Spec:
-    """The spec of one of `documents`.
-
-    DeepMF does not ram the AV from behind, drive against the traffic or attack where no competent
-    driver could avoid it, unless ``all_conflicts`` or another key says so; nor does it leave the
-    road to hit the AV, unless ``constraints`` are given.
-    In a long attack opponents take turns, unless the key ``opponents`` says something else, or the
-    adversary looks for one attack, or its opponent is named. Raises SpecError as `spec.load`,
-    UsageError where ``all_conflicts`` contradicts a key, WeightsError where weights are named that
-    do not exist.
-    """
-    spec = of_document(document)
-    if all_conflicts and _never_rams(spec):
+def _allow_all(document: Document) -> None:
+    """Write what ``--all-conflicts`` stands for. Raises UsageError where a key contradicts it."""
+    expand(document)
+    values = document.values
+    if values.setdefault("profile", "any") != "any":
         raise UsageError(
-            "--all-conflicts allows rams from behind, and adversary.no_rear_end forbids them: leave"
-            " one of them out."
+            f"--all-conflicts is the profile any, and profile is {values['profile']}: leave one of"
+            " them out."
         )
-    more = unasked(spec, all_conflicts=all_conflicts)
-    if more:
-        document.values.setdefault("adversary", {"name": spec.adversary.name}).update(more)
-        spec = of_document(document)
-    if "weights" in document.values:
-        from deepmf_sumo.predictors import weights
-
-        weights.find(spec.weights)
-        document.values["weights"] = spec.weights
-    if spec.duration_s > LONG_S and "opponents" not in document.values and takes_turns(spec):
-        document.values["opponents"] = "in_turn"
-        return spec.model_copy(update={"opponents": "in_turn"})
-    return spec
+    adversary = values.setdefault("adversary", {"name": "deepmf"})
+    if not isinstance(adversary, dict) or adversary.get("name") != "deepmf":
+        return
+    listed = adversary.get("constraints", ())
+    if isinstance(listed, list | tuple) and _NOT_BEHIND in listed:
+        raise UsageError(
+            f"--all-conflicts allows rams from behind, and adversary.constraints has {_NOT_BEHIND}:"
+            " leave one of them out."
+        )
+    if adversary.get("form") != "paper":
+        allowed = profiles.left_open(profiles.ALL_CONFLICTS, adversary)
+        adversary.setdefault("constraints", allowed)
 
 
 _NOT_BEHIND: Final = "no_rear_end"
 
 
-def _never_rams(spec: Spec) -> bool:
-    """Whether the spec itself says that it does not ram the AV from behind."""
-    chosen = spec.adversary.settings
-    return bool(chosen.get(_NOT_BEHIND)) or _NOT_BEHIND in chosen.get("constraints", ())
+def spec_of(document: Document) -> Spec:
+    """The spec of one of `documents`, whose files and folders become absolute in it.
+
+    Raises SpecError as `spec.load`, and WeightsError where weights are named that do not exist.
+    """
+    spec = of_document(document)
+    if "weights" in document.values:
+        from deepmf_sumo.predictors import weights
+
+        weights.find(spec.weights)
+        document.values["weights"] = spec.weights
+    document.values["profile"] = spec.profile
+    return spec
 
 
 def tasks(spec: Spec, moments: Sequence[Moment]) -> list[Task]:

@@ -222,9 +222,13 @@ def _checked(loaded: Loaded, method: str, planner: str, source: int) -> Spec:
         "adversary": ("methods", method) if short else ("methods", method, "adversary"),
         "budget": ("methods", method, "budget"),
         "weights": ("methods", method, "weights"),
+        "profile": ("methods", method, "profile"),
+        "opponents": ("opponents",),
+        "turns": ("turns",),
     }
-    if plan.methods[method].weights is None:
-        places["weights"] = ("weights",)
+    for key in ("weights", "profile"):
+        if getattr(plan.methods[method], key) is None:
+            places[key] = (key,)
     spelled: dict[str, Any] = {
         "version": plan.version,
         "name": _name(method, planner),
@@ -236,8 +240,13 @@ def _checked(loaded: Loaded, method: str, planner: str, source: int) -> Spec:
         "budget": {} if short else own.get("budget", {}),
         "weights": plan.methods[method].weights or plan.weights,
     }
-    if plan.traffic is not None:
-        spelled["traffic"] = plan.traffic
+    stated = {
+        "traffic": plan.traffic,
+        "profile": plan.methods[method].profile or plan.profile,
+        "opponents": plan.opponents,
+        "turns": values.get("turns"),
+    }
+    spelled |= {key: value for key, value in stated.items() if value is not None}
     document = Document(file=loaded.document.file, values=copy.deepcopy(spelled))
     for key, at in places.items():
         for path, place in loaded.document.places.items():

@@ -17,10 +17,10 @@ from pydantic_core import PydanticCustomError
 
 import deepmf_sumo
 from deepmf_sumo.errors import SpecError, UsageError, nearest
-from deepmf_sumo.spec import FromMoments, SearchBudget
+from deepmf_sumo.spec import FromMoments, ProfileName, SearchBudget, profiles
 from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
-from deepmf_sumo.spec.model import First, Source, Strict, Version
+from deepmf_sumo.spec.model import First, Source, Strict, Turns, Version
 from deepmf_sumo.tasks import slug
 
 
@@ -51,14 +51,15 @@ class Subset(Strict):
 
 
 class Method(Subset):
-    """How attacks are found: an adversary as in a spec, its budget, and its weights.
+    """How attacks are found: an adversary as in a spec, its profile, its budget, and its weights.
 
     Attributes:
-        weights: else the plan's.
+        profile, weights: else the plan's.
         figures_only: run for figures, without a row in tables.
     """
 
     adversary: str | dict[str, Any]
+    profile: ProfileName | None = None
     budget: SearchBudget = SearchBudget()
     weights: str | None = None
     figures_only: bool = False
@@ -124,6 +125,13 @@ class Plan(Strict):
     traffic: Literal["log", "sumo"] | None = Field(
         default=None, description="log for recordings, sumo for networks"
     )
+    profile: ProfileName | None = Field(
+        default=None, description="of all methods that name none; fair by default, of version 3"
+    )
+    opponents: Literal["one", "in_turn"] | None = Field(
+        default=None, description="as in a spec, for all methods"
+    )
+    turns: Turns | None = Field(default=None, description="as in a spec")
     weights: str = "open"
     seeds: Annotated[tuple[Seed, ...], Field(strict=False, min_length=1), Distinct] = (0,)
     planners: dict[str, str | dict[str, Any]]
@@ -131,6 +139,13 @@ class Plan(Strict):
     tables: Tables = Tables()
     equal_seconds: EqualSeconds | None = None
     curves: Curves | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _moments_of_the_version(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or values.get("version") != 3 or "source" not in values:
+            return values
+        return {**values, "source": [*map(profiles.with_moments, _listed(values["source"]))]}
 
     @model_validator(mode="after")
     def _moments_have_one_seed(self) -> Self:

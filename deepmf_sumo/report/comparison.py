@@ -15,6 +15,7 @@ from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.spec.profiles import described
 
 MEANS: Final = {
     "opponent_rms_acceleration": "rms_a_mps2",
@@ -75,6 +76,7 @@ class Group:
             "part of the plan": part if part != "main" else "",
             "planner": planner,
             "attack": self._joined("adversary", "version") + self._form(),
+            "profile": described(self.text("profile"), self.text("constraints").split()),
         }
 
     def _form(self) -> str:

@@ -26,6 +26,7 @@ from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.predictors.weights import runtime_and_device
 from deepmf_sumo.results import junit, result, stored
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.tasks import Task
 
 try:
@@ -285,6 +286,7 @@ def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str
         "out_of_time": sum(bool(one.get("search", {}).get("out_of_time")) for one in done),
         "status": dict(Counter(one["status"] for one in results)),
         "outcome": dict(Counter(one["outcome"] for one in done)),
+        "profile": headline(map(result.profile, results)),
         "expectations_broken": {
             one["run_id"]: one["expectations_broken"]
             for one in results

@@ -25,7 +25,7 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics import NotMeasurable, naturalness
-from deepmf_sumo.spec import VERSIONS, FromNetwork
+from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
 from deepmf_sumo.tasks import Label, Task
 
 TABLE: Final = "turns.csv"
@@ -168,6 +168,8 @@ class Result(TypedDict, total=False):
         parameters: of the planner's car-following model.
         version: the paper's name for the period between plans.
         method, planner_label, base_method, part: of a plan, see `plans`.
+        profile: the kind of attack, see `spec.profiles`; empty of an adversary that knows none.
+        constraints: what held for every candidate of the opponent.
         settings: of planner and adversary, with all defaults.
         setup: the spec of this run alone, of files the names alone.
         inputs: digests of what the run reads: ``source``, ``weights``, ``planner``,
@@ -204,6 +206,8 @@ class Result(TypedDict, total=False):
     parameters: str | None
     adversary: Required[str]
     version: str | None
+    profile: str
+    constraints: list[str]
     method: Required[str]
     planner_label: Required[str]
     base_method: Required[str]
@@ -270,6 +274,8 @@ COLUMNS: Final = (
     "simulations",
     "turns",
     "turn_hits",
+    "profile",
+    "constraints",
 )
 IDENTITY: Final = ("spec", "scene", "network", "seed", "method", "planner_label", "part")
 TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
@@ -343,8 +349,17 @@ def row(result: Result) -> dict[str, str]:
         **{key: timings.get(key) for key in TIMINGS},
         "turns": None if by_turn is None else len(by_turn),
         "turn_hits": None if by_turn is None else hits(by_turn),
+        "constraints": " ".join(result.get("constraints", ())),
     }
     return {key: tables.cell(known[key]) for key in COLUMNS}
+
+
+def profile(result: Result) -> str:
+    """The kind of attack that was meant, and its constraints.
+
+    Empty where the adversary knows no profiles, or that version of the program knew none.
+    """
+    return profiles.described(result.get("profile", ""), result.get("constraints", ()))
 
 
 def attacked(result: Result) -> bool:
@@ -391,6 +406,8 @@ def _identity(task: Task, status: Status, error: str = "") -> Result:
         "parameters": getattr(planner, "parameters", None),
         "adversary": spec.adversary.name,
         "version": _version(adversary),
+        "profile": spec.profile if profiles.applies_to(spec.adversary.name) else "",
+        "constraints": sorted(set(getattr(adversary, "constrained", ())) - {"sector"}),
         "method": label.method,
         "planner_label": label.planner,
         "base_method": label.base or label.method,

@@ -146,6 +146,8 @@ class _Result(_Part):
     planner: str
     perception: str | None = None
     adversary: str
+    profile: str = ""
+    constraints: list[str] = []
     method: str = ""
     planner_label: str = ""
     base_method: str = ""

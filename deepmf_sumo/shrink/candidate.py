@@ -69,7 +69,7 @@ def spec_values(candidate: Candidate, failure: Failure, path: Floats) -> dict[st
         for x, y, heading in path.tolist()
     ]
     return {
-        "version": 2,
+        "version": 3,
         "name": f"{failure.run_id[:180]} shrunk",
         "source": source,
         "duration_s": round((candidate.last - candidate.begin) * DT_S, 3),
@@ -85,13 +85,14 @@ def undisturbed_values(failure: Failure) -> dict[str, Any]:
     """The spec of the run without an attack, in which SUMO or the log drives every vehicle."""
     spec, network = failure.spec, isinstance(failure.spec.source, FromNetwork)
     return {
-        "version": 2,
+        "version": 3,
         "name": "undisturbed",
         "source": failure.task.resolved()["source"],
         "duration_s": max((failure.contact + AFTER_STEPS) * DT_S, DT_S),
         "traffic": "sumo" if network else "log",
         "planner": {"name": "sumo" if network else "replay"},
         "adversary": {"name": "none"},
+        "opponents": "one",
         "seed": spec.seed,
     }
 

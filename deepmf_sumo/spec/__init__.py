@@ -6,7 +6,6 @@ nearest name. Paths are relative to the spec. `schema` describes specs to editor
 
 from deepmf_sumo.spec.loading import VERSIONS, load, of_document, takes_turns
 from deepmf_sumo.spec.model import (
-    DEFAULT_RULES,
     Av,
     Bound,
     Expect,
@@ -19,10 +18,12 @@ from deepmf_sumo.spec.model import (
     SearchBudget,
     Spec,
 )
+from deepmf_sumo.spec.profiles import DEFAULT_RULES, PROFILES, Profile, ProfileName
 from deepmf_sumo.spec.schema import schema
 
 __all__ = [
     "DEFAULT_RULES",
+    "PROFILES",
     "VERSIONS",
     "Av",
     "Bound",
@@ -33,6 +34,8 @@ __all__ = [
     "FromRecording",
     "Moments",
     "Plugin",
+    "Profile",
+    "ProfileName",
     "SearchBudget",
     "Spec",
     "load",

@@ -62,7 +62,7 @@ class Document:
         self.places[path] = place
 
 
-def read(file: Path, begins: str = "specs and plans begin with 'version: 2'") -> Document:
+def read(file: Path, begins: str = "specs and plans begin with 'version: 3'") -> Document:
     """The file's values; ``begins``: how such files do.
 
     Raises SpecError with file and line for all that is not a mapping.

@@ -23,16 +23,24 @@ def load(path: Path, sets: Sequence[str] = ()) -> Spec:
     Raises SpecError for anything wrong: file, YAML, keys, types, values, plug-ins, their settings.
     """
     document = read(path)
-    _expand(document)
+    expand(document)
     for assignment in sets:
-        document.assign(assignment)
-        _expand(document, override=True)
+        assign(document, assignment)
     return of_document(document)
+
+
+def assign(document: Document, assignment: str) -> None:
+    """Apply ``key=value``; short forms are written out, so that the next one may name their keys.
+
+    Raises SpecError.
+    """
+    document.assign(assignment)
+    expand(document, override=True)
 
 
 def of_document(document: Document) -> Spec:
     """The spec that a document holds, paths relative to its file. Raises SpecError as `load`."""
-    _expand(document)
+    expand(document)
     _place_files(document)
     context = {"folder": str(document.file.parent)}
     spec: Spec = checked(Spec, document.values, (), document, context)
@@ -64,7 +72,7 @@ def _one_opponent(spec: Spec) -> str:
     return f"{spec.adversary.name} looks for one attack"
 
 
-def _expand(document: Document, *, override: bool = False) -> None:
+def expand(document: Document, *, override: bool = False) -> None:
     """Write short forms out: ``planner: idm``, ``adversary: S1``, ``adversary: {version: S1}``."""
     values = document.values
     for key in ("planner", "adversary"):

@@ -3,7 +3,7 @@
 import math
 import stat
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -22,9 +22,9 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import nearest
-
-DEFAULT_RULES: Final = {1: "expected", 2: "likeliest"}
-"""The rule of DeepMF in its form ``extended`` where none is said, by version of the spec."""
+from deepmf_sumo.spec import profiles
+from deepmf_sumo.spec.profiles import DEFAULT_RULES, ProfileName
+from deepmf_sumo.spec.profiles import wrong as _wrong
 
 
 def unknown_key(key: str, model: type[BaseModel]) -> str:
@@ -33,23 +33,18 @@ def unknown_key(key: str, model: type[BaseModel]) -> str:
     return f"unknown key.{nearest(key, model.model_fields)} Known: {known}"
 
 
-def _wrong(rule: str, key: str = "") -> PydanticCustomError:
-    """``key`` is of the model's own, where not the whole value breaks the rule."""
-    return PydanticCustomError("rule", "{rule}", {"rule": rule, "key": key})
-
-
 def _a_version(value: Any) -> Any:
     if type(value) is not int or value not in DEFAULT_RULES:
         raise _wrong(
-            "must be 1 or 2, a number without quotes; a later version needs a newer deepmf-sumo"
+            "must be 1, 2 or 3, a number without quotes; a later version needs a newer deepmf-sumo"
         )
     return value
 
 
 Version = Annotated[
-    Literal[1, 2],
+    Literal[1, 2, 3],
     BeforeValidator(_a_version),
-    Field(description="2; 1 differs in DeepMF's default rule, expected in place of likeliest"),
+    Field(description="3; 1 and 2 keep their meaning, see versions"),
 ]
 """Of specs and plans."""
 
@@ -348,19 +343,6 @@ def _weights(value: str, info: ValidationInfo) -> str:
     return str(_existing(value, info)) if "/" in value else value
 
 
-def _takes_default_rule(adversary: dict[str, Any]) -> bool:
-    """Whether an adversary has a rule that its settings leave open.
-
-    A plug-in that derives from DeepMF's settings has another name, and keeps its own defaults.
-    """
-    return (
-        adversary.get("name") == "deepmf"
-        and adversary.get("form") != "paper"
-        and adversary.get("aggressiveness") is None
-        and "rule" not in adversary
-    )
-
-
 class Spec(Strict):
     """One spec: a source of situations, the planner under test, and its adversary."""
 
@@ -372,10 +354,14 @@ class Spec(Strict):
     )
     traffic: Literal["log", "sumo"] = Field(description="what drives the other vehicles")
     planner: Plugin = Plugin(name="idm")
+    profile: ProfileName = Field(
+        default=profiles.DEFAULT, description="the kind of attack, see profiles; of version 3"
+    )
     adversary: Plugin = Plugin(name="deepmf")
     opponents: Literal["one", "in_turn"] = Field(
         default="one",
-        description="one, whose hit ends the episode; or one after another until it is over",
+        description="one, whose hit ends the episode; or one after another until it is over, by"
+        " default above 15 s",
     )
     turns: Turns = Turns()
     budget: SearchBudget = SearchBudget()
@@ -393,21 +379,9 @@ class Spec(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _default_rule(cls, values: Any) -> Any:
-        """In version 2 the rule is part of the spec, so that every record of a run names it."""
-        if not isinstance(values, dict) or values.get("version") != 2:
-            return values
-        choice = values.get("adversary", {"name": "deepmf"})
-        settings = choice.model_dump() if isinstance(choice, Plugin) else choice
-        if not isinstance(settings, dict) or not _takes_default_rule(settings):
-            return values
-        if "likelihood_weight" in settings:
-            rule = (
-                "is for the rules expected and pair, and in version 2 the rule is likeliest where"
-                " none is said; add rule: expected, or leave likelihood_weight out"
-            )
-            raise _wrong(rule, "adversary.likelihood_weight")
-        return {**values, "adversary": {**settings, "rule": DEFAULT_RULES[2]}}
+    def _completed(cls, values: Any) -> Any:
+        """What is meant is part of the spec, so that every record of a run names it."""
+        return profiles.completed(values) if isinstance(values, dict) else values
 
     @model_validator(mode="after")
     def _only_recordings_have_a_log(self) -> "Spec":
@@ -427,7 +401,10 @@ class Spec(Strict):
     def resolved(self) -> dict[str, Any]:
         """Plain values with absolute paths, as they are written to a result folder.
 
-        Keys of turns are left out for one opponent: such specs equal those of earlier versions.
+        Keys of turns are left out for one opponent. Versions 1 and 2 have none of version 3: such
+        specs equal those of earlier versions.
         """
-        without = {"opponents", "turns"} if self.opponents == "one" else None
+        without = {"turns"} if self.opponents == "one" else set()
+        if self.version < 3:
+            without |= {"profile"} | ({"opponents"} if self.opponents == "one" else set())
         return self.model_dump(mode="json", exclude=without)

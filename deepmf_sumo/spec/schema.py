@@ -6,7 +6,8 @@ from pydantic import BaseModel
 
 from deepmf_sumo import plugins
 from deepmf_sumo.spec.loading import VERSIONS
-from deepmf_sumo.spec.model import DEFAULT_RULES, Spec
+from deepmf_sumo.spec.model import Spec
+from deepmf_sumo.spec.profiles import DEFAULT_RULES
 
 _CUSTOM = {
     "type": "object",

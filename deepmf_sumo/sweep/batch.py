@@ -18,6 +18,7 @@ from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec import Expect, Spec
 from deepmf_sumo.sweep import episode, fork, shards
 from deepmf_sumo.sweep.inputs import Input, fingerprinted
+from deepmf_sumo.sweep.limits import TIMEOUT_S
 from deepmf_sumo.sweep.others import Others
 from deepmf_sumo.sweep.others import others as find_others
 from deepmf_sumo.sweep.ray_cluster import Cluster
@@ -77,7 +78,7 @@ class Options:
     name_filter: str = ""
     executor: str = "local"
     jobs: int | None = None
-    timeout_s: float | None = 600.0
+    timeout_s: float | None = TIMEOUT_S
     draw: episode.Draw | None = None
     gui: bool = False
     junit: bool = False

@@ -21,7 +21,7 @@ KINDS: Final = ("left", "merge", "stop", "signal")
 WISHES: Final = {
     "version": "S2",
     "rule": "expected",
-    "lawful": "true",
+    "constraints": "[lawful]",
     "opponent": "met",
     "candidates": "12",
     "goal_candidates": "16",

@@ -43,9 +43,10 @@ _MEASURED: Final = ("opponent_rms_acceleration", "avoidable", "collision_speed")
 def planned(asked: argparse.Namespace, av: AvName, method: str) -> list[Task]:
     """The runs of a planner and a method, one a scene."""
     values = {
-        "version": 2, "name": f"{av} {method}", "duration_s": 8.0, "traffic": "log",
+        "version": 3, "name": f"{av} {method}", "duration_s": 8.0, "traffic": "log",
         "source": {"recording": str(asked.recording.resolve())}, "planner": PLANNERS[av],
-        "adversary": METHODS[method], "weights": asked.weights, "seed": asked.seed,
+        "profile": "any", "adversary": METHODS[method], "weights": asked.weights,
+        "seed": asked.seed,
     }  # fmt: skip
     return tasks.plan([Spec.model_validate(values)], cache_folder())[: asked.scenes]
 

@@ -33,8 +33,6 @@ def test_what_the_paper_leaves_open_can_be_chosen(key):
         ("keep_tail", True),
         ("sector", "left"),
         ("aggressiveness", 0.5),
-        ("fair", True),
-        ("lawful", True),
         ("constraints", ("fair",)),
         ("opponent", "partner"),
     ],
@@ -43,6 +41,12 @@ def test_what_contradicts_it_is_refused_by_name(key, value):
     with pytest.raises(ValidationError, match=f"form 'paper' contradicts {key}: "):
         Settings(form="paper", **{key: value})
     Settings(**{key: value})  # ours takes it
+
+
+@pytest.mark.parametrize("key", ["fair", "lawful", "no_rear_end"])
+def test_a_constraint_that_is_switched_on_contradicts_it(key):
+    with pytest.raises(ValidationError, match=f"form 'paper' contradicts constraints: ..{key}"):
+        Settings(form="paper", **{key: True})
 
 
 def test_results_name_the_form_where_it_is_not_ours_and_are_read_back():

@@ -79,8 +79,14 @@ def test_an_unknown_constraint_is_refused_with_the_nearest_name():
         plugins.settings("policies", "deepmf", {"constraints": ["fare"]})
 
 
-def test_results_name_further_constraints_only_if_there_are_any():
-    plain = plugins.settings("policies", "deepmf", {})
-    assert "constraints" not in plain.model_dump(mode="json")
-    fair = plugins.settings("policies", "deepmf", {"constraints": ["fair"]})
-    assert fair.model_dump(mode="json")["constraints"] == ["fair"]
+def test_results_name_all_constraints_in_one_list():
+    for values, expected in (
+        ({}, []),
+        ({"constraints": ["fair"]}, ["fair"]),
+        ({"fair": True}, ["fair"]),
+        ({"fair": False, "lawful": False, "no_rear_end": False}, []),
+        ({"lawful": True, "constraints": ["on_road", "lawful"]}, ["lawful", "on_road"]),
+    ):
+        written = plugins.settings("policies", "deepmf", values).model_dump(mode="json")
+        assert written["constraints"] == expected
+        assert not {"fair", "lawful", "no_rear_end"} & written.keys()

@@ -1,23 +1,17 @@
-"""Which pairs are rams from behind, and what `no_rear_end` does to a plan and to `attack`."""
-
-from pathlib import Path
+"""Which pairs are rams from behind, and what `no_rear_end` does to a plan."""
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from deepmf_sumo import plugins
-from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.deepmf.candidates import collisions, rear_ends
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.settings import Settings
-from deepmf_sumo.errors import UsageError
-from deepmf_sumo.moments import search
 
 from tests.support.predictor_doubles import Doubles, view_of
 
-SUMO_CONFIG = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.sumocfg"
 CAR_M = np.array([4.8, 2.0])
 BEHIND = {"av": (0, 0, 0, 10.0), "near": (-9, 0.0, 0, 14.0), "far": (60, -40, np.pi / 2, 9.0)}
 BESIDE = {"av": (0, 0, 0, 10.0), "near": (-3, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
@@ -88,86 +82,5 @@ def test_it_contradicts_a_wish_for_the_rear_and_the_published_form():
     for values in ({"sector": "rear"}, {"sector": 4}, {"form": "paper"}):
         with pytest.raises(ValidationError, match="contradict"):
             Settings(no_rear_end=True, **values)
-    assert "no_rear_end" not in Settings().model_dump(mode="json")
-    assert Settings(no_rear_end=True).model_dump(mode="json")["no_rear_end"] is True
-
-
-@pytest.mark.parametrize(
-    ("sets", "expected"),
-    [
-        ([], True),
-        (["adversary=S2"], True),
-        (["adversary.no_rear_end=false"], False),
-        (["adversary.sector=rear"], None),
-        (["adversary.lawful=true"], None),
-        (["adversary={name: deepmf, form: paper}"], None),
-        (["adversary.constraints=[no_rear_end]"], None),
-        (["adversary=brs"], None),
-    ],
-)
-def test_attack_asks_for_it_unless_something_else_is_said(sets, expected):
-    [document] = search.documents([SUMO_CONFIG], {}, sets)
-    spec = search.spec_of(document)
-    assert spec.adversary.settings.get("no_rear_end") is expected
-    if expected:
-        assert document.values["adversary"]["no_rear_end"] is True
-    [plain] = search.documents([SUMO_CONFIG], {}, sets)
-    if sets and "constraints" in sets[0]:
-        with pytest.raises(UsageError, match="leave one of them out"):
-            search.spec_of(plain, all_conflicts=True)
-        return
-    allowed = search.spec_of(plain, all_conflicts=True).adversary.settings.get("no_rear_end")
-    assert allowed is (False if expected is False else None)
-
-
-@pytest.mark.parametrize(
-    ("sets", "expected"),
-    [
-        ([], ["on_road"]),
-        (["adversary.constraints=[]"], []),
-        (["adversary.constraints=[clean]"], ["clean"]),
-        (["adversary.lawful=true"], None),
-        (["adversary.goal=avoidable"], None),
-        (["adversary={name: deepmf, form: paper}"], None),
-        (["adversary=brs"], None),
-    ],
-)
-def test_attack_stays_on_the_road_unless_constraints_are_given(sets, expected):
-    for all_conflicts in (True, False):
-        [document] = search.documents([SUMO_CONFIG], {}, sets)
-        spec = search.spec_of(document, all_conflicts=all_conflicts)
-        by_default = expected == ["on_road"] and not all_conflicts
-        more = ["with_traffic"] if by_default else []
-        found = spec.adversary.settings.get("constraints")
-        assert found == (None if expected is None else expected + more)
-
-
-@pytest.mark.parametrize(
-    ("sets", "expected"),
-    [
-        ([], True),
-        (["adversary.fair=false"], False),
-        (["adversary.no_rear_end=false"], True),
-        (["adversary.sector=front"], True),
-        (["adversary.sector=rear"], None),  # which hardly any driver avoids
-        (["adversary.constraints=[fair]"], None),
-        (["adversary.goal=avoidable"], None),  # which asks for more
-        (["adversary.lawful=true"], None),
-        (["adversary={name: deepmf, form: paper}"], None),
-        (["adversary=brs"], None),
-    ],
-)
-def test_attack_is_fair_unless_something_else_is_said(sets, expected):
-    [document] = search.documents([SUMO_CONFIG], {}, sets)
-    assert search.spec_of(document).adversary.settings.get("fair") is expected
-    [document] = search.documents([SUMO_CONFIG], {}, sets)
-    allowed = search.spec_of(document, all_conflicts=True).adversary.settings.get("fair")
-    assert allowed is (False if expected is False else None)
-
-
-def test_all_conflicts_and_no_rear_end_contradict_each_other(tmp_path, capsys):
-    arguments = ["--all-conflicts", "--set", "adversary.no_rear_end=true"]
-    out = ["--out", str(tmp_path / "out")]
-    assert main._run(["attack", str(SUMO_CONFIG), *arguments, *out]) == 2
-    assert "leave one of them out" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+        with pytest.raises(ValidationError, match="contradict"):
+            Settings(constraints=["no_rear_end"], **values)

@@ -219,3 +219,25 @@ def test_of_an_earlier_manifest_other_runs_say_the_name(tmp_path):
     row = found["cut-in--a--2"]
     assert (row.spec, row.network, row.planner, row.seed) == ("Cut_in", "crossing", "idm lane", 2)
     assert found["other--b--0"].spec == "other"
+
+
+def test_specs_of_versions_2_and_3_may_be_one_attack():
+    """Version 2 says neither its profile nor that there is one opponent."""
+    newer = json.loads(json.dumps(SPEC)) | {"version": 3, "profile": "any"}
+    older = {key: one for key, one in newer.items() if key not in {"profile", "opponents"}}
+    rows = [
+        gate_doubles.result("a", setup=setup, profile="any")
+        for setup in (newer, older | {"version": 2})
+    ]
+    first, second = map(setups.setup_of, rows)
+    assert setups.differing(first, second) == set()
+
+
+def test_a_profile_is_no_part_of_a_search():
+    setup = json.loads(json.dumps(SPEC)) | {"adversary": {"name": "bga"}}
+    rows = [
+        gate_doubles.result("a", adversary="bga", setup=setup | {"profile": profile}, profile="")
+        for profile in ("fair", "any")
+    ]
+    first, second = map(setups.setup_of, rows)
+    assert setups.differing(first, second) == set()

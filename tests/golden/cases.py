@@ -167,6 +167,7 @@ def write(folder: Path, scenarios: Path) -> None:
         opponent = {} if named is None else {"opponent": named}
         if "adversary" in changes:
             spec["version"] = 1
+            spec.pop("profile", None)
         spec |= {**changes, "name": name}
         if changes.get("adversary", {}).get("name") == "deepmf" and "opponents" not in changes:
             spec["adversary"] = opponent | changes["adversary"]

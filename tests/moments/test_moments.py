@@ -228,7 +228,7 @@ def test_vehicles_whose_names_are_one_file_name_have_runs_of_their_own(tmp_path)
 @pytest.mark.parametrize(("asked", "of_first", "of_second"), [("met", "b", None), ("x", "x", "x")])
 def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_second):
     """Who meets nobody has its opponent chosen as by default."""
-    sets = ["adversary.version=S2", f"adversary.opponent={asked}", "adversary.lawful=true"]
+    sets = ["adversary.version=S2", f"adversary.opponent={asked}", "profile=lawful"]
     spec = spec_of({}, sets)
     moments = [
         Moment(
@@ -239,6 +239,6 @@ def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_se
     ]  # fmt: skip
     settings = [task.spec.adversary.settings for task in search.tasks(spec, moments)]
     assert [one.get("opponent") for one in settings] == [of_first, of_second]
-    assert all(one["lawful"] for one in settings)
+    assert all(one["constraints"] == ["lawful"] for one in settings)
     long = spec_of({"duration_s": 30.0}, sets[1:2])
     assert long.opponents == "one", "who is named, or met, takes no turns"

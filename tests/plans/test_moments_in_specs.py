@@ -35,18 +35,21 @@ def rows(file):
 @pytest.mark.sumo
 def test_attack_is_short_for_a_spec_with_moments(tiny, tmp_path, capsys):
     config, file = tiny / "tiny.sumocfg", tmp_path / "attack.yaml"
-    attack = ["attack", config, "-n", 2, "--duration", 1, "--set", "adversary=none"]
+    attack = ["attack", config, "-n", 1, "--duration", 0.5]
     attack += ["--planner", "sumo", "--no-pictures", "--no-risk"]
     assert call(*attack, "--out", tmp_path / "a", "--", "--scale", 1) == 0
     assert call(*attack, "--save-spec", file, "--out", tmp_path / "no", "--", "--scale", 1) == 0
     assert not (tmp_path / "no").exists()
     written = yaml.safe_load(file.read_text())
-    assert written["source"]["moments"] == {"count": 2, "from_s": "settled", "prefer": "both"}
-    assert (written["version"], written["seed"], written["duration_s"]) == (2, 23423, 1.0)
+    assert written["source"]["moments"] == {"count": 1}
+    assert (written["version"], written["seed"], written["duration_s"]) == (3, 23423, 0.5)
+    assert written["profile"] == "fair"
     capsys.readouterr()
     assert call("run", file, "--no-pictures", "--out", tmp_path / "b") == 0
     assert "tiny.sumocfg: 2 vehicles from 0 to" in capsys.readouterr().err
     assert differences(tmp_path / "a", tmp_path / "b") == []
+    plans = sorted((tmp_path / "a" / "runs").glob("*/plans.npz"))
+    assert len(plans) == 1, "the default adversary plans"
     assert (tmp_path / "a" / "moments.csv").read_bytes() == (
         tmp_path / "b" / "moments.csv"
     ).read_bytes()

@@ -95,7 +95,7 @@ def test_a_hit_is_shrunk_and_fails_again_and_a_careful_planner_passes(hit, tmp_p
     assert "road users -> 2" in said.out
     assert "repeated byte for byte" in said.out
     small = yaml.safe_load(file.read_text())
-    assert small["version"] == 2
+    assert small["version"] == 3
     assert small["source"]["only"] == ["leader"]
     assert small["source"]["start_s"] > 2.0
     assert small["planner"] == {"name": "constant_velocity"}

@@ -202,6 +202,7 @@ def test_a_measured_spec_keeps_the_opponent_and_takes_method_budget_and_fault():
     spec = measure.spec_of(file, asked, "narrow")
     assert (spec.planner.name, spec.planner.settings) == (measure.FAULTY, {"fault": "narrow"})
     assert spec.adversary.settings == {
+        "constraints": [],
         "opponent": "cutter",
         "period_s": 2.0,
         "rule": "likeliest",

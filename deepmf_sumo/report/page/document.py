@@ -19,6 +19,7 @@ from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results import sessions, stored
 from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.risk import Network, Row
+from deepmf_sumo.spec.profiles import described, headline
 
 _SCRIPTS: Final = (
     "packing", "statistics", "elements", "table", "runs", "totals", "groups", "camera", "scene",
@@ -47,6 +48,9 @@ def write(out: Path) -> Path:
         "withoutMap": without_map,
         "switchedOff": sessions.switched_off(out),
         "missing": sum(bool(page.missing) for page in pages),
+        "profile": headline(
+            described(row.get("profile", ""), row.get("constraints", "").split()) for row in table
+        ),
         "interrupted": bool(_json(out / "summary.json").get("interrupted")),
         "manifest": {name: manifest.get(name) for name in ("version", "packages", "machine")},
         "weights": {name: _licences(name) for name in _weights(pages)},

@@ -103,16 +103,19 @@ def notes(layout: Layout) -> list[str]:
 
 def _by_method(layout: Layout, methods: Sequence[str]) -> dict[str, str]:
     default, known = DEFAULT_RULES[layout.plan["version"]], layout.plan["methods"]
-    found = {label: _rule(known[label].get("adversary", {}), default) for label in methods}
+    found = {}
+    for label in methods:
+        profile = known[label].get("profile") or layout.plan.get("profile")
+        found[label] = _rule(known[label].get("adversary", {}), default, profile == "paper")
     return {label: rule for label, rule in found.items() if rule}
 
 
-def _rule(choice: str | dict[str, Any], default: str) -> str:
+def _rule(choice: str | dict[str, Any], default: str, published: bool) -> str:
     """The rule of a plan's method, or `_PUBLISHED`; empty where it is not DeepMF."""
     settings = {"name": choice} if isinstance(choice, str) else choice
     if settings.get("name", "deepmf") not in {"deepmf", *VERSIONS}:
         return ""
-    if settings.get("form") == "paper":
+    if published or settings.get("form") == "paper":
         return _PUBLISHED
     if settings.get("aggressiveness") is not None:
         return f"aggressiveness {settings['aggressiveness']:g}"

@@ -71,6 +71,8 @@ function factsOf(row, details, content) {
     planner: row.planner,
     seed: details.seed ?? row.seed,
     adversary: [details.adversary, details.version].filter(Boolean).join(" "),
+    profile: details.profile,
+    constraints: (details.constraints ?? []).join(", "),
     ended: details.ended,
     plans: details.plans,
     "deepmf-sumo": manifest.version,

@@ -42,6 +42,7 @@ function showOrigin(content) {
     manifest.version ? `deepmf-sumo ${manifest.version}` : "",
     machine.started,
     command,
+    content.profile,
   ]
     .filter(Boolean)
     .join(" · ");

@@ -1,0 +1,256 @@
+"""Which kind of attack is meant: what a spec stands for where it says nothing.
+
+A profile names a kind of attack. It is resolved here, once, as a spec is read: what it stands for
+is written into the spec, so that a run, its record and a copy of it know the same attack whatever
+reads them, and a later profile of the same name changes none of them. A setting that the spec
+states wins over its profile. Commands without a spec (`attack`, `attach`, `serve`) are short for a
+spec, so that the same words mean the same attack everywhere.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from pydantic_core import PydanticCustomError
+
+from deepmf_sumo import plugins
+from deepmf_sumo.errors import PluginError
+
+ProfileName = Literal["fair", "any", "lawful", "paper"]
+
+LONG_S: Final = 15.0
+"""The time of one opponent: in a longer attack several take turns."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """What a profile stands for; the adversary's settings are those of DeepMF.
+
+    Attributes:
+        constraints: of the opponent. form: of the method.
+        rule: by which the opponent's plan is chosen; None leaves it to the form.
+        in_turn: in an attack of more than `LONG_S` opponents take turns.
+    """
+
+    constraints: tuple[str, ...] = ()
+    form: Literal["paper", "extended"] = "extended"
+    rule: str | None = "likeliest"
+    in_turn: bool = True
+
+
+PROFILES: Final[dict[ProfileName, Profile]] = {
+    "fair": Profile(constraints=("fair", "no_rear_end", "on_road", "with_traffic")),
+    "any": Profile(),
+    "lawful": Profile(constraints=("lawful",)),
+    "paper": Profile(form="paper", rule=None, in_turn=False),
+}
+"""``fair``: a competent driver in the AV's place could avoid the attack, and the opponent neither
+rams it from behind nor drives beside the road or against the traffic, which is possible anywhere;
+``any``: whatever the opponent can drive; ``lawful``: it keeps the rules of traffic; ``paper``: the
+method as published."""
+DEFAULT: Final[ProfileName] = "fair"
+ALL_CONFLICTS: Final = ("on_road",)
+"""Constraints of ``attack --all-conflicts``, of the profile ``any``."""
+
+DEFAULT_RULES: Final = {1: "expected", 2: "likeliest", 3: PROFILES["any"].rule or ""}
+"""The rule of DeepMF in its form ``extended`` where none is said, by version of the spec."""
+
+SWITCHES: Final = ("fair", "lawful", "no_rear_end")
+"""Constraints that versions 1 and 2 have as settings of their own, true or false, too."""
+_REAR: Final = ("rear", 4)
+
+
+def wrong(rule: str, key: str = "") -> PydanticCustomError:
+    """``key`` is of the model's own, where not the whole value breaks the rule."""
+    return PydanticCustomError("rule", "{rule}", {"rule": rule, "key": key})
+
+
+def applies_to(adversary: str) -> bool:
+    """Whether an adversary has the settings that a profile fills in.
+
+    A plug-in that derives from DeepMF's settings has another name, and keeps its own defaults.
+    """
+    return adversary == "deepmf"
+
+
+def left_open(names: Iterable[str], settings: Mapping[str, Any]) -> list[str]:
+    """Constraints of a profile that fit to DeepMF's settings, where these state none.
+
+    An attack on the rear end is a ram, which hardly any driver could avoid; the goal ``avoidable``
+    has stricter constraints of its own.
+    """
+    away = {"no_rear_end", "fair"} if settings.get("sector") in _REAR else set()
+    if settings.get("goal") == "avoidable":
+        away |= {"fair", "on_road", "with_traffic"}
+    return sorted({*names} - away)
+
+
+def completed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a spec with what its version and profile stand for where they say nothing.
+
+    Versions 1 and 2 know no profiles: theirs is ``any``, or ``paper`` where the form is. Raises
+    PydanticCustomError for what contradicts them.
+    """
+    found, version = dict(values), values.get("version")
+    if type(version) is not int or version not in DEFAULT_RULES:
+        return found  # which is refused where versions are checked
+    choice = found.get("adversary", {"name": "deepmf"})
+    if not isinstance(choice, dict):
+        choice = choice.model_dump() if hasattr(choice, "model_dump") else {}
+    if version == max(DEFAULT_RULES):
+        return _of_version_3(found, choice)
+    if "profile" in found:
+        raise wrong(f"is a key of version 3, and this is version {version}", "profile")
+    ours = applies_to(str(choice.get("name")))
+    found["profile"] = "paper" if ours and choice.get("form") == "paper" else "any"
+    if ours:
+        default = DEFAULT_RULES[version] if version > 1 else None
+        found["adversary"] = _ruled(with_listed(choice), default, version)
+    return found
+
+
+def _of_version_3(found: dict[str, Any], choice: dict[str, Any]) -> dict[str, Any]:
+    name = found.setdefault("profile", DEFAULT)
+    if name not in PROFILES:
+        return found  # which is refused where keys are checked
+    if applies_to(str(choice.get("name"))):
+        if choice.get("form") == "paper":
+            name = found["profile"] = "paper"
+        found["adversary"] = _profiled(choice, name)
+    if "source" in found:
+        found["source"] = with_moments(found["source"])
+    if "opponents" not in found:
+        turns = PROFILES[name].in_turn and _is_long(found) and _takes_turns(choice)
+        found["opponents"] = "in_turn" if turns else "one"
+    return found
+
+
+def _profiled(choice: dict[str, Any], name: ProfileName) -> dict[str, Any]:
+    """DeepMF's settings with what the profile stands for."""
+    profile = PROFILES[name]
+    for switch in SWITCHES:
+        if switch in choice:
+            raise wrong(_as_list(choice, switch, profile), f"adversary.{switch}")
+    if profile.form == "paper":
+        if choice.get("form", "paper") != "paper":
+            rule = "contradicts the profile paper; leave one of them out"
+            raise wrong(rule, "adversary.form")
+        return {**choice, "form": "paper"}
+    listed = choice.get("constraints", left_open(profile.constraints, choice))
+    return _ruled({**choice, "constraints": _in_order(listed)}, profile.rule, 3)
+
+
+def _as_list(choice: Mapping[str, Any], switch: str, profile: Profile) -> str:
+    """What to write in place of a constraint that is switched on or off."""
+    listed = choice.get("constraints", left_open(profile.constraints, choice))
+    others = {one for one in listed if one != switch} if isinstance(listed, list | tuple) else set()
+    meant = sorted(others | {switch} if choice[switch] is True else others)
+    profiles = [name for name in PROFILES if name == switch and choice[switch] is True]
+    instead = f", or profile: {profiles[0]}" if profiles else ""
+    return (
+        "is of versions 1 and 2; version 3 lists all constraints: write adversary.constraints:"
+        f" [{', '.join(meant)}]{instead}"
+    )
+
+
+def with_listed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """DeepMF's settings, their constraints in one list, each once, in the order of their names.
+
+    Switches that are false switch nothing off; one that contradicts the goal, or is neither true
+    nor false, is left for the settings to refuse.
+    """
+    found, listed = dict(settings), _in_order(settings.get("constraints", ()))
+    known = isinstance(listed, list)  # what is none is refused
+    names = {*listed} if known else set()
+    for switch in SWITCHES:
+        if found.get(switch) is True:
+            names.add(switch)
+        elif found.get(switch) is not False or _contradicts_goal(found, switch):
+            continue
+        del found[switch]
+    if known and (names or "constraints" in found):
+        found["constraints"] = sorted(names)
+    return found
+
+
+def _contradicts_goal(settings: Mapping[str, Any], switch: str) -> bool:
+    return switch == "fair" and settings.get("goal") == "avoidable"
+
+
+def _in_order(names: Any) -> Any:
+    """Names each once; what is no list of names as it is, to be refused."""
+    if isinstance(names, list | tuple) and all(isinstance(one, str) for one in names):
+        return sorted({*names})
+    return names
+
+
+def _ruled(choice: dict[str, Any], rule: str | None, version: int) -> dict[str, Any]:
+    """DeepMF's settings with the rule, where they leave it open."""
+    if rule is None or choice.get("form") == "paper" or "rule" in choice:
+        return choice
+    if choice.get("aggressiveness") is not None:
+        return choice
+    if "likelihood_weight" in choice:
+        raise wrong(
+            f"is for the rules expected and pair, and in version {version} the rule is likeliest"
+            " where none is said; add rule: expected, or leave likelihood_weight out",
+            "adversary.likelihood_weight",
+        )
+    return {**choice, "rule": rule}
+
+
+def with_moments(source: Any) -> Any:
+    """A source of version 3: where moments are chosen, as `attack` chooses them.
+
+    They are spread over the network, and encounters come first at each place; attacks begin once
+    the traffic has settled, unless a vehicle, which may leave before, or times are named.
+    """
+    moments = source.get("moments") if isinstance(source, dict) else None
+    if not isinstance(moments, dict) or moments.get("of") is not None:
+        return source
+    filled = {"prefer": "both", **moments}
+    if not any(moments.get(key) for key in ("at_s", "av")):
+        filled.setdefault("from_s", "settled")
+    return {**source, "moments": filled}
+
+
+def _is_long(values: Mapping[str, Any]) -> bool:
+    """Whether this is a long attack on a network."""
+    source, duration_s = values.get("source"), values.get("duration_s")
+    on_network = "network" in source if isinstance(source, dict) else hasattr(source, "network")
+    return on_network and isinstance(duration_s, int | float) and duration_s > LONG_S
+
+
+def _takes_turns(choice: Mapping[str, Any]) -> bool:
+    """Whether an adversary can choose one opponent after another."""
+    settings = {key: value for key, value in choice.items() if key != "name"}
+    try:
+        made = plugins.settings("adversaries", str(choice.get("name")), settings)
+    except PluginError:
+        return False  # which is said where plug-ins are checked
+    return bool(getattr(made, "takes_turns", False))
+
+
+def headline(meant: Iterable[str]) -> str:
+    """``profile fair`` of runs, each as `described`; of several profiles, how many runs each has.
+
+    Empty runs have an adversary that knows no profiles.
+    """
+    counts = Counter(filter(None, meant))
+    if len(counts) == 1:
+        return f"profile {next(iter(counts))}"
+    told = (f"{name} ({count} run{'s' * (count > 1)})" for name, count in counts.items())
+    return f"profiles {'; '.join(told)}" if counts else ""
+
+
+def described(profile: str, constraints: Iterable[str]) -> str:
+    """The profile of a run and the constraints that held: ``lawful (lawful)``; empty without one.
+
+    A spec may state other constraints than its profile.
+    """
+    names = sorted(constraints)
+    if names and profile:
+        return f"{profile} ({', '.join(names)})"
+    ours = profile in PROFILES and PROFILES[profile].constraints
+    return f"{profile} (no constraints)" if ours else profile
