@@ -14,9 +14,21 @@ Cell = Callable[[Any], str]
 _LARGEST: Final = 2**28
 
 
+_SIX_DIGITS_BELOW: Final = 1e3
+_PLAIN_BELOW: Final = 1e12
+
+
 def cell(value: Any) -> str:
-    """A value in a CSV table: None is empty, numbers have six digits, text is never a formula."""
-    return f"{value:.6g}" if isinstance(value, float) else exact(value)
+    """A value in a CSV table: None is empty, text is never a formula.
+
+    Numbers have six digits, or three decimals where six digits would cut those: coordinates of a
+    network that is not shifted to its origin are millions of metres.
+    """
+    if not isinstance(value, float):
+        return exact(value)
+    if _SIX_DIGITS_BELOW <= abs(value) < _PLAIN_BELOW:
+        return f"{value:.3f}".rstrip("0").rstrip(".")
+    return f"{value:.6g}"
 
 
 def exact(value: Any) -> str:

@@ -1,3 +1,7 @@
+import csv
+import io
+
+import numpy as np
 import pytest
 
 from deepmf_sumo import tables
@@ -49,3 +53,31 @@ def test_markdown_has_no_bars_of_others():
 def test_the_nearest_name_is_a_hint():
     assert nearest("adversry", ["planner", "adversary"]) == " Did you mean 'adversary'?"
     assert nearest("x", ["planner"]) == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (5_335_200.1234, "5335200.123"), (-499_968.5, "-499968.5"), (1234.5678, "1234.568"),
+        (999.9996, "1000"), (0.000012345678, "1.23457e-05"), (1000.0, "1000"), (-0.0, "-0"),
+        (1e300, "1e+300"), (float("nan"), "nan"), (float("inf"), "inf"), (86_400.05, "86400.05"),
+    ],
+)  # fmt: skip
+def test_numbers_keep_millimetres(value, text):
+    assert tables.cell(value) == text
+    if np.isfinite(value):
+        assert float(tables.cell(value)) == pytest.approx(value, rel=1e-5, abs=6e-4)
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 5_335_200.0])
+def test_places_of_a_network_that_is_not_shifted_are_as_exact(shift_m):
+    """A twin: the same rows, moved by a UTM offset."""
+    rows = [{"x_m": 12.345 + shift_m, "y_m": 0.1 * step + shift_m} for step in range(50)]
+    back = [
+        {name: float(text) - shift_m for name, text in row.items()}
+        for row in csv.DictReader(io.StringIO(tables.to_csv(rows)))
+    ]
+    for one, other in zip(rows, back, strict=True):
+        assert other == pytest.approx(
+            {key: value - shift_m for key, value in one.items()}, abs=6e-4
+        )

@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET  # written, never parsed
 
 import shapely
 
+from deepmf_sumo import tables
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.report.page.maps import lanes_of
 from deepmf_sumo.report.palette import Rgb, risk_colour
@@ -65,7 +66,7 @@ def _values(rows: Iterable[Row], kind: str) -> dict[str, Values]:
 def numbers(row: Row, head: str = "") -> Values:
     """A row's numbers as text, by name."""
     return {
-        f"{head}{name}": f"{value:.6g}"
+        f"{head}{name}": tables.cell(value)
         for name, value in columns(row).items()
         if name not in _WORDS and value is not None
     }
