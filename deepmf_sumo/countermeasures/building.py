@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo import files
-from deepmf_sumo.countermeasures import signals
+from deepmf_sumo.countermeasures import shown, signals
 from deepmf_sumo.countermeasures.document import Change
 from deepmf_sumo.errors import SimulationError, UsageError, nearest
 from deepmf_sumo.network import sumo_tools
@@ -95,6 +95,10 @@ class _Work:
         trees = self._changed(nets["after"])
         self._check_effect()
         after = self._configuration("after", nets["after"], trees)
+        for change in self.changes:
+            if change.signal:
+                foes, _ = self._links(self.net.getTLS(change.signal))
+                self.done.append(shown.check(after, change, foes))
         self._write_patch()
         return Built(
             before=before, after=after, patch=self.out / PATCH, done=tuple(self.done),
@@ -215,8 +219,29 @@ class _Work:
 
     def _signal(self, trees: Sequence["Tree[ET.Element]"], change: Change) -> None:
         light = self.net.getTLS(change.signal)
+        foes, lefts = self._links(light)
+        programs = [
+            one for tree in trees for one in tree.iter("tlLogic") if one.get("id") == change.signal
+            and "off" not in {one.get("programID"), one.get("type")}
+        ]  # fmt: skip
+        for program in programs:
+            name = change.signal or ""
+            if program.get("type") == signals.NEMA:
+                old, new = signals.change_nema(name, program, change)
+            else:
+                before, after = signals.changed(name, program, change, lefts, foes)
+                signals.write(program, after)
+                old, new = (" ".join(map(str, each)) for each in (before, after))
+            self.effective |= old != new
+            said = "stays as it is" if old == new else f"becomes {new}"
+            self.done.append(f"{change.what}, program {program.get('programID')}: {old} {said}")
+            patch = self.patches.setdefault("tll", ET.Element("tlLogics"))
+            patch.append(program)
+
+    def _links(self, light: Any) -> tuple[signals.Foes, list[int]]:
+        """Which links of a light meet, and which turn left."""
         node = next(iter(light.getConnections()))[0].getEdge().getToNode()
-        rows = {index: [] for _, _, index in light.getConnections()}  # type: ignore[var-annotated]
+        rows: dict[int, list[int]] = {index: [] for _, _, index in light.getConnections()}
         lefts = []
         for lane, into, index in light.getConnections():
             links = [one for one in lane.getOutgoing() if one.getToLane() == into]
@@ -230,19 +255,7 @@ class _Work:
                 if min(a, b) >= 0
             )  # fmt: skip
 
-        programs = [
-            one for tree in trees for one in tree.iter("tlLogic") if one.get("id") == change.signal
-            and "off" not in {one.get("programID"), one.get("type")}
-        ]  # fmt: skip
-        for program in programs:
-            before, after = signals.changed(change.signal or "", program, change, lefts, foes)
-            signals.write(program, after)
-            self.effective |= before != after
-            said = "stays as it is" if before == after else f"becomes {' '.join(map(str, after))}"
-            cycle = " ".join(map(str, before))
-            self.done.append(f"{change.what}, program {program.get('programID')}: {cycle} {said}")
-            patch = self.patches.setdefault("tll", ET.Element("tlLogics"))
-            patch.append(program)
+        return foes, lefts
 
     def _configuration(
         self, side: str, net: Path, trees: Mapping[Path, "Tree[ET.Element]"]

@@ -67,6 +67,37 @@ def changed(
     return before, after
 
 
+NEMA: Final = "NEMA"
+"""SUMO's controller with two rings of phases: each phase has its yellow and red as attributes, and
+further phases are ignored."""
+
+
+def change_nema(name: str, program: ET.Element, change: Change) -> tuple[str, str]:
+    """Make yellow and red of each phase at least as long as the change says.
+
+    Returns the times before and after, for a message. Raises UsageError for a protected left turn,
+    which needs other rings.
+    """
+    if change.protected_left_s is not None:
+        raise UsageError(
+            f"signal '{name}': program '{program.get('programID')}' is a NEMA controller, whose"
+            " left turns are protected by its rings; change it in netedit."
+        )
+    phases = list(program.iter("phase"))
+    before = _times(phases)
+    for key, least_s in (("yellow", change.yellow_s), ("red", change.all_red_s)):
+        for phase in phases:
+            if least_s is not None and float(phase.get(key, "0")) < least_s:
+                phase.set(key, f"{least_s:g}")
+    return before, _times(phases)
+
+
+def _times(phases: Iterable[ET.Element]) -> str:
+    return " ".join(
+        f"{one.get('name', '')}:{one.get('yellow', '0')}+{one.get('red', '0')}" for one in phases
+    )
+
+
 def phases(name: str, program: ET.Element) -> list[Phase]:
     """The cycle. Raises UsageError for a program that is not one."""
     elements = list(program.iter("phase"))

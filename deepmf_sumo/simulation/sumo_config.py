@@ -202,7 +202,7 @@ def begun(
             yield api
         return
     release()
-    with _arguments(traffic) as (arguments, folder):
+    with command_line(traffic) as (arguments, folder):
         with running(arguments, backend, folder=folder) as api:
             yield api
         if warned is not None:
@@ -233,7 +233,7 @@ def hold(case: TrafficCase, model: VehicleModel | None) -> None:
     if not (_held and _held.traffic == traffic and _held.api.simulation.getTime() <= until_s):
         release()
         with ExitStack() as ending:
-            arguments, folder = ending.enter_context(_arguments(traffic))
+            arguments, folder = ending.enter_context(command_line(traffic))
             api = ending.enter_context(running(arguments, folder=folder))
             _held = _Held(
                 traffic=traffic, arguments=arguments, folder=folder, api=api,
@@ -260,16 +260,21 @@ def release() -> None:
 
 
 @contextmanager
-def _arguments(traffic: Traffic) -> Iterator[tuple[list[str], Path]]:
+def command_line(traffic: Traffic, more: str = "") -> Iterator[tuple[list[str], Path]]:
     """Arguments for SUMO: the traffic up to the start does not depend on the purpose of the run.
 
     Outputs of the configuration go to a temporary folder, which is given, too: else parallel runs
-    would write into one another's files, and over the user's.
+    would write into one another's files, and over the user's. ``more``: elements of an additional
+    file.
     """
     configuration = traffic.configuration
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         types = write_types(Path(folder) / "types.add.xml", traffic.model)
-        additional = ",".join(str(path) for path in (*configuration.additional, types))
+        added = [types]
+        if more:
+            added.append(Path(folder) / "more.add.xml")
+            added[-1].write_text(f"<additional>{more}</additional>", "utf-8")
+        additional = ",".join(str(path) for path in (*configuration.additional, *added))
         prefix = f"{_TO_ROOT}{folder.lstrip('/')}/"
         heard = sumo_words.OPTION in configuration.options  # the user's own goes there, too
         yield (
