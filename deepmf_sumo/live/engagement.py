@@ -27,11 +27,11 @@ from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.simulation.attack_schedule import AttackSchedule
-from deepmf_sumo.simulation.av import ShownMotion
 from deepmf_sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.simulation.observation import LiveSignals
 from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.recorder import EpisodeRecord, Recorder
+from deepmf_sumo.simulation.shown_motion import ShownMotion
 from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover
 
 _NEAR_M: Final = 150.0

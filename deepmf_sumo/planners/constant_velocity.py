@@ -3,6 +3,7 @@
 import numpy as np
 
 from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.plugins import Settings as PluginSettings
 
 
@@ -35,7 +36,8 @@ class ConstantVelocityPlanner:
             self._start, self._step = _now(view), view.step
         start = self._start
         if self._follow_route:
-            return Command(kind="speed", speed_mps=start.speed_mps)
+            # along a route SUMO drives nothing backwards
+            return Command(kind="speed", speed_mps=max(start.speed_mps, 0.0))
         moved_m = start.speed_mps * view.dt_s * (view.step + 1 - self._step)
         return Command(
             kind="pose",
@@ -54,10 +56,13 @@ def build(settings: Settings) -> ConstantVelocityPlanner:
 def _now(view: View) -> Command:
     row = view.history.row(view.av_id)
     x, y = view.history.position_m[row, -1]
+    heading = float(view.history.heading_rad[row, -1])
+    ahead = float(view.history.velocity_mps[row, -1] @ frames.unit(np.array(heading)))
+    speed = float(view.history.speed_mps[row, -1])
     return Command(
         kind="pose",
         x_m=float(x),
         y_m=float(y),
-        heading_rad=float(view.history.heading_rad[row, -1]),
-        speed_mps=float(view.history.speed_mps[row, -1]),
+        heading_rad=heading,
+        speed_mps=-speed if ahead < 0 else speed,  # it may roll back
     )

@@ -1,14 +1,6 @@
-"""The AV in SUMO: how its speed and lane are commanded, and where it is shown.
+"""The AV in SUMO: how its speed and lane are commanded, and where it is shown."""
 
-Lane changes of SUMO are shown over several steps, and are ended before a vehicle is taken over.
-
-Without its sublane model SUMO changes lanes within one step. SUMO's own remedy
-(`lanechange.duration`) makes a vehicle that starts off-centre inside a junction stop there for
-ever. So SUMO changes lanes at once, and the vehicle that planners, policies and judges see moves
-from lane to lane within 3 s. Apart from that a vehicle is shown where SUMO has it.
-"""
-
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,222 +9,11 @@ from deepmf_sumo.datatypes import DT_S, AgentId, Command, Floats
 from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.route_ahead import RouteAhead
+from deepmf_sumo.simulation.shown_motion import Jump, ShownMotion, read_pose
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.vehicle_control import MATCH_M, HandOver, has_stops, move
-
-
-class RouteAhead:
-    """Lanes and centre line ahead of a vehicle; lane shapes are read once."""
-
-    def __init__(self, api: SumoApi, vehicle_id: str) -> None:
-        self._api = api
-        self._id = vehicle_id
-        self._shapes: dict[str, Floats] = {}
-        self._lengths_m: dict[str, float] = {}
-        self._lanes: tuple[str, ...] = ()
-        self._line: polylines.Measured | None = None
-
-    def centre_line(self, length_m: float = 120.0) -> Floats | None:
-        """(P, 2) from the front bumper on, P >= 2, or None off every lane.
-
-        SUMO keeps a lateral offset while it follows a lane; so does the line.
-        """
-        vehicle = self._api.vehicle
-        lane = vehicle.getLaneID(self._id)
-        if not lane:
-            return None
-        lanes = (lane, *self._lanes_ahead(lane))
-        if lanes != self._lanes:
-            self._lanes = lanes
-            line = np.concatenate([self._shape(one) for one in lanes])
-            moved = np.hypot(*np.diff(line, axis=0).T) > 1e-3
-            self._line = polylines.Measured(line[np.concatenate([[True], moved])])
-        assert self._line is not None
-        along = self._line.along_m
-        lane_m = max(float(self._api.lane.getLength(lane)), 1e-6)
-        begin = float(vehicle.getLanePosition(self._id)) * self._shape_m(lane) / lane_m
-        # at least a metre, so that the line has a direction
-        end = max(min(along[-1], begin + length_m), begin + 1.0)
-        inner = along[(along > begin + 1e-3) & (along < end - 1e-3)]
-        points, heading = self._line.at(np.array([begin, *inner, end]))
-        left = float(vehicle.getLateralLanePosition(self._id))
-        if abs(left) > 0.01:
-            points = points + left * np.stack([-np.sin(heading), np.cos(heading)], -1)
-        return points
-
-    def _lanes_ahead(self, lane: str) -> list[str]:
-        # on a junction's lane SUMO lists only the links after the junction
-        lanes = self._through_junction(lane) if lane.startswith(":") else []
-        for link in self._api.vehicle.getNextLinks(self._id):
-            following, via = str(link[0]), str(link[4])
-            lanes += [via, *self._through_junction(via)] if via else [following]
-        return lanes
-
-    def _through_junction(self, lane: str) -> list[str]:
-        lanes: list[str] = []
-        while lane.startswith(":"):
-            links = self._api.lane.getLinks(lane)
-            if not links:
-                break
-            lane = str(links[0][4] or links[0][0])
-            lanes.append(lane)
-        return lanes
-
-    def _shape(self, lane: str) -> Floats:
-        if lane not in self._shapes:
-            self._shapes[lane] = np.array(self._api.lane.getShape(lane), float)[:, :2]
-        return self._shapes[lane]
-
-    def _shape_m(self, lane: str) -> float:
-        """Length of a lane's shape, which need not be what SUMO takes the lane's length for."""
-        if lane not in self._lengths_m:
-            self._lengths_m[lane] = float(polylines.arc_lengths(self._shape(lane))[-1])
-        return self._lengths_m[lane]
-
-
-_STEPS: Final = 30
-"""A lane change is shown within 3 s. It goes on while the vehicle stands: SUMO has already given
-its position on the old lane to the vehicles behind it."""
-_TELEPORT_M: Final = 1.0
-"""A step that is longer than speed and lane change explain by more than this is a teleport."""
-_ASKEW_RAD: Final = 0.6
-"""A vehicle that is turned against its lane by more than this is still in a turn, beside both lanes
-of a change: that change is shown as SUMO makes it."""
-
-
-@dataclass(slots=True, kw_only=True)
-class _Change:
-    """A lane change that is still shown: ``share`` of the distance from lane to lane is left.
-
-    ``across_m``: from lane to lane.
-    ``rear_over``: whether SUMO's rear bumper has followed. Until it reaches the edge it stays on
-    the lane that leads to the origin, and SUMO's vehicle is askew.
-    """
-
-    origin: str
-    target: str
-    share: float = 1.0
-    across_m: float = 0.0
-    rear_over: bool = False
-
-
-class _State(NamedTuple):
-    lane: str
-    front_m: Floats
-    rear_m: Floats
-    speed_mps: float
-
-
-class ShownMotion:
-    """The shown pose of a vehicle that SUMO drives: SUMO's own, with lane changes spread over time.
-
-    A change is spread where SUMO's lane index changes on an edge and the vehicle jumps sideways for
-    it. It ends after 3 s, or with the edge if that comes first: there the two lanes may part. Until
-    then the vehicle is between the two.
-
-    Args:
-        api: a running SUMO.
-        vehicle_id: the vehicle.
-        length_m: of its box.
-    """
-
-    def __init__(self, api: SumoApi, vehicle_id: AgentId, length_m: float) -> None:
-        self._api = api
-        self._id = vehicle_id
-        self._length_m = length_m
-        self._shapes: dict[str, Floats] = {}
-        self._before: _State | None = None
-        self._changes: list[_Change] = []
-
-    def restart(self) -> None:
-        """Forget the past: the vehicle was placed somewhere else."""
-        self._before, self._changes = None, []
-
-    def leaving(self) -> dict[str, float]:
-        """The lanes that the vehicle is shown leaving, and how far it is from their centres."""
-        return {one.origin: (1.0 - one.share) * one.across_m for one in self._changes}
-
-    def advance(self, pose: Pose) -> Pose:
-        """The pose to show for SUMO's pose after a step; called once a step."""
-        ahead = frames.unit(np.array(pose.heading_rad)) * self._length_m
-        front = np.array([pose.x_m, pose.y_m]) + ahead / 2
-        lane = self._lane()
-        now = _State(lane, front, front - ahead, pose.speed_mps)
-        before, self._before = self._before, now
-        if before is None or not lane or _edge(lane) != _edge(before.lane):
-            self._changes = []
-            return pose
-        if lane != before.lane:
-            self._begin(before, now)
-        if not self._changes:
-            return pose
-        self._go_on(lane, pose.speed_mps * DT_S)
-        return self._between(before, now, pose)
-
-    def _lane(self) -> str:
-        """Empty off every lane, and where another client has removed the vehicle meanwhile."""
-        try:
-            return str(self._api.vehicle.getLaneID(self._id))
-        except self._api.TraCIException:
-            return ""
-
-    def _begin(self, before: _State, now: _State) -> None:
-        """Note a change, unless SUMO spreads it itself or has teleported the vehicle."""
-        across = self._across(before.lane, now.lane, now.front_m)
-        moved = before.front_m - now.front_m
-        explained = np.hypot(*across) + (before.speed_mps + now.speed_mps) * DT_S + _TELEPORT_M
-        if _jumped(moved, across) and np.hypot(*moved) < explained and not self._askew(before):
-            self._changes.append(_Change(origin=before.lane, target=now.lane))
-
-    def _askew(self, state: _State) -> bool:
-        lane_rad = polylines.project(self._line(state.lane), state.front_m).heading_rad
-        heading_rad = np.arctan2(*(state.front_m - state.rear_m)[::-1])
-        return bool(abs(frames.difference(heading_rad, lane_rad)) > _ASKEW_RAD)
-
-    def _go_on(self, lane: str, step_m: float) -> None:
-        left_m = float(self._api.lane.getLength(lane))
-        left_m -= float(self._api.vehicle.getLanePosition(self._id))
-        by_room = left_m / max(left_m + step_m, 1e-6)
-        for change in self._changes:
-            change.share = min(change.share - 1.0 / _STEPS, change.share * by_room)
-        self._changes = [change for change in self._changes if change.share > 1e-9]
-
-    def _between(self, before: _State, now: _State, pose: Pose) -> Pose:
-        """The pose with each bumper at its share of the distance from lane to lane."""
-        front, rear = now.front_m.copy(), now.rear_m.copy()
-        for change in self._changes:
-            across = self._across(change.origin, change.target, now.front_m)
-            change.across_m = float(np.hypot(*across))
-            change.rear_over |= _jumped(before.rear_m - now.rear_m, across)
-            front += change.share * across
-            rear += change.share * across * change.rear_over
-        heading = float(np.arctan2(*(front - rear)[::-1]))
-        centre = front - self._length_m / 2 * frames.unit(np.array(heading))
-        return replace(pose, x_m=float(centre[0]), y_m=float(centre[1]), heading_rad=heading)
-
-    def _across(self, origin: str, target: str, at_m: Floats) -> Floats:
-        """(2) from one lane to the other, between their points that are nearest."""
-        start = self._foot(target, at_m)
-        return self._foot(origin, start) - start
-
-    def _foot(self, lane: str, at_m: Floats) -> Floats:
-        line = self._line(lane)
-        return polylines.points_at(line, polylines.project(line, at_m).along_m)[0]
-
-    def _line(self, lane: str) -> Floats:
-        if lane not in self._shapes:
-            self._shapes[lane] = np.array(self._api.lane.getShape(lane), float)[:, :2]
-        return self._shapes[lane]
-
-
-def _jumped(moved_m: Floats, across_m: Floats) -> bool:
-    """Whether a bumper has left the origin for the target; ``moved_m``: from now to before."""
-    return bool(moved_m @ across_m > (across_m @ across_m) / 2)
-
-
-def _edge(lane: str) -> str:
-    return lane.rpartition("_")[0]
-
+from deepmf_sumo.simulation.way_on import WayOn
 
 # Bits of speedMode: 1 safe speed, 2 and 4 limits of acceleration and deceleration, 8 right of way,
 # 16 red lights.
@@ -245,8 +26,27 @@ _NO_CHANGES = 0
 """A laneChangeMode."""
 _RISE_HELD_MPS = 0.02
 _RISE_FREE_MPS = 0.15
+_ASKEW_RAD = 0.3
+"""A larger angle to its lane is not one that SUMO's first step may turn the AV by."""
 _LOOK_M = 100.0
 """Distance within which SUMO's leader of the AV is recorded."""
+
+
+LANE_LOST: Final = "SUMO cannot drive it from there: it drives to the nearest lane first"
+"""The event ``lane_lost``."""
+
+
+class WayBack(NamedTuple):
+    """How an AV that a planner has left where SUMO drives nothing gets back to a lane.
+
+    Attributes:
+        begin: its way from a pose. clear: whether nothing is in its way at poses.
+        lost: called when it begins.
+    """
+
+    begin: Callable[[Pose], WayOn]
+    clear: Callable[[Sequence[Pose]], bool]
+    lost: Callable[[], None]
 
 
 class Av:
@@ -257,6 +57,7 @@ class Av:
         av_id: its id there.
         length_m: of its box.
         start: its pose at the current step.
+        way_back: from poses from which SUMO cannot drive it on; None: SUMO takes it anyway.
 
     Attributes:
         placed: the pose it was put at in the last step; None if SUMO drove it.
@@ -266,7 +67,14 @@ class Av:
         lost: it does not count as present any more, although SUMO may still simulate it.
     """
 
-    def __init__(self, api: SumoApi, av_id: AgentId, length_m: float, start: Pose) -> None:
+    def __init__(
+        self,
+        api: SumoApi,
+        av_id: AgentId,
+        length_m: float,
+        start: Pose,
+        way_back: WayBack | None = None,
+    ) -> None:
         self._api = api
         self.id = av_id
         self.length_m = length_m
@@ -278,6 +86,9 @@ class Av:
         self.lost = False
         self.pose = start
         self._motion = ShownMotion(api, av_id, length_m)
+        self._motion.restart(start)
+        self._way_back = way_back
+        self._way: WayOn | None = None
         self._hand_over = HandOver(api)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
@@ -300,6 +111,25 @@ class Av:
         """Whether the AV is matched to a lane: off every lane SUMO cannot drive it."""
         return bool(self._api.vehicle.getLaneID(self.id))
 
+    @property
+    def drivable(self) -> bool:
+        """Whether SUMO can drive the AV on from where it is without turning it around.
+
+        What is left of its angle to the lane, and of its offset, is spread (`ShownMotion`).
+        """
+        lane_id = str(self._api.vehicle.getLaneID(self.id))
+        if not lane_id or self.placed is None:
+            return bool(lane_id)
+        lane = np.array(self._api.lane.getShape(lane_id), float)[:, :2]
+        at = np.array([self.placed.x_m, self.placed.y_m])
+        along = float(polylines.project(lane, at).heading_rad)
+        return abs(float(frames.difference(along, self.placed.heading_rad))) < _ASKEW_RAD
+
+    @property
+    def begun(self) -> Jump | None:
+        """See `ShownMotion.begun`."""
+        return self._motion.begun
+
     def path(self) -> Floats | None:
         """(P, 2) centre line from the front bumper on, or None off every lane."""
         if not self._path_known:
@@ -315,8 +145,13 @@ class Av:
                 heading_rad=command.heading_rad,
                 speed_mps=command.speed_mps,
             )
+            self._way = None
             self.place(pose, leader_id=command.leader_id)
             return
+        if self._way_back is not None and self.placed is not None and not self.drivable:
+            self._go_back(self._way_back, self.placed)
+            return
+        self._way = None
         if self.placed is not None:
             self.placed = None
             self._hand_over.give_back(self.id)
@@ -341,6 +176,18 @@ class Av:
             vehicle.setSpeedMode(self.id, _NO_CHECKS)
             vehicle.setSpeed(self.id, max(0.0, command.speed_mps))
         self._previous_mps, self._commanded_mps = speed, commanded
+
+    def lane_cost(self, lane_id: str) -> float | None:
+        """Of SUMO's lanes on its way back; see `ownership.NextOwner`."""
+        route = self._api.vehicle.getRoute(self.id)
+        return self._hand_over.lane_cost(self.id, lane_id, route)
+
+    def _go_back(self, way_back: WayBack, placed: Pose) -> None:
+        """Drive to the middle of a lane, where SUMO drives on."""
+        if self._way is None:
+            way_back.lost()
+            self._way = way_back.begin(placed)
+        self.place(self._way.next(way_back.clear))
 
     def _keep_lane(self, *, standing: bool) -> None:
         """Let SUMO change the lane of an AV that stands only where its lane does not lead on.
@@ -382,7 +229,7 @@ class Av:
         self._hand_over.after_step()
         if self.placed is not None:
             self._api.vehicle.setPreviousSpeed(self.id, max(0.0, self.placed.speed_mps))
-            self._motion.restart()
+            self._motion.restart(self.placed)
             self.pose = self.placed
         else:
             self.pose = self._motion.advance(self.sumo_pose())
@@ -409,11 +256,12 @@ class Av:
         if not leaving:
             return None
         vehicle = self._api.vehicle
-        own_m, own_width_m = (
-            float(get(self.id)) for get in (vehicle.getLanePosition, vehicle.getWidth)
-        )
+        own_width_m = float(vehicle.getWidth(self.id))
         speeds = []
         for lane, aside_m in leaving.items():
+            own_m = self._motion.along(lane)
+            if own_m is None:
+                continue
             gaps = []
             for other in self._api.lane.getLastStepVehicleIDs(lane):
                 ahead_m = float(vehicle.getLanePosition(other)) - float(vehicle.getLength(other))
@@ -450,17 +298,3 @@ class Av:
             target = min(target, speed + own - self._previous_mps + rise)
         hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
         return max(0.0, hardest, target)
-
-
-def read_pose(api: SumoApi, vehicle_id: str, length_m: float) -> Pose:
-    """Box centre of a vehicle."""
-    vehicle = api.vehicle
-    x_m, y_m, z_m = vehicle.getPosition3D(vehicle_id)
-    centre, heading = frames.from_sumo((x_m, y_m), vehicle.getAngle(vehicle_id), length_m)
-    return Pose(
-        x_m=float(centre[0]),
-        y_m=float(centre[1]),
-        heading_rad=float(heading),
-        speed_mps=float(vehicle.getSpeed(vehicle_id)),
-        z_m=float(z_m),
-    )

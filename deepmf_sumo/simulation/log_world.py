@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from deepmf_sumo.datatypes import (
-    DT_S,
     AgentId,
     Command,
     Driver,
@@ -19,15 +18,15 @@ from deepmf_sumo.datatypes import (
     Tracks,
     VehicleModel,
 )
-from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of
-from deepmf_sumo.simulation.av import Av, ShownMotion, read_pose
+from deepmf_sumo.simulation.av import LANE_LOST, Av, WayBack
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.ignored_vehicles import IgnoredVehicles
 from deepmf_sumo.simulation.log_plan import Log, check_route, log_of, recorded_body, recorded_frame
 from deepmf_sumo.simulation.observation import ReplayedSignals
 from deepmf_sumo.simulation.occupancy import Occupancy
-from deepmf_sumo.simulation.ownership import LogOwner, NextOwner
+from deepmf_sumo.simulation.ownership import LogOwner, NextOwner, logged
+from deepmf_sumo.simulation.shown_motion import ShownMotion, read_pose
 from deepmf_sumo.simulation.sumo_api import (
     ANY_ROUTE,
     AV_TYPE,
@@ -39,7 +38,8 @@ from deepmf_sumo.simulation.sumo_api import (
     running,
     write_types,
 )
-from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover, move
+from deepmf_sumo.simulation.vehicle_control import CREEP_MPS, SumoOwner, Takeover, move
+from deepmf_sumo.simulation.way_on import WayOn
 from deepmf_sumo.simulation.world import World
 
 _EXACT = 2  # keepRoute: exactly there, on or off the lanes
@@ -107,16 +107,6 @@ class RecordedVehicles:
         """Put an agent at a pose."""
         length_m = float(self.tracks.size_m[row, 0])
         move(self.api, self.tracks.ids[row], pose, length_m, self._match[row])
-
-    def pose(self, row: int, step: int) -> Pose:
-        """Pose of an agent in the log."""
-        x, y = self.tracks.position_m[row, step]
-        return Pose(
-            x_m=float(x),
-            y_m=float(y),
-            heading_rad=float(self.tracks.heading_rad[row, step]),
-            speed_mps=self.speed_mps[row][step],
-        )
 
 
 class PlacedVehicles:
@@ -188,7 +178,8 @@ class FreeTraffic:
         self._inside.add(row)
         self.entered.add(row)
         name, length_m = self._tracks.ids[row], float(self._tracks.size_m[row, 0])
-        self._motions[row] = ShownMotion(self._api, name, length_m)
+        self._motions[row] = motion = ShownMotion(self._api, name, length_m)
+        motion.restart(logged(self._tracks, row, step))
         self._fresh.append((row, step))
 
     def after_step(self, step: int) -> None:
@@ -255,8 +246,6 @@ _OPTIONS = (
     *("--time-to-teleport", "-1"),
     *("--default.speeddev", "0"),
 )
-_ALIGNED_M, _ALIGNED_RAD = 0.2, 0.1
-"""A recorded AV that SUMO moves or turns by more in its first step is noted."""
 _FOLLOW_ROUTE = 513
 """laneChangeMode: change lanes where the route needs it and others leave room, else never."""
 
@@ -304,14 +293,26 @@ class LogWorld:
             LogOwner(self._tracks), SumoOwner(self._takeover, self._occupancy), self._sumo_drives
         )
         self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals, self._log.passed)
-        start = self._recorded.pose(self._av_row, self._now)
+        start = logged(self._tracks, self._av_row, self._now)
         length = float(self._tracks.size_m[self._av_row, 0])
-        self.av = Av(api, case.av_id, length, start)
+        self.av = Av(api, case.av_id, length, start, self._way_back())
         width = float(self._tracks.size_m[self._av_row, 1])
         self._ignored = IgnoredVehicles(api, case.av_id, width)
         self._log_drives = False
         self._start(model)
         self._frame = self.history()[-1]
+
+    def _way_back(self) -> WayBack:
+        """Of an AV that its planner leaves where SUMO drives nothing."""
+
+        def begin(pose: Pose) -> WayOn:
+            z_m = float(self._frame.z_m[self._frame.ids.index(self.av.id)])
+            return WayOn(self._case.road, pose, z_m, CREEP_MPS, lambda _: 0.0)
+
+        def clear(poses: Sequence[Pose]) -> bool:
+            return self._occupancy(self.av.id).clear(self.av.id, poses)
+
+        return WayBack(begin, clear, lambda: self._note("lane_lost", LANE_LOST))
 
     def history(self) -> list[Frame]:
         """The recorded steps up to the current one."""
@@ -432,38 +433,28 @@ class LogWorld:
         self._free.after_step(self._now)
 
     def _note_alignment(self) -> None:
-        """Note how far SUMO, which drives along lanes, has moved or turned the AV for its start."""
-        start, pose = self._recorded.pose(self._av_row, self._now), self.av.pose
-        ahead_m = (start.speed_mps + pose.speed_mps) / 2 * DT_S
-        expected = np.array([start.x_m, start.y_m])
-        expected = expected + ahead_m * frames.unit(np.array(start.heading_rad))
-        left, forward = np.sin(pose.heading_rad), np.cos(pose.heading_rad)
-        aside = abs(float((pose.y_m - expected[1]) * forward - (pose.x_m - expected[0]) * left))
-        turn = abs(float(frames.difference(pose.heading_rad, start.heading_rad)))
-        if aside > _ALIGNED_M or turn > _ALIGNED_RAD:
-            detail = (
-                f"onto its lane by SUMO: {aside:.2f} m sideways, {np.degrees(turn):.0f} degrees"
+        """Note how far SUMO, which drives along lanes, moves and turns the AV at its start."""
+        jump = self.av.begun
+        if jump is not None:
+            aside = abs(jump.front_m + jump.rear_m) / 2
+            turn = np.degrees(abs(jump.front_m - jump.rear_m) / self.av.length_m)
+            self._note(
+                "aligned", f"onto its lane by SUMO: {aside:.2f} m sideways, {turn:.0f} degrees"
             )
-            self._note("aligned", detail)
 
     def _note(self, kind: str, detail: str) -> None:
         self.events.append(Event(step=self._step, agent_id=self.av.id, kind=kind, detail=detail))
 
     def _drive_av(self, command: Command) -> Driver:
-        """Off every lane SUMO drops a vehicle that is not placed: there the log drives the AV."""
-        if command.kind == "pose" or self.av.on_lane:
-            self._log_drives = False
-            self.av.drive(command)
-            return Driver.PLANNER
-        if not self._log_drives:
-            self._log_drives = True
-            self._note("lane_lost", "the log drives the AV until it reaches a lane")
-        tracks, row = self._tracks, self._av_row
-        there = tracks.valid[row, : self._step + 1]
-        pose = self._recorded.pose(row, int(np.flatnonzero(there)[-1]))
-        moves = self._step < tracks.steps and bool(tracks.valid[row, self._step])
-        self.av.place(pose if moves else replace(pose, speed_mps=0.0))
-        return Driver.LOG
+        """Where it starts off every lane, the log drives the AV until SUMO can."""
+        tracks, row, step = self._tracks, self._av_row, self._step
+        there = step < tracks.steps and bool(tracks.valid[row, step])
+        self._log_drives &= there and command.kind != "pose" and not self.av.drivable
+        if self._log_drives:
+            self.av.place(logged(tracks, row, step))
+            return Driver.LOG
+        self.av.drive(command)
+        return Driver.PLANNER
 
     def _drive_opponents(self, poses: Mapping[AgentId, Pose | None]) -> dict[AgentId, Pose]:
         """Place opponents at their poses, hand the others back; the poses of those placed."""

@@ -1,6 +1,6 @@
 """The world of a SUMO configuration: SUMO's own traffic, up to the start and from there on."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -13,6 +13,7 @@ from deepmf_sumo.datatypes import (
     Command,
     Driver,
     Event,
+    RoadMap,
     SignalState,
     TrafficCase,
     VehicleModel,
@@ -21,15 +22,17 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.network.sumo_road import signal_links
-from deepmf_sumo.simulation.av import Av, read_pose
+from deepmf_sumo.simulation.av import LANE_LOST, Av, WayBack
 from deepmf_sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.simulation.observation import LiveSignals
 from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.ownership import NextOwner
 from deepmf_sumo.simulation.road_users import TrafficReader, on_foot
+from deepmf_sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.simulation.sumo_api import AV_TYPE, Backend, SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
-from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover
+from deepmf_sumo.simulation.vehicle_control import CREEP_MPS, SumoOwner, Takeover
+from deepmf_sumo.simulation.way_on import WayOn
 from deepmf_sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0
@@ -78,10 +81,27 @@ class TrafficWorld:
         if model is not None:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
-        self.av = Av(api, case.av_id, length, read_pose(api, case.av_id, length))
+        start = read_pose(api, case.av_id, length)
+        self.av = Av(api, case.av_id, length, start, self._way_back(case.road))
         self._takeover = Takeover(api, self.events, leaves=True)
         self.next_owner: NextOwner = SumoOwner(self._takeover, self._occupancy)
         self._signals = LiveSignals(api, signal_links(configuration.net))
+
+    def _way_back(self, road: RoadMap) -> WayBack:
+        """Of an AV that its planner leaves where SUMO drives nothing."""
+
+        def begin(pose: Pose) -> WayOn:
+            z_m = float(self._frame.z_m[self._frame.ids.index(self.av.id)])
+            return WayOn(road, pose, z_m, CREEP_MPS, self.av.lane_cost)
+
+        def clear(poses: Sequence[Pose]) -> bool:
+            return self._occupancy(self.av.id).clear(self.av.id, poses)
+
+        def lost() -> None:
+            event = Event(step=self._step, agent_id=self.av.id, kind="lane_lost", detail=LANE_LOST)
+            self.events.append(event)
+
+        return WayBack(begin, clear, lost)
 
     def history(self) -> list[Frame]:
         """The last second before the start; frames before the configuration's begin are empty."""

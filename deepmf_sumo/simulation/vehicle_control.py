@@ -1,6 +1,6 @@
 """Control of vehicles in SUMO's traffic: placing them at poses, and handing them back to SUMO."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -27,7 +27,8 @@ _BEYOND_TURN_M: Final = 2.5  # where a vehicle may turn back
 _STRAIGHT_ON = 0.5  # cosine of the angle to the lane: one that turns back has a larger angle
 _TURNS_BACK = ("t", "T")  # directions of links
 _ASKEW_RAD: Final = 0.1
-_CREEP_MPS: Final = 5.0
+CREEP_MPS: Final = 5.0
+"""At which a vehicle drives to where SUMO can drive it on."""
 _OFF_ROUTE_COSTS_M: Final = 10.0
 """A lane off its route is as good as one on it that is farther off by this."""
 
@@ -180,9 +181,18 @@ class HandOver:
         if permission is not None:
             self._api.vehicle.setVehicleClass(vehicle_id, permission)
 
-    def permission(self, vehicle_id: AgentId) -> str:
-        """The vehicle's class, while it is taken the one that it had before."""
-        return self._class.get(vehicle_id) or str(self._api.vehicle.getVehicleClass(vehicle_id))
+    def permitted(self, vehicle_id: AgentId, lane_id: str) -> bool:
+        """Whether a vehicle may use a lane, by its class from before it was taken."""
+        own = self._class.get(vehicle_id) or str(self._api.vehicle.getVehicleClass(vehicle_id))
+        allowed = self._api.lane.getAllowed(lane_id)
+        return (not allowed or own in allowed) and own not in self._api.lane.getDisallowed(lane_id)
+
+    def lane_cost(self, vehicle_id: AgentId, lane_id: str, route: Collection[str]) -> float | None:
+        """Of a lane on a vehicle's way back: see `ownership.NextOwner`; its route comes first."""
+        if not self.permitted(vehicle_id, lane_id):
+            return None
+        on_route = lane_id.startswith(":") or lane_id.rpartition("_")[0] in route
+        return 0.0 if on_route else _OFF_ROUTE_COSTS_M
 
     def lose(self, vehicle_id: AgentId) -> None:
         """The vehicle has left the road; if SUMO brings it back, SUMO drives it."""
@@ -282,7 +292,7 @@ class Takeover:
         if taken is None or agent not in vehicle.getIDList():
             return True  # it is SUMO's already, or gone
         lane_id = vehicle.getLaneID(agent)
-        if not lane_id or not self.permitted(agent, lane_id) or occupancy.touched(agent):
+        if not lane_id or not self._hand_over.permitted(agent, lane_id) or occupancy.touched(agent):
             return False
         lane = np.array(self._api.lane.getShape(lane_id), float)[:, :2]
         at = np.array([taken.pose.x_m, taken.pose.y_m])
@@ -295,19 +305,10 @@ class Takeover:
     def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
         """See `ownership.NextOwner`: lanes of its class, and those of its route before others."""
         taken = self._taken.get(agent)
-        if taken is None or not self.permitted(agent, lane_id):
+        if taken is None:
             return None
-        if lane_id.startswith(":") or lane_id.rpartition("_")[0] in taken.route:
-            return 0.0
-        return None if taken.stops else _OFF_ROUTE_COSTS_M
-
-    def permitted(self, agent: AgentId, lane_id: str) -> bool:
-        """Whether SUMO lets a vehicle use a lane: by its class from before it was taken."""
-        permission = self._hand_over.permission(agent)
-        allowed = self._api.lane.getAllowed(lane_id)
-        return (not allowed or permission in allowed) and (
-            permission not in self._api.lane.getDisallowed(lane_id)
-        )
+        cost = self._hand_over.lane_cost(agent, lane_id, taken.route)
+        return None if cost and taken.stops else cost
 
     def hand_back(self, step: int, agent: AgentId) -> None:
         """Let SUMO drive a vehicle from the coming step on: from where it is, if it is `drivable`.
@@ -321,7 +322,7 @@ class Takeover:
         vehicle = self._api.vehicle
         self._hand_over.give_back(agent)
         lane_id = vehicle.getLaneID(agent)
-        if lane_id and self.permitted(agent, lane_id):
+        if lane_id and self._hand_over.permitted(agent, lane_id):
             self._note(step, agent, "handed_back", "SUMO drives on along the route")
             self._restore_route(step, taken)
             return
@@ -368,7 +369,7 @@ class SumoOwner:
 
     def creep_mps(self, agent: AgentId) -> float:  # noqa: ARG002
         """So slowly a vehicle turns onto a lane, where SUMO drives on."""
-        return _CREEP_MPS
+        return CREEP_MPS
 
     def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:  # noqa: ARG002
         """Whether SUMO can drive the agent on from where it is."""

@@ -11,7 +11,8 @@ from tests.support import tiny_network
 EPISODE = """
 import sys
 import libsumo
-from deepmf_sumo.simulation.av import Av, read_pose
+from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.simulation.vehicle_control import Takeover
@@ -61,7 +62,8 @@ BUS_LANE = """
 import sys
 import libsumo
 from deepmf_sumo.datatypes import Command
-from deepmf_sumo.simulation.av import Av, read_pose
+from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.vehicle_control import Takeover
 
@@ -119,7 +121,8 @@ import libsumo
 import numpy as np
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.simulation.av import Av, read_pose
+from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.simulation.frame import Pose
 from deepmf_sumo.simulation.vehicle_control import Takeover
 
@@ -169,7 +172,8 @@ import libsumo
 import numpy as np
 from deepmf_sumo.datatypes import Command
 from deepmf_sumo.geometry import boxes
-from deepmf_sumo.simulation.av import Av, read_pose
+from deepmf_sumo.simulation.av import Av
+from deepmf_sumo.simulation.shown_motion import read_pose
 
 libsumo.start(["sumo", "-c", sys.argv[1], "--step-length", "0.1", "--no-step-log", "true",
                "--no-warnings", "true"])

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from deepmf_sumo.simulation.av import ShownMotion, read_pose
+from deepmf_sumo.simulation.shown_motion import ShownMotion, read_pose
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, running
 
 AT_ONCE = ("--lanechange.duration", "0", "--lateral-resolution", "0")
@@ -138,9 +138,12 @@ def _note(api, name: str, motions: dict[str, ShownMotion], recorded: Recorded) -
     recorded.vehicles[name].rows.append(row)
     recorded.vehicles[name].lanes.append(lane)
     if lane and lane not in recorded.lines:
-        line = recorded.lines[lane] = shapely.LineString(api.lane.getShape(lane))
-        half_m = api.lane.getWidth(lane) / 2
-        recorded.areas[lane] = line.buffer(half_m, cap_style="flat", join_style="mitre")
+        edge = lane.rpartition("_")[0]
+        # with the lanes beside it: a vehicle may leave one in the step in which it enters the edge
+        for one in [f"{edge}_{index}" for index in range(api.edge.getLaneNumber(edge))]:
+            line = recorded.lines[one] = shapely.LineString(api.lane.getShape(one))
+            half_m = api.lane.getWidth(one) / 2
+            recorded.areas[one] = line.buffer(half_m, cap_style="flat", join_style="mitre")
 
 
 def _judge(
@@ -167,7 +170,8 @@ def _judge(
             steps = np.diff(ways[:, 1])
             row.note(between_m=ways[:, 0].max(initial=0), back_m=np.nanmax(steps, initial=0))
     apart = np.hypot(*(shown - own).T)
-    used = shapely.union_all([recorded.areas[lane] for lane in set(vehicle.lanes) if lane])
+    lanes = {*vehicle.lanes, *(lane for _, lane in changes if lane in recorded.areas)} - {""}
+    used = shapely.union_all([recorded.areas[lane] for lane in lanes])
     beyond, beyond_sumo = (shapely.distance(used, shapely.points(each)) for each in (shown, own))
     row.note(
         apart_m=apart[~changing].max(initial=0),
