@@ -39,6 +39,11 @@ def exit_code(*endings: Ending) -> int:
     return next((code for ending, code in EXIT_CODES.items() if ending in endings), 0)
 
 
+def worst(*codes: int) -> int:
+    """The exit code that counts of several commands', see `EXIT_CODES`; 0 without any."""
+    return next((code for code in EXIT_CODES.values() if code in codes), max(codes, default=0))
+
+
 class DeepmfError(Exception):
     """Base of all errors that are reported to the user as one line."""
 
@@ -117,4 +122,5 @@ __all__ = [
     "WeightsError",
     "exit_code",
     "nearest",
+    "worst",
 ]

@@ -1,7 +1,6 @@
 """The options that `run` and `attack` share, and how both end."""
 
 import os
-import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -279,10 +278,11 @@ def map_risk(out: Path) -> None:
     from deepmf_sumo import risk
     from deepmf_sumo.errors import DeepmfError
     from deepmf_sumo.report import risk as files
+    from deepmf_sumo.results.folder import RISK, forget_map
 
-    shutil.rmtree(out / "risk", ignore_errors=True)
+    forget_map(out / RISK)
     try:
-        written = files.write(out / "risk", risk.read([out]), out.resolve().name)
+        written = files.write(out / RISK, risk.read([out]), out.resolve().name)
     except DeepmfError as error:
         click.echo(f"deepmf-sumo: no risk map: {error}", err=True)
         return

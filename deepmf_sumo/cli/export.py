@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from deepmf_sumo.cli import risk
 from deepmf_sumo.cli._exports import show_exports
 from deepmf_sumo.errors import UsageError, exit_code
 
@@ -71,7 +70,7 @@ def command(
     if name in _MAPS:
         if only or sets or without_av:
             raise UsageError(f"--to {name} is one map of all runs; it takes --out alone.")
-        ctx.invoke(risk.command, folders=folders, out=out, top=0, forms=_MAPS[name], show=False)
+        _write_map(folders, out, _MAPS[name])
         return
     values = _values(sets)
     if without_av:
@@ -83,6 +82,17 @@ def command(
     found = list(exports.export(runs, form, out=out, only=only, overwrite=overwrite))
     show_exports(name, found)
     ctx.exit(exit_code("failed" if any(one.outcome == "failed" for one in found) else "fine"))
+
+
+def _write_map(folders: tuple[Path, ...], out: Path | None, forms: "tuple[Form, ...]") -> None:
+    """Write what `risk` writes, and name the files of the format."""
+    from deepmf_sumo import risk
+    from deepmf_sumo.report.risk import folder as files
+
+    title = ", ".join(one.resolve().name for one in folders)
+    for one in files.write(out or folders[0] / "risk", risk.read(folders), title, forms):
+        names = one.more if forms else files.TABLES
+        click.echo(", ".join(str(one.folder / name) for name in names))
 
 
 def _values(sets: tuple[str, ...]) -> dict[str, str]:

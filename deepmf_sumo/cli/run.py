@@ -80,8 +80,7 @@ def command(
     from deepmf_sumo import plans
     from deepmf_sumo.cli._screen import announce_moments, progress
 
-    if seeds and (seed is not None or any(_sets_seed(one) for one in sets)):
-        raise UsageError("--seeds goes without --seed and without --set seed=N: leave one out.")
+    _check_seeds(seed, seeds, sets)
     if any(map(plans.is_plan, files)):
         _check_alone(files, name_filter)
         chosen = list(seeds or (() if seed is None else (seed,)))
@@ -99,8 +98,14 @@ def command(
     ctx.exit(end_of_runs(sweep, results))
 
 
-def _sets_seed(assignment: str) -> bool:
-    return assignment.partition("=")[0].strip() == "seed"
+def _check_seeds(seed: int | None, seeds: tuple[int, ...] | None, sets: Sequence[str]) -> None:
+    """Raise UsageError where seeds are said in two ways, of which one would be ignored."""
+    keys = {one.partition("=")[0].strip() for one in sets} & {"seed", "seeds"}
+    if seeds and (seed is not None or keys):
+        other = f"--set {min(keys)}=..." if keys else "--seed"
+        raise UsageError(f"--seeds goes without --seed and without {other}: leave one out.")
+    if seed is not None and keys:
+        raise UsageError(f"--seed goes without --set {min(keys)}=...: leave one out.")
 
 
 def _check_alone(files: Sequence[Path], name_filter: str) -> None:

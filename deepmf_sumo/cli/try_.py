@@ -8,7 +8,7 @@ import click
 
 from deepmf_sumo.cli import attack
 from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
-from deepmf_sumo.errors import EXIT_CODES, UsageError
+from deepmf_sumo.errors import EXIT_CODES, UsageError, worst
 
 if TYPE_CHECKING:
     from deepmf_sumo.countermeasures import Built
@@ -68,7 +68,7 @@ def command(
         wanted |= {"junctions": built.junctions, "edges": built.edges}
     code = 0
     for side, of in _order():
-        code = max(code, _attack(ctx, built, side, of, out, count, wanted))
+        code = worst(code, _attack(ctx, built, side, of, out, count, wanted))
         if code == EXIT_CODES["interrupted"]:  # --resume goes on; nothing is compared by halves
             ctx.exit(code)
     _compare(out)

@@ -230,7 +230,7 @@ def is_plan(file: Path) -> bool:
 
 
 def _is_packaged(file: Path) -> bool:
-    return file == PAPER and not file.exists()
+    return file == PAPER and not file.is_file()  # --out paper makes a folder of this name
 
 
 def packaged() -> Path:

@@ -1,7 +1,7 @@
 """Result folders side by side: rates with their denominators and intervals, means of metrics."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -100,7 +100,7 @@ def groups(folders: Sequence[Path]) -> list[Group]:
     damaged.
     """
     found = []
-    for folder in folders:
+    for folder in Results.open(*folders).folders:
         apart: dict[tuple[str, ...], list[Run]] = {}
         for run in Results.of(folder).runs:
             if run.has_result:
@@ -120,12 +120,27 @@ def compare(found: Sequence[Group]) -> pd.DataFrame:
     ``on_road_hits`` (hits within the limits and with the opponent on the road at >= 95 % of its
     steps), means of the metrics in `MEANS`, generation time per run and the median of a cycle.
     """
-    return pd.DataFrame([_row(group) for group in found])
+    names = _names(group.folder for group in found)
+    return pd.DataFrame([_row(group, names[group.folder]) for group in found])
 
 
-def _row(group: Group) -> dict[str, Any]:
+def _names(folders: Iterable[Path]) -> dict[Path, str]:
+    """The ends of paths that tell folders apart: ``x``, or ``a/x`` and ``b/x``."""
+    paths = {folder: folder.resolve().parts for folder in dict.fromkeys(folders)}
+    names: dict[Path, str] = {}
+    for folder, parts in paths.items():
+        others = [each for other, each in paths.items() if other != folder and each != parts]
+        least = next(
+            (n for n in range(1, len(parts)) if all(each[-n:] != parts[-n:] for each in others)),
+            len(parts),
+        )
+        names[folder] = str(Path(*parts[-least:]))
+    return names
+
+
+def _row(group: Group, name: str) -> dict[str, Any]:
     row: dict[str, Any] = {
-        "folder": group.folder.name,
+        "folder": name,
         **{
             name: group.text(name)
             for name in ("spec", "method", "planner", "perception", "version")

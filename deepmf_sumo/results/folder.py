@@ -6,12 +6,13 @@ process: a ``kill -9`` leaves no folder locked, and a second sweep is refused.
 
 import os
 import platform
+import re
 import shutil
 import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -118,8 +119,16 @@ WAYS: Final = (
     "--resume goes on with them, --overwrite deletes them, another folder for --out keeps them"
 )
 """What the user can do about earlier results, for commands with these options."""
-VIEWS: Final = ("risk", "report.html")
-"""Files made of all runs, only on demand."""
+RISK, PAGE = "risk", "report.html"
+"""What is made of all runs, only on demand."""
+RISK_FILES: Final = {
+    "risk.csv", "risk.html", "edges.xml", "movements.xml", "polygons.add.xml", "risk.sumocfg",
+    "conflicts.csv", "types.csv", "coverage.csv", "attacks.csv", "net.net.xml", "net.net.xml.gz",
+    "places.geojson", "attacks.geojson", "risk.gpkg",
+}  # fmt: skip
+"""All files of a risk map: whatever else lies beside them is the user's."""
+_OF_NETWORK: Final = re.compile(r"[1-9][0-9]*-.+")
+"""Folders in a risk map of several networks."""
 _NUMBERED: Final = {"accident_type", "avoidance_grade"}
 """Metrics whose values are numbers of names: counted, since their mean says nothing."""
 _DIRECTIONS: Final = {"pdof"}
@@ -188,8 +197,8 @@ class Store:
 
     def forget_views(self) -> None:
         """Remove the map and the page of earlier runs: they would not show the new ones."""
-        for name in VIEWS:
-            remove(self.out / name)
+        forget_map(self.out / RISK)
+        remove(self.out / PAGE)
 
     def finish(self, results: Sequence[Result], *, junit_too: bool, interrupted: bool) -> None:
         """Write the tables of all runs, in the order of the tasks."""
@@ -262,7 +271,7 @@ def _emptied(out: Path, *, resume: bool) -> None:
     """Remove earlier results unless ``resume``, and check that the folder can be written."""
     if not resume:
         for name in MADE:
-            remove(out / name)
+            forget_map(out / name) if name == RISK else remove(out / name)
     (out / "runs").mkdir(exist_ok=True)
     files.write(out / "runs" / ".writable", "")
     (out / "runs" / ".writable").unlink()
@@ -337,6 +346,24 @@ def _is_ours(manifest: Path) -> bool:
         return bool(stored.mapping(manifest).get("tool") == "deepmf-sumo")
     except UsageError:
         return False
+
+
+def map_folders(folder: Path) -> list[Path]:
+    """A risk map's folder, and those in it of its networks where it has several."""
+    inside = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [one for one in inside if one.is_dir() and _OF_NETWORK.fullmatch(one.name)] + [folder]
+
+
+def forget_map(folder: Path, keep: Collection[Path] = ()) -> None:
+    """Remove the files of a risk map, and folders that are then empty; the user's files stay."""
+    for one in map_folders(folder):
+        if one.is_symlink() or not one.is_dir():
+            continue
+        for path in (one / name for name in RISK_FILES):
+            if path not in keep:
+                path.unlink(missing_ok=True)
+        with suppress(OSError):  # not empty
+            one.rmdir()
 
 
 def remove(path: Path) -> None:

@@ -5,6 +5,8 @@ import pytest
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.cli._sweep import map_risk
+from deepmf_sumo.report.risk import gis
+from deepmf_sumo.results.folder import RISK_FILES, Store, opened
 
 from tests.support.risk_doubles import NET, Attacks, eastward, straight
 
@@ -125,3 +127,64 @@ def test_traffic_that_has_changed_is_told(tmp_path, capsys):
         assert main._run(["compare", str(tmp_path / "was"), str(tmp_path / other)]) == 0
         shown = " ".join(capsys.readouterr().out.split())
         assert ("city.rou.xml: not the same in A and B" in shown) == told
+
+
+def a_network(folder, name):
+    """A result folder of an attack on a network of this name."""
+    runs = Attacks(folder)
+    runs.add("a", av=eastward(x=-130.0), opponent=eastward(x=-140.0), hit=80, network=name)
+    return folder
+
+
+def test_a_map_of_several_networks_makes_way_for_that_of_one(tmp_path, capsys):
+    """The way back, too; what the user has put beside it stays each time."""
+    a, b = a_network(tmp_path / "a", "one"), a_network(tmp_path / "b", "two")
+    alone = ["risk", str(a)]
+    assert main._run(alone) == 0
+    (a / "risk" / "notes.txt").write_text("mine")
+    first = {path.name for path in (a / "risk").iterdir()}
+    for _ in range(2):
+        assert main._run([*alone, str(b)]) == 0
+        assert {path.name for path in (a / "risk").iterdir()} == {"1-one", "2-two", "notes.txt"}
+        assert main._run(alone) == 0
+        assert {path.name for path in (a / "risk").iterdir()} == first
+    assert (a / "risk" / "notes.txt").read_text() == "mine"
+
+
+def test_no_command_deletes_a_file_of_the_users_beside_a_map(out, tmp_path, capsys):
+    assert main._run(["risk", str(out)]) == 0
+    notes = out / "risk" / "notes.txt"
+    notes.write_text("mine")
+    map_risk(out)
+    assert (out / "risk" / "risk.html").is_file()
+    Store(out).forget_views()
+    assert [path.name for path in (out / "risk").iterdir()] == ["notes.txt"]
+    map_risk(out)
+    with opened(out, resume=False, overwrite=True):
+        assert [path.name for path in (out / "risk").iterdir()] == ["notes.txt"]
+    Store(out).forget_views()
+    notes.unlink()
+    Store(out).forget_views()
+    assert not (out / "risk").exists()
+
+
+def test_all_files_of_a_map_are_known_to_be_of_it(out, capsys):
+    assert main._run(["risk", str(out), "--gis", "gpkg"]) == 0
+    made = {path.name for path in (out / "risk").iterdir()}
+    assert made <= RISK_FILES
+    assert gis.FILES < RISK_FILES
+
+
+def test_tables_of_places_are_exported_without_a_ranking(out, capsys):
+    assert main._run(["export", str(out), "--to", "csv"]) == 0
+    told = capsys.readouterr().out.strip()
+    assert told.startswith(f"{out}/risk/risk.csv, {out}/risk/attacks.csv")
+    assert told.count("\n") == 0
+    assert "html" not in told
+    assert main._run(["export", str(out), "--to", "gpkg"]) == 0
+    assert capsys.readouterr().out.strip() == f"{out}/risk/risk.gpkg"
+    capsys.readouterr()
+    assert main._run(["export", str(out), "--to", "geojson"]) == 2
+    told = capsys.readouterr().err
+    assert "geojson: the network four_way has the projection" in told
+    assert "--gis" not in told

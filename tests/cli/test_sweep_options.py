@@ -18,7 +18,7 @@ from deepmf_sumo.cli import main
 from deepmf_sumo.results import stored
 from deepmf_sumo.sweep import shards
 
-from tests.support import same_bytes, tiny_network
+from tests.support import same_bytes, tiny_network, tiny_plan
 
 SHARED = (
     "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",
@@ -140,10 +140,21 @@ def test_seeds_that_are_not_plain_decimals_are_refused(specs, tmp_path, capsys, 
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("more", [("--seed", 3), ("--set", "seed=3")])
-def test_one_seed_and_several_are_refused(specs, tmp_path, capsys, more):
-    assert call("run", specs[0], "--seeds", "1-2", *more, "--out", tmp_path / "out") == 2
-    assert "--seeds goes without --seed" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("--seeds", "1-2", "--seed", 3),
+        ("--seeds", "1-2", "--set", "seed=3"),
+        ("--seeds", "5", "--set", "seeds=[1,2,3]"),
+        ("--seed", "5", "--set", "seeds=[1,2,3]"),
+        ("--seed", "5", "--set", "seed=3"),
+    ],
+)
+@pytest.mark.parametrize("of", ["spec", "plan"])
+def test_seeds_that_are_said_twice_are_refused(specs, tiny, tmp_path, capsys, given, of):
+    file = specs[0] if of == "spec" else tiny_plan.write(tiny)
+    assert call("run", file, *given, "--out", tmp_path / "out") == 2
+    assert "goes without --se" in capsys.readouterr().err
 
 
 def test_the_whole_knows_what_its_parts_read(folders, tmp_path):

@@ -234,3 +234,14 @@ def test_the_papers_plan_can_be_read(monkeypatch, tmp_path):
         row.specs[0].adversary.settings.get("sector") for row in rows if row.label.part == "figures"
     }
     assert len(asked) == 8
+
+
+def test_a_folder_does_not_stand_for_the_papers_plan(tmp_path, monkeypatch):
+    """`run paper --out paper` is done twice; a file of this name is the user's."""
+    monkeypatch.chdir(tmp_path)
+    Path("paper").mkdir()
+    assert plans.is_plan(Path("paper"))
+    assert plans.load(Path("paper"), [f'source.recording="{tmp_path}"']).plan.methods
+    Path("paper").rmdir()
+    Path("paper").write_text("version: 2\nname: mine\n")
+    assert not plans.is_plan(Path("paper"))

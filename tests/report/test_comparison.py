@@ -1,6 +1,7 @@
 """Result folders side by side, on numbers that can be counted by hand."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -77,7 +78,7 @@ def test_runs_without_an_opponent_are_not_misses(tmp_path):
 
 
 def test_a_folder_without_results_is_named(tmp_path):
-    with pytest.raises(UsageError, match=r"runs\.csv"):
+    with pytest.raises(UsageError, match="is not a result folder"):
         groups([tmp_path])
 
 
@@ -173,3 +174,26 @@ def test_a_cell_that_is_not_a_number_is_named(tmp_path, capsys, cell):
 
 def _short(made):
     return {line.short: line.cells for line in side_by_side(groups([made])).key}
+
+
+def test_folders_of_one_name_are_told_apart(tmp_path, monkeypatch, capsys):
+    for place in ("a/x", "b/x", "b/y", "c/b/y"):
+        (tmp_path / place).mkdir(parents=True)
+        folder(tmp_path / place, [("ok", "none", 1.0)])
+    every = [tmp_path / place for place in ("a/x", "b/x", "b/y", "c/b/y")]
+    assert list(compare(groups(every[:2]))["folder"]) == ["a/x", "b/x"]
+    assert list(compare(groups(every[:1]))["folder"]) == ["x"]
+    last = f"{tmp_path.name}/b/y"
+    assert list(compare(groups(every))["folder"]) == ["a/x", "b/x", last, "c/b/y"]
+    monkeypatch.chdir(tmp_path / "b")
+    assert list(compare(groups([tmp_path / "a/x", Path("x")]))["folder"]) == ["a/x", "b/x"]
+
+
+def test_a_folder_of_result_folders_is_shown_as_these(tmp_path, capsys):
+    for place in ("seeds/1", "seeds/2"):
+        (tmp_path / place).mkdir(parents=True)
+        folder(tmp_path / place, [("ok", "none", 1.0)])
+        (tmp_path / place / "manifest.json").write_text('{"tool": "deepmf-sumo", "runs": {}}')
+    assert main._run(["show", str(tmp_path / "seeds"), "--format", "json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["folder"] for row in rows] == ["1", "2"]

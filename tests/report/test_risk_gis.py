@@ -188,7 +188,7 @@ def test_geojson_without_longitude_and_latitude_is_refused_before_anything_is_wr
     assert main._run(["risk", str(out), "--gis", "gpkg", "--gis", "geojson"]) == 2
     [line] = capsys.readouterr().err.strip().splitlines()
     assert f"the network four_way has the projection '{projection}'" in line
-    assert "give --gis gpkg" in line
+    assert "ask for gpkg" in line
     assert not (out / "risk").exists()
 
 

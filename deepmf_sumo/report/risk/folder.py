@@ -9,15 +9,15 @@ from deepmf_sumo import files, risk, tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.page.document import map_page
 from deepmf_sumo.report.risk import gis, sumo_files
+from deepmf_sumo.results import stored
+from deepmf_sumo.results.folder import RISK, forget_map, map_folders
 from deepmf_sumo.risk import Network, Row
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
 POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
 TYPES, COVERAGE, ATTACKS = "types.csv", "coverage.csv", "attacks.csv"
-_MADE: Final = {
-    TABLE, PAGE, EDGES, MOVEMENTS, POLYGONS, CONFIG, CONFLICTS, TYPES, COVERAGE,
-    ATTACKS, "net.net.xml", "net.net.xml.gz", *gis.FILES,
-}  # fmt: skip
+TABLES: Final = (TABLE, ATTACKS, TYPES, COVERAGE, CONFLICTS)
+DRAWN: Final = (PAGE, EDGES, MOVEMENTS, POLYGONS, CONFIG)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +29,12 @@ class Written:
     rows: list[Row]
     more: tuple[str, ...] = ()
 
+    @property
+    def files(self) -> list[Path]:
+        """All files of the map."""
+        net = f"net.net.xml{'.gz' * (self.network.net_file.suffix == '.gz')}"
+        return [self.folder / name for name in (*TABLES, *DRAWN, net, *self.more)]
+
 
 def write(
     out: Path, networks: Sequence[Network], title: str = "", forms: Sequence[gis.Form] = ()
@@ -36,28 +42,42 @@ def write(
     """Write the risk map of each network: into ``out``, or into one folder each if several.
 
     Args:
-        out: made if it is not there; files of an earlier map are replaced.
+        out: made if it is not there; files of an earlier map are replaced, also where that was of
+            other networks. Other files in it stay.
         networks: of `risk.read`.
         title: of the page, e.g. the name of the result folder.
         forms: for geographic information systems as well, see `gis`.
 
-    Raises OutputError where a folder cannot be written or holds something else, and before anything
-    is written UsageError where a network cannot be written in one of the forms.
+    Raises OutputError where a folder cannot be written, or holds other files and no map; and before
+    anything is written UsageError where a network cannot be written in one of the forms.
     """
     gis.check(networks, forms)
+    with files.writing(out):
+        _check_place(out)
     written = []
     for number, network in enumerate(networks):
         folder = out if len(networks) == 1 else out / f"{number + 1}-{network.name}"
         with files.writing(folder):
             written.append(_write(folder, network, title or network.name, forms))
+    with files.writing(out):
+        made = {file for one in written for file in one.files}
+        forget_map(out, keep=made)
     return written
+
+
+def _check_place(out: Path) -> None:
+    """Refuse a folder of something else; that of a result folder, or of a map, may hold more."""
+    if out.name == RISK and (out.parent / stored.MANIFEST).is_file():
+        return
+    if any((folder / PAGE).is_file() for folder in map_folders(out)) or not out.exists():
+        return
+    others = [path.name for path in out.iterdir() if not path.name.startswith(".")]
+    if others:
+        raise OutputError(f"{out} holds '{min(others)}'; choose an empty folder for --out.")
 
 
 def _write(folder: Path, network: Network, title: str, forms: Sequence[gis.Form]) -> Written:
     folder.mkdir(parents=True, exist_ok=True)
-    others = {path.name for path in folder.iterdir() if not path.name.startswith(".")} - _MADE
-    if others:
-        raise OutputError(f"{folder} holds '{min(others)}'; choose an empty folder for --out.")
     rows = risk.rows(network)
     mapped = gis.written(network, rows, forms)
     net = "".join(["net.net.xml", ".gz" * (network.net_file.suffix == ".gz")])
@@ -75,8 +95,6 @@ def _write(folder: Path, network: Network, title: str, forms: Sequence[gis.Form]
     files.write(folder / POLYGONS, sumo_files.additional(network, rows))
     files.write(folder / CONFIG, _config(net))
     files.write(folder / PAGE, map_page(network, rows, title))
-    for name in gis.FILES - mapped.keys():  # those of an earlier map would be of other attacks
-        (folder / name).unlink(missing_ok=True)
     for name, content in mapped.items():
         files.write(folder / name, content)
     return Written(folder=folder, network=network, rows=rows, more=tuple(mapped))

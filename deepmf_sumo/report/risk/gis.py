@@ -58,9 +58,9 @@ def check(networks: Sequence[Network], forms: Sequence[Form]) -> None:
         known = network.places.net.location.projection not in {_NONE, *_OF_SUMO}
         if "geojson" in forms and not known:
             raise UsageError(
-                f"--gis geojson: the network {network.name} has the projection"
+                f"geojson: the network {network.name} has the projection"
                 f" '{network.places.net.location.projection}', which gives no longitude and"
-                " latitude; give --gis gpkg, which holds the network's own coordinates."
+                " latitude; ask for gpkg, which holds the network's own coordinates."
             )
         if forms and known:
             _reference(network)
