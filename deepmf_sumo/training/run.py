@@ -123,6 +123,8 @@ def open_dataset(network: Network, training: Training, report: Progress) -> Data
             for data in training.data
         ]
     )
+    if not dataset.is_apart:
+        report("all scenes are of one place: the held-out ones have the same roads as the others")
     if not len(dataset.rows(held_out=False)):
         raise RunError("All scenes with samples are held out; give more recordings.")
     return dataset

@@ -5,6 +5,7 @@ import torch
 from torch import nn
 
 from deepmf_sumo.training.samples.dataset import Source, mix
+from deepmf_sumo.training.samples.places import Area
 
 
 def source(name, count, *, weight=None, slope=1.0, scenes=20):
@@ -15,7 +16,7 @@ def source(name, count, *, weight=None, slope=1.0, scenes=20):
         arrays={"x": x, "y": slope * x.sum(1)},
         scene=np.arange(count) * scenes // count,
         scenes=[f"{name}-{number}" for number in range(scenes)],
-        places=[""] * scenes,
+        areas=[Area("", ((0, 0),))] * scenes,
         refused={},
         digest=name,
         weight=weight,

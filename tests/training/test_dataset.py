@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from deepmf_sumo.training.samples import dataset
 from deepmf_sumo.training.samples.dataset import Joined, mix
+from deepmf_sumo.training.samples.places import Area
 
 from tests.support import tiny_training
 
@@ -99,15 +100,16 @@ def test_batches_from_a_step_on_are_those_of_the_whole_run(first, size, seed):
 
 
 def test_a_place_is_held_out_in_all_sources_or_in_none():
-    places = [f"{number // 4} 0" for number in range(80)]
-    recorded = replace(tiny_training.source("recorded", 800, scenes=80), places=places)
-    attacked = replace(tiny_training.source("attacked", 160, scenes=80), places=places[::-1])
+    areas = [Area("", ((50 * (number // 4), 0),)) for number in range(80)]
+    recorded = replace(tiny_training.source("recorded", 800, scenes=80), areas=areas)
+    attacked = replace(tiny_training.source("attacked", 160, scenes=80), areas=areas[::-1])
     made = mix([recorded, attacked])
-    kept = [
-        {each.places[scene] for scene in np.unique(each.scene[each.held_out])}
-        for each in (recorded, attacked)
-    ]
-    assert kept[0] == kept[1]
+    assert made.is_apart
+    both = [*areas, *areas[::-1]]
+    kept, trained = (
+        {both[scene] for scene in np.unique(made.scene[made.held_out == held])}
+        for held in (True, False)
+    )
+    assert kept
+    assert not kept & trained
     assert 0 < len(made.rows(held_out=True)) < 400
-    trained = {recorded.places[scene] for scene in np.unique(recorded.scene[~recorded.held_out])}
-    assert not trained & kept[0]

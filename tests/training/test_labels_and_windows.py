@@ -82,17 +82,6 @@ def test_tracks_that_jump_are_no_targets():
     assert "far" not in {each.agent_id for each in windows.targets(jumping, 10)}
 
 
-def test_a_place_is_a_part_of_the_map_whatever_happens_there():
-    first, other = windows.place_of(scene()), windows.place_of(scene(shift=-20.0, av_speed=3.0))
-    assert first == other
-    away = replace(
-        scene(), tracks=replace(scene().tracks, position_m=scene().tracks.position_m + 2e3)
-    )
-    assert windows.place_of(away) != first
-    net = replace(scene(), source=replace(scene().source, dataset="sumo", file="grid-1-003"))
-    assert windows.place_of(net) != first
-
-
 def test_a_planner_takes_over_at_the_first_window_of_an_attack():
     given = scene()
     attacked = replace(given, source=replace(given.source, dataset=windows.ROLLOUT, sha256="a"))

@@ -18,11 +18,12 @@ from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop
 from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
 from deepmf_sumo.training.networks import clusters, trajectory
-from deepmf_sumo.training.samples import feature_cache
+from deepmf_sumo.training.samples import dataset, feature_cache
 from deepmf_sumo.training.samples import opponent as opponent_samples
 from deepmf_sumo.training.samples import trajectory as trajectory_samples
-from deepmf_sumo.training.samples.dataset import Source
+from deepmf_sumo.training.samples.dataset import Source, mix
 from deepmf_sumo.training.samples.feature_cache import Data
+from deepmf_sumo.training.samples.places import Area
 
 from tests.support.synthetic import scene, view
 
@@ -120,15 +121,15 @@ def test_scenes_without_samples_do_not_make_all_others_held_out():
             arrays={},
             scene=np.array([3, 3, 4]),  # of the scenes only two have samples
             scenes=[str(number) for number in range(scenes)],
-            places=["here"] * scenes,
+            areas=[Area("", ((0, 0),))] * scenes,
             refused={},
             digest="",
         )
-        assert source.held_out.tolist() == [False, False, True]
+        assert mix([source]).held_out.tolist() == [False, False, True]
 
 
 def test_a_single_scene_that_is_held_out_leaves_nothing_to_train_on(training, monkeypatch):
-    monkeypatch.setattr(Source, "held_out", property(lambda self: self.scene >= 0))
+    monkeypatch.setattr(dataset, "held_out", lambda areas, _: (np.ones(len(areas), bool), True))
     with pytest.raises(RunError, match="are held out; give more recordings"):
         run.train("opponent", training, print)
 

@@ -1,20 +1,18 @@
 """Samples of one or more sources: mixed by weight, filtered for a network, drawn as batches."""
 
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.training.samples.places import Area, held_out
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[str], None]
-HELD_OUT: Final = 10
-"""One place in ten is held out from training, for early stopping and temperatures."""
 _NEAR_M = 15.0
 """The conditional network learns from pairs whose paths come this close, at any two times."""
 _SORTED_BATCHES = 8
@@ -30,7 +28,7 @@ class Source:
         name: of the file or folder.
         arrays: name -> (N, ...) memory-mapped.
         scene: (N) number of the scene, an index of ``scenes``.
-        scenes: names of all scenes. places: the place of each of them.
+        scenes: names of all scenes. areas: the area of each of them.
         refused: reasons of the records that could not be used, by name.
         digest: of the files and settings.
         weight: share in training relative to the other sources; None is the number of samples.
@@ -40,28 +38,10 @@ class Source:
     arrays: Arrays
     scene: NDArray[np.int64]
     scenes: Sequence[str]
-    places: Sequence[str]
+    areas: Sequence[Area]
     refused: Mapping[str, str]
     digest: str
     weight: float | None = None
-
-    @property
-    def held_out(self) -> NDArray[np.bool_]:
-        """(N) held-out samples: those at one place in ten, the same in all sources.
-
-        A place that was trained on cannot be a test, since recordings overlap there. If this holds
-        out none or all of the scenes that have samples, every tenth scene is held out, or the last
-        one of fewer than ten.
-        """
-        kept = np.array([zlib.crc32(place.encode()) % HELD_OUT == 0 for place in self.places], bool)
-        some, row = np.unique(self.scene, return_inverse=True)  # scenes that have samples
-        samples: NDArray[np.bool_] = kept[self.scene]
-        if not samples.any() or samples.all():
-            tenth = np.arange(len(some)) % HELD_OUT == HELD_OUT - 1
-            if not tenth.any() and len(some) > 1:
-                tenth[-1] = True
-            samples = tenth[row]
-        return samples
 
 
 class Joined:
@@ -103,6 +83,7 @@ class Dataset:
         arrays: name -> (N, ...).
         scene: (N) number of the scene, counted over all sources.
         origin: (N) number of the source. held_out: (N) whether the sample is held out.
+        is_apart: whether the held-out samples are of other places than those to train on.
         chosen: (N) samples to use; None uses all.
     """
 
@@ -111,6 +92,7 @@ class Dataset:
     scene: NDArray[np.int64]
     origin: NDArray[np.int64]
     held_out: NDArray[np.bool_]
+    is_apart: bool = True
     chosen: NDArray[np.bool_] | None = None
 
     @property
@@ -163,16 +145,22 @@ def mix(sources: Sequence[Source]) -> Dataset:
     """All samples of sources with the same features."""
     lengths = [len(source.scene) for source in sources]
     firsts = np.cumsum([0, *(len(source.scenes) for source in sources)])
+    scene = np.concatenate(
+        [source.scene + first for source, first in zip(sources, firsts, strict=False)]
+    )
+    kept, is_apart = held_out(
+        [area for source in sources for area in source.areas],
+        np.bincount(scene, minlength=int(firsts[-1])),
+    )
     return Dataset(
         sources=tuple(sources),
         arrays={
             name: Joined([source.arrays[name] for source in sources]) for name in sources[0].arrays
         },
-        scene=np.concatenate(
-            [source.scene + first for source, first in zip(sources, firsts, strict=False)]
-        ),
+        scene=scene,
         origin=np.repeat(np.arange(len(sources)), lengths),
-        held_out=np.concatenate([source.held_out for source in sources]),
+        held_out=kept[scene],
+        is_apart=is_apart,
     )
 
 

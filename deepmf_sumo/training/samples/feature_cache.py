@@ -27,10 +27,10 @@ from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import OutputError, ReaderError, RunError
 from deepmf_sumo.files import opened, reason
 from deepmf_sumo.readers.base import Refusal
-from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.dataset import Arrays, Progress, Source
+from deepmf_sumo.training.samples.places import Area, area_of
 
-VERSION: Final = 4
+VERSION: Final = 5
 """Increased when features change, so that older caches are not read."""
 _SHOWN: Final = 3
 """Number of refused records that a message names."""
@@ -72,7 +72,7 @@ class Contents:
 
     count: int = 0
     scenes: list[str] = field(default_factory=list)
-    places: list[str] = field(default_factory=list)
+    areas: list[Area] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
     arrays: dict[str, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
 
@@ -83,7 +83,9 @@ class Contents:
     @classmethod
     def read(cls, folder: Path) -> Self:
         """The index of a folder."""
-        return cls(**json.loads((folder / "index.json").read_text(encoding="utf-8")))
+        content = json.loads((folder / "index.json").read_text(encoding="utf-8"))
+        content["areas"] = [Area.read(each) for each in content["areas"]]
+        return cls(**content)
 
 
 def open_or_build(
@@ -131,7 +133,7 @@ def _source(folder: Path, contents: Contents, data: Data, digest: str) -> Source
         scene=np.array(arrays.pop("scene")),
         arrays=arrays,
         scenes=contents.scenes,
-        places=contents.places,
+        areas=contents.areas,
         refused=contents.refused,
         digest=digest,
         weight=data.weight,
@@ -240,7 +242,7 @@ def _write_shard(features: Features, pair: tuple[Path, Path]) -> None:
                 _append(unfinished, numbered, contents.arrays)
                 contents.count += 1
             contents.scenes.append(each.name)
-            contents.places.append(windows.place_of(each))
+            contents.areas.append(area_of(each))
         contents.write(unfinished)
 
 
@@ -287,7 +289,7 @@ def _join_shards(places: Sequence[Path], folder: Path) -> Contents:
         whole.arrays = shard.arrays | whole.arrays
         whole.count += shard.count
         whole.scenes += shard.scenes
-        whole.places += shard.places
+        whole.areas += shard.areas
         whole.refused |= shard.refused
     whole.write(folder)
     return whole

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -29,7 +28,6 @@ MIN_DISTANCE_M: Final = 2.0
 """Vehicles that move less are not targets, except the AV and labelled agents."""
 _FARTHEST_M: Final = 30.0
 """Vehicles that stay farther away, in space and time, are not partners."""
-_PLACE_M: Final = 500.0
 _MAX_STEP_M: Final = 12.0
 """Tracks that move farther in 0.1 s are errors of the tracker."""
 
@@ -46,19 +44,6 @@ class Future:
     position_m: Floats
     heading_rad: Floats
     valid: Bools
-
-
-def place_of(scene: Scene) -> str:
-    """The place of a scene; all scenes of a place, recorded or simulated, share its roads.
-
-    A cell of 500 m in the recording's frame. Each network has its own frame: scenes of SUMO traffic
-    name a configuration or a generated network as their source, others a recorded file.
-    """
-    row = scene.tracks.row(scene.av_id)
-    cell = np.floor(scene.tracks.position_m[row, scene.now] / _PLACE_M).astype(int)
-    source = Path(scene.source.file)
-    name = source.name if source.suffix in {"", ".sumocfg"} else ""
-    return f"{name} {cell[0]} {cell[1]}"
 
 
 def view_at(scene: Scene, step: int) -> View:
