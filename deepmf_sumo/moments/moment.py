@@ -1,6 +1,7 @@
 """Where and when a vehicle is attacked: what is asked for, and what is found."""
 
 import difflib
+import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -174,6 +175,7 @@ def suitable(
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
     if not sightings.bodies:
+        check_times(wish, sightings.begin_s, math.inf)
         return np.zeros(0, np.int64), _no_vehicles(sightings, wish)
     _check(sightings, wish)
     kept = np.ones(len(sightings.time_s), bool)

@@ -61,6 +61,9 @@ _READ: Final = re.compile(
 _WRITTEN: Final = {"log-file", "save-state.files"}
 """What SUMO writes, though its name looks otherwise."""
 _LARGEST: Final = 2**24
+_OTHER_FILES: Final = {
+    "net": "a network", "routes": "demand", "additional": "an additional file",
+}  # fmt: skip
 _VARIABLE: Final = re.compile(r"\$\{(\w+)\}")
 
 
@@ -115,7 +118,16 @@ def of_configuration(file: Path) -> dict[str, str]:
     """
     try:
         with files.unpacked(file, _LARGEST) as stream:
-            root = ET.parse(stream).getroot()  # noqa: S314 - SUMO reads it, too
+            reading = ET.iterparse(stream, events=("start",))  # noqa: S314 - SUMO reads it, too
+            root = next(reading)[1]
+            if root.tag in _OTHER_FILES:
+                raise SimulationError(
+                    f"'{file}' contains <{root.tag}>, which is {_OTHER_FILES[root.tag]}; name a"
+                    ' .sumocfg, which names it: <configuration><net-file value="..."/>'
+                    '<route-files value="..."/></configuration>.'
+                )
+            for _ in reading:
+                pass
     except (ET.ParseError, EOFError, OSError, ValueError, LookupError) as error:
         why = files.reason(error) if isinstance(error, OSError) else str(error)
         raise SimulationError(f"'{file}' cannot be read as a SUMO configuration: {why}.") from None

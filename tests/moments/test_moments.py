@@ -242,3 +242,9 @@ def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_se
     assert all(one["constraints"] == ["lawful"] for one in settings)
     long = spec_of({"duration_s": 30.0}, sets[1:2])
     assert long.opponents == "one", "who is named, or met, takes no turns"
+
+
+def test_a_time_before_a_saved_state_is_refused_though_the_survey_saw_no_vehicle():
+    empty = replace(traffic(), bodies=(), begin_s=300.0, until_s=300.0)
+    with pytest.raises(UsageError, match="100: the simulation begins at 300 s"):
+        choose(empty, TURNS, Wish(count=1, at_s=(100.0,)))

@@ -134,3 +134,14 @@ def test_a_changed_configuration_is_read_by_sumo(folder):
     assert loaded(after) is not None
     assert read_configuration(after).routes == (folder / ROUTES,)
     assert read_configuration(after).net.parent.samefile(after.parent)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [("<net>" + "<edge/>" * 9, "<net>, which is a network"), ("<routes/>", "which is demand")],
+)
+def test_a_network_in_place_of_a_configuration_is_refused_with_what_to_write(tmp_path, text, what):
+    file = tmp_path / "my.net.xml"
+    file.write_text(text)  # the rest is not read: a network may be large
+    with pytest.raises(SimulationError, match=rf"contains .*{what}; name a \.sumocfg"):
+        read_configuration(file)
