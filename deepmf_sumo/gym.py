@@ -366,7 +366,14 @@ def _accelerated(view: View, action: Floats) -> Command:
     """The command for the speed after a step at an acceleration."""
     row = view.history.row(view.av_id)
     speed = float(view.history.speed_mps[row, -1])
-    accel = float(np.clip(np.asarray(action, float).reshape(1)[0], BRAKE_MPS2, ACCEL_MPS2))
+    given = np.asarray(action, float).reshape(-1)
+    if len(given) != 1 or not np.isfinite(given).all():
+        raise UsageError(
+            f"The action is {given.tolist()!r:.80}; it must be one finite acceleration in m/s2. A"
+            " network that diverged gives nan."
+        )
+    wish = float(given[0])
+    accel = min(max(wish, BRAKE_MPS2), ACCEL_MPS2)
     return Command(kind="speed", speed_mps=max(0.0, speed + accel * view.dt_s))
 
 

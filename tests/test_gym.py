@@ -9,6 +9,7 @@ import pytest
 from deepmf_sumo import spec, tasks
 from deepmf_sumo.datatypes import Command, Driver
 from deepmf_sumo.errors import PlannerError, PluginError, UsageError
+from deepmf_sumo.simulation.sumo_api import sumo_seed
 from deepmf_sumo.sweep import episode
 
 from tests.support import tiny_network
@@ -111,6 +112,23 @@ def test_accelerations_are_driven_and_a_contact_ends_it(make, tiny):
     assert -1.1 < rewards[-1] < -0.9
     with pytest.raises(UsageError, match="call reset first"):
         environment.step(np.zeros(1))
+
+
+@pytest.mark.parametrize("action", [[np.nan], [np.inf], [-np.inf], [], [1.0, 2.0]])
+def test_an_action_that_is_no_acceleration_is_refused_and_the_episode_goes_on(make, loaded, action):
+    environment = make(loaded)
+    environment.reset()
+    with pytest.raises(UsageError, match="must be one finite acceleration"):
+        environment.step(np.array(action, np.float32))
+    assert environment.step(np.zeros(1, np.float32))[1] != 0.0
+
+
+def test_seeds_of_learning_libraries_fit_and_small_ones_are_sumos(make, loaded):
+    assert [sumo_seed(seed) for seed in (0, 42, 2**31 - 1)] == [0, 42, 2**31 - 1]
+    environment = make(loaded)
+    for seed in (2**31, 2**32 - 1):
+        seen = [environment.reset(seed=seed)[0]["agents"].tobytes() for _ in range(2)]
+        assert seen[0] == seen[1]
 
 
 def test_one_episode_a_process(make, loaded):

@@ -15,7 +15,8 @@ format_option: Final = click.option(
 AFTER: Final = "after --"
 """Where a context keeps SUMO's options."""
 MOST: Final = 100_000
-_LARGEST: Final = 2**31 - 1
+_LARGEST: Final = 2**32 - 1
+"""As in specs."""
 _PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
 
 

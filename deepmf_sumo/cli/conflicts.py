@@ -38,7 +38,7 @@ _TOP: Final = 10
     help="Look up to this time.  [default: the end, or ten million vehicle steps]",
 )  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), help="Seed SUMO.  [default: the configuration's]"
+    "--seed", type=click.IntRange(0, 2**32 - 1), help="Seed SUMO.  [default: the configuration's]"
 )
 @click.option(
     "--ttc", "ttc_s", metavar="S", type=FiniteRange(0.1, 10), default=1.5, show_default=True,

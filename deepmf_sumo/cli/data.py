@@ -167,7 +167,7 @@ _COUNT = click.IntRange(min=1)
     help="Record at most this number of scenes in each network.",
 )  # fmt: skip
 @click.option(
-    "--seed", default=0, show_default=True, type=click.IntRange(min=0),
+    "--seed", default=0, show_default=True, type=click.IntRange(0, 2**32 - 1),
     help="Seed the networks, the traffic and the choice of scenes.",
 )  # fmt: skip
 @click.option(

@@ -59,6 +59,7 @@ def command(
     from deepmf_sumo import live
     from deepmf_sumo.cli._screen import leaving, show_session, tell_switch
     from deepmf_sumo.live.lockstep import Stay
+    from deepmf_sumo.live.record import SUMO_FILES
     from deepmf_sumo.live.session import parts_of_a_step
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
@@ -78,7 +79,8 @@ def command(
         closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
         leaving() as stopped,
         attach.watched(http, given["avs"]) as (watch, tell),
-        live.Server(config, port, options, gui=gui) as server,
+        prepared.record.written_by_sumo() as written,
+        live.Server(config, port, written, options, gui=gui) as server,
     ):
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
         prepared.record.switched = tell_switch
@@ -98,6 +100,8 @@ def command(
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
         server.check()
+    if (out / SUMO_FILES).is_dir():
+        click.echo(f"what SUMO itself wrote is in {out / SUMO_FILES}")
     ctx.exit(code if server.joined else exit_code("interrupted"))
 
 

@@ -5,10 +5,15 @@ SUMO's poses are the centre of the front bumper and degrees clockwise from north
 pose is the centre of the box.
 """
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from deepmf_sumo.datatypes import Floats
+
+TURNED_RAD: Final = 1e4
+"""No vehicle turns this far: an angle beyond is a mistake, and rounding hides its direction."""
 
 
 def wrap(angle_rad: Floats | float) -> Floats:

@@ -109,6 +109,9 @@ class Lockstep:
             self.ended_s = self._time_s
             if abs(self._time_s - self._end_s) <= 1.0:  # later SUMO goes on for its clients
                 return "simulation_over"
+            self._sessions[0].check_script()
+            if self._sessions[0].script_left:
+                return "script_left"
             raise SimulationError(self._lost(str(error).strip())) from None
         finally:
             if in_order:

@@ -8,11 +8,12 @@ the reason why it has no value.
 import json
 import os
 import shutil
+import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -154,6 +155,8 @@ def _finished(task: Task, attack: LiveAttack, setting: Setting, folder: Path) ->
 
 
 FORMAT_VERSION: Final = 2
+SUMO_FILES: Final = "sumo"
+"""Folder of what SUMO itself has written under `serve`."""
 WAYS: Final = "--overwrite deletes them, another folder for --out keeps them"
 
 
@@ -258,6 +261,16 @@ class Record:
         """End the session."""
         if self._out is not None and self._results is not None:
             self._write(end, time_s)
+
+    @contextmanager
+    def written_by_sumo(self) -> Iterator[Path]:
+        """An empty folder for what SUMO writes, which comes into the results as ``sumo``."""
+        with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
+            try:
+                yield Path(folder)
+            finally:
+                if self._out is not None and self._results is not None and any(os.scandir(folder)):
+                    shutil.copytree(folder, self._out / SUMO_FILES, dirs_exist_ok=True)
 
     def close(self) -> None:
         """Give the folder free: no other session follows."""

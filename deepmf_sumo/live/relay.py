@@ -2,7 +2,8 @@
 
 Messages go to SUMO, and SUMO's answers go back, without what `attach` has subscribed to. ``load``
 ends SUMO, and the parent process starts it anew: SUMO's own ``load`` waits for ever where another
-of its clients is within a step of several seconds. Between
+of its clients is within a step of several seconds. Files that the client names are in one folder,
+see `kept_files`. A SUMO that does not answer, as after some malformed commands, is ended. Between
 two messages it looks for the next one for a while before it sleeps: waking up a process costs more
 than SUMO needs for most commands.
 
@@ -12,8 +13,10 @@ commands; a command is its length (1 byte, or 0 and 4 bytes), its number and its
 
 import contextlib
 import json
+import math
 import multiprocessing
 import os
+import select
 import signal
 import socket
 import struct
@@ -21,25 +24,34 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Final, Literal
 
+from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.live.kept_files import SET_GUI, SET_SIMULATION, KeptFiles, RefusedError, framed
 from deepmf_sumo.live.observer import MARK
+from deepmf_sumo.simulation.sumo_outputs import confined
 
 LOAD, STEP, ORDER, CLOSE = 0x01, 0x02, 0x03, 0x7F
 """TraCI's numbers of commands."""
 LARGEST: Final = 64 * 2**20
 """Bytes of a message."""
-Kind = Literal["joined", "unused", "left", "load", "complaint"]
+Kind = Literal["joined", "unused", "left", "load", "complaint", "stuck"]
 Said = tuple[Kind, str]
 """What the parent process is told, and the sentence of a complaint, or JSON of what to load."""
 Tell = Callable[..., None]
 
-_OURS: Final = frozenset({LOAD, STEP, ORDER, CLOSE})
-_OK: Final = b"\x00"
+_OURS: Final = frozenset({LOAD, STEP, ORDER, CLOSE, SET_SIMULATION, SET_GUI})
+_OK, _ERROR = b"\x00", b"\xff"
 _STRINGS: Final = 0x0E
 _START_S: Final = 60.0
 _AGAIN_S: Final = 0.05
 _END_S: Final = 3.0
+_LOOK_S: Final = 0.5
+_GONE_S: Final = 10.0
+"""For SUMO's answer to a client that has left."""
+_ANSWER_S: Final = 20.0
+"""For SUMO's answer to anything but a step, or a state: others take it milliseconds."""
 _AWAKE_S: Final = 0.001
 _PIECE: Final = 2**16
 _INT: Final = struct.Struct("!i")
@@ -47,6 +59,10 @@ _INT: Final = struct.Struct("!i")
 
 class ProtocolError(Exception):
     """A client has sent what is not TraCI."""
+
+
+class StuckError(Exception):
+    """SUMO does not answer; the message says why it is not waited for any longer."""
 
 
 class Wire:
@@ -61,12 +77,14 @@ class Wire:
         """A message. Raises OSError."""
         self._socket.sendall(_INT.pack(len(commands) + 4) + commands)
 
-    def receive(self) -> bytes | None:
+    def receive(self, meanwhile: Callable[[], None] | None = None) -> bytes | None:
         """The commands of a message; None where the other side has closed before it.
+
+        ``meanwhile``: called now and then until it begins.
 
         Raises ProtocolError for a length that no message has, or half a message, and OSError.
         """
-        data = self._read or self._first()
+        data = self._read or self._first(meanwhile)
         if not data:
             return None
         data = self._until(data, 4)
@@ -77,7 +95,17 @@ class Wire:
         self._read = data[length:]
         return data[4:length]
 
-    def _first(self) -> bytes:
+    @property
+    def gone(self) -> bool:
+        """Whether the other side has closed, also where there is something left to read."""
+        if not hasattr(select, "poll"):  # on Windows
+            return False
+        ends = getattr(select, "POLLRDHUP", 0) | select.POLLHUP | select.POLLERR
+        look = select.poll()
+        look.register(self._socket, ends)
+        return any(event & ends for _, event in look.poll(0))
+
+    def _first(self, meanwhile: Callable[[], None] | None) -> bytes:
         """The first piece of a message; empty where the other side has closed."""
         end = time.monotonic() + _AWAKE_S
         self._socket.setblocking(False)
@@ -88,6 +116,8 @@ class Wire:
                 _yield()
         finally:
             self._socket.setblocking(True)
+        while meanwhile is not None and not select.select([self._socket], [], [], _LOOK_S)[0]:
+            meanwhile()
         return self._socket.recv(_PIECE)
 
     def _until(self, data: bytes, length: int) -> bytes:
@@ -108,7 +138,10 @@ def _yield() -> None:
     getattr(os, "sched_yield", lambda: time.sleep(0))()
 
 
-def relay(listener: socket.socket, inner: int, parent: Connection, sumo_pid: int) -> None:
+def relay(
+    listener: socket.socket, inner: int, parent: Connection, sumo_pid: int, folder: Path,
+    *, gui: bool = False,
+) -> None:  # fmt: skip
     """One client's life; others that come meanwhile are turned away. Then the process ends.
 
     Args:
@@ -117,10 +150,19 @@ def relay(listener: socket.socket, inner: int, parent: Connection, sumo_pid: int
         parent: what happens is told there; after ``load`` it answers with the port and the process
             of the SUMO that it has started.
         sumo_pid: SUMO's process, which ends where the parent is killed.
+        folder: for files that the client has SUMO write.
+        gui: it is sumo-gui, which does not answer while its user pauses it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this
     pids = [sumo_pid]
     threading.Thread(target=_end_with_parent, args=(pids,), daemon=True).start()
+    _serve(listener, inner, parent, pids, folder, gui=gui)
+
+
+def _serve(
+    listener: socket.socket, inner: int, parent: Connection, pids: list[int], folder: Path,
+    *, gui: bool = False,
+) -> None:  # fmt: skip
     one_at_a_time = threading.Lock()
 
     def tell(kind: Kind, text: str = "") -> None:
@@ -131,59 +173,137 @@ def relay(listener: socket.socket, inner: int, parent: Connection, sumo_pid: int
     tell("joined")
     threading.Thread(target=_refuse, args=(listener, tell), daemon=True).start()
     with client:
+        outside = Wire(client)
+        watched = None if gui else outside
         try:
-            with contextlib.closing(_Sumo(inner, parent, pids, tell)) as sumo:
-                _pass_on(Wire(client), sumo, tell)
+            with contextlib.closing(_Sumo(inner, parent, pids, tell, watched)) as sumo:
+                _pass_on(outside, _Filter(sumo, folder), tell)
+        except StuckError as error:
+            tell("complaint", f"SUMO was ended: {error}")
+            tell("stuck")  # before it ends: `attach` sees that at once
+            tell("left")
+            os.kill(pids[0], getattr(signal, "SIGKILL", signal.SIGTERM))  # it may heed no other
         except (OSError, EOFError) as error:
             tell("complaint", f"the connection broke off: {error}")
             tell("left")
 
 
 class _Sumo:
-    """SUMO as its first client, which `load` replaces by another. Raises OSError, EOFError."""
+    """SUMO as its first client, which `load` replaces by another. Raises OSError, EOFError.
 
-    def __init__(self, inner: int, parent: Connection, pids: list[int], tell: Tell) -> None:
-        self._parent, self._pids, self._tell = parent, pids, tell
+    ``client``: whom SUMO has to answer; None: it is waited for without a limit.
+    """
+
+    def __init__(
+        self, inner: int, parent: Connection, pids: list[int], tell: Tell, client: Wire | None
+    ) -> None:
+        self._parent, self._pids, self._tell, self._client = parent, pids, tell, client
+        self._join(inner)
+
+    def _join(self, inner: int) -> None:
         self._socket = _to_sumo(inner)
         self._wire = Wire(self._socket)
+        self._patience_s = _START_S  # it answers only when `attach` has joined, too
 
-    def asked(self, commands: bytes) -> bytes:
-        """SUMO's answer. Raises ProtocolError where it has ended."""
-        return _asked(self._wire, commands)
+    def asked(self, commands: bytes, *, may_take_long: bool = False) -> bytes:
+        """SUMO's answer.
+
+        Raises ProtocolError where it has ended; StuckError where it does not answer in time, or
+        not within a while after the client has left.
+        """
+        client, begin, left_since = self._client, time.monotonic(), math.inf
+        within_s = math.inf if may_take_long else self._patience_s
+
+        def look() -> None:
+            nonlocal left_since
+            now = time.monotonic()
+            if client is None:
+                return
+            if client.gone:
+                left_since = min(left_since, now)
+            if now - left_since > _GONE_S:
+                raise StuckError("it had not answered when the client left, nor since")
+            if now - begin > within_s:
+                asked = ", ".join(_named(number_of(one)) for one in commands_of(commands))
+                raise StuckError(f"it has not answered {asked} in {within_s:g} s")
+
+        answer = _asked(self._wire, commands, look)
+        self._patience_s = _ANSWER_S
+        return answer
 
     def load(self, arguments: list[str]) -> None:
         """Go on with a SUMO of these arguments, once `attach` has left the one before."""
         self._tell("load", json.dumps(arguments))  # before SUMO knows: `attach` goes on at once
-        self.asked(_command(CLOSE, b""))
+        self.asked(_command(CLOSE, b""), may_take_long=True)
         self.close()
         inner, self._pids[0] = self._parent.recv()
-        self._socket = _to_sumo(inner)
-        self._wire = Wire(self._socket)
+        self._join(inner)
 
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
 
 
-def _pass_on(client: Wire, sumo: _Sumo, tell: Tell) -> None:
-    """All that the client says, until it closes. Raises OSError, EOFError."""
+class _Filter:
+    """Commands on their way to SUMO: some do not reach it as they are."""
+
+    def __init__(self, sumo: _Sumo, folder: Path) -> None:
+        self._sumo, self._folder, self._files = sumo, folder, KeptFiles(folder)
+
+    def answered(self, body: bytes) -> bytes:
+        """The answer to the commands of a message."""
+        commands = list(commands_of(body))
+        if any(number_of(one) in _OURS for one in commands):
+            return b"".join(self._answer(one) for one in commands)
+        return self._sumo.asked(body)
+
+    def close(self) -> None:
+        """Tell SUMO that the client has left."""
+        self._sumo.asked(_command(CLOSE, b""), may_take_long=True)
+
+    def _answer(self, command: bytes) -> bytes:
+        number = number_of(command)
+        if number == ORDER:
+            return _done(ORDER)  # the number of the client is ours to give
+        try:
+            if number == LOAD:
+                return self._load(command)
+            if self._files.concerns(command):
+                return self._sumo.asked(self._files.moved(command), may_take_long=True)
+        except RefusedError as why:
+            return _refused(number, f"{why}.")
+        if number == STEP:
+            return _without_ours(self._sumo.asked(command, may_take_long=True))
+        return self._sumo.asked(command, may_take_long=number == CLOSE)
+
+    def _load(self, command: bytes) -> bytes:
+        arguments = self._files.of_load(_strings(command))
+        try:
+            confined(arguments, self._folder)
+        except DeepmfError as error:
+            return _refused(LOAD, f"load: {error}")
+        self._sumo.load(arguments)
+        return _done(LOAD)
+
+
+def _pass_on(client: Wire, sumo: _Filter, tell: Tell) -> None:
+    """All that the client says, until it closes. Raises OSError, EOFError, StuckError."""
     closed = stepped = False
     try:
         while (body := client.receive()) is not None:
-            commands = list(commands_of(body))
-            numbers = {number_of(one) for one in commands}
+            numbers = {number_of(one) for one in commands_of(body)}
             stepped = stepped or STEP in numbers
             if CLOSE in numbers:
                 closed = True
                 tell("left")  # before SUMO knows: the other client goes on at once
-            if numbers & _OURS:
-                client.send(b"".join(_answered(sumo, one) for one in commands))
-            else:
-                client.send(sumo.asked(body))
+            client.send(sumo.answered(body))
             if closed:
                 return
     except ProtocolError as error:
         tell("complaint", f"the client was disconnected: {error}")
+    except StuckError:
+        closed = True  # SUMO cannot be told
+        raise
     finally:
         if not stepped:
             tell("complaint", "the client left before its first step: nothing happened")
@@ -191,7 +311,7 @@ def _pass_on(client: Wire, sumo: _Sumo, tell: Tell) -> None:
         if not closed:  # SUMO ends for all where a client disappears
             tell("left")
             with contextlib.suppress(OSError, ProtocolError):
-                sumo.asked(_command(CLOSE, b""))
+                sumo.close()
 
 
 def _end_with_parent(pids: list[int]) -> None:
@@ -256,29 +376,29 @@ def number_of(command: bytes) -> int:
     return command[place]
 
 
+def _named(number: int) -> str:
+    """``CMD_GET_VEHICLE_VARIABLE (0xa4)``; of a number that has no name, the number."""
+    from traci import constants
+
+    names = [
+        name
+        for name, value in vars(constants).items()
+        if name.startswith("CMD_") and value == number
+    ]
+    return f"{' or '.join(names) or 'command'} (0x{number:02x})"
+
+
 def _command(number: int, content: bytes) -> bytes:
     return bytes((2 + len(content), number)) + content
 
 
-def _asked(sumo: Wire, commands: bytes) -> bytes:
+def _asked(sumo: Wire, commands: bytes, meanwhile: Callable[[], None] | None = None) -> bytes:
     """SUMO's answer."""
     sumo.send(commands)
-    answer = sumo.receive()
+    answer = sumo.receive(meanwhile)
     if answer is None:
         raise ProtocolError("SUMO has ended")
     return answer
-
-
-def _answered(sumo: _Sumo, command: bytes) -> bytes:
-    """The answer to one command; some do not reach SUMO as they are."""
-    number = number_of(command)
-    if number == ORDER:
-        return _done(ORDER)  # the number of the client is ours to give
-    if number == LOAD:
-        sumo.load(_strings(command))
-        return _done(LOAD)
-    answer = sumo.asked(command)
-    return _without_ours(answer) if number == STEP else answer
 
 
 def _strings(command: bytes) -> list[str]:
@@ -301,8 +421,13 @@ def _strings(command: bytes) -> list[str]:
 
 def _done(number: int) -> bytes:
     """The status of a command that is done."""
-    content = bytes((number,)) + _OK + _INT.pack(0)
-    return bytes((1 + len(content),)) + content
+    return framed(bytes((number,)) + _OK + _INT.pack(0))
+
+
+def _refused(number: int, why: str) -> bytes:
+    """The status of a command that is not done."""
+    told = why.encode(errors="replace")
+    return framed(bytes((number,)) + _ERROR + _INT.pack(len(told)) + told)
 
 
 def _without_ours(answer: bytes) -> bytes:

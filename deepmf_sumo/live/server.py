@@ -19,6 +19,7 @@ from typing import Final, Self
 from deepmf_sumo.errors import SimulationError, UsageError
 from deepmf_sumo.live.relay import Said, relay
 from deepmf_sumo.network import sumo_tools
+from deepmf_sumo.simulation.sumo_outputs import confined
 
 _END_S: Final = 3.0
 _OUTPUT_S: Final = 60.0
@@ -33,29 +34,40 @@ class Server:
         config: a .sumocfg.
         port: for the client; 0 takes a free one.
         options: of SUMO, beside the configuration.
+        folder: an empty one, into which SUMO writes; its outputs go nowhere else.
         gui: start sumo-gui.
 
     Attributes:
         port: as given, or the one that was free. inner: the port for `attach`.
 
-    Raises UsageError for a port that is in use, SimulationError where SUMO does not start.
+    Raises UsageError for a port that is in use, or an option of SUMO that writes elsewhere;
+    SimulationError for a configuration that does, and where SUMO does not start.
     """
 
     def __init__(
-        self, config: Path, port: int, options: Sequence[str] = (), *, gui: bool = False
+        self,
+        config: Path,
+        port: int,
+        folder: Path,
+        options: Sequence[str] = (),
+        *,
+        gui: bool = False,
     ) -> None:
+        self._folder = folder
+        arguments = confined(["-c", str(config), *options], folder)
         self._said: set[str] = set()
         self._complaints: list[str] = []
         self._wanted: list[str] | None = None
         self._gui = gui
         self._listener = _listening(port)
         self.port = int(self._listener.getsockname()[1])
-        self._start(["-c", str(config), *options])
+        self._start(arguments)
         spawn = multiprocessing.get_context("spawn")  # this process may have threads
         self._hears, says = spawn.Pipe()
         self._relay = spawn.Process(
             target=relay,
-            args=(self._listener, self.inner, says, self._sumo.pid),
+            args=(self._listener, self.inner, says, self._sumo.pid, folder),
+            kwargs={"gui": gui},
             name="traci relay",
             daemon=True,
         )
@@ -99,7 +111,8 @@ class Server:
         if killed or self._sumo.returncode:
             how = "was killed after 60 s" if killed else f"ended with {self._sumo.returncode}"
             self._complaints.append(f"SUMO {how} at the client's load; its output may be cut off")
-        self._start(_without_ports(self._wanted, gui=self._gui))
+        arguments = _without_ports(self._wanted, gui=self._gui)
+        self._start(confined(arguments, self._folder))
         self._wanted = None
         self._hears.send((self.inner, self._sumo.pid))
         return True
@@ -126,7 +139,12 @@ class Server:
         return self._sumo.poll() is not None
 
     def check(self, wait_s: float = 0.0) -> None:
-        """Raise SimulationError where SUMO has ended by an error, or does so within a time."""
+        """Raise SimulationError where SUMO has ended by an error, or does so within a time.
+
+        Not where it was ended here, since it did not answer: that is a complaint.
+        """
+        if self._heard("stuck"):
+            return
         with suppress(subprocess.TimeoutExpired):
             self._sumo.wait(wait_s)
         if code := self._sumo.poll():

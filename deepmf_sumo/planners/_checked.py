@@ -12,6 +12,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
 from deepmf_sumo.errors import DeepmfError, PlannerError
+from deepmf_sumo.geometry.frames import TURNED_RAD
 from deepmf_sumo.planners.base import ClosingPlanner, FixedPlanner, Planner
 from deepmf_sumo.planners.remote.protocol import FASTEST_MPS, NUMBERS
 
@@ -85,6 +86,11 @@ def check(command: object, view: View, *, may_jump: bool) -> None:
             f"speed_mps {at} is {command.speed_mps:g}: along its route the AV cannot drive"
             " backwards; for that, command poses."
         )
+    if command.kind == "pose" and abs(command.heading_rad) > TURNED_RAD:
+        raise PlannerError(
+            f"heading_rad {at} is {command.heading_rad:g}; it must be an angle between"
+            f" -{TURNED_RAD:g} and {TURNED_RAD:g} rad."
+        )
     if command.kind == "pose" and not may_jump:
         _check_distance(command, view, at)
 
@@ -94,7 +100,7 @@ def _check_distance(command: Command, view: View, at: str) -> None:
     moved_m = math.hypot(command.x_m - x, command.y_m - y)
     if moved_m > FASTEST_MPS * view.dt_s:
         raise PlannerError(
-            f"the pose ({command.x_m:g}, {command.y_m:g}) {at} is {moved_m:.1f} m from the AV,"
+            f"the pose ({command.x_m:g}, {command.y_m:g}) {at} is {moved_m:.6g} m from the AV,"
             f" farther than it gets in {view.dt_s:g} s at {FASTEST_MPS:g} m/s."
         )
 

@@ -20,7 +20,7 @@ from deepmf_sumo.errors import SpecError, UsageError, nearest
 from deepmf_sumo.spec import FromMoments, ProfileName, SearchBudget, profiles
 from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
-from deepmf_sumo.spec.model import First, Source, Strict, Turns, Version
+from deepmf_sumo.spec.model import First, Seed, Source, Strict, Turns, Version
 from deepmf_sumo.tasks import slug
 
 
@@ -35,7 +35,6 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
 
 Distinct = AfterValidator(_distinct)
 Names = Annotated[tuple[str, ...], Field(strict=False), Distinct]
-Seed = Annotated[int, Field(ge=0, lt=2**31)]
 Simulations = Annotated[int, Field(ge=1)]
 Seconds = Annotated[float, Field(gt=0)]
 

@@ -56,6 +56,8 @@ class Settings(plugins.Settings):
             not self.poses or any(len(pose) != 3 for pose in self.poses)
         ):
             raise ValueError("poses needs at least one row of three: x_m, y_m, heading_rad")
+        if any(abs(pose[2]) > frames.TURNED_RAD for pose in self.poses or ()):
+            raise ValueError(f"a heading_rad of poses is beyond {frames.TURNED_RAD:g} rad")
         if self.file is not None and self.first_step is not None:
             raise ValueError("first_step goes with poses; a file has its own steps")
         return self
@@ -127,6 +129,10 @@ def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:
         )
     if not np.isfinite(rows).all():
         raise PluginError(f"trajectory file '{path}' contains numbers that are not finite.")
+    if (np.abs(rows[:, 3]) > frames.TURNED_RAD).any():
+        raise PluginError(
+            f"trajectory file '{path}' has a heading_rad beyond {frames.TURNED_RAD:g} rad."
+        )
     return int(steps[0]), rows[:, 1:]
 
 

@@ -17,8 +17,9 @@ from deepmf_sumo.recording.scenes import Moment, Recording, Scenes
 from deepmf_sumo.simulation import sumo_words
 from deepmf_sumo.simulation.observation import LiveSignals
 from deepmf_sumo.simulation.road_users import TrafficReader
-from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi, running
+from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi, running, sumo_seed
 from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
+from deepmf_sumo.simulation.sumo_outputs import confined
 
 __all__ = ["Recording", "record"]
 
@@ -50,7 +51,7 @@ def record(recording: Recording) -> Iterator[Scene]:
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         mix = DriverMix(Path(folder) / "drivers.add.xml", rng) if recording.diverse else None
         arguments = [*_arguments(configuration, recording, mix), *sumo_words.to_file(Path(folder))]
-        with running(arguments, folder=Path(folder)) as api:
+        with running(confined(arguments, Path(folder)), folder=Path(folder)) as api:
             yield from _scenes(api, recording, configuration, road, mix, rng)
 
 
@@ -62,7 +63,7 @@ def _arguments(
     return [
         *("-c", str(configuration.file)),
         *(("--additional-files", ",".join(additional)) if additional else ()),
-        *("--seed", str(recording.seed)),
+        *("--seed", str(sumo_seed(recording.seed))),
         *("--lateral-resolution", "0.4"),
         *("--lanechange.duration", "0"),  # SUMO takes only one of the two
         *STEP_OPTIONS,

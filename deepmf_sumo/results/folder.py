@@ -112,7 +112,7 @@ MADE: Final = (
     "runs", "runs.csv", "summary.json", "junit.xml", "report.html", "study.json", "table.csv",
     "table.md", "table.tex", "differences.csv", "equal_seconds.csv", "curves.csv", "accidents.csv",
     "figures", "moments.csv", "shard.json", "turns.csv", "risk",
-    "attacks.jsonl", "session.json",
+    "attacks.jsonl", "session.json", "sumo",
 )  # fmt: skip
 """What an earlier batch, benchmark or live session leaves in its folder beside the manifest."""
 WAYS: Final = (

@@ -36,6 +36,7 @@ from deepmf_sumo.simulation.sumo_api import (
     Backend,
     SumoApi,
     running,
+    sumo_seed,
     write_types,
 )
 from deepmf_sumo.simulation.vehicle_control import CREEP_MPS, SumoOwner, Takeover, move
@@ -260,7 +261,7 @@ def opened(
         arguments = [
             *("-n", str(case.net.file)),
             *("--additional-files", str(types)),
-            *("--seed", str(case.seed)),
+            *("--seed", str(sumo_seed(case.seed))),
             *STEP_OPTIONS,
             *_OPTIONS,
         ]

@@ -27,8 +27,15 @@ STEP_OPTIONS = (
 )
 """Options of every simulation."""
 
+_SEEDS: Final = 2**31
+"""SUMO reads seeds below."""
 _NO_PORT: Final = ("--remote-port", "0")
 """A configuration may ask for a port, on which SUMO would wait for a client."""
+
+
+def sumo_seed(seed: int) -> int:
+    """SUMO's seed for that of a run: the same one, or one below 2**31 for those that are larger."""
+    return seed % _SEEDS
 
 
 class SumoApi(Protocol):

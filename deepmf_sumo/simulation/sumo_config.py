@@ -18,7 +18,15 @@ from typing import Final
 from deepmf_sumo.datatypes import TrafficCase, VehicleModel
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.simulation import sumo_options, sumo_words
-from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, Backend, SumoApi, running, write_types
+from deepmf_sumo.simulation.sumo_api import (
+    STEP_OPTIONS,
+    Backend,
+    SumoApi,
+    running,
+    sumo_seed,
+    write_types,
+)
+from deepmf_sumo.simulation.sumo_outputs import confined
 
 SUMO_SEED: Final = 23423
 """SUMO's default."""
@@ -153,8 +161,6 @@ def _seconds(file: Path, name: str, text: str) -> float:
     return sum(number * scale for number, scale in zip(numbers, scales, strict=True))
 
 
-_TO_ROOT = "../" * 64
-"""SUMO puts its prefix between an output's folder and its name; there are no folders above /."""
 _BEFORE_S = 2.0
 """Time before a start at which SUMO is held: before the history that a run needs."""
 
@@ -275,18 +281,14 @@ def command_line(traffic: Traffic, more: str = "") -> Iterator[tuple[list[str], 
             added.append(Path(folder) / "more.add.xml")
             added[-1].write_text(f"<additional>{more}</additional>", "utf-8")
         additional = ",".join(str(path) for path in (*configuration.additional, *added))
-        prefix = f"{_TO_ROOT}{folder.lstrip('/')}/"
         heard = sumo_words.OPTION in configuration.options  # the user's own goes there, too
-        yield (
-            [
-                *("-c", str(configuration.file)),
-                *configuration.options,
-                *("--additional-files", additional),
-                *("--seed", str(traffic.seed)),
-                *("--random", "false"),
-                *("--output-prefix", prefix),
-                *(() if heard else sumo_words.to_file(Path(folder), prefix)),
-                *STEP_OPTIONS,
-            ],
-            Path(folder),
-        )
+        arguments = [
+            *("-c", str(configuration.file)),
+            *configuration.options,
+            *("--additional-files", additional),
+            *("--seed", str(sumo_seed(traffic.seed))),
+            *("--random", "false"),
+            *(() if heard else sumo_words.to_file(Path(folder))),
+            *STEP_OPTIONS,
+        ]
+        yield confined(arguments, Path(folder)), Path(folder)

@@ -47,6 +47,7 @@ _OURS: Final = {
     "num-clients": "the simulation is not shared",
     "collision.action": "contacts are judged by the boxes of the vehicles",
     "output-prefix": "outputs of attacked traffic are discarded",
+    "output-suffix": "outputs of attacked traffic are discarded",
     "no-step-log": "nothing is printed",
     "duration-log.disable": "nothing is printed",
     "no-warnings": "nothing is printed",

@@ -21,12 +21,9 @@ _MOST: Final = 5
 _PARTICULARS: Final = re.compile(r"'[^']*'|\d+(\.\d+)?")
 
 
-def to_file(folder: Path, prefix: str = "") -> tuple[str, str]:
-    """Options that write SUMO's messages into a folder.
-
-    ``prefix``: SUMO's option ``output-prefix`` if that is given, which leads into the folder.
-    """
-    return OPTION, MESSAGES if prefix else str(folder / MESSAGES)
+def to_file(folder: Path) -> tuple[str, str]:
+    """Options that write SUMO's messages into a folder."""
+    return OPTION, str(folder / MESSAGES)
 
 
 def divert(folder: Path, into: Path) -> None:

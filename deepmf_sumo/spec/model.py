@@ -3,7 +3,7 @@
 import math
 import stat
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -47,6 +47,11 @@ Version = Annotated[
     Field(description="3; 1 and 2 keep their meaning, see versions"),
 ]
 """Of specs and plans."""
+
+
+SEEDS: Final = 2**32
+"""Seeds are below: what libraries for learning draw fits."""
+Seed = Annotated[int, Field(ge=0, lt=SEEDS)]
 
 
 class Strict(BaseModel):
@@ -366,7 +371,7 @@ class Spec(Strict):
     turns: Turns = Turns()
     budget: SearchBudget = SearchBudget()
     weights: Annotated[str, AfterValidator(_weights)] = "open"
-    seed: int = Field(default=0, ge=0, lt=2**31)
+    seed: Seed = 0
     expect: Expect = Expect()
 
     @model_validator(mode="before")

@@ -19,10 +19,11 @@ from pathlib import Path
 
 import pytest
 import sumo
+from traci import constants
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import exit_code
-from deepmf_sumo.live.relay import LARGEST
+from deepmf_sumo.live.relay import CLOSE, LARGEST, LOAD, ORDER, STEP
 
 pytestmark = pytest.mark.sumo
 
@@ -248,6 +249,64 @@ def test_several_commands_in_one_message_are_answered_in_one(talked):
 
     code, _, told = talked(talk)
     assert code == 0, told
+
+
+def string(text):
+    return struct.pack("!i", len(text)) + text
+
+
+def well_formed(number):
+    """A command of this number that asks for nothing: the answer says that, or that it is none."""
+    context = number in range(0x80, 0x90) or number in range(0x04, 0x0C)
+    if context or number in range(0xD0, 0xE0) or number in range(0x54, 0x5C):  # a subscription
+        more = b"\xa4" + struct.pack("!d", 1.0) if context else b""
+        content = struct.pack("!dd", 0.0, 1.0) + string(b"nobody") + more + b"\0"
+    elif number in {0x00, 0x7D}:
+        content = b""
+    else:
+        content = b"\x01" + string(b"nobody")
+    return command(number, content)
+
+
+def answers(connection, commands):
+    """What is answered to each of them."""
+    found = []
+    connection.settimeout(60)
+    for one in commands:
+        connection.sendall(message(one))
+        answer = b""
+        while len(answer) < 4 or len(answer) < struct.unpack_from("!i", answer)[0]:
+            piece = connection.recv(65536)
+            if not piece:
+                return found
+            answer += piece
+        found.append((f"0x{one[1]:02x}", answer[4:]))
+    return found
+
+
+def test_each_command_of_the_protocol_is_answered_as_sumo_answers_it(tiny, talked):
+    names = {value for name, value in vars(constants).items() if name.startswith("CMD_")}
+    numbers = sorted(names - {LOAD, STEP, ORDER, CLOSE, 0x7E, 0x7D})
+    assert len(numbers) > 70
+    step = command(STEP, struct.pack("!d", 0.0))
+    asked = [step, *map(well_formed, numbers), step, command(CLOSE)]
+    found = []
+
+    def talk(connect):
+        with connect() as connection:
+            found.extend(answers(connection, asked))
+
+    code, _, told = talked(talk)
+    assert code == 0, told
+    port = free_port()
+    program = [f"{sumo.SUMO_HOME}/bin/sumo", "-c", tiny / "tiny.sumocfg", *OPTIONS]
+    with (
+        subprocess.Popen([*program, "--remote-port", str(port)], stdout=subprocess.DEVNULL),
+        connection(port) as own,
+    ):
+        expected = answers(own, asked)
+    assert len(expected) == len(asked)
+    assert found == expected
 
 
 LOADING = """

@@ -64,6 +64,11 @@ def fork(view):
         (lambda view: Command(kind="speed", speed_mps=-3.0), "cannot drive backwards"),
         (lambda view: Command(kind="leader", leader_mps=-1e9), "leader_mps at step 12 is -1e+09"),
         (lambda view: Command(kind="pose", x_m=1e6), "farther than it gets in 0.1 s"),
+        (lambda view: Command(kind="pose", x_m=1e308), "is 1e+308 m from the AV, farther"),
+        (
+            lambda view: Command(kind="pose", heading_rad=1e300),
+            "heading_rad at step 12 is 1e+300; it must be an angle between -10000 and 10000 rad",
+        ),
         (fork, "RuntimeError: forked"),
     ],
 )

@@ -95,6 +95,7 @@ def test_wrong_settings_are_refused(values):
         ("torn.csv.gz", torn(b"step,x_m,y_m,heading_rad\n11,2,3,0\n"), "torn.csv.gz"),
         ("c.csv", b"step,x_m,y_m,heading_rad\n11,2,three,0\n", "three"),
         ("d.csv", b"step,x_m,y_m,heading_rad\n11,nan,3,0\n", "finite"),
+        ("d.csv", b"step,x_m,y_m,heading_rad\n11,2,3,1e300\n", "heading_rad beyond 10000 rad"),
         ("e.csv", b"step,x_m,y_m,heading_rad,id\n11,2,3,0,c\n", "agent 'b'"),
         ("f.csv.gz", b"no gzip", "f.csv.gz"),
         ("g.npz", b"no zip", "g.npz"),
