@@ -40,7 +40,7 @@ _SAME_M: Final = 0.01
 """A vehicle that is nearer than this to its unattacked position is where it would have been."""
 _ALIGNED_RAD: Final = np.pi / 4
 _BEYOND_M: Final = 100.0
-"""Lanes are followed this much farther than the vehicle drives; their ends are extended by it."""
+"""Lanes are followed this much farther than the vehicle drives."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -163,11 +163,9 @@ def _lines(road_map: RoadMap, own: Lane, reach_m: float) -> Iterator[Floats]:
     while ahead:
         lane, line, begin_m = ahead.pop(0)
         end_m = begin_m + float(polylines.arc_lengths(line)[-1])
-        following = [lanes.lanes[lanes.row[name]] for name in lane.next if name in lanes.row]
-        last, _ = polylines.points_at(line, polylines.arc_lengths(line)[-1] + _BEYOND_M)
-        yield line if following else np.concatenate([line, last[None]])
-        for after in following:
-            if after.id not in seen and end_m < reach_m:
-                seen.add(after.id)
-                joined = np.concatenate([line[-1:], after.centre_m])
-                ahead.append((after, joined, end_m))
+        yield line
+        for name in lane.next:
+            if name in lanes.row and name not in seen and end_m < reach_m:
+                seen.add(name)
+                after = lanes.lanes[lanes.row[name]]
+                ahead.append((after, np.concatenate([line[-1:], after.centre_m]), end_m))
