@@ -7,10 +7,9 @@ same grade, whichever method drove it. In order of preference:
 - ``log``: the recording, where it drives all vehicles but the AV. It does not react, so no planner
   of the AV changes it, and nothing has to be simulated.
 - ``episode``: the same episode without an attack (`datatypes.Case.unattacked`), where SUMO drives.
-- ``lane``: the vehicle keeps to its lane. For attacks whose episode cannot be repeated: in a
-  simulation that another program steps, with an AV that a learner drives, and after an earlier
-  attack of the same episode that has changed the world. How fast it would have driven is not known
-  there, so it counts as being as far along the lane as it is: only leaving the lane is a departure.
+- ``lane``: the vehicle goes on along its lane at the speed that it had. For attacks whose episode
+  cannot be repeated: in a simulation that another program steps, with an AV that a learner drives,
+  and after an earlier attack of the same episode that has changed the world.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,7 +39,7 @@ _SAME_M: Final = 0.01
 """A vehicle that is nearer than this to its unattacked position is where it would have been."""
 _ALIGNED_RAD: Final = np.pi / 4
 _BEYOND_M: Final = 100.0
-"""Lanes are followed this much farther than the vehicle drives."""
+"""Lanes are followed this much farther than the vehicle goes on them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,7 +70,7 @@ def counterfactual(rollout: Rollout, case: Case, agent_id: AgentId) -> Counterfa
 
     The recording or the unattacked episode tells it only if they are still the same world when the
     attack begins: the agent is where they have it, and with SUMO's traffic, which reacts, so is the
-    AV. Otherwise the agent keeps to its lane.
+    AV. Otherwise the agent keeps its lane and speed.
     """
     by: By = "episode"
     alone = case.unattacked
@@ -112,28 +111,27 @@ def predicted(first_step: int, position_m: Floats) -> Counterfactual:
 
 
 def _in_lane(rollout: Rollout, road_map: RoadMap, agent_id: AgentId) -> Counterfactual:
-    """The agent as far along the lane of its first step, or a lane that follows, as it is.
+    """The agent at the speed that it has when the attack begins, along its lane and those after it.
 
-    Where lanes branch it takes the nearest one. It keeps its distance from the lane's middle. On no
-    lane nothing is known.
+    Where lanes branch it goes the way to which the driven motion is nearest. It keeps its distance
+    from the lane's middle. On no lane nothing is known.
     """
     tracks, row = rollout.tracks, rollout.tracks.row(agent_id)
     steps = np.flatnonzero(tracks.valid[row] & (np.arange(tracks.steps) >= rollout.now))
     position, known = np.zeros((tracks.steps, 2)), np.zeros(tracks.steps, bool)
-    points = tracks.position_m[row, steps]
-    own = None
+    points, own = tracks.position_m[row, steps], None
     if len(steps):
         z_m = float(tracks.z_m[row, steps[0]])
         own = _own_lane(road_map, points[0], float(tracks.heading_rad[row, steps[0]]), z_m)
     if own is not None:
-        reach_m = float(polylines.arc_lengths(points)[-1]) + _BEYOND_M
-        feet = [polylines.project(line, points) for line in _lines(road_map, own, reach_m)]
-        left = np.stack([foot.left_m for foot in feet])
-        away = np.stack([foot.distance_m for foot in feet])
-        best = away.argmin(axis=0), np.arange(len(points))
-        aside = frames.unit(np.stack([foot.heading_rad for foot in feet])[best] + np.pi / 2)
-        kept = polylines.project(own.centre_m, points[0]).left_m
-        position[steps] = points + (kept - left[best])[:, None] * aside
+        gone_m = tracks.speed_mps[row, steps[0]] * rollout.dt_s * (steps - steps[0])
+        reach_m = max(float(gone_m[-1]), float(polylines.arc_lengths(points)[-1])) + _BEYOND_M
+        ways = list(_ways(road_map, own, reach_m))
+        away = [polylines.project(way, points).distance_m.mean() for way in ways]
+        way = ways[int(np.argmin(away))]
+        foot = polylines.project(way, points[0])
+        middle, heading = polylines.points_at(way, foot.along_m + gone_m)
+        position[steps] = middle + foot.left_m * frames.unit(heading + np.pi / 2)
         known[steps] = True
     return Counterfactual(by="lane", position_m=position, known=known)
 
@@ -156,16 +154,21 @@ def _own_lane(road_map: RoadMap, point_m: Floats, heading_rad: float, z_m: float
     return found[int(np.argmin([foot.distance_m for foot in feet]))] if found else None
 
 
-def _lines(road_map: RoadMap, own: Lane, reach_m: float) -> Iterator[Floats]:
-    """Centre lines (P, 2) of a lane and of all that follow it within reach, each joined to it."""
+def _ways(road_map: RoadMap, own: Lane, reach_m: float) -> Iterator[Floats]:
+    """Centre lines (P, 2) from the start of a lane along the lanes that follow it, up to a reach.
+
+    A lane to which several lead is on the first of these ways alone.
+    """
     lanes = road.lanes_for_cars(road_map)
-    seen, ahead = {own.id}, [(own, own.centre_m, 0.0)]
-    while ahead:
-        lane, line, begin_m = ahead.pop(0)
-        end_m = begin_m + float(polylines.arc_lengths(line)[-1])
-        yield line
-        for name in lane.next:
-            if name in lanes.row and name not in seen and end_m < reach_m:
-                seen.add(name)
-                after = lanes.lanes[lanes.row[name]]
-                ahead.append((after, np.concatenate([line[-1:], after.centre_m]), end_m))
+    seen, begun = {own.id}, [(own, own.centre_m, 0.0)]
+    while begun:
+        lane, way, before_m = begun.pop(0)
+        after = [name for name in lane.next if name in lanes.row and name not in seen]
+        if not after or before_m > reach_m:
+            yield way
+            continue
+        seen.update(after)
+        length_m = before_m + float(polylines.arc_lengths(lane.centre_m)[-1])
+        for name in after:
+            one = lanes.lanes[lanes.row[name]]
+            begun.append((one, np.concatenate([way, one.centre_m]), length_m))

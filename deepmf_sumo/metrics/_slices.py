@@ -129,8 +129,8 @@ def planned_poses(rollout: Rollout, row: int, last: int) -> dict[int, Floats]:
 def unattacked(rollout: Rollout, case: Case, agent_id: AgentId) -> Counterfactual:
     """The agent's motion without the attack (`avoidability.counterfactual`).
 
-    Raises NotMeasurable where it is known only which lane the agent would have kept to, and where
-    the agent would have been absent after now, within the case's duration.
+    Raises NotMeasurable where the agent is only taken to keep lane and speed, and where it would
+    have been absent after now, within the case's duration.
     """
     found = counterfactual(rollout, case, agent_id)
     steps = slice(rollout.now + 1, rollout.now + 1 + case.duration_steps)

@@ -182,8 +182,8 @@ class Result(TypedDict, total=False):
         ended: why the episode ended.
         steps, duration_steps: simulated steps, and those that were asked for.
         counterfactual: what tells where the opponent would have been without the attack: ``log``
-            (the recording), ``episode`` (the same episode without attack), or ``lane`` (it keeps to
-            its lane, where the episode cannot be repeated). None without an opponent, and in
+            (the recording), ``episode`` (the same episode without attack), or ``lane`` (it keeps
+            lane and speed, where the episode cannot be repeated). None without an opponent, and in
             results of earlier versions.
         opponent_score: softmax of the scores.
         metrics: by name.

@@ -2,7 +2,7 @@
 
 Now: by the unattacked episode that each run keeps. Before: by the likeliest prediction of the
 attack's own first plan, and without a motion to compare with where the plan predicts nothing. As
-live attacks: the opponent keeps to its lane. The rollouts are the same, read from result folders.
+live attacks: the opponent keeps lane and speed. The rollouts are the same, of result folders.
 
     python -m studies.counterfactuals OUT...
 """

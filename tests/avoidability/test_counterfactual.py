@@ -131,9 +131,9 @@ def test_an_episode_that_went_another_way_before_tells_nothing(moved):
     assert found["path_sspd"].reason == "the opponent's motion without the attack is not known"
 
 
-def test_without_an_episode_the_opponent_keeps_to_its_lane():
+def test_without_an_episode_the_opponent_keeps_lane_and_speed():
     """Lanes of 3.5 m around y = 0 and 3.5: 0.3 m beside the middle, then 1 m/s towards the AV."""
-    path = straight(20, 3.8, 10, accel=-1.0)
+    path = straight(20, 3.8, 10)
     aside = 0.1 * np.maximum(np.arange(91) - 30, 0)
     path[:, 1] -= aside
     rollout = rollout_of({"av": AV, "b": path})
@@ -141,13 +141,13 @@ def test_without_an_episode_the_opponent_keeps_to_its_lane():
     alone = counterfactual(rollout, case, "b")
     assert alone.by == "lane"
     assert not alone.known[:NOW].any()
-    np.testing.assert_allclose(alone.position_m[NOW:, 1], 3.8)
-    np.testing.assert_allclose(alone.position_m[NOW:, 0], path[NOW:, 0])
-    np.testing.assert_allclose(alone.away_m(path[:, :2], 0)[NOW:], aside[NOW:])
-    # braking on its lane is no departure; it is a danger where both would collide
-    straight_on = rollout_of({"av": straight(0, 0, 12), "b": straight(60, 3.5, 12, accel=-3.0)})
-    assert (
-        not counterfactual(straight_on, case, "b").away_m(straight_on.tracks.position_m[1], 0).any()
+    np.testing.assert_allclose(alone.position_m[NOW:], straight(20, 3.8, 10)[NOW:, :2])
+    np.testing.assert_allclose(alone.away_m(path[:, :2], 0)[NOW:], aside[NOW:], atol=1e-9)
+    # speeds of the double are those of the step before, 12 m/s until it brakes
+    braking = straight(60, 3.5, 12, accel=-3.0)
+    alone = counterfactual(rollout_of({"av": AV, "b": braking}), case, "b")
+    np.testing.assert_allclose(
+        alone.away_m(braking[:, :2], 0)[NOW:], 1.5 * (0.1 * np.arange(81)) ** 2, atol=1e-9
     )
 
 
@@ -192,7 +192,7 @@ def test_it_follows_the_lanes_where_they_bend_and_branch():
     np.testing.assert_allclose(alone.away_m(cut, 0)[61:], 1.0, atol=0.02)
 
 
-@pytest.mark.parametrize(("z_m", "away_m"), [(6.0, 0.0), (0.0, 80 * np.sin(np.pi / 9))])
+@pytest.mark.parametrize(("z_m", "away_m"), [(6.0, 0.0), (0.0, 160 * np.sin(np.pi / 18))])
 def test_the_lane_is_that_of_the_level_on_which_the_vehicle_is(z_m, away_m):
     """A bridge crosses a road by 20 degrees; the vehicle is 0.2 m beside the middle of both."""
     turn = np.pi / 9
