@@ -3,6 +3,7 @@
 Who rides is asked of the vehicles here, and of the persons in the product.
 """
 
+from deepmf_sumo.live.observer import Observer
 from deepmf_sumo.simulation.road_users import TrafficReader
 
 
@@ -17,7 +18,18 @@ def use(patch) -> None:
         assert found == expected, f"agents are not the road users: {found ^ expected}"
         return states
 
+    look = Observer.look
+
+    def checked_look(observer):
+        sighting = look(observer)
+        if sighting is not None and sighting.persons:  # each question is a message
+            found, expected = {*sighting.all()}, on_the_road(observer._api)
+            more = {agent.partition(" part ")[0] for agent in found} - expected
+            assert not more, f"agents that are no road users: {more}"
+        return sighting
+
     patch.setattr(TrafficReader, "states", checked)
+    patch.setattr(Observer, "look", checked_look)
 
 
 def on_the_road(api) -> set[str]:
