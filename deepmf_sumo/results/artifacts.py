@@ -111,7 +111,10 @@ def read_predicted(folder: Path) -> Counterfactual | None:
             if "00/candidate_origin" in arrays
             else ["mode"] * len(position)
         )
-        return predicted(int(arrays["00/first_step"]), likeliest(position, origin))
+        first = int(arrays["00/first_step"])
+        if not 0 <= first < stored.MOST_STEPS:
+            raise ValueError(f"the first step of a plan is not within 0 and {stored.MOST_STEPS}")
+        return predicted(first, likeliest(position, origin))
 
 
 def _plan(plan: Plan) -> dict[str, NDArray[Any]]:

@@ -4,12 +4,13 @@ Now: by the unattacked episode that each run keeps. Before: by the likeliest pre
 attack's own first plan, and without a motion to compare with where the plan predicts nothing. As
 live attacks: the opponent keeps lane and speed. The rollouts are the same, of result folders.
 
-    python -m studies.counterfactuals OUT...
+    python -m studies.counterfactuals [--by-folder] OUT...
 """
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 from unittest.mock import patch
@@ -79,23 +80,19 @@ def judged(run: Run) -> Judged:
     )
 
 
-def hits(folders: Iterable[Path]) -> Iterator[Judged]:
-    """All hits of result folders, judged."""
+def table(folders: list[Path], *, by_folder: bool = False) -> str:
+    """Markdown: a row a method, or a folder; then how near the other ways come."""
+    attacks: Counter[str] = Counter()
+    found: list[Judged] = []
     for folder in folders:
         for run in Results.of(folder).done:
+            name = folder.name if by_folder else run.method
+            attacks[name] += bool(run.result["opponent"])
             if run.outcome == "av_opponent":
-                yield judged(run)
-
-
-def table(folders: list[Path]) -> str:
-    """Markdown: a row a method; then how the grades moved, and how near the lane comes."""
-    done = [run for folder in folders for run in Results.of(folder).done]
-    attacks = {run.method: 0 for run in done}
-    for run in done:
-        attacks[run.method] += bool(run.result["opponent"])
-    found = list(hits(folders))
+                found.append(replace(judged(run), method=name))
+    what = "planner" if by_folder else "method"
     lines = [
-        "| method | attacks | hits | avoidable: before, now | valid: before, now | up, down |",
+        f"| {what} | attacks | hits | avoidable: before, now | valid: before, now | up, down |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for method, count in [*attacks.items(), ("all", sum(attacks.values()))]:
@@ -142,4 +139,5 @@ def _lane(found: list[Judged]) -> str:
 
 
 if __name__ == "__main__":
-    print(table([Path(one) for one in sys.argv[1:]]))  # noqa: T201
+    given = [one for one in sys.argv[1:] if one != "--by-folder"]
+    print(table([Path(one) for one in given], by_folder=len(given) < len(sys.argv) - 1))  # noqa: T201

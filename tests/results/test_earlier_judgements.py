@@ -8,6 +8,7 @@ import pytest
 from deepmf_sumo.cli import main
 from deepmf_sumo.report.page import document
 from deepmf_sumo.results.reader import Results, judged_before
+from deepmf_sumo.results.stored import DAMAGE
 
 from tests.support.result_folders import Folder
 
@@ -65,3 +66,13 @@ def test_runs_of_this_version_need_no_word(tmp_path):
     folder = Folder(tmp_path)
     folder.add("one")
     assert judged_before(Results.open(folder.out).runs) == ""
+
+
+@pytest.mark.parametrize("first", [-1, 10**12])
+def test_a_plan_from_a_step_that_cannot_be_is_damage(old, first):
+    run = Results.open(old).runs[0]
+    with np.load(run.folder / "plans.npz") as arrays:
+        changed = {**arrays, "00/first_step": np.array(first)}
+    np.savez(run.folder / "plans.npz", **changed)
+    with pytest.raises(DAMAGE, match="first step"):
+        run.unattacked()
