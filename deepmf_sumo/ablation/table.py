@@ -13,9 +13,11 @@ from typing import Any, Final
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.ablation.plan import Plan
-from deepmf_sumo.metrics.statistics import Interval, wilson
 from deepmf_sumo.predictors.weights import NETWORKS, Network
+from deepmf_sumo.results import statistics
+from deepmf_sumo.results.quantities import unit
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.statistics import Interval
 from deepmf_sumo.training.evaluation import Evaluation, Figure
 
 _AT_8_S: Final = 8.0
@@ -147,9 +149,14 @@ def _attacked(planner: str, results: Sequence[Result]) -> Attacked:
         not_ok=len(results) - len(done),
         failed=sum(one["status"] in {"failed", "timeout"} for one in results),
         hits=hits,
-        rate=wilson(hits, len(done)) if done else None,
+        rate=_rate(done) if done else None,
         rms_mps2=fmean(rms) if rms else None,
     )
+
+
+def _rate(done: Sequence[Result]) -> Interval:
+    hits = ((unit(one), float(one["outcome"] == "av_opponent")) for one in done)
+    return statistics.rate(statistics.by_unit(hits))
 
 
 def headings(planners: Sequence[str]) -> list[str]:
@@ -277,7 +284,7 @@ def _attack_note(plan: Plan, jobs: int, rows: Sequence[Row]) -> str:
     planners = "; ".join(f"{name}: {_changes(keys)}" for name, keys in plan.planners.items())
     return (
         f"Attacked as specified in {plan.study.name}, with its seed; {planners}. Hits: runs in"
-        " which the opponent hit the AV first, of all successful runs, with the 95 % Wilson"
+        " which the opponent hit the AV first, of all successful runs, with the 95 %"
         " interval; rms: the opponent's acceleration along its path, mean over runs. 'cycle ms':"
         f" median of all replanning cycles ({cycles} in all) in workers with one thread each,"
         f" {jobs} at a time in the last command; other programs on the machine affect it."

@@ -1,10 +1,10 @@
 """Results against a baseline: what has become worse for the AV, and what is ruled out.
 
-A judged quantity ends in one of three states. It is worse where the interval of the difference lies
-beyond the tolerance; it passes where the interval lies below what must be ruled out; else the runs
-cannot tell. The intervals of all judged comparisons hold together (Bonferroni), at each end, so
-that equal planners raise a false alarm in at most 1 - confidence of all jobs, however much is
-compared.
+A judged quantity is worse if the interval of the difference lies beyond the tolerance, and better
+if it does on the other side. It passes if the interval rules out a worsening of the size that must
+be ruled out. Else the runs cannot tell. The intervals of all judged comparisons hold together
+(Bonferroni), at each end: equal planners raise a false alarm in at most 1 - confidence of all jobs,
+and a planner that is worse by more passes in at most as many, however much is compared.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ from typing import Literal
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.thresholds import ALL, SHOWN, Baseline
-from deepmf_sumo.results.difference import Matched, match, units_needed
+from deepmf_sumo.results.matching import Matched, answer, match
 from deepmf_sumo.results.quantities import COMPARABLE, Quantity
 
 State = Literal["passed", "worse", "better", "cannot tell", "not judged"]
@@ -94,7 +94,7 @@ def _compare(
     wanted: Baseline,
 ) -> Comparison:
     name = quantity.name
-    found = match(name, new, old, 1 - 2 * one_sided)
+    found = match(name, new, old, 1 - 2 * one_sided, quantity.largest)
     tolerance = wanted.tolerance.get(name, quantity.negligible)
     rule_out = max(wanted.rule_out.get(name, quantity.rule_out), tolerance)
     state, needed = _judged(quantity, found, tolerance, rule_out)
@@ -115,16 +115,10 @@ def _compare(
 def _judged(
     quantity: Quantity, found: Matched, tolerance: float, rule_out: float
 ) -> tuple[State, int | None]:
-    difference = found.difference
-    if difference is None or difference.low is None or difference.high is None:
-        return "cannot tell", max(found.fewest, found.units + 1)
-    mean, low, high = difference.mean, difference.low, difference.high
-    if quantity.worse == "lower":
-        mean, low, high = -mean, -high, -low
-    if low > tolerance:
-        return "worse", None
-    if high <= rule_out:
-        return ("better" if high < 0 else "passed"), None
-    to_alarm = units_needed(found, mean - low, mean - tolerance)
-    to_pass = units_needed(found, high - mean, rule_out - mean)
-    return "cannot tell", min((one for one in (to_alarm, to_pass) if one), default=None)
+    more_is_worse = quantity.worse == "higher"
+    state, needed = answer(found, tolerance, rule_out, more_is_worse=more_is_worse)
+    if state == "within margin":
+        return "passed", None
+    if state == "cannot tell":
+        return state, needed
+    return ("worse" if (state == "more") == more_is_worse else "better"), None

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.gate.rows import Row
-from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.results import statistics
 from deepmf_sumo.results.quantities import COMPARABLE, TTC_CEILING_S, Quantity
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
@@ -224,7 +224,14 @@ def _rate(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgemen
     if not values:
         return _without_value(group, limit, bound, COMPARABLE[name], rows)
     hits = [run_id for run_id, value in values.items() if value]
-    rate, low, high = wilson(len(hits), len(values))
+    of_units = ((row.spec, row.scene, values.get(row.run_id)) for row in rows)
+    rate, low, high = statistics.rate(
+        statistics.by_unit(
+            ((spec, scene), float(bool(value)))
+            for spec, scene, value in of_units
+            if value is not None
+        )
+    )
     broken = rate > bound
     return Judgement(
         group=group, limit=limit, bound=bound, value=rate, unit="1", runs=len(values),

@@ -20,8 +20,8 @@ from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.same_attacks import SameAttacks
 from deepmf_sumo.gate.setups import meant
 from deepmf_sumo.gate.thresholds import ALL, UNFINISHED, Baseline, Judgement, Thresholds, judge
-from deepmf_sumo.results.difference import Matched
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
+from deepmf_sumo.results.matching import Matched
 from deepmf_sumo.results.quantities import COMPARABLE
 from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.tables import to_markdown

@@ -1,9 +1,7 @@
-"""Statistics of many runs: confidence intervals of rates, pooled naturalness, diversity."""
+"""Numbers of many runs together: pooled naturalness, diversity."""
 
-import math
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
-from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -14,31 +12,6 @@ from deepmf_sumo.metrics.naturalness import Samples
 
 BINS = 201
 """Bins of 0.1 m/s2 on [-10.05, 10.05], values outside in the end bins, 1e-10 added per count."""
-
-
-class Interval(NamedTuple):
-    """A rate and its two-sided confidence interval."""
-
-    rate: float
-    low: float
-    high: float
-
-
-def wilson(successes: int, trials: int, confidence: float = 0.95) -> Interval:
-    """Wilson's interval of a rate (JASA 22, 1927): within [0, 1], and not empty at either end.
-
-    Raises ValueError for no trials, or more successes than trials.
-    """
-    if trials < 1 or not 0 <= successes <= trials:
-        raise ValueError(f"{successes} successes in {trials} trials is not a rate")
-    z = NormalDist().inv_cdf((1 + confidence) / 2)
-    rate = successes / trials
-    share = z * z / trials
-    centre = (rate + share / 2) / (1 + share)
-    half = z / (1 + share) * math.sqrt(rate * (1 - rate) / trials + share / (4 * trials))
-    low = 0.0 if successes == 0 else max(0.0, centre - half)
-    high = 1.0 if successes == trials else min(1.0, centre + half)
-    return Interval(rate, low, high)
 
 
 class Pooled(NamedTuple):

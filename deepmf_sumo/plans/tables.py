@@ -1,7 +1,7 @@
 """A plan's folder -> ``table.csv`` and the tables beside it.
 
-Differences between two methods on the same scenes have the intervals of `results.difference`. A
-scene counts once, with all its seeds: attacks on one scene depend on each other.
+Rates and differences between two methods on the same scenes have the intervals of
+`results.statistics`. A scene counts once, with all its seeds.
 """
 
 from collections import Counter, defaultdict
@@ -23,13 +23,19 @@ from deepmf_sumo.metrics.statistics import (
     diversity_within_m,
     effectively_distinct,
     pooled,
-    wilson,
 )
 from deepmf_sumo.plans import layout
 from deepmf_sumo.plans.layout import Budgeted, Layout
-from deepmf_sumo.results import stored
-from deepmf_sumo.results.difference import paired
-from deepmf_sumo.results.quantities import COLUMNS, Quantity, accident, counted, hit, sector
+from deepmf_sumo.results import statistics, stored
+from deepmf_sumo.results.quantities import (
+    COLUMNS,
+    Quantity,
+    accident,
+    counted,
+    hit,
+    sector,
+    unit,
+)
 from deepmf_sumo.results.result import Result, attacked
 
 Row = dict[str, Any]
@@ -62,7 +68,7 @@ def row_of(method: str, planner: str, results: Sequence[Result], planned: int) -
     counts: Row = {}
     for column in COLUMNS:
         values = [
-            value
+            (unit(one), value)
             for one in results
             if counted(column, one) and (value := column.value(one)) is not None
         ]
@@ -76,11 +82,12 @@ def row_of(method: str, planner: str, results: Sequence[Result], planned: int) -
     return row | counts
 
 
-def _cells(column: Quantity, values: Sequence[float]) -> Row:
+def _cells(column: Quantity, of_units: Sequence[tuple[tuple[str, str], float]]) -> Row:
     """The mean; of rates with the interval, of the generation time with the median."""
+    values = [value for _, value in of_units]
     cells: Row = {column.name: fmean(values) if values else None}
     if column.rate:
-        interval = wilson(round(sum(values)), len(values)) if values else None
+        interval = statistics.rate(statistics.by_unit(of_units)) if values else None
         cells[f"{column.name}_lo"] = interval.low if interval else None
         cells[f"{column.name}_hi"] = interval.high if interval else None
     if column.name == "generation_time_s":
@@ -116,9 +123,6 @@ def _pooled(done: Sequence[Result]) -> Row:
         **{f"pooled_{name}": getattr(found, name) if found else None for name in names},
         "pooled_runs": found.runs if found else 0,
     }
-
-
-CONFIDENCE: Final = 0.95
 
 
 _DIFFERENCE: Final = (
@@ -159,8 +163,10 @@ def _difference(
     by_scene: dict[str, list[float]] = defaultdict(list)
     for scene, seed in both:
         by_scene[scene].append(ours[scene, seed] - theirs[scene, seed])
-    nothing = (None, None, None)
-    mean, low, high = paired(list(by_scene.values()), CONFIDENCE) if both else nothing
+    mean, low, high = (None, None, None)
+    if both:
+        of_scenes = by_scene.values()
+        mean, low, high = statistics.paired(of_scenes, statistics.CONFIDENCE, column.largest)
     row = {
         "planner": planner,
         "quantity": column.name,

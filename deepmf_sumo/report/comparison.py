@@ -12,7 +12,7 @@ import pandas as pd
 
 from deepmf_sumo.avoidability.grading import GRADES
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
-from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.results import statistics
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.spec.profiles import described
@@ -52,6 +52,15 @@ class Group:
     def hits(self) -> list[Run]:
         """The runs in which the opponent hit the AV."""
         return [run for run in self.ok if run.hit]
+
+    @property
+    def rate(self) -> statistics.Interval:
+        """Of hits, of the attacked runs; ValueError without any."""
+        return statistics.rate(
+            statistics.by_unit(
+                ((run.row["spec"], run.scene), float(run.hit)) for run in self.attacked
+            )
+        )
 
     @property
     def fair_hits(self) -> int:
@@ -114,7 +123,7 @@ def compare(found: Sequence[Group]) -> pd.DataFrame:
     """One row per group, in the order given.
 
     Columns: folder, spec, method, planner, perception, version, runs (successful), attacked (those
-    with an opponent), hits and their rate of these with the 95 % Wilson interval, contact time and
+    with an opponent), hits and their rate of these with the 95 % interval, contact time and
     relative speed (means over hits), ``third_party`` (runs in which the opponent hit another
     vehicle before or instead), ``av_other`` (runs in which the AV hit another vehicle),
     ``on_road_hits`` (hits within the limits and with the opponent on the road at >= 95 % of its
@@ -151,7 +160,7 @@ def _row(group: Group, name: str) -> dict[str, Any]:
         "hits": len(group.hits),
     }
     if group.attacked:
-        row |= wilson(len(group.hits), len(group.attacked))._asdict()
+        row |= group.rate._asdict()
     if group.ok:
         row |= {
             "time_s": _middle(_column(group.hits, "contact_time_s")),
@@ -300,7 +309,7 @@ def _succeeded(group: Group) -> str:
 def _rate(group: Group) -> str:
     if not group.attacked:
         return NONE
-    found = wilson(len(group.hits), len(group.attacked))
+    found = group.rate
     return f"{100 * found.rate:.0f} % ({100 * found.low:.0f} to {100 * found.high:.0f})"
 
 

@@ -23,9 +23,9 @@ from typing import Any, Final
 import deepmf_sumo
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError, UsageError
-from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.predictors.weights import runtime_and_device
-from deepmf_sumo.results import junit, result, stored
+from deepmf_sumo.results import junit, result, statistics, stored
+from deepmf_sumo.results.quantities import unit
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.tasks import Task
@@ -280,16 +280,18 @@ def _emptied(out: Path, *, resume: bool) -> None:
 def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:
     """Counts, the rate of hits with its 95 % interval, and metrics over all successful runs.
 
-    The rate is of the attacked runs: without an opponent there is no attempt.
+    The rate is of the attacked runs: without an opponent there is no attempt. Runs of one spec and
+    scene count as one in the interval.
     """
     done = [one for one in results if one["status"] == "ok"]
-    attacked = sum(map(result.attacked, done))
+    attacked = [one for one in done if result.attacked(one)]
     hits = [one for one in done if one["outcome"] == "av_opponent"]
     speeds = [one["relative_mps"] for one in map(result.first_contact, hits) if one]
-    rate = wilson(len(hits), attacked) if attacked else None
+    touched = [(unit(one), float(one["outcome"] == "av_opponent")) for one in attacked]
+    rate = statistics.rate(statistics.by_unit(touched)) if attacked else None
     return {
         "runs": len(results),
-        "attacked": attacked,
+        "attacked": len(attacked),
         "hits": len(hits),
         "interrupted": interrupted,
         "out_of_time": sum(bool(one.get("search", {}).get("out_of_time")) for one in done),

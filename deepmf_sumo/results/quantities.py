@@ -5,7 +5,7 @@ here: a new one is one entry. A rate is the mean of zeros and ones, so that mean
 differences treat all quantities alike.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -34,8 +34,10 @@ _NEGLIGIBLE_PER_S: Final = 0.005
 _AT_ONCE_S: Final = 1.0
 """A time to the contact below a driver's reaction time is as bad as this one."""
 
-_RATE: Final = 0.2
+RATE: Final = 0.2
 """Worsening of a rate that a comparison must rule out."""
+_SPEED: Final[Mapping[str, Any]] = {"rule_out": 3.0, "largest": 20.0}
+"""Of speeds at a contact: 72 km/h where there was no contact, or the other way round."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,9 +52,12 @@ class Quantity:
             where ``definition`` says all.
         over: runs that can have a value: those that were ``attacked``, all that were ``done``, or
             those that say something about the AV, see `judged`.
-        rate: of zeros and ones, with a Wilson interval. of_hits: it is defined for hits only.
+        rate: of zeros and ones, with an interval. of_hits: it is defined for hits only.
         paired: whether differences between methods are given.
         rule_out: a worsening for the AV that must be ruled out where a comparison shall pass.
+        largest: difference that intervals expect of a run that was not seen: of rates and of what
+            has a ceiling the greatest that there can be, else about the greatest that is usual.
+            None: what was seen says it.
         in_table: whether it is a column of ``table.csv``.
         title: heading in readable tables, without unit. short: heading on the screen, with unit.
             digits: after the decimal point, there; of rates in per cent.
@@ -70,6 +75,7 @@ class Quantity:
     of_hits: bool = False
     paired: bool = True
     rule_out: float = inf
+    largest: float | None = None
     in_table: bool = True
     title: str = ""
     short: str = ""
@@ -93,6 +99,11 @@ class Quantity:
             return 0.0
         return _NEGLIGIBLE_PER_S if self.unit == "1/s" else _NEGLIGIBLE
 
+    @property
+    def margin(self) -> float:
+        """A difference that a comparison calls small, in ``unit``: see ``rule_out``."""
+        return max(self.rule_out, self.negligible)
+
     def of(self, result: Result) -> float | None:
         """Value of a run; None where it can have none."""
         return self.value(result) if counted(self, result) else None
@@ -108,6 +119,11 @@ def counted(quantity: Quantity, result: Result) -> bool:
 def judged(result: Result) -> bool:
     """Whether a run says something about the AV: it was attacked, or meant to go without attack."""
     return attacked(result) or bool(result["status"] == "ok" and result["adversary"] == "none")
+
+
+def unit(result: Result) -> tuple[str, str]:
+    """The situation of a run: runs with other seeds repeat it, see `statistics`."""
+    return result["spec"], result["scene"]
 
 
 def hit(result: Result) -> bool:
@@ -190,7 +206,7 @@ def _rate(
 ) -> Quantity:
     return Quantity(
         name=name, unit="1", better=better, value=value, definition=what, rate=True, metric=of,
-        **{"digits": 0, **more},
+        **{"digits": 0, "largest": 1.0, **more},
     )  # fmt: skip
 
 
@@ -201,16 +217,16 @@ def _positive(value: float) -> bool:
 _RUNS: Final = "mean over attacked runs"
 _HITS: Final = "mean over hits"
 
-_OF_THE_AV: Final[tuple[tuple[str, str, Better, str, float], ...]] = (
-    ("av_ttc_s", "s", "lower", "av_ttc_min", 1.0),
-    ("av_time_gap_s", "s", "lower", "av_time_gap_min", 0.5),
-    ("av_required_braking_mps2", "m/s2", "higher", "av_required_braking", 1.0),
-    ("av_hardest_braking_mps2", "m/s2", "higher", "planner_hardest_braking", 1.0),
-    ("av_over_limit_mps", "m/s", "higher", "av_over_limit", 1.0),
-    ("av_late_at_signal_s", "s", "higher", "av_late_at_signal", 1.0),
-    ("av_progress_m", "m", "lower", "av_progress", 10.0),
+_OF_THE_AV: Final[tuple[tuple[str, str, Better, str, float, float], ...]] = (
+    ("av_ttc_s", "s", "lower", "av_ttc_min", 1.0, 10.0),
+    ("av_time_gap_s", "s", "lower", "av_time_gap_min", 0.5, 10.0),
+    ("av_required_braking_mps2", "m/s2", "higher", "av_required_braking", 1.0, 10.0),
+    ("av_hardest_braking_mps2", "m/s2", "higher", "planner_hardest_braking", 1.0, 10.0),
+    ("av_over_limit_mps", "m/s", "higher", "av_over_limit", 1.0, 10.0),
+    ("av_late_at_signal_s", "s", "higher", "av_late_at_signal", 1.0, 10.0),
+    ("av_progress_m", "m", "lower", "av_progress", 10.0, 100.0),
 )
-"""Name, unit, what is worse for the AV, metric, and a worsening that must be ruled out."""
+"""Name, unit, what is worse for the AV, metric, `Quantity.rule_out` and `Quantity.largest`."""
 
 _INVERSE: Final = {
     "av_inverse_ttc_per_s": "av_ttc_min",
@@ -221,12 +237,12 @@ QUANTITIES: Final = (
     _rate(
         "collision_rate", "higher", lambda result: float(hit(result)),
         "share of the attacked runs in which the opponent hit the AV",
-        title="Coll Rate", rule_out=_RATE,
+        title="Coll Rate", rule_out=RATE,
     ),
     _mean("collision_time_s", "s", "lower", "collision_time_s", _HITS,
           title="Coll Time", short="time s", label="contact"),
     _mean("collision_speed_mps", "m/s", "higher", "collision_speed", _HITS,
-          title="Coll Vel", short="speed m/s", label="speed", of_hits=True, rule_out=3.0),
+          title="Coll Vel", short="speed m/s", label="speed", of_hits=True, **_SPEED),
     _mean("kl", "nat", "lower", "acceleration_kl", _RUNS, title="KL", short="KL"),
     _mean("wasserstein", "m/s2", "lower", "acceleration_wasserstein", _RUNS,
           title="Wasserstein", short="W m/s2"),
@@ -254,16 +270,16 @@ QUANTITIES: Final = (
     ),
     _rate(
         "valid_collision_rate", "higher", _valid, "share of the attacked runs with a value of 1",
-        "valid_collision", title="Valid", rule_out=_RATE,
+        "valid_collision", title="Valid", rule_out=RATE,
     ),
     _rate(
         "avoidable_rate", "higher", _flag("avoidable", _positive), "share of the hits with a value"
-        " of 1", "avoidable", title="Avoidable", label="avoidable", of_hits=True, rule_out=_RATE,
+        " of 1", "avoidable", title="Avoidable", label="avoidable", of_hits=True, rule_out=RATE,
     ),
     _rate(
         "av_at_fault_rate", "neither", _flag("av_at_fault", _positive),
         "share of the hits with a value of 1", "av_at_fault", title="AV at fault", of_hits=True,
-        rule_out=_RATE,
+        rule_out=RATE,
     ),
     _rate(
         "av_other_rate", "neither", _flag("av_third_party", _positive),
@@ -286,10 +302,11 @@ QUANTITIES: Final = (
         "share of the attacked runs with a value above 0", "red_light",
     ),
     _mean("delta_v_mps", "m/s", "higher", "delta_v", _HITS, label="Δv", of_hits=True,
-          rule_out=1.5),
+          rule_out=1.5, largest=10.0),
     _mean("rms_acceleration_mps2", "m/s2", "lower", "opponent_rms_acceleration", _RUNS,
           title="RMS a"),
-    _mean("min_gap_m", "m", "lower", "min_gap", _RUNS, label="least gap", rule_out=2.0),
+    _mean("min_gap_m", "m", "lower", "min_gap", _RUNS, label="least gap", rule_out=2.0,
+          largest=20.0),
     _mean("ttc_min_s", "s", "lower", "ttc_min", _RUNS, label="least TTC"),
     _mean("drac_max_mps2", "m/s2", "higher", "drac_max", _RUNS),
     _mean(
@@ -302,7 +319,7 @@ QUANTITIES: Final = (
         definition="mean number of simulated episodes of an attack",
     ),
     Quantity(
-        name="impact_mps", unit="m/s", better="higher", over="judged", in_table=False, rule_out=3.0,
+        name="impact_mps", unit="m/s", better="higher", over="judged", in_table=False, **_SPEED,
         value=lambda result: max((float(one["relative_mps"]) for one in _contacts(result)),
                                  default=0.0),
         definition="relative speed of the AV's worst contact with anything, 0 without a contact",
@@ -310,35 +327,37 @@ QUANTITIES: Final = (
     _rate(
         "av_collision_rate", "higher", lambda result: float(bool(_contacts(result))),
         "share of the judged runs in which the AV touched anything",
-        over="judged", in_table=False, rule_out=_RATE,
+        over="judged", in_table=False, rule_out=RATE,
     ),
     Quantity(
         name="ttc_s", unit="s", better="lower", value=_ttc, in_table=False, rule_out=1.0,
+        largest=TTC_CEILING_S,
         definition="least time to collision of AV and opponent in an attacked run, at most"
         f" {TTC_CEILING_S:g} s",
     ),
     Quantity(
         name="criticality", unit="1", better="higher", value=_criticality, metric=SPARE,
-        in_table=False, rule_out=0.1,
+        in_table=False, rule_out=0.1, largest=1.0,
         definition="mean over attacked runs of 1 - value / 5 s, at least 0, and 0 without an"
         " encounter: what places of the risk map are ranked by",
     ),
     _mean(
         "required_braking_mps2", "m/s2", "higher", "required_deceleration",
         "hardest braking that the opponent asks of the AV, up to 1 s before a contact",
-        in_table=False, rule_out=1.0,
+        in_table=False, rule_out=1.0, largest=10.0,
     ),
     *(
         Quantity(
             name=name, unit=unit, better=better, over="judged", in_table=False, rule_out=rule_out,
             value=partial(metric, name=of), definition="mean over judged runs", metric=of,
+            largest=largest,
         )
-        for name, unit, better, of, rule_out in _OF_THE_AV
+        for name, unit, better, of, rule_out, largest in _OF_THE_AV
     ),
     *(
         Quantity(
             name=name, unit="1/s", better="higher", over="judged", in_table=False, rule_out=0.1,
-            value=_inverse(of), metric=of,
+            largest=1.0 / _AT_ONCE_S, value=_inverse(of), metric=of,
             definition=f"mean over judged runs of 1 over the value, of at least {_AT_ONCE_S:g} s",
         )
         for name, of in _INVERSE.items()

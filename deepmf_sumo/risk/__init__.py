@@ -3,7 +3,7 @@
 ::
 
     OUT/runs --attacks--> attacks, each with its place --table--> one row per place, the worst first
-                            places: lanes, edges, junctions, movements     shrinkage: thin data
+                            places: lanes, edges, junctions, movements
 """
 
 from deepmf_sumo.risk.attack_table import ATTACKED, attack_rows

@@ -75,6 +75,11 @@ class Attacked:
     av: str = ""
     opponent: str = ""
 
+    @property
+    def unit(self) -> tuple[str, int | None]:
+        """The situation: runs of one spec and scene with other seeds repeat it, turn by turn."""
+        return self.run_id.rsplit("--", 1)[0], self.turn
+
 
 class _Part(NamedTuple):
     """An attack of a run: opponent, first and last step after the start, metrics, turn."""

@@ -1,7 +1,7 @@
 """Two results side by side: two designs of a network, or two planners, attacked alike.
 
 Runs of one moment (vehicle and time, or recorded scene) and seed are pairs, whatever network,
-spec or planner they belong to. Intervals are those of `results.difference`: without
+spec or planner they belong to. Intervals are those of `results.matching`: without
 enough pairs the means of moments, or all runs without pairs, are compared.
 """
 
@@ -17,8 +17,8 @@ from deepmf_sumo.gate import rows
 from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.setups import WHOM, differing
 from deepmf_sumo.results import sessions
-from deepmf_sumo.results.difference import Matched, match, two_sided
-from deepmf_sumo.results.quantities import COMPARABLE, Quantity
+from deepmf_sumo.results.matching import Matched, answer, match
+from deepmf_sumo.results.quantities import COMPARABLE, RATE, Quantity
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.stored import inputs_of, result_folders
 from deepmf_sumo.risk import attacks
@@ -233,14 +233,17 @@ def differences(
     numbers = [name for name in quantities if not COMPARABLE[name].rate]
     alone = 1 - (1 - confidence) / (len(quantities) + len(numbers))
     sides = list(new.rows.values()), list(old.rows.values())
-    found = [_change(COMPARABLE[name], name, match(name, *sides, alone)) for name in quantities]
+    found = [
+        _change(one, one.name, match(one.name, *sides, alone, one.largest))
+        for one in map(COMPARABLE.__getitem__, quantities)
+    ]
     return found + [_leaning(COMPARABLE[name], old, new, alone) for name in numbers]
 
 
 def _change(quantity: Quantity, name: str, found: Matched, *, share: bool = False) -> Change:
     """A share of pairs is worse the higher it is, and no difference of it is negligible."""
-    within = 0.0 if share else quantity.negligible
-    state, needed = two_sided(found, within)
+    within = RATE if share else quantity.margin
+    state, needed = answer(found, 0.0 if share else quantity.negligible, within)
     worse = "more" if share or quantity.worse == "higher" else "less"
     judged: Literal["worse", "better", "within margin", "cannot tell"]
     if state in {"more", "less"}:
@@ -269,7 +272,7 @@ def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) 
             for side, each in zip(marked, (-worse, worse), strict=True):
                 values = {name: float(each > quantity.negligible)}
                 side.append(replace(rows_by_id[run_id], values=values))
-    found = match(name, marked[1], marked[0], confidence)
+    found = match(name, marked[1], marked[0], confidence, largest=1.0)
     return _change(quantity, f"pairs with worse {name}", found, share=True)
 
 

@@ -13,7 +13,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate.rows import Row
 from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
 from deepmf_sumo.results import quantities
-from deepmf_sumo.results.difference import Matched, match, two_sided
+from deepmf_sumo.results.matching import Matched, answer, match
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.risk import attacks
 
@@ -108,7 +108,7 @@ def _origin(
     confidence: float,
 ) -> Origin:
     sides = [_marked(side, dimension, value) for side in (old, new)]
-    found = match(_PART, sides[1], sides[0], confidence)
+    found = match(_PART, sides[1], sides[0], confidence, largest=1.0)
     state, needed = _state(found)
     hits = [round(sum(row.values[_PART] for row in side)) for side in sides]
     return Origin(
@@ -136,6 +136,6 @@ def _shift(origin: Origin) -> float:
 def _state(
     found: Matched,
 ) -> tuple[Literal["more", "fewer", "within margin", "cannot tell"], int | None]:
-    """``within margin``: of 0. No pair differs, and no difference of a share is negligible."""
-    state, needed = two_sided(found, 0.0)
+    """``within margin``: that of rates."""
+    state, needed = answer(found, 0.0, quantities.RATE)
     return ("fewer" if state == "less" else state), needed

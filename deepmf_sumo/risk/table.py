@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Any, Final, Literal
 
-from deepmf_sumo.metrics.statistics import wilson
+from deepmf_sumo.results import statistics
+from deepmf_sumo.results.statistics import Interval, PlaceMean, Units
 from deepmf_sumo.risk.attacks import Attacked, Network
-from deepmf_sumo.risk.criticality import Drawn, Prior, Shrunk, drawn, prior, ranks, shrink
 from deepmf_sumo.risk.passing import Passing
 from deepmf_sumo.risk.places import KINDS, SITES, Kind
 
@@ -55,7 +55,8 @@ class Row:
         judged: hits whose avoidability is known. others: attacks in which the AV touched
             another vehicle.
         ttc_s, gap_m: least of all attacks. delta_v_mps, delta_v_most_mps: mean and most of hits.
-        risk: chance of such an event in an attack here, see `shrinkage`.
+        hit_rate: of the attacks here alone. avoidable_share: of judged hits; None without any.
+        risk: chance of such an event in an attack here, see `statistics.place_rates`.
         rank: among the places of its kind, by the lower end of the risk; 1 is the worst.
         criticality: mean of the attacks here, see `quantities.criticality`; or None.
         rank_criticality: among the places of its kind, by how far its interval is above the
@@ -75,9 +76,11 @@ class Row:
     gap_m: float | None
     delta_v_mps: float | None
     delta_v_most_mps: float | None
-    risk: Mapping[Event, Shrunk]
+    hit_rate: Interval
+    avoidable_share: Interval | None
+    risk: Mapping[Event, Interval]
     rank: Mapping[Event, int]
-    criticality: Drawn | None
+    criticality: PlaceMean | None
     rank_criticality: float | None
     passing: Passing | None = None
 
@@ -104,12 +107,12 @@ def rows(network: Network) -> list[Row]:
         for kind in KINDS:
             # movements and edges are compared with each other, so they have one distribution
             alike = SITES if kind in SITES else (kind,)
-            groups = [group for other in alike for group in at[other].values()]
-            priors = {event: prior(_counts(groups, event)) for event in EVENTS}
-            means = drawn(
-                {place: _measured(group) for other in alike for place, group in at[other].items()}
+            groups = {place: group for other in alike for place, group in at[other].items()}
+            risks = {event: statistics.place_rates(_units(groups, event)) for event in EVENTS}
+            means = statistics.place_means(
+                {place: _criticality(group) for place, group in groups.items()}
             )
-            table += _of_kind(network, kind, counted, at[kind], priors, means)
+            table += _of_kind(network, kind, counted, at[kind], risks, means)
     return table
 
 
@@ -120,10 +123,8 @@ def worst(table: Iterable[Row], event: Event = "hit", counted: Counted = "decide
 
 
 def columns(row: Row) -> dict[str, Any]:
-    """A row's numbers by name, None where there is none; rates with Wilson's 95 % intervals."""
-    hits = row.events["hit"]
-    hit = wilson(hits, row.attacks)
-    share = wilson(row.events["avoidable"], row.judged) if row.judged else (None, None, None)
+    """A row's numbers by name, None where there is none; rates with their 95 % intervals."""
+    hit, share = row.hit_rate, row.avoidable_share or (None, None, None)
     risks = {
         f"{name}_{event}{end}": value
         for event in EVENTS
@@ -140,7 +141,7 @@ def columns(row: Row) -> dict[str, Any]:
         "title": row.title,
         "counted": row.counted,
         "attacks": row.attacks,
-        "hits": hits,
+        "hits": row.events["hit"],
         "hit_rate": hit.rate,
         "hit_rate_lo": hit.low,
         "hit_rate_hi": hit.high,
@@ -156,7 +157,7 @@ def columns(row: Row) -> dict[str, Any]:
         "min_gap_m": row.gap_m,
         "delta_v_mps": row.delta_v_mps,
         "delta_v_most_mps": row.delta_v_most_mps,
-        "criticality": row.criticality and row.criticality.drawn,
+        "criticality": row.criticality and row.criticality.shrunk,
         "criticality_lo": row.criticality and row.criticality.low,
         "criticality_hi": row.criticality and row.criticality.high,
         "rank_criticality": row.rank_criticality,
@@ -179,12 +180,20 @@ def _by_place(
     return groups
 
 
-def _measured(group: Iterable[Attacked]) -> list[float]:
-    return [one.criticality for one in group if one.criticality is not None]
+def _criticality(group: Iterable[Attacked]) -> Units:
+    measured = ((one.unit, one.criticality) for one in group)
+    return statistics.units_of(
+        statistics.by_unit((unit, value) for unit, value in measured if value is not None)
+    )
 
 
-def _counts(groups: Sequence[Sequence[Attacked]], event: Event) -> list[tuple[int, int]]:
-    return [(_happened(group, event), len(group)) for group in groups]
+def _units(groups: Mapping[str, Sequence[Attacked]], event: Event) -> dict[str, Units]:
+    return {
+        place: statistics.units_of(
+            statistics.by_unit((one.unit, float(happened(one, event))) for one in group)
+        )
+        for place, group in groups.items()
+    }
 
 
 def _happened(group: Sequence[Attacked], event: Event) -> int:
@@ -196,20 +205,15 @@ def _of_kind(
     kind: Kind,
     counted: Counted,
     groups: Mapping[str, Sequence[Attacked]],
-    priors: Mapping[Event, Prior],
-    means: Mapping[str, Drawn],
+    rates: Mapping[Event, Mapping[str, Interval]],
+    means: Mapping[str, PlaceMean],
 ) -> list[Row]:
     """Rows of one kind, the worst first."""
-    risks = {
-        place: {
-            event: shrink(_happened(group, event), len(group), priors[event]) for event in EVENTS
-        }
-        for place, group in groups.items()
-    }
+    risks = {place: {event: rates[event][place] for event in EVENTS} for place in groups}
     rank = {event: _ranks({name: one[event] for name, one in risks.items()}) for event in EVENTS}
     order = sorted(groups, key=lambda place: (rank["hit"][place], place))
     measured = [place for place in groups if means[place].attacks]
-    critical = ranks({place: means[place].surely for place in measured})
+    critical = statistics.ranks({place: means[place].surely for place in measured})
     return [
         _row(
             groups[place],
@@ -227,7 +231,7 @@ def _of_kind(
     ]
 
 
-def _ranks(risks: Mapping[str, Shrunk]) -> dict[str, int]:
+def _ranks(risks: Mapping[str, Interval]) -> dict[str, int]:
     """Equals have the same rank."""
     order = sorted(risks, key=lambda place: _order(risks[place], place))
     ranks: dict[str, int] = {}
@@ -238,14 +242,20 @@ def _ranks(risks: Mapping[str, Shrunk]) -> dict[str, int]:
     return ranks
 
 
-def _order(risk: Shrunk, place: str) -> tuple[float, float, str]:
+def _order(risk: Interval, place: str) -> tuple[float, float, str]:
     """By the lower end of the risk, then by the rate, then by name."""
     return -round(risk.low, 9), -round(risk.rate, 9), place
 
 
 def _row(group: Sequence[Attacked], **named: Any) -> Row:
     speeds = [one.delta_v_mps for one in group if one.hit and one.delta_v_mps is not None]
+    hits = statistics.by_unit((one.unit, float(one.hit)) for one in group)
+    avoidable = statistics.by_unit(
+        (one.unit, float(one.avoidable)) for one in group if one.avoidable is not None
+    )
     return Row(
+        hit_rate=statistics.rate(hits),
+        avoidable_share=statistics.rate(avoidable) if avoidable else None,
         attacks=len(group),
         events={event: _happened(group, event) for event in EVENTS},
         judged=sum(one.avoidable is not None for one in group),

@@ -3,7 +3,7 @@
 Each OUT is a seed: a result folder of ``deepmf-sumo attack hazards.sumocfg``, or a folder of such.
 An attack belongs to the place where it started: its edges are named after it. The mean criticality
 of its attacks is drawn to the typical place of its kind as far as the data are thin (the package's
-``risk.criticality``). Places are ranked by how far the lower end of the interval is above
+``results.statistics``). Places are ranked by how far the lower end of the interval is above
 the typical one, as road authorities rank sites by reference populations: at a stop ways always
 cross, on a motorway never. Those that cannot be told from the typical one share one rank.
 
@@ -25,8 +25,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.results.statistics import PlaceMean, by_unit, place_means, ranks, units_of
 from deepmf_sumo.risk.attacks import Attacked, read
-from deepmf_sumo.risk.criticality import Drawn, drawn, ranks
 
 KINDS: Final = ("merge", "signal", "left", "stop")
 FLAWED: Final = ("merge3", "signal6", "left1", "stop8")
@@ -39,7 +39,7 @@ class Place(NamedTuple):
     name: str
     attacks: int
     hits: int
-    risk: Drawn
+    risk: PlaceMean
     rank: float
 
 
@@ -48,8 +48,11 @@ def ranked(attacks: Iterable[Attacked]) -> list[Place]:
     groups: dict[str, list[Attacked]] = {name: [] for name in PLACES}
     for one in attacks:
         groups.get(_place(one), []).append(one)
-    values = {name: [one.criticality or 0.0 for one in groups[name]] for name in PLACES}
-    risks = drawn(values, {name: name.rstrip("0123456789") for name in PLACES})
+    values = {
+        name: units_of(by_unit((one.unit, one.criticality or 0.0) for one in groups[name]))
+        for name in PLACES
+    }
+    risks = place_means(values, {name: name.rstrip("0123456789") for name in PLACES})
     rank = ranks({name: risks[name].surely for name in PLACES})
     hits = {name: sum(one.hit for one in groups[name]) for name in PLACES}
     table = [Place(name, len(groups[name]), hits[name], risks[name], rank[name]) for name in PLACES]
@@ -108,7 +111,7 @@ def _print(table: Sequence[Place], flawed: Sequence[str]) -> None:
         print(
             f"{place.name:9} {place.rank:4.1f}  {place.attacks:7}  {place.hits:4}"
             f"  {risk.mean:11.2f}  {risk.typical:11.2f}  {risk.excess:+.3f}"
-            f"  {risk.drawn:.3f} ({risk.low:.3f} to {risk.high:.3f}){marks}"
+            f"  {risk.shrunk:.3f} ({risk.low:.3f} to {risk.high:.3f}){marks}"
         )
     found = ", ".join(f"{place.rank:g}" for place in table if place.name in flawed)
     print(f"* surely above the typical place of its kind. Ranks of the flawed places: {found}")

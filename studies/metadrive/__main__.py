@@ -18,8 +18,8 @@ from deepmf_sumo.datatypes import Attack, Budget, RecordedCase, Rollout
 from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.metrics import measure
-from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.results import statistics
 from deepmf_sumo.simulation.episode import run
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.sweep import episode
@@ -155,7 +155,7 @@ def table(asked: argparse.Namespace) -> Iterator[str]:
 
 
 def _share(hits: int, runs: int) -> str:
-    share = wilson(hits, runs)
+    share = statistics.rate([[float(number < hits)] for number in range(runs)])
     return f"{hits} of {runs} ({100 * share.low:.0f}-{100 * share.high:.0f} %)"
 
 

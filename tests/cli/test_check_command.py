@@ -34,10 +34,17 @@ def test_all_files_are_written(tmp_path, out, capsys):
 
 
 def test_enough_specs_against_themselves_pass(tmp_path, capsys):
-    runs = [gate_doubles.result("a", spec=f"spec {number}") for number in range(5)]
-    out = gate_doubles.write_folder(tmp_path / "enough", runs)
-    assert check(tmp_path, out, "", "--baseline", out) == 0
-    assert "+0 (+0 to +0; 5 pairs)" in capsys.readouterr().out
+    def of(specs):
+        runs = [gate_doubles.result("a", spec=f"spec {number}") for number in range(specs)]
+        return gate_doubles.write_folder(tmp_path / f"{specs}", runs)
+
+    few, enough = of(5), of(19)
+    assert check(tmp_path, few, "", "--baseline", few) == 3
+    shown = capsys.readouterr().out
+    assert "+0 (-9.01 to +9.01; 5 pairs)" in shown
+    assert "about 19 specs would tell" in shown
+    assert check(tmp_path, enough, "", "--baseline", enough) == 0
+    assert "+0 (-2.92 to +2.92; 19 pairs)" in capsys.readouterr().out
 
 
 def test_names_with_brackets_and_stars_are_shown(tmp_path, out, capsys):

@@ -31,12 +31,12 @@ def test_two_results_side_by_side(out, tmp_path, capsys):
     assert main._run(["compare", str(out), str(out), "--out", str(tmp_path / "both")]) == 0
     told = capsys.readouterr().out
     assert "1 pair of the same moment and seed" in told
-    assert "+0 (1 pair)" in told
-    assert "cannot tell; at least 9 attacked moments would" in told
+    assert "+0 (-0.998 to +0.998; 1 pair)" in told
+    assert "cannot tell; at least 28 attacked moments would" in told
     assert "same" not in told.replace("same moment", "")
-    assert told.count("cannot tell; at least 6") == 4, "where hits come from as well"
+    assert told.count("cannot tell; at least 17") == 4, "where hits come from as well"
     with (tmp_path / "both" / "origins.csv").open() as lines:
-        assert {row["units_needed"] for row in csv.DictReader(lines)} == {"6"}
+        assert {row["units_needed"] for row in csv.DictReader(lines)} == {"17"}
     text = (tmp_path / "both" / "comparison.md").read_text()
     assert "| place: w_in (w_pocket to centre) | 1 of 1 | 1 of 1 |" in text
     assert (tmp_path / "both" / "differences.csv").read_text().startswith("quantity,unit,a,b,")

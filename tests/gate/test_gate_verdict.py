@@ -130,8 +130,8 @@ def test_text_that_xml_forbids(tmp_path):
 
 
 def test_baseline_of_the_thresholds_and_of_the_command(tmp_path, out):
-    worse = [gate_doubles.result(f"s{number}", hit=True) for number in range(12)]
-    better = [gate_doubles.result(f"s{number}") for number in range(12)]
+    worse = [gate_doubles.result(f"s{number}", hit=True) for number in range(20)]
+    better = [gate_doubles.result(f"s{number}") for number in range(20)]
     new = gate_doubles.write_folder(tmp_path / "new", worse)
     old = gate_doubles.write_folder(tmp_path / "old", better)
     gate.check(old, thresholds(tmp_path), renewed=tmp_path / "b.json")
@@ -141,10 +141,8 @@ def test_baseline_of_the_thresholds_and_of_the_command(tmp_path, out):
     assert states["av_collision_rate"] == states["min_gap_m"] == "not judged"
     assert verdict.exit_code == 1
     [finding] = verdict.findings()
-    named = (
-        "all runs: impact_mps was 0 m/s and is 6 m/s: +6 (+6 to +6; 12 pairs); most in 's0' (+6),"
-    )
-    assert finding.startswith(named)
+    assert finding.startswith("all runs: impact_mps was 0 m/s and is 6 m/s: +6 (+2.")
+    assert "; 20 pairs); most in 's0' (+6), 's1' (+6)" in finding
     write_junit(tmp_path / "junit.xml", verdict)
     found, _ = cases(tmp_path / "junit.xml")
     assert "failure" in found["baseline: all runs: impact_mps"]
@@ -192,8 +190,8 @@ def test_what_runs_leave_open_is_no_verdict_and_says_how_many_would_tell(tmp_pat
     assert verdict.exit_code == 3
     [finding] = verdict.findings()
     assert finding == (
-        "all runs: impact_mps was 1.2 m/s and is 4.8 m/s: +3.6 (-6 to +6; 5 pairs):"
-        " cannot tell: it may be worse by more than 3 m/s, and may be no worse; about 37 specs"
+        "all runs: impact_mps was 1.2 m/s and is 4.8 m/s: +3.6 (-7.38 to +11.3; 5 pairs):"
+        " cannot tell: it may be worse by more than 3 m/s, and may be no worse; about 22 specs"
         " would tell"
     )
 
@@ -228,10 +226,13 @@ def test_summary(tmp_path, out):
     assert text.startswith(
         "## deepmf-sumo: failed\n\n6 runs: 5 judged, 1 with no vehicle to attack\n"
     )
-    line = "| all runs | max_av_collision_rate | 0.2 | 0.4 (0.12 to 0.77) | 5 | **broken** |"
+    line = "| all runs | max_av_collision_rate | 0.2 | 0.4 (0.01 to 0.98) | 5 | **broken** |"
     assert line in text
     assert "- `made-up--a--0`: contributes to max_av_collision_rate of all runs" in text
-    assert "| all runs | min_gap_m | 1.2 m | 1.2 m | +0 (5 pairs of 1 spec) | not judged |" in text
+    assert (
+        "| all runs | min_gap_m | 1.2 m | 1.2 m | +0 (-19 to +19; 5 pairs of 1 spec) | not judged |"
+        in text
+    )
 
 
 def test_summary_is_added_and_long_lists_are_cut(tmp_path):

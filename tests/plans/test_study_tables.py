@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.plans import tables
 from deepmf_sumo.plans.layout import Budgeted, Layout, read_layout
 from deepmf_sumo.plans.tables import row_of
@@ -16,6 +15,7 @@ from deepmf_sumo.report.tables import layouts
 from deepmf_sumo.report.tables.text import _escaped
 from deepmf_sumo.results.quantities import BY_NAME, COLUMNS
 from deepmf_sumo.results.result import row as row_of_run
+from deepmf_sumo.results.statistics import rate
 from deepmf_sumo.tables import to_csv
 from deepmf_sumo.tasks import slug
 
@@ -86,7 +86,7 @@ def test_a_row_counts_what_it_averages():
     row = row_of("fast", "lane", results, planned=7)
     assert (row["scenes"], row["runs"], row["attacked"], row["hits"]) == (5, 5, 3, 2)
     assert (row["ok"], row["failed"], row["nobody_to_attack"], row["unfinished"]) == (4, 1, 1, 2)
-    expected = wilson(2, 3)
+    expected = rate([[1.0], [0.0], [1.0]])
     assert row["collision_rate"] == pytest.approx(2 / 3)
     assert (row["collision_rate_lo"], row["collision_rate_hi"]) == (expected.low, expected.high)
     assert (row["kl"], row["n_kl"]) == (2.0, 2)
@@ -130,12 +130,12 @@ def test_interval_of_many_scenes_is_that_of_the_mean():
     values = rng.normal(1.0, 2.0, 200)
     low, high = interval([[value] for value in values])
     error = values.std(ddof=1) / np.sqrt(len(values))
-    assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.05)
-    assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.05)
+    assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.1)
+    assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.1)
     assert interval([[value] for value in values]) == (low, high)
 
 
-def test_seeds_of_a_scene_swap_together():
+def test_seeds_of_a_scene_are_one_unit():
     differences = (0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0)
     alike = [[value] * 10 for value in differences]
     apart = [[value] for value in differences]

@@ -107,7 +107,7 @@ def test_quantities_have_units_few_digits_and_their_number_of_runs(tmp_path):
     found = cells(side_by_side(groups([folder(tmp_path, HIT_AND_MISS)])))
     assert found["runs that succeeded"] == "2 of 3, 1 failed"
     assert found["AV hit by the opponent, runs"] == "1"
-    assert found["rate (95 % interval)"] == "50 % (9 to 91)"
+    assert found["rate (95 % interval)"] == "50 % (1 to 99)"
     assert found["of these avoidable"] == "1 of 1"
     assert found["relative speed at the hit, mean, m/s"] == "5.0"
     assert found["least TTC, mean, s"] == "0.0 (1 of 2)"
@@ -145,7 +145,7 @@ def test_the_table_is_readable_however_many_results(tmp_path, capsys, folders):
     assert main._run(["table", *map(str, made), "--csv", str(tmp_path / "table.csv")]) == 0
     told = capsys.readouterr().out
     assert "planner idm" in told
-    assert told.count("50 % (9 to 91)") == folders
+    assert told.count("50 % (1 to 99)") == folders
     assert "never met: 1 of 2" in told
     assert ("--all shows all quantities" in told) == (folders == 12)
     assert (tmp_path / "table.csv").read_text().count("\n") == folders + 1

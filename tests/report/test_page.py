@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Lane, RoadMap
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.metrics.statistics import wilson
 from deepmf_sumo.report import page
 from deepmf_sumo.report.page import columns, roads
 from deepmf_sumo.report.page.replay import packed, steady, stepwise
 from deepmf_sumo.results.quantities import QUANTITIES
+from deepmf_sumo.results.statistics import rate
 
 from tests.support.result_folders import Folder
 
@@ -364,14 +364,25 @@ def test_the_scripts_unpack_what_was_packed():
 
 @pytest.mark.sumo
 def test_intervals_of_the_page_are_those_of_the_tables():
-    for hits, runs in ((0, 7), (3, 10), (10, 10)):
-        found = javascript(["statistics"], f"wilson({hits}, {runs})")
-        assert found == pytest.approx(wilson(hits, runs)._asdict())
-    assert javascript(["statistics"], "[wilson(0, 0), mean([])]") == [None, None]
-    assert javascript(["statistics"], "mean([1])") == {"mean": 1, "error": None}
-    assert javascript(["statistics"], "mean([1, 3])") == pytest.approx(
-        {"mean": 2, "error": 1.959964}
-    )
+    """The same specs with the same seeds, in both languages."""
+    for hits in ([0] * 7, [1, 0, 0, 1, 1, 0, 0, 0, 0, 0], [1] * 10, [2, 0, 1], [0.0] * 300):
+        seeds = [3 if 2 in hits else 1] * len(hits)
+        seeds[-1] += 1
+        rows = [
+            {"run": f"s{unit}--a--{seed}", "hit": seed < ones}
+            for unit, (ones, runs) in enumerate(zip(hits, seeds, strict=True))
+            for seed in range(runs)
+        ]
+        found = javascript(["statistics"], f"rateOf(unitsOf({json.dumps(rows)}, (row) => row.hit))")
+        groups = [[float(s < ones) for s in range(n)] for ones, n in zip(hits, seeds, strict=True)]
+        assert found == pytest.approx(rate(groups)._asdict(), abs=1e-5)
+    assert javascript(["statistics"], "rateOf([])") is None
+
+
+@pytest.mark.sumo
+def test_a_mean_says_of_how_many_runs_it_is():
+    told = javascript(["statistics"], "[[], [null], [1], [1, 2.04], [1, null, 3]].map(meanOf)")
+    assert told == ["–", "–", "1.0", "1.5", "2.0 (2 of 3)"]
 
 
 @pytest.mark.sumo

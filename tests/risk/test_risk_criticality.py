@@ -1,15 +1,25 @@
 """Means of few attacks, drawn to the typical place."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from deepmf_sumo import risk
+from deepmf_sumo.results import statistics
 from deepmf_sumo.results.quantities import criticality
+from deepmf_sumo.results.statistics import ranks
 from deepmf_sumo.risk import places
-from deepmf_sumo.risk.criticality import drawn, ranks
 from deepmf_sumo.risk.places import Spot
 
 from tests.support.risk_doubles import NET
+
+
+def drawn(groups):
+    units = {
+        name: statistics.units_of([value] for value in values) for name, values in groups.items()
+    }
+    return statistics.place_means(units)
 
 
 @pytest.mark.parametrize(
@@ -21,14 +31,15 @@ def test_five_seconds_to_spare_are_no_conflict(spare_s, value):
 
 def test_what_differs_by_chance_alone_is_drawn_to_the_typical_place():
     rng = np.random.default_rng(3)
-    out = 0
+    out, kept = 0, []
     for _ in range(40):
         groups = {str(name): rng.uniform(0.0, 1.0, 8).tolist() for name in range(10)}
         found = drawn(groups)
-        for one in found.values():
-            assert abs(one.excess) <= abs(one.mean - one.typical) + 1e-12
+        means, shrunk = zip(*((one.mean, one.shrunk) for one in found.values()), strict=True)
+        kept.append(np.std(shrunk) / np.std(means))
         out += sum(one.stands_out for one in found.values())
     assert out <= 0.05 * 400
+    assert np.mean(kept) < 0.7
 
 
 def test_a_place_that_is_worse_in_all_its_attacks_stands_out_and_one_attack_does_not():
@@ -40,7 +51,7 @@ def test_a_place_that_is_worse_in_all_its_attacks_stands_out_and_one_attack_does
     noisy = {str(name): [0.0] * 6 + [1.0] * 2 for name in range(9)}
     once = drawn({**noisy, "once": [1.0]})["once"]
     assert not once.stands_out
-    assert once.drawn < 0.7 * once.mean
+    assert once.shrunk < 0.7 * once.mean
 
 
 def test_places_that_cannot_be_told_from_the_typical_one_share_a_rank():
@@ -70,12 +81,15 @@ def test_a_place_without_attacks_is_typical():
     assert not drawn({"none": []})["none"].stands_out
 
 
+NUMBERS = itertools.count()
+
+
 def attack(edge, value):
     spot = Spot(lane=f"{edge}_0", edge=edge)
     return risk.Attacked(
-        folder="out", run_id="r", turn=None, scene="s", seed=0, decided=spot, began=spot,
-        place_m=(0.0, 0.0), hit=False, other=False, avoidable=None, ttc_s=None, gap_m=1.0,
-        delta_v_mps=None, criticality=value,
+        folder="out", run_id=f"m--{next(NUMBERS)}--0", turn=None, scene="s", seed=0,
+        decided=spot, began=spot, place_m=(0.0, 0.0), hit=False, other=False, avoidable=None,
+        ttc_s=None, gap_m=1.0, delta_v_mps=None, criticality=value,
     )  # fmt: skip
 
 

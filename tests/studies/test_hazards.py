@@ -1,6 +1,7 @@
 """Forty places with four planted flaws: built to the same bytes, and ranked by their risk."""
 
 import importlib.util
+import itertools
 import subprocess
 from pathlib import Path
 
@@ -106,9 +107,12 @@ def test_only_the_left_turn_through_gaps_has_a_place_to_wait(config):
     assert waiting_ways(net) == {("left1_west_in", "left1_north_out")}
 
 
+NUMBERS = itertools.count()
+
+
 def attacked(place, value, *, hit=False):
     return Attacked(
-        folder="out", run_id="r", turn=None, scene="s", seed=1,
+        folder="out", run_id=f"m--{next(NUMBERS)}--0", turn=None, scene="s", seed=1,
         decided=Spot(), began=Spot(edge=f"{place}_west_in"), place_m=(0.0, 0.0), hit=hit,
         other=False, avoidable=None, ttc_s=None, gap_m=0.0, delta_v_mps=8.0 if hit else None,
         criticality=value,
@@ -116,10 +120,10 @@ def attacked(place, value, *, hit=False):
 
 
 def test_a_place_that_is_critical_in_all_its_attacks_leads_and_one_near_miss_does_not():
-    attacks = [attacked(name, 0.0) for name in RANK.PLACES] * 8
-    attacks += [attacked("left1", 0.5)] * 8 + [attacked("merge3", 0.9)]
+    attacks = [attacked(name, 0.0) for name in RANK.PLACES for _ in range(8)]
+    attacks += [attacked("left1", 0.5) for _ in range(8)] + [attacked("merge3", 0.9)]
     table = RANK.ranked(attacks)
-    assert [place.name for place in table[:2]] == ["left1", "merge3"]
+    assert table[0].name == "left1"
     assert [place.name for place in table if place.risk.stands_out] == ["left1"]
     assert {place.rank for place in table[1:]} == {21.0}
     assert (table[0].attacks, table[0].hits, table[0].risk.mean) == (16, 0, 0.25)
@@ -137,8 +141,8 @@ def test_agreement_is_kendalls():
 
 def seed(out, near_misses):
     """Two places that are critical in all attacks, and good ones with a near miss each."""
-    attacks = [attacked(name, 0.0) for name in RANK.PLACES if name not in out] * 8
-    attacks += [attacked(name, value) for name, value in out.items()] * 8
+    values = dict.fromkeys(RANK.PLACES, 0.0) | out
+    attacks = [attacked(name, value) for name, value in values.items() for _ in range(8)]
     return RANK.ranked([*attacks, *[attacked(name, 0.9) for name in near_misses]])
 
 

@@ -5,14 +5,12 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from statistics import fmean, stdev
 from typing import Final, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
-from deepmf_sumo.metrics.statistics import Interval, wilson
 from deepmf_sumo.plans.tables import CURVES
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import caption_of
@@ -25,7 +23,9 @@ from deepmf_sumo.report.figures.episode import (
     window_of,
 )
 from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
+from deepmf_sumo.results import statistics
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.results.statistics import Difference, Interval
 
 COMPARED: Final = 12
 """Scenes whose paths are compared."""
@@ -121,8 +121,7 @@ class Point(NamedTuple):
 
     method: str
     rate: Interval
-    mean: float
-    half: float
+    mean: Difference
 
 
 def draw_tradeoff(results: Results) -> Sheet | Skipped:
@@ -154,9 +153,9 @@ def draw_tradeoff(results: Results) -> Sheet | Skipped:
     return Sheet(
         figure=figure,
         caption=(
-            "Share of the attacked runs in which the opponent hit the AV (Wilson intervals, 95 %)"
+            "Share of the attacked runs in which the opponent hit the AV (95 % intervals)"
             " against how the opponent drove (mean over the attacked runs in which it is defined,"
-            " 1.96 standard errors); up and to the left is better for the attacker."
+            " 95 % interval); up and to the left is better for the attacker."
             + (f" Without enough attacked runs: {', '.join(few)}." if few else "")
         ),
         runs=(),
@@ -171,25 +170,27 @@ def _points(results: Results, planner: str, metric: str) -> list[Point]:
             for run in results.done
             if run.method == method and run.planner == planner and run.attacked
         ]
-        values = [value for run in runs if (value := run.metric(metric)) is not None]
+        values = [(run.scene, value) for run in runs if (value := run.metric(metric)) is not None]
         if min(len(runs), len(values)) >= FEWEST:
             found.append(_point(method, runs, values))
     return found
 
 
-def _point(method: str, runs: Sequence[Run], values: Sequence[float]) -> Point:
-    rate = wilson(sum(run.hit for run in runs), len(runs))
-    return Point(method, rate, fmean(values), 1.96 * stdev(values) / math.sqrt(len(values)))
+def _point(method: str, runs: Sequence[Run], values: Sequence[tuple[str, float]]) -> Point:
+    hits = statistics.by_unit((run.scene, float(run.hit)) for run in runs)
+    return Point(method, statistics.rate(hits), statistics.mean(statistics.by_unit(values)))
 
 
 def _panel(axes: Axes, points: Sequence[Point], methods: Sequence[str]) -> None:
     for point in points:
         number = methods.index(point.method)
-        rate = point.rate
+        rate, (mean, low, high) = point.rate, point.mean
+        # equal values have no interval
+        ends = [[mean - (mean if low is None else low)], [(mean if high is None else high) - mean]]
         axes.errorbar(
-            [point.mean],
+            [mean],
             [rate.rate],
-            xerr=point.half,
+            xerr=ends,
             yerr=[[rate.rate - rate.low], [rate.high - rate.rate]],
             elinewidth=0.7,
             **style.method_look(number),
@@ -248,7 +249,7 @@ def draw_budget(results: Results) -> Sheet | Skipped:
     return Sheet(
         figure=figure,
         caption=(
-            "Share of the attacked runs in which the opponent hit the AV (Wilson intervals, 95 %)"
+            "Share of the attacked runs in which the opponent hit the AV (95 % intervals)"
             " against the budget of the search; in a ring: the method's own budget."
         ),
     )

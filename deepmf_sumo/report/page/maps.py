@@ -11,9 +11,9 @@ from deepmf_sumo.network.sumo_net import NetLane
 from deepmf_sumo.report.page.columns import Column, short
 from deepmf_sumo.report.palette import RISK_CLASSES
 from deepmf_sumo.results.quantities import BY_NAME
+from deepmf_sumo.results.statistics import PLACE_CONFIDENCE
 from deepmf_sumo.risk.attacks import Attacked, Network
 from deepmf_sumo.risk.coverage import MEANINGS, Covered, TypeRow, by_type, coverage
-from deepmf_sumo.risk.criticality import CONFIDENCE
 from deepmf_sumo.risk.places import KINDS
 from deepmf_sumo.risk.table import COUNTED, DEFINITIONS, Row, columns
 
@@ -21,7 +21,7 @@ _TOLERANCE_M: Final = 0.1
 _MOST_NEVER: Final = 50
 """Longest list on the page; `coverage.csv` has all."""
 _SIDEWALKS: Final = {"crossing", "walkingarea"}
-_RISK: Final = f"({100 * CONFIDENCE:.0f} % interval)"
+_RISK: Final = f"({100 * PLACE_CONFIDENCE:.0f} % interval)"
 
 
 def _number(name: str, heading: str, digits: int = 0, **more: Any) -> Column:
@@ -76,7 +76,7 @@ def content(network: Network, rows: Sequence[Row]) -> dict[str, Any]:
         "definitions": dict(DEFINITIONS),
         "types": [_type(row) for row in by_type(network.attacks)],
         "covered": _covered(network),
-        "confidence": round(100 * CONFIDENCE),
+        "confidence": round(100 * PLACE_CONFIDENCE),
         "classes": RISK_CLASSES,
     }
 

@@ -7,14 +7,14 @@ from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.gate.verdict import difference, figure
 from deepmf_sumo.report.table import SECTORS, counted
-from deepmf_sumo.results.difference import Matched
+from deepmf_sumo.results.matching import Matched
+from deepmf_sumo.results.quantities import RATE
 from deepmf_sumo.risk.comparison import Change, Compared
 from deepmf_sumo.risk.origins import Origin
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}
 DIFFERENCE_HEADINGS: Final = ("quantity", "A", "B", "B - A", "")
-_EQUAL: Final = "equal in these runs"
 ORIGIN_HEADINGS: Final = ("where hits come from", "A", "B", "B - A of all runs", "")
 
 
@@ -79,7 +79,7 @@ def _unit(compared: Compared) -> str:
 def _state(one: Change, unit: str) -> str:
     """What the interval says: the margin that it lies in, or how many would tell."""
     if one.state == "within margin":
-        return f"at most {figure(one.margin, one.unit)} apart" if one.margin else _EQUAL
+        return f"at most {figure(one.margin, one.unit)} apart"
     return _undecided(one, unit) if one.state == "cannot tell" else one.state
 
 
@@ -106,7 +106,7 @@ def origins(compared: Compared) -> list[tuple[str, ...]]:
 
 def _origin_state(one: Origin, unit: str) -> str:
     if one.state == "within margin":
-        return _EQUAL
+        return f"at most {RATE:g} apart"
     return _undecided(one, unit) if one.state == "cannot tell" else one.state
 
 

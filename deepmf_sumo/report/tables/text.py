@@ -15,11 +15,11 @@ from deepmf_sumo.tables import to_markdown
 
 _RATES: Final = (
     "Rates are of attacked runs: those that succeeded and had a vehicle to attack with. Intervals"
-    " of rates are Wilson's, of differences those of a randomisation test over scenes, both 95 %."
+    " are 95 %, and about other scenes: a scene counts once in them, with all its seeds."
 )
 
 _FEW_SCENES: Final = 10
-"""With fewer scenes, intervals say little about other scenes."""
+"""With fewer scenes, intervals say little."""
 
 _POOLED: Final = (
     "pooled_kl, pooled_jsd [nat], pooled_wasserstein [m/s2]: smoothed accelerations of all runs at"
@@ -59,17 +59,10 @@ def notes_of(content: Content) -> list[str]:
 
 
 def _cautions(layout: Layout) -> list[str]:
-    """Where the intervals promise more than they hold."""
+    """What makes intervals wide."""
     lines = []
-    if len(layout.plan["seeds"]) > 1:
-        lines.append(
-            "Intervals of rates take all runs as independent: with several seeds a scene they are"
-            " too narrow; those of differences draw all seeds of a scene together."
-        )
     if len(layout.scenes) < _FEW_SCENES:
-        lines.append(
-            f"Of {len(layout.scenes)} scenes intervals of differences are wide, or there are none."
-        )
+        lines.append(f"Of {len(layout.scenes)} scenes intervals are wide.")
     return lines
 
 

@@ -33,7 +33,7 @@ function showTotals(rows) {
         "succeeded",
         "attacked",
         "AV hit by opponent",
-        "interval",
+        "95 % interval",
         "",
         "avoidable hits",
         `contact ${columnOf("collision_speed_mps").heading}`,
@@ -49,9 +49,10 @@ function totalsLine(name, group) {
   const done = group.filter((row) => row.status === "ok");
   // a run without an opponent is no attempt
   const attacked = done.filter((row) => row.opponent !== null);
-  const hits = done.filter((row) => row.outcome === "AV hit by opponent");
+  const isHit = (row) => row.outcome === "AV hit by opponent";
+  const hits = done.filter(isHit);
   const judged = hits.filter((row) => row.avoidable_rate !== null);
-  const rate = wilson(hits.length, attacked.length);
+  const rate = rateOf(unitsOf(attacked, isHit));
   const avoidable = judged.filter((row) => row.avoidable_rate >= 1).length;
   return [
     name,
@@ -62,17 +63,9 @@ function totalsLine(name, group) {
     rate ? `${percent(rate.low)} to ${percent(rate.high)}` : "–",
     rate ? intervalBar(rate) : "",
     judged.length ? `${avoidable}/${judged.length} = ${percent(avoidable / judged.length)}` : "–",
-    averaged(hits.map((row) => row.collision_speed_mps)),
-    averaged(done.map((row) => row.ttc_min_s)),
+    meanOf(hits.map((row) => row.collision_speed_mps)),
+    meanOf(attacked.map((row) => row.ttc_min_s)),
   ];
-}
-
-function averaged(values) {
-  const found = mean(values.filter((value) => value !== null));
-  if (!found) return "–";
-  return found.error === null
-    ? found.mean.toFixed(1)
-    : `${found.mean.toFixed(1)} ± ${found.error.toFixed(1)}`;
 }
 
 /** The interval on a scale from 0 to 1, decoration beside its numbers. */
