@@ -214,7 +214,8 @@ def _ends(units: Units, reach: tuple[float, float], confidence: float) -> tuple[
     tail = (1 - confidence) / 2
     values, weights = _merged(units)
     low = -_quantile(np.append(-values, -reach[0]), np.append(weights, 1.0), 1 - tail)
-    return low, _quantile(np.append(values, reach[1]), np.append(weights, 1.0), 1 - tail)
+    high = _quantile(np.append(values, reach[1]), np.append(weights, 1.0), 1 - tail)
+    return min(low, units.mean), max(high, units.mean)  # of equal values but for the last bit
 
 
 def _merged(units: Units) -> tuple[Floats, Floats]:
