@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from scipy.stats import binom, binomtest
 
 from deepmf_sumo.results import statistics
-from deepmf_sumo.results.statistics import Units, paired, rate, units_of, unpaired
+from deepmf_sumo.results.statistics import paired, rate, units_of, unpaired
+
+from tests.support.coverage import of_counts
 
 
 def ones(count, of):
@@ -139,21 +141,14 @@ def test_fewest_units_without_pairs(confidence):
         assert (unpaired(new, old, confidence, 1.0).low > 0) == shown
 
 
-def of_counts(*counts):
-    return {
-        str(number): Units((hits / attacks,), (float(attacks),))
-        for number, (hits, attacks) in enumerate(counts)
-    }
-
-
 def test_a_place_alone_has_the_exact_interval():
-    found = statistics.place_rates(of_counts((0, 6)))["0"]
+    found = statistics.place_rates(of_counts([(0, 6)]))["0"]
     assert (found.low, found.high) == pytest.approx(binomial(0, 6, 0.9), abs=1e-6)
     assert 0 < found.rate < 0.2
 
 
 def test_one_lucky_hit_does_not_lead():
-    found = statistics.place_rates(of_counts((1, 1), (7, 10), *[(1, 10)] * 10))
+    found = statistics.place_rates(of_counts([(1, 1), (7, 10)] + [(1, 10)] * 10))
     lucky, steady = found["0"], found["1"]
     assert steady.low > lucky.low
     assert lucky.rate < 0.75
@@ -164,16 +159,16 @@ def test_places_that_are_alike_are_drawn_together_and_different_ones_are_not():
     rng = np.random.default_rng(0)
     alike = [(int(hits), 20) for hits in rng.binomial(20, 0.3, 40)]
     apart = [(18, 20)] * 4 + [(2, 20)] * 36
-    assert statistics.place_rates(of_counts(*apart))["0"].rate > 0.75
+    assert statistics.place_rates(of_counts(apart))["0"].rate > 0.75
     worst = max(range(40), key=lambda number: alike[number])
-    assert statistics.place_rates(of_counts(*alike))[str(worst)].rate < 0.75 * alike[worst][0] / 20
+    assert statistics.place_rates(of_counts(alike))[str(worst)].rate < 0.75 * alike[worst][0] / 20
 
 
 def test_more_attacks_narrow_the_rates_of_places():
     widths = []
     for factor in (1, 4, 16):
         found = statistics.place_rates(
-            of_counts(*[(hits * factor, 4 * factor) for hits in range(5)])
+            of_counts([(hits * factor, 4 * factor) for hits in range(5)])
         )
         widths.append(found["2"].high - found["2"].low)
     assert widths == sorted(widths, reverse=True)

@@ -12,7 +12,7 @@ from scipy.stats import beta, binom, multinomial
 
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.quantities import COMPARABLE
-from deepmf_sumo.results.statistics import Units
+from deepmf_sumo.results.statistics import Units, units_of
 
 UNITS = (5, 10, 40)
 RATES = (0.02, 0.1, 0.5)
@@ -130,11 +130,19 @@ def of_place_rates(places: int, attacks: int, mean: float, strength: float, samp
     hits = np.sort(rng.binomial(attacks, rng.beta(a, b, (samples, places))))
     covered = 0.0
     for sample, times in zip(*np.unique(hits, axis=0, return_counts=True), strict=True):
-        units = {str(k): Units((x / attacks,), (float(attacks),)) for k, x in enumerate(sample)}
+        units = of_counts([(x, attacks) for x in sample.tolist()])
         low, high = np.array([one[1:] for one in statistics.place_rates(units).values()]).T
         own = beta(a + sample, b + attacks - sample)
         covered += times * (own.cdf(high) - own.cdf(low - 1e-9)).mean()
     return float(covered / samples)
+
+
+def of_counts(counts: Sequence[tuple[int, int]]) -> dict[str, Units]:
+    """Places with so many hits of so many attacks."""
+    return {
+        str(place): units_of([[float(attack < hits)] for attack in range(attacks)])
+        for place, (hits, attacks) in enumerate(counts)
+    }
 
 
 Places = Callable[[np.random.Generator, int, int], tuple[np.ndarray, Sequence[np.ndarray]]]
