@@ -21,7 +21,7 @@ from deepmf_sumo.results.result import Result, attacked
 _LOG_LINES: Final = 40
 _FACTS: Final = (
     "weights", "seed", "version", "adversary", "profile", "constraints", "settings", "budget",
-    "plans", "rules", "ended", "error", "expectations_broken",
+    "plans", "rules", "ended", "counterfactual", "error", "expectations_broken",
 )  # fmt: skip
 """Keys of ``result.json`` that the page shows as they are."""
 _BEFORE: Final = "an earlier version judged this run by its own plan"

@@ -58,6 +58,13 @@ function commandsOf(row, details) {
   return make("section", {}, ...elements);
 }
 
+/** Where it would have been, with which the attack is compared. */
+const UNATTACKED = {
+  log: "as recorded",
+  episode: "as in the same episode without it",
+  lane: "keeps lane and speed (the episode cannot be repeated)",
+};
+
 function factsOf(row, details, content) {
   const { manifest } = content;
   const packages = Object.entries(manifest.packages ?? {})
@@ -74,6 +81,7 @@ function factsOf(row, details, content) {
     profile: details.profile,
     constraints: (details.constraints ?? []).join(", "),
     ended: details.ended,
+    "opponent without the attack": UNATTACKED[details.counterfactual],
     plans: details.plans,
     "deepmf-sumo": manifest.version,
     packages,
