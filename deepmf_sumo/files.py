@@ -14,16 +14,18 @@ What the system refuses is an OutputError inside `writing`.
 
 import errno
 import gzip
+import hashlib
 import io
 import json
 import os
+import secrets
 import shutil
 import stat
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, cast
 
@@ -39,6 +41,12 @@ GZIP: Final = b"\x1f\x8b"
 Instead = Callable[[Path], list[Path] | None]
 
 _PIECE: Final = 2**20
+MOST: Final = 2**34
+"""Bytes that are read where a caller sets no limit: of networks, weights and digests."""
+_NAME_BYTES: Final = 100
+"""Of a name in that of its part: names have at most 255 bytes."""
+_TAKEN: Final = {errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR, errno.EISDIR}
+_MOST_OTHERS: Final = 100
 _LEAST_EFFORT: Final = 1
 _KINDS: Final = (
     (stat.S_ISDIR, "a folder"),
@@ -58,7 +66,7 @@ def opened(path: Path) -> io.BufferedReader:
         raise OSError(errno.EINVAL, f"no file can have this name ({error})", str(path)) from None
 
 
-def content(path: Path, largest: int) -> bytes:
+def content(path: Path, largest: int = MOST) -> bytes:
     """All bytes of a regular file. Raises OSError, also where there are more than ``largest``."""
     with opened(path) as file:
         # A first piece of the whole size, so that nothing is copied; files of /proc have size 0.
@@ -66,18 +74,18 @@ def content(path: Path, largest: int) -> bytes:
         return b"".join(_pieces(path, file, largest, first=size + 1))
 
 
-def text(path: Path, largest: int, encoding: str = "utf-8") -> str:
+def text(path: Path, largest: int = MOST, encoding: str = "utf-8") -> str:
     """All text of a regular file. Raises OSError as `content`, UnicodeDecodeError."""
     return content(path, largest).decode(encoding)
 
 
-def pieces(path: Path, largest: int) -> Iterator[bytes]:
+def pieces(path: Path, largest: int = MOST) -> Iterator[bytes]:
     """A regular file in pieces of 1 MiB, e.g. for a digest. Raises OSError as `content`."""
     with opened(path) as file:
         yield from _pieces(path, file, largest)
 
 
-def unpacked(path: Path, largest: int) -> BinaryIO:
+def unpacked(path: Path, largest: int = MOST) -> BinaryIO:
     """A regular file's bytes, unpacked where it is gzip.
 
     Raises OSError, here or from reading, where it is damaged or unpacks to more than ``largest``.
@@ -119,11 +127,11 @@ def whole(path: Path) -> Iterator[BinaryIO]:
     """A file to write to, which takes the name ``path`` at the end of the block.
 
     It is flushed to the disk before. Where the block raises, ``path`` stays as it was, and no part
-    of the file is left. Raises OSError.
+    of the file is left. Of several writers at a time the last one's file stays. Raises OSError.
     """
-    beside = path.with_name(f".{path.name}.part")
+    beside = path.with_name(f".{path.name[:_NAME_BYTES]}.{secrets.token_hex(6)}.part")
     try:
-        with beside.open("wb") as file:
+        with beside.open("xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -145,11 +153,49 @@ def whole_folder(path: Path) -> Iterator[Path]:
     try:
         yield beside
         beside.chmod(0o755)
-        if path.exists():
-            shutil.rmtree(path)
-        beside.replace(path)
+        take_place(beside, path)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+
+
+def take_place(folder: Path, path: Path) -> None:
+    """Rename a folder to ``path``, in place of what is there; others may do so, too.
+
+    Raises OSError.
+    """
+    for _ in range(_MOST_OTHERS):
+        try:
+            folder.replace(path)
+            return
+        except OSError as error:
+            if error.errno not in _TAKEN:
+                raise
+        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}-old-", dir=path.parent))
+        with suppress(FileNotFoundError):  # another writer has moved it away
+            path.replace(aside / "old")
+        shutil.rmtree(aside, ignore_errors=True)
+    folder.replace(path)
+
+
+def copy(file: Path, to: Path) -> None:
+    """Copy the content of a regular file; the copy appears whole. Raises OSError."""
+    with whole(to) as made:
+        for piece in pieces(file):
+            made.write(piece)
+
+
+def sha256(file: Path) -> str:
+    """Digest of a regular file's content. Raises OSError."""
+    found = hashlib.sha256()
+    for piece in pieces(file):
+        found.update(piece)
+    return found.hexdigest()
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what a process has left that was killed while it wrote files into a folder."""
+    for left in folder.glob(".*.part"):
+        left.unlink(missing_ok=True)
 
 
 def write(path: Path, content: str | bytes) -> None:

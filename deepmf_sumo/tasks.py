@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -189,22 +189,33 @@ def scenes(spec: Spec, cache: Path) -> Iterator[tuple[str, RecordRef | None]]:
         yield source.network.stem, None
         return
     records: dict[str, RecordRef] = {}
+    twice: dict[str, RecordRef] = {}
     try:
         for record in readers.records(source.recording, cache):
-            records.setdefault(record.name, record)
+            if records.setdefault(record.name, record) is not record:
+                twice.setdefault(record.name, record)
     except ReaderError as error:
         raise SpecError(f"spec '{spec.name}': {error}") from None
     if not records:
         raise SpecError(f"spec '{spec.name}': {source.recording} holds no recorded scene.")
-    if isinstance(source.scenes, First):
-        yield from list(records.items())[: source.scenes.first]
-    elif source.scenes == "all":
-        yield from records.items()
-    else:
-        for scene in source.scenes:
-            if scene not in records:
-                hint = nearest(scene, records)
-                raise SpecError(
-                    f"spec '{spec.name}': {source.recording} has no scene '{scene}'.{hint}"
-                )
-            yield scene, records[scene]
+    for scene in _chosen(source.scenes, records):
+        if scene not in records:
+            hint = nearest(scene, records)
+            raise SpecError(f"spec '{spec.name}': {source.recording} has no scene '{scene}'.{hint}")
+        if scene in twice:
+            one, other = (found[scene].file for found in (records, twice))
+            places = f"in {one} and in {other}" if one != other else f"twice in {one}"
+            raise SpecError(
+                f"spec '{spec.name}': {source.recording} has two scenes '{scene}', {places}, so"
+                " that one would be lost; give a folder without one of them as 'source.recording',"
+                " or other scenes in 'source.scenes'."
+            )
+        yield scene, records[scene]
+
+
+def _chosen(
+    scenes: Sequence[str] | First | Literal["all"], records: Mapping[str, RecordRef]
+) -> Iterable[str]:
+    if isinstance(scenes, First):
+        return list(records)[: scenes.first]
+    return records if scenes == "all" else scenes

@@ -1,7 +1,11 @@
+import ast
 import errno
 import gzip
+import hashlib
 import os
 import socket
+import threading
+from pathlib import Path
 
 import pytest
 
@@ -122,3 +126,144 @@ def test_what_cannot_be_written_is_one_sentence(tmp_path):
     sentence = r"made cannot be written: No such file or directory\."
     with pytest.raises(OutputError, match=sentence), files.writing(path):
         files.write(path, "text")
+
+
+@pytest.mark.timeout(60)
+def test_of_two_writers_each_file_is_whole(tmp_path):
+    """Each reader sees all bytes of one writer, and no writer fails."""
+    path, size, failed = tmp_path / "made.txt", 100_000, []
+
+    def write(letter):
+        for _ in range(30):
+            try:
+                files.write(path, letter * size)
+            except OSError as error:
+                failed.append(error)
+
+    writers = [threading.Thread(target=write, args=(letter,)) for letter in "abc"]
+    for one in writers:
+        one.start()
+    seen = set()
+    while any(one.is_alive() for one in writers):
+        if path.exists():
+            seen.add(path.read_bytes())
+    for one in writers:
+        one.join()
+    assert failed == []
+    assert {len(text) for text in seen} == {size}
+    assert all(len(set(text)) == 1 for text in seen)
+    assert [one.name for one in tmp_path.iterdir()] == ["made.txt"]
+
+
+@pytest.mark.timeout(60)
+def test_of_two_writers_each_folder_is_whole(tmp_path):
+    failed = []
+
+    def write(letter):
+        for _ in range(20):
+            try:
+                with files.whole_folder(tmp_path / "made") as folder:
+                    for name in ("one", "two"):
+                        (folder / name).write_text(letter)
+            except OSError as error:
+                failed.append(error)
+
+    writers = [threading.Thread(target=write, args=(letter,)) for letter in "abc"]
+    for one in writers:
+        one.start()
+    for one in writers:
+        one.join()
+    assert failed == []
+    assert len({(tmp_path / "made" / name).read_text() for name in ("one", "two")}) == 1
+    assert [one.name for one in tmp_path.iterdir()] == ["made"]
+
+
+def test_a_folder_takes_the_place_of_a_file_or_a_link(tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "kept")
+    for name in ("file", "link"):
+        with files.whole_folder(tmp_path / name) as folder:
+            (folder / "x").write_text("")
+        assert [one.name for one in (tmp_path / name).iterdir()] == ["x"]
+    assert list((tmp_path / "kept").iterdir()) == []
+
+
+def test_a_name_may_be_as_long_as_the_system_allows(tmp_path):
+    path = tmp_path / ("n" * 250)
+    files.write(path, "x")
+    assert path.read_text() == "x"
+
+
+def test_what_a_killed_writer_left_is_removed_and_nothing_else(tmp_path):
+    for name in (".runs.csv.0a.part", "runs.part", ".hidden", "mine.csv"):
+        (tmp_path / name).write_text("")
+    files.remove_parts(tmp_path)
+    assert {one.name for one in tmp_path.iterdir()} == {"runs.part", ".hidden", "mine.csv"}
+
+
+def test_copies_and_digests(given, tmp_path):
+    files.copy(given, tmp_path / "copy")
+    assert (tmp_path / "copy").read_bytes() == given.read_bytes()
+    assert files.sha256(given) == hashlib.sha256(b"x" * 5000).hexdigest()
+
+
+ROOT = Path(files.__file__).parent
+OURS = {
+    "training/samples/feature_cache.py": "samples that training keeps in the cache",
+    "training/run.py": "/proc",
+    "sweep/workers.py": "/proc",
+    "sweep/fork.py": "the log of a run's own folder",
+    "sweep/ray_cluster.py": "archives in memory",
+    "cli/main.py": "the null device",
+    "cli/doctor.py": "/proc and /sys",
+    "planners/remote/reaper.py": "/proc",
+    "live/connection.py": "/proc",
+    "readers/_bounded.py": "pipes of its own process",
+    "report/page/document.py": "styles and scripts of the package",
+    "network/generated/street_graph.py": "what netgenerate wrote a moment ago",
+    "network/generated/layout.py": "input of netconvert in a folder of its own",
+    "network/generated/demand.py": "files of a folder that is made whole",
+    "network/shapes.py": "what netconvert wrote a moment ago",
+    "network/plain_net.py": "input of netconvert in a folder of its own",
+    "network/mapping.py": "files of a folder that is made whole",
+    "exporters/fcd.py": "files of a folder that is made whole",
+    "exporters/ssam.py": "files of a folder that is made whole",
+    "exporters/openscenario.py": "files of a folder that is made whole",
+    "exporters/womd.py": "files of a folder that is made whole",
+    "exporters/osi.py": "files of a folder that is made whole",
+    "recording/conflicts.py": "answers of its own processes",
+    "recording/driver_population.py": "a file for SUMO in a folder of its own",
+    "moments/search.py": "answers of its own processes",
+    "countermeasures/shown.py": "what SUMO wrote a moment ago",
+    "simulation/sumo_api.py": "a file for SUMO in a folder of its own",
+    "simulation/sumo_config.py": "a file for SUMO in a folder of its own",
+    "simulation/sumo_words.py": "messages of SUMO in a folder of its own",
+    "results/folder.py": "the lock of a result folder",
+}
+"""Modules that open files themselves, none of which a user names, and what these are."""
+OPENING = {"read_bytes", "read_text", "write_bytes", "write_text", "load_file", "safe_open"}
+
+
+def opens(tree):
+    """Calls that open a file by its path."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        function = node.func
+        name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
+        owner = getattr(getattr(function, "value", None), "id", "")
+        parses = (owner, name) == ("ET", "parse") and not isinstance(node.args[0], ast.Name)
+        opened = name == "open" and owner not in {"files", "Results", "cls"}
+        if name in OPENING or opened or parses:
+            yield node
+
+
+def test_every_file_that_a_user_names_is_opened_in_one_place():
+    found = {
+        str(path.relative_to(ROOT))
+        for path in ROOT.rglob("*.py")
+        if path.name != "files.py" and any(opens(ast.parse(path.read_text())))
+    }
+    assert found - OURS.keys() == set(), "read and write by deepmf_sumo.files"
+    assert OURS.keys() - found == set(), "does not open files any more"

@@ -30,7 +30,7 @@ def recording(tiny, monkeypatch):
     (tiny / "val").mkdir(exist_ok=True)
     found = [
         readers.RecordRef(file=tiny / "val" / "one", name=name, record=number)
-        for number, name in enumerate(["a1", "b2", "c3", "a1"])
+        for number, name in enumerate(["a1", "b2", "c3"])
     ]
     monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
 
@@ -43,7 +43,11 @@ def recording(tiny, monkeypatch):
 
 @pytest.mark.parametrize(
     ("scenes", "expected"),
-    [("all", ["a1", "b2", "c3"]), ("[c3, a1]", ["c3", "a1"]), ("{first: 2}", ["a1", "b2"])],
+    [
+        ("[a1, b2, c3]", ["a1", "b2", "c3"]),
+        ("[c3, a1]", ["c3", "a1"]),
+        ("{first: 2}", ["a1", "b2"]),
+    ],
 )
 def test_scenes_of_a_recording(recording, tmp_path, scenes, expected):
     planned = tasks.plan([recording(scenes)], tmp_path)
@@ -51,7 +55,25 @@ def test_scenes_of_a_recording(recording, tmp_path, scenes, expected):
     assert [task.run_id for task in planned] == [f"rec--{scene}--0" for scene in expected]
     assert planned[0].resolved()["source"]["scenes"] == [expected[0]]
     assert [task.record.name for task in planned] == expected
-    assert all(task.record.record < 3 for task in planned)  # the first of two with one id
+
+
+@pytest.mark.parametrize("scenes", ["all", "[a1, c3]", "{first: 4}"])
+def test_a_scene_that_is_there_twice_is_not_lost(recording, tmp_path, monkeypatch, scenes):
+    files = zip(("one", "one", "one", "two"), ("a1", "b2", "c3", "c3"), strict=True)
+    found = [
+        readers.RecordRef(file=tmp_path / file, name=name, record=number)
+        for number, (file, name) in enumerate(files)
+    ]
+    monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
+    with pytest.raises(SpecError, match=r"two scenes 'c3', in .*/one and in .*/two, so that one"):
+        tasks.plan([recording(scenes)], tmp_path)
+    assert len(tasks.plan([recording("[b2]")], tmp_path)) == 1
+
+
+def test_no_scene_vanishes(recording, tmp_path, monkeypatch):
+    found = [readers.RecordRef(file=tmp_path, name=f"s{n}", record=n) for n in range(5)]
+    monkeypatch.setattr(readers, "records", lambda path, cache: iter(found))
+    assert len(tasks.plan([recording("all")], tmp_path)) == len(found)
 
 
 def test_unknown_scene(recording, tmp_path):

@@ -100,14 +100,14 @@ class _Work:
         if variant.name != BASE:
             with files.writing(folder):
                 for name in ("opponent.safetensors", "opponent.json"):
-                    files.write(folder / name, (root / BASE / name).read_bytes())
+                    files.copy(root / BASE / name, folder / name)
         return folder
 
     def evaluate(self, folder: Path, digest: str) -> Evaluation:
         """The figures of the networks in a folder."""
         file = self.options.out / "evaluation" / f"{folder.name}-{digest}.json"
         if file.is_file():
-            record = json.loads(file.read_text(encoding="utf-8"))
+            record = json.loads(files.content(file))
             if "figures" in record:  # versions up to 0.1 wrote nested figures
                 self.report("evaluated before")
                 return Evaluation.from_record(record)

@@ -30,4 +30,4 @@ def command(out: Path | None, planner: bool) -> None:
         click.echo(text, nl=False)
         return
     with files.writing(out):
-        out.write_text(text, encoding="utf-8")
+        files.write(out, text)

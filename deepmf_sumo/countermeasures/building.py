@@ -193,7 +193,7 @@ class _Work:
                 _write(patch, ET.ElementTree(self.patches[file]))
                 patches += [option, str(patch)]
         sumo_tools.run("netconvert", "-s", str(self.config.net), *patches, "-o", str(path))
-        files.write(path, _HEADER.sub(b"", path.read_bytes(), count=1))
+        files.write(path, _HEADER.sub(b"", files.content(path, _LARGEST), count=1))
         return path
 
     def _changed(self, net: Path) -> Mapping[Path, "Tree[ET.Element]"]:

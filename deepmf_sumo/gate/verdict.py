@@ -296,7 +296,7 @@ _MARKS: Final = {"held": "held", "broken": "**broken**", "unfit": "**no basis**"
 def write_summary(path: Path, verdict: Verdict) -> None:
     """Add it to the end of a file, as job pages expect. Raises OutputError."""
     with files.writing(path):
-        before = path.read_text("utf-8") if path.is_file() else ""
+        before = files.text(path) if path.exists() else ""
         files.write(path, before + text(verdict))
 
 

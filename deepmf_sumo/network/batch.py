@@ -1,6 +1,7 @@
 """Conversion of many scenes: one folder per scene, and a table of the results."""
 
 import csv
+import io
 import multiprocessing
 import re
 from collections import Counter, deque
@@ -11,8 +12,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final, Literal, Protocol
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import Scene
-from deepmf_sumo.errors import DeepmfError, OutputError
+from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.network.conversion import convert
 from deepmf_sumo.texts import cell
 
@@ -69,22 +71,19 @@ def convert_all(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iter
 
     Raises OutputError if ``out`` cannot be written.
     """
-    beside = out / f".{TABLE}"
-    try:
+    with files.writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        file = beside.open("w", encoding="utf-8", newline="")
-    except OSError as error:
-        raise OutputError(f"'{out}' cannot be written: {error.strerror}.") from None
+        files.write(out / TABLE, "")  # a folder that cannot be written shows now
     names = [field.name for field in fields(Row)]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(names)
     try:
-        with file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(names)
-            for row in _rows(scenes, out, jobs):
-                table.writerow([_cell(getattr(row, name)) for name in names])
-                yield row
+        for row in _rows(scenes, out, jobs):
+            table.writerow([_cell(getattr(row, name)) for name in names])
+            yield row
     finally:
-        beside.replace(out / TABLE)
+        files.write(out / TABLE, text.getvalue())
 
 
 def _cell(value: object) -> object:
@@ -121,10 +120,17 @@ def _rows(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[R
 def _named(scenes: Iterable[Scene | Refused], out: Path) -> Iterator[tuple[Scene | Refused, Path]]:
     """Each scene with its folder; scenes with the same name get numbers."""
     count: Counter[str] = Counter()
+    used: set[str] = set()
     for scene in scenes:
         name = re.sub(r"[^\w.-]", "_", scene.name).lstrip(".") or "scene"
         count[name] += isinstance(scene, Scene)
-        yield scene, out / (name if count[name] <= 1 else f"{name}-{count[name]}")
+        folder = name if count[name] <= 1 else f"{name}-{count[name]}"
+        while folder in used:  # the name of another scene
+            count[name] += 1
+            folder = f"{name}-{count[name]}"
+        if isinstance(scene, Scene):
+            used.add(folder)
+        yield scene, out / folder
 
 
 def _result(name: str, result: Future[Row] | Row) -> Row:

@@ -7,7 +7,6 @@
 """
 
 import hashlib
-import shutil
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -269,8 +268,7 @@ def _move(built: Path, folder: Path) -> None:
         try:
             mapping.read(folder)
         except ConversionError:
-            shutil.rmtree(folder, ignore_errors=True)
-            built.replace(folder)
+            files.take_place(built, folder)
 
 
 def key(scene: Scene) -> str:

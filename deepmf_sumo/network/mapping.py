@@ -8,6 +8,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import ConversionReport, LanePiece, RoadMap, SignalLink, SumoNet
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network.plain_net import coordinates
@@ -39,9 +40,7 @@ def write(net: SumoNet, folder: Path) -> None:
         "ghost_edge": net.ghost_edge,
         "report": report,
     }
-    beside = folder / f".{MAPPING_FILE}"
-    beside.write_text(json.dumps(document, separators=(",", ":")), encoding="utf-8")
-    beside.replace(folder / MAPPING_FILE)
+    files.write(folder / MAPPING_FILE, json.dumps(document, separators=(",", ":")))
 
 
 def read(folder: Path) -> SumoNet:
@@ -51,7 +50,7 @@ def read(folder: Path) -> SumoNet:
     """
     file = folder / MAPPING_FILE
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = json.loads(files.content(file))
         known = document["format"] == FORMAT
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConversionError(f"{file} is not a converted net's side file: {error}.") from None

@@ -197,7 +197,7 @@ def merge(
         plan.write(out)
         for name in (stored.MOMENTS, stored.FLOW):  # those of all shards
             if (folders[0] / name).is_file():
-                files.write(out / name, (folders[0] / name).read_bytes())
+                files.copy(folders[0] / name, out / name)
         store.finish(
             results,
             junit_too=any((folder / "junit.xml").is_file() for folder in folders),

@@ -1,7 +1,6 @@
 """A fixed trajectory: the opponent drives given poses, whatever the AV does."""
 
 import csv
-import gzip
 import io
 import zipfile
 import zlib
@@ -11,7 +10,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepmf_sumo import plugins
+from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import AgentId, Floats, Plan, View
 from deepmf_sumo.deepmf.opponent import named
 from deepmf_sumo.errors import PluginError, RunError
@@ -115,7 +114,7 @@ def build(
 def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:
     """First step and (K, 3) poses of a file."""
     try:
-        content = path.read_bytes()
+        content = files.content(path)
         rows = _from_npz(content) if path.suffix == ".npz" else _from_csv(path, content, agent)
     except _DAMAGED as error:
         raise PluginError(
@@ -138,7 +137,8 @@ def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:
 
 def _from_csv(path: Path, content: bytes, agent: AgentId) -> Floats:
     if path.suffix == ".gz":
-        content = gzip.decompress(content)
+        with files.unpacked(path) as stream:
+            content = stream.read()
     table = csv.DictReader(io.StringIO(content.decode("utf-8")))
     missing = [name for name in _COLUMNS if name not in (table.fieldnames or ())]
     if missing:

@@ -7,7 +7,6 @@ lists the locations of scenes, and can keep them in a cache folder; `read` reads
 
 import hashlib
 import json
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -299,7 +298,7 @@ def _key(path: Path) -> str:
 def _indexed(entry: Path, path: Path) -> list[RecordRef] | None:
     """The index of a file; None if it is missing, damaged, or of a plug-in that is missing."""
     try:
-        content = json.loads(entry.read_text(encoding="utf-8"))
+        content = json.loads(files.content(entry))
         reader = str(content["reader"])
         if reader not in ("", *plugins.names("readers")):
             return None
@@ -325,14 +324,4 @@ def _write_index(entry: Path, refs: Sequence[RecordRef]) -> None:
         "reader": refs[0].reader if refs else "",
         "records": [(ref.name, ref.record, ref.offset) for ref in refs],
     }
-    with tempfile.NamedTemporaryFile(
-        "w", dir=entry.parent, prefix=entry.name, suffix=".part", delete=False, encoding="utf-8"
-    ) as file:
-        part = Path(file.name)
-        try:
-            json.dump(content, file)
-            file.close()
-            part.replace(entry)
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
+    files.write(entry, json.dumps(content))

@@ -11,9 +11,7 @@ import functools
 import io
 import json
 import math
-import os
 import struct
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -60,19 +58,8 @@ _DAMAGES: Final = (
 def write(scene: Scene, path: Path) -> None:
     """Write a scene to a file that appears complete or not at all. Raises OSError."""
     arrays = _to_arrays(scene)
-    with tempfile.NamedTemporaryFile(
-        dir=path.parent, prefix=f".{path.name}", suffix=".part", delete=False
-    ) as file:
-        part = Path(file.name)
-        try:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-            file.flush()
-            os.fsync(file.fileno())
-        except BaseException:
-            part.unlink()
-            raise
-    part.chmod(0o644)
-    part.replace(path)
+    with files.whole(path) as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def accepts(path: Path) -> bool:

@@ -156,7 +156,7 @@ def _claim(wanted: Wanted, out: Path) -> None:
     described = json.dumps(asdict(wanted), indent=2, sort_keys=True, default=str) + "\n"
     try:
         out.mkdir(parents=True, exist_ok=True)
-        if note.is_file() and note.read_text("utf-8", errors="replace") != described:
+        if note.is_file() and files.content(note) != described.encode():
             raise UsageError(
                 f"'{out}' contains scenes of another command (see {note}); remove it, or give "
                 "another folder."

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import (
     DT_S,
     HISTORY_STEPS,
@@ -102,7 +103,7 @@ class Scenes:
         self._recording = recording
         self._excerpts = Excerpts(road)
         self._stops = {lane: road.lanes[lane].centre_m[0] for lane in links if lane in road.lanes}
-        self._digest = hashlib.sha256(recording.config.read_bytes())
+        self._digest = hashlib.sha256(files.content(recording.config))
         self._digest.update(repr(replace(recording, config=Path())).encode())
         self._taken = 0
 

@@ -227,6 +227,7 @@ def opened(
     with ExitStack() as until_done:
         with files.writing(out):
             until_done.enter_context(_claimed(out, keep=resume or overwrite, ways=ways))
+            files.remove_parts(out)
             _emptied(out, resume=resume)
         yield Store(out)
 
@@ -339,8 +340,8 @@ def _timings(done: Sequence[Result], name: str) -> list[float]:
 
 def _is_empty(out: Path) -> bool:
     """Whether a folder is empty, apart from what a batch leaves that is killed at its start."""
-    left = {".manifest.json.part", "runs", ".writable", FILE}
-    return all(path.name in left for path in out.rglob("*"))
+    left = {"runs", ".writable", FILE}
+    return all(path.name in left or path.match(".*.part") for path in out.rglob("*"))
 
 
 def _is_ours(manifest: Path) -> bool:

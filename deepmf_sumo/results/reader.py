@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 
 import pandas as pd
 
-from deepmf_sumo import readers
+from deepmf_sumo import files, readers
 from deepmf_sumo.avoidability.counterfactual import Counterfactual
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Scene
 from deepmf_sumo.errors import ReaderError, UsageError
@@ -411,7 +411,7 @@ def planned(out: Path) -> dict[str, Result | None]:
 
 
 def _text(file: Path) -> str:
-    return file.read_text("utf-8", errors="replace") if file.is_file() else ""
+    return files.content(file).decode("utf-8", "replace") if file.is_file() else ""
 
 
 @lru_cache(maxsize=16)

@@ -8,7 +8,6 @@ when the attack took over; the movement that it began before is the next one on 
 opponents attack in turn, each turn is an attack.
 """
 
-import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network.sumo_road import road_of_net
@@ -332,7 +332,7 @@ def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling])
 
 def net_digest(folder: Path) -> str:
     """Digest of the network in a run's folder. Raises UsageError where there is none."""
-    return hashlib.sha256(_net_file(folder).read_bytes()).hexdigest()
+    return files.sha256(_net_file(folder))
 
 
 def _net_file(folder: Path) -> Path:

@@ -1,6 +1,5 @@
 """Candidates as runs: each is simulated as `deepmf-sumo run` does it, and judged."""
 
-import hashlib
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, Floats
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.results import result as result_module
@@ -168,7 +168,7 @@ def _judged(blank: Trial, failure: Failure, result: Result, folder: Path) -> Tri
         feasible=bool(metrics.get("feasible")),
         contact_mps=float(hit["relative_mps"]),
         hardest_mps2=_hardest(found, failure.opponent, hit["step"]),
-        digest=hashlib.sha256(file.read_bytes()).hexdigest(),
+        digest=files.sha256(file),
     )
 
 

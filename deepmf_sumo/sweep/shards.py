@@ -79,7 +79,7 @@ def merge(
         results = copied(store, shards, runs, found)
         for name in _WHOLE:
             if (shards[0] / name).is_file():
-                files.write(out / name, (shards[0] / name).read_bytes())
+                files.copy(shards[0] / name, out / name)
         store.finish(results, junit_too=junit_too, interrupted=bool(missing))
     return results, missing
 

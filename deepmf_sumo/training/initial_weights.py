@@ -1,11 +1,11 @@
 """Initial weights: random, from another set, or from the marginal network of the same set."""
 
-import hashlib
 from pathlib import Path
 from typing import Final
 
 from torch import Tensor, nn
 
+from deepmf_sumo import files
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import torch_networks, weights
 from deepmf_sumo.predictors.config import Preset
@@ -67,7 +67,7 @@ def check(
 
 def digest(file: Path | None) -> str:
     """Digest of the tensors in a file; empty without one."""
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
+    return files.sha256(file) if file is not None else ""
 
 
 def load(net: nn.Module, network: Network, file: Path) -> None:

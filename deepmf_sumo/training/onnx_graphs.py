@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.export import Dim
 
+from deepmf_sumo import files
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.predictors import conditioning, torch_networks, weights
 from deepmf_sumo.predictors import paths as paths_module
@@ -49,7 +50,8 @@ def write(name: str | Path, report: Callable[[str], None]) -> None:
     for network, number in networks:
         net, _ = torch_networks.read_network(folder, network, number)
         stem = weights.member(network, number)
-        digest = weights.digest_of((folder / f"{stem}.safetensors").read_bytes())
+        tensors = files.content(folder / f"{stem}.safetensors")
+        digest = weights.digest_of(tensors)
         for part, model in _graphs(net):
             onnx.helper.set_model_props(model, {**_props(model), weights.DIGEST: digest})
             content = model.SerializeToString()

@@ -12,7 +12,7 @@ import pytest
 from deepmf_sumo import network
 from deepmf_sumo.datatypes import RoadMap, Scene
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.network import plain_net, sumo_tools
+from deepmf_sumo.network import mapping, plain_net, sumo_tools
 from deepmf_sumo.network.sumo_net import points, read_net
 
 pytestmark = pytest.mark.sumo
@@ -319,3 +319,10 @@ def test_recorded_scenes_convert_without_loss(womd: Path, tmp_path):
         assert net.report.error_max_m <= 0.03
         assert not net.report.lost_lanes
         assert load_in_sumo(net) == ""
+
+
+@pytest.mark.timeout(10)
+def test_a_pipe_in_place_of_the_side_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / mapping.MAPPING_FILE)
+    with pytest.raises(ConversionError, match="it is a pipe, not a regular file"):
+        mapping.read(tmp_path)

@@ -1,5 +1,6 @@
 import gzip
 import io
+import os
 import zlib
 
 import numpy as np
@@ -121,3 +122,11 @@ def test_who_or_when_that_does_not_fit():
             build(agent="b", poses=poses().tolist(), first_step=first).plan(VIEW)
     with pytest.raises(RunError, match="step 11"):
         build(agent="b", poses=poses(3).tolist(), first_step=2).plan(VIEW)
+
+
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize("name", ["pipe.csv", "pipe.npz", "pipe.csv.gz"])
+def test_a_pipe_is_no_file_to_wait_for(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(PluginError, match="it is a pipe, not a regular file"):
+        build(agent="b", file=str(tmp_path / name))

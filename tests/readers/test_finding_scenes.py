@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from deepmf_sumo import plugins, readers
+from deepmf_sumo import files, plugins, readers
 from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.readers import Refusal, womd
 from deepmf_sumo.readers.base import IndexedReader, Reader
@@ -160,7 +160,7 @@ def test_an_index_that_cannot_be_completed_leaves_no_part(data, tmp_path, monkey
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(readers.json, "dump", full)
+    monkeypatch.setattr(files.os, "fsync", full)
     assert readers.ids(data / "b.tfrecord", tmp_path / "cache") == ["x", "y", "z"]
     assert list((tmp_path / "cache" / "index").iterdir()) == []
 

@@ -1,6 +1,5 @@
 """Figure 6: what every method makes of the same scene, in the same frame."""
 
-import csv
 import itertools
 import math
 from collections import defaultdict
@@ -26,6 +25,7 @@ from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.statistics import Difference, Interval
+from deepmf_sumo.tables import read_csv
 
 COMPARED: Final = 12
 """Scenes whose paths are compared."""
@@ -221,8 +221,7 @@ def draw_budget(results: Results) -> Sheet | Skipped:
     file = results.folders[0] / CURVES
     if not file.is_file():
         return Skipped(f"there is no {CURVES}: the plan has no `curves`")
-    with file.open(newline="", encoding="utf-8") as lines:
-        rows = list(csv.DictReader(lines))
+    rows = read_csv(file)
     points = {kind: _budget_points(rows, kind) for kind in BUDGETS}
     kinds = [kind for kind in BUDGETS if len({one.budget for one in points[kind]}) > 1]
     if not kinds:

@@ -1,6 +1,5 @@
 """The roads of a report: each stored once, however many runs are on it, and only near the runs."""
 
-import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -11,6 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import Floats, Lane, RoadMap
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry import frames
@@ -85,7 +85,7 @@ def _key(run: Run) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(file: Path, changed: int) -> str:  # noqa: ARG001 - part of the key
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return files.sha256(file)
 
 
 def _keep(

@@ -81,7 +81,7 @@ def _write(folder: Path, network: Network, title: str, forms: Sequence[gis.Form]
     rows = risk.rows(network)
     mapped = gis.written(network, rows, forms)
     net = "".join(["net.net.xml", ".gz" * (network.net_file.suffix == ".gz")])
-    files.write(folder / net, network.net_file.read_bytes())
+    files.copy(network.net_file, folder / net)
     files.write(folder / TABLE, tables.to_csv([risk.columns(row) for row in rows]))
     files.write(folder / CONFLICTS, tables.to_csv([asdict(one) for one in risk.conflicts(network)]))
     by_type = [asdict(one) for one in risk.by_type(network.attacks)]

@@ -3,7 +3,6 @@
 import csv
 import hashlib
 import io
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Final
 
 import torch
 
+from deepmf_sumo import files
 from deepmf_sumo.training.samples.dataset import Progress
 
 
@@ -20,16 +20,7 @@ def write(file: Path, content: bytes) -> None:
     If two processes write the same file, the last one stays.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
-    beside = file.with_name(f"{file.name}.{os.getpid()}")
-    try:
-        with beside.open("wb") as opened:
-            opened.write(content)
-            opened.flush()
-            os.fsync(opened.fileno())
-        beside.replace(file)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
+    files.write(file, content)
 
 
 _DIGEST_BYTES: Final = 32
@@ -87,7 +78,7 @@ class Checkpoints:
 
 def _read(file: Path, device: str) -> dict[str, Any] | None:
     try:
-        content = file.read_bytes()
+        content = files.content(file)
     except OSError:
         return None
     stored, payload = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]

@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors.numpy import load, save
 
+from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Bools, Floats, Ints
 from deepmf_sumo.errors import RunError, WeightsError
 from deepmf_sumo.predictors.anchors import START_SPEEDS_MPS
@@ -159,7 +160,7 @@ def read(folder: Path) -> Clusters | None:
         return None
     again = "write it again with `deepmf-sumo train marginal`, or remove it"
     try:
-        arrays = load_file(file)
+        arrays = load(files.content(file))
     except (SafetensorError, OSError) as error:
         raise WeightsError(f"{file} is damaged ({error}); {again}.") from None
     grid = (len(SPEEDS_MPS), len(YAW_RATES_RADPS))
