@@ -8,7 +8,13 @@ import pytest
 
 from deepmf_sumo.sweep import workers
 
-from tests.support import forked_workers, road_user_invariant, started_programs, tiny_network
+from tests.support import (
+    continuity,
+    forked_workers,
+    road_user_invariant,
+    started_programs,
+    tiny_network,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN_COMMANDS = {"cli", "plans", "simulation"}
@@ -31,10 +37,12 @@ def pytest_collection_modifyitems(items) -> None:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
     started_programs.check(item)
+    continuity.excuse(item.get_closest_marker("jumps"))
     try:
         return (yield)
     finally:
         started_programs.check(None)
+        continuity.excuse(None)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -61,6 +69,13 @@ def _forked_workers():
 def _road_users():
     with pytest.MonkeyPatch.context() as patch:
         road_user_invariant.use(patch)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _nothing_jumps():
+    with pytest.MonkeyPatch.context() as patch:
+        continuity.use(patch)
         yield
 
 

@@ -95,7 +95,10 @@ def continued(motion: Motion, start: Start) -> Floats:
 
 
 def headings(position_m: Floats, start: Start) -> Floats:
-    """(K) directions of motion of positions (K, 2); at a standstill, the heading before."""
+    """(K) headings of a vehicle at positions (K, 2): along its motion, as before at a standstill.
+
+    Where the motion turns by more than a right angle within a step the vehicle backs up.
+    """
     points = np.concatenate([start.position_m[None], position_m])
     last = len(points) - 1
     steps = np.arange(1, last + 1)
@@ -104,7 +107,9 @@ def headings(position_m: Floats, start: Start) -> Floats:
     moving = np.hypot(*moved.T) > DIRECTION_MPS * DT_S * (high - low)
     course = np.concatenate([[start.heading_rad], np.arctan2(moved[:, 1], moved[:, 0])])
     valid = np.maximum.accumulate(np.where(moving, steps, 0))
-    heading: Floats = course[valid]
+    along = np.concatenate([course[:1], course[valid]])
+    backs_up = np.cumsum(np.cos(np.diff(along)) < 0) % 2
+    heading: Floats = np.where(backs_up, frames.wrap(along[1:] + np.pi), along[1:])
     return heading
 
 

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats
+from deepmf_sumo.datatypes.agent_ids import whole_of
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.simulation.contacts import overlapping
@@ -26,7 +27,8 @@ class Occupancy:
 
     def touched(self, agent: AgentId) -> bool:
         """Whether the box of an agent other than the AV overlaps that of ``agent``."""
-        return any(self.frame.ids[row] != self.av_id for row in self._touching(agent))
+        ids = self.frame.ids
+        return any(whole_of(ids[row]) != self.av_id for row in self._touching(agent))
 
     def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
         """Whether the way of an agent is free: K poses, 0.1 s apart; all others keep their speed.
@@ -37,8 +39,8 @@ class Occupancy:
         if agent not in frame.ids:
             return True
         me = frame.ids.index(agent)
-        others = np.ones(len(frame.ids), bool)
-        others[[me, *self._touching(agent)]] = False
+        others = np.array([whole_of(one) != agent for one in frame.ids])
+        others[self._touching(agent)] = False
         others &= ~clear(frame.z_m[me], frame.z_m)
         mine = np.array([(one.x_m, one.y_m, one.heading_rad) for one in poses])
         after_s = DT_S * np.arange(1, len(poses) + 1)[:, None, None]
@@ -58,4 +60,5 @@ class Occupancy:
         if agent not in frame.ids:
             return []
         me = frame.ids.index(agent)
-        return overlapping(me, frame.position_m, frame.heading_rad, self.size_m, frame.z_m)
+        rows = overlapping(me, frame.position_m, frame.heading_rad, self.size_m, frame.z_m)
+        return [row for row in rows if whole_of(frame.ids[row]) != agent]

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.adversaries._open_loop import curve_into
+from deepmf_sumo.adversaries._open_loop import curve_into, headings
 from deepmf_sumo.adversaries._search import nearest_m
 from deepmf_sumo.datatypes import Budget
+from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.predictors import weights
 
@@ -135,3 +136,15 @@ def test_nobody_to_attack(monkeypatch):
 def test_an_opponent_that_is_not_there_is_refused():
     with pytest.raises(RunError, match="opponent 'z' is not a vehicle"):
         attack(World(), {"opponent": "z"})
+
+
+def test_a_vehicle_whose_motion_reverses_backs_up():
+    x = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0, 0.0])
+    start = Start(
+        position_m=np.zeros(2), heading_rad=0.0, course_rad=0.0, speed_mps=10.0, length_m=4.8
+    )
+    found = headings(np.column_stack([x, 0 * x]), start)
+    assert np.cos(found) == pytest.approx(1.0)
+    angle = np.linspace(0.0, np.pi, 40)[1:]  # a U-turn is none
+    turned = headings(10 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), start)
+    assert turned[-1] == pytest.approx(np.pi, abs=0.2)

@@ -27,12 +27,7 @@ def folders(tmp_path_factory, starts_sumo):
             "source": {"network": str(config), "start_s": 1.0, "av": {"vehicle": "av"}},
             "duration_s": 8.0,
             "planner": "constant_velocity" if name == "blind" else "idm",
-            "adversary": {
-                "name": "trajectory",
-                "agent": "leader",
-                "poses": brakes(),
-                "first_step": 1,
-            },
+            "adversary": {"name": "trajectory", "agent": "leader", "poses": brakes()},
         }
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(values))
         out = ["--out", str(folder / name), "--no-pictures", "--seeds", "1-5", "--jobs", "2"]

@@ -54,12 +54,19 @@ def test_a_result_table_is_a_trajectory(tmp_path):
     file = tmp_path / "tracks.csv.gz"
     lines = ["step,time_s,id,x_m,y_m,heading_rad,speed_mps"]
     for step in range(5, 40):
-        lines += [f"{step},0,av,0,0,0,0", f"{step},0,b,{step},1.5,0.25,10"]
+        lines += [f"{step},0,av,0,0,0,0", f"{step},0,b,{step - 18},3.5,0.25,10"]
     file.write_bytes(gzip.compress("\n".join(lines).encode()))
     plan = build(agent="b", file=str(file)).plan(VIEW)
     assert (plan.first_step, len(plan.position_m)) == (11, 29)
-    np.testing.assert_allclose(plan.position_m[0], [11, 1.5])
+    np.testing.assert_allclose(plan.position_m[0], [-7, 3.5])
     np.testing.assert_allclose(plan.heading_rad, 0.25)
+
+
+def test_a_trajectory_that_begins_elsewhere_is_refused():
+    """The vehicle is at (-8, 3.5) and drives 12 m/s."""
+    far = poses() + np.array([3.0, 0.0, 0.0])
+    with pytest.raises(RunError, match=r"at \(-3.8, 3.5\) at step 11, 4.2 m from where it is"):
+        build(agent="b", poses=far.tolist()).plan(VIEW)
 
 
 def test_npz(tmp_path):

@@ -100,6 +100,7 @@ def test_opponent_is_taken_over_and_handed_back(config):
     assert {event.kind for event in rollout.events} >= {"plan_ended", "handed_back"}
 
 
+@pytest.mark.jumps("the plan leads sideways")
 def test_opponent_far_off_the_road_is_put_back_onto_a_lane(config):
     case = network_case(config, 3.0, "av", 110, seed=0)
     rollout = run(case, policy=Swerve(sideways=-15.0))

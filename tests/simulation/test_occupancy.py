@@ -41,5 +41,11 @@ def test_what_is_in_the_way(other, free):
     assert around({"ov": (0.0, 0.0, 5.0, 0.0), "other": other}).clear("ov", AHEAD) is free
 
 
+def test_a_vehicle_of_several_boxes_is_not_in_its_own_way():
+    agents = {"ov": (0.0, 0.0, 5.0, 0.0), "ov part 2": (-4.0, 0.0, 5.0, 0.0)}
+    assert not around(agents).touched("ov")
+    assert around({**agents, "ov part 2": (3.0, 0.0, 0.0, 0.0)}).clear("ov", AHEAD)
+
+
 def test_nothing_is_in_the_way_of_an_absent_one():
     assert around({"other": (3.0, 0.0, 0.0, 0.0)}).clear("ov", AHEAD)

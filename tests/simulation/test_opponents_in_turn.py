@@ -294,6 +294,7 @@ def test_equal_seeds_give_equal_turns(busy, rollout):
     assert again.tracks.position_m.tobytes() == rollout.tracks.position_m.tobytes()
 
 
+@pytest.mark.jumps("plans lead sideways")
 def test_who_is_off_the_road_when_its_attack_is_over_drives_back_to_a_lane(busy):
     found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0))
     last_y = [
@@ -314,12 +315,14 @@ def test_who_is_off_the_road_when_its_attack_is_over_drives_back_to_a_lane(busy)
     assert {event.kind for event in found.events} <= {"handed_back", "step_length_changed"}
 
 
+@pytest.mark.jumps("plans lead sideways")
 def test_two_vehicles_at_once_where_one_is_still_on_its_way_back(busy):
     found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0))
     driven = (found.driver == Driver.POLICY).sum(axis=0)
     assert driven.max() == 2
 
 
+@pytest.mark.jumps("plans lead sideways")
 def test_who_cannot_get_back_onto_a_lane_is_taken_out_and_it_is_said(busy, monkeypatch):
     from deepmf_sumo.simulation import attack_schedule
     from deepmf_sumo.simulation.vehicle_control import Takeover

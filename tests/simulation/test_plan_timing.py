@@ -20,6 +20,8 @@ from tests.support.simulated_worlds import (
     straight_road,
 )
 
+pytestmark = pytest.mark.jumps("a plan of the predictor's double begins far away")
+
 
 class KnowsTheLog(FanPredictor):
     """Predicts the AV's true future, whatever it is given."""

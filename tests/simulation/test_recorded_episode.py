@@ -247,6 +247,7 @@ def test_av_yields_to_a_replayed_car_with_a_route_of_its_own(tmp_path):
     assert unhindered.first("av_other") is not None
 
 
+@pytest.mark.jumps("the plan begins turned")
 def test_opponent_follows_its_plan_off_the_road_and_survives(following):
     policy = Follow("beside", 66.0, LANE_M, 0.6, 8.0)
     rollout = run(following, sumo.build(sumo.Settings()), policy)
@@ -258,6 +259,7 @@ def test_opponent_follows_its_plan_off_the_road_and_survives(following):
     assert len(rollout.plans) == 1
 
 
+@pytest.mark.jumps("the plan begins elsewhere")
 def test_contact_with_the_opponent_ends_the_episode(following):
     policy = Follow("beside", 62.0, LANE_M, -0.12, 12.5)
     rollout = run(following, constant_velocity.build(constant_velocity.Settings()), policy)
@@ -284,6 +286,7 @@ def test_policy_sees_neither_the_av_path_nor_the_future(following):
         assert view.step == NOW
 
 
+@pytest.mark.jumps("the same plan again and again")
 def test_a_view_tells_since_when_the_planner_drives(following):
     class Often(Follow):
         period_steps = 6

@@ -112,11 +112,26 @@ def case(tmp_path_factory):
         lambda: Towards("b", "walker", 10),  # the plan ends long before the episode
         lambda: Towards("b", "av", 60, period=10),
         lambda: Towards("b", "av", 7, period=20),  # goes on without a plan in between
-        lambda: Towards("walker", "av", 20, period=3),
+        pytest.param(
+            lambda: Towards("walker", "av", 20, period=3),
+            marks=pytest.mark.jumps("a person runs off at 7 m/s"),
+        ),
     ],
 )
 def test_drawn_scene(case, policy):
     assert_same(*both(case, policy))
+
+
+def test_in_a_gap_the_av_drives_on_evenly_and_at_the_end_it_stops(case):
+    longer = replace(case, duration_steps=130)
+    planner = replay.build(replay.Settings())
+    rollout = simulate(longer, planner, None, rng=np.random.default_rng(0))
+    row = rollout.tracks.row("av")
+    x, speed = rollout.tracks.position_m[row, :, 0], rollout.tracks.speed_mps[row]
+    assert np.diff(x[NOW:STEPS]) == pytest.approx(1.0)  # 10 m/s, also from 40 to 44
+    assert speed[NOW:STEPS] == pytest.approx(10.0)
+    assert speed[STEPS:] == pytest.approx(np.maximum(10.0 - 0.3 * np.arange(1, 51), 0.0))
+    assert x[-1] - x[STEPS - 1] == pytest.approx(10.0**2 / (2 * 3.0), abs=0.1)
 
 
 @pytest.mark.parametrize("policy", [lambda: None, lambda: Towards("b", "av", 80)])

@@ -5,11 +5,12 @@ consecutive steps, and who drove. `tests/conftest.py` asks it for every rollout 
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Driver, Rollout
+from deepmf_sumo.datatypes import Driver, Rollout, Tracks
+from deepmf_sumo.datatypes.agent_ids import whole_of
+from deepmf_sumo.simulation.recorder import EpisodeRecord
 
 DT_S = 0.1
 FASTER = 1.15
@@ -27,69 +28,77 @@ TURN_PER_M = 0.35
 """The curvature of SUMO's narrowest turns, and a hand-over's 0.1 rad."""
 LANE_M = 4.5
 """SUMO without its sublane model moves its own vehicles to the next lane within one step."""
-OWN_MOVES = {int(Driver.SUMO)}
 TELEPORTS = {"av_teleported", "teleported"}
 """Events by which a rollout says that SUMO moved a vehicle."""
 
-_expected: list[str] = []
+_excused: list[str] = []
 
 
-@contextmanager
-def jumps_expected(reason: str) -> Iterator[None]:
-    """Rollouts made here may jump: what a test commands is no motion."""
-    _expected.append(reason)
-    try:
-        yield
-    finally:
-        _expected.pop()
+def excuse(marker) -> None:
+    """Do not judge the rollouts of a test whose mark ``jumps`` says why they jump; None: judge."""
+    _excused[:] = [] if marker is None else [marker.args[0]]
+
+
+def use(patch) -> None:
+    """Check each rollout: those of SUMO, of the log alone, and of live attacks are made here."""
+    rollout = EpisodeRecord.rollout
+
+    def checked(*given, **more):
+        made = rollout(*given, **more)
+        jumps = violations(made)
+        assert not jumps, "\n".join(jumps)
+        return made
+
+    patch.setattr(EpisodeRecord, "rollout", checked)
 
 
 def violations(rollout: Rollout) -> list[str]:
     """What jumps in a rollout, one sentence each; the recording's own steps are not judged."""
-    tracks, driver = rollout.tracks, rollout.driver
-    if _expected or tracks.steps < 2:
+    if _excused or rollout.tracks.steps < 2:
         return []
+    return [*_jumps(rollout), *_contacts_at_hand_overs(rollout)]
+
+
+def _jumps(rollout: Rollout) -> Iterator[str]:
+    tracks, driver = rollout.tracks, rollout.driver
     both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
     both &= (driver[:, 1:] != Driver.LOG) | (driver[:, :-1] != Driver.LOG)
     both[:, : rollout.now] = False
-    moved = np.diff(tracks.position_m, axis=1)
     speed = np.hypot(*np.moveaxis(tracks.velocity_mps, -1, 0))
     fastest = np.maximum(speed[:, 1:], speed[:, :-1])
-    turn = np.diff(tracks.heading_rad, axis=1)
-    turn = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
-    sumos = np.isin(driver[:, 1:], list(OWN_MOVES)) & np.isin(driver[:, :-1], list(OWN_MOVES))
-    middle = (
-        tracks.heading_rad[:, :-1]
-        + (np.diff(tracks.heading_rad, axis=1) + np.pi) % (2 * np.pi) / 2
-        - np.pi / 2
-    )
-    aside = np.abs(moved[..., 1] * np.cos(middle) - moved[..., 0] * np.sin(middle))
-    far = np.hypot(*np.moveaxis(moved, -1, 0))
-    way = FASTER * fastest * DT_S
-    found = {
-        "moves": (far, np.where(sumos, LANE_M, SLACK_M) + way),
-        "moves sideways by": (aside, np.where(sumos, LANE_M, ASIDE_M) + SLIP * fastest * DT_S),
-        "turns by": (turn, np.where(sumos, np.pi, TURN_RAD) + TURN_PER_M * fastest * DT_S),
-    }
-    told = {(one.agent_id, one.step) for one in rollout.events if one.kind in TELEPORTS}
-    sentences = []
-    for what, (value, most) in found.items():
+    sumos = (driver[:, 1:] == Driver.SUMO) & (driver[:, :-1] == Driver.SUMO)
+    told = {(whole_of(one.agent_id), one.step) for one in rollout.events if one.kind in TELEPORTS}
+    for what, value, most in _bounds(tracks, fastest, sumos):
         for row, at in zip(*np.nonzero(both & (value > most)), strict=True):
             agent, step = tracks.ids[row], int(at) + 1
-            if (agent, step) not in told:
-                owners = [Driver(int(driver[row, one])).name for one in (at, at + 1)]
-                sentences.append(
+            if (whole_of(agent), step) not in told:
+                owners = " -> ".join(Driver(int(driver[row, one])).name for one in (at, at + 1))
+                yield (
                     f"{agent} {what} {value[row, at]:.2f} in the step to {step} "
-                    f"({' -> '.join(owners)}, {fastest[row, at]:.1f} m/s)"
+                    f"({owners}, {fastest[row, at]:.1f} m/s)"
                 )
-    changed = {
-        (tracks.ids[row], int(at) + 1)
-        for row, at in zip(*np.nonzero(driver[:, 1:] != driver[:, :-1]), strict=True)
-    }
-    sentences += [
-        f"a contact {one.kind} counts at {one.step}, where {agent} changes its owner"
-        for one in rollout.contacts
-        for agent in (one.first_id, one.second_id)
-        if (agent, one.step) in changed
-    ]
-    return sentences
+
+
+def _bounds(
+    tracks: Tracks, fastest: np.ndarray, sumos: np.ndarray
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """What is measured of each step (A, T - 1), and the most that speeds explain."""
+    moved = np.diff(tracks.position_m, axis=1)
+    turn = (np.diff(tracks.heading_rad, axis=1) + np.pi) % (2 * np.pi) - np.pi
+    middle = tracks.heading_rad[:, :-1] + turn / 2
+    aside = np.abs(moved[..., 1] * np.cos(middle) - moved[..., 0] * np.sin(middle))
+    far, way = np.hypot(*np.moveaxis(moved, -1, 0)), fastest * DT_S
+    yield "moves", far, np.where(sumos, LANE_M, SLACK_M) + FASTER * way
+    yield "moves sideways by", aside, np.where(sumos, LANE_M, ASIDE_M) + SLIP * way
+    yield "turns by", np.abs(turn), np.where(sumos, np.pi, TURN_RAD) + TURN_PER_M * way
+
+
+def _contacts_at_hand_overs(rollout: Rollout) -> Iterator[str]:
+    changes = np.diff(rollout.driver.astype(int), axis=1) != 0
+    for contact in rollout.contacts:
+        for agent in (contact.first_id, contact.second_id):
+            if changes[rollout.tracks.row(agent), contact.step - 1]:
+                yield (
+                    f"a contact {contact.kind} counts at {contact.step}, where {agent} changes its "
+                    "owner"
+                )
