@@ -507,6 +507,12 @@ def tell_switch(change: dict[str, Any]) -> None:
     click.echo(shown(f"{change['time_s']:.1f} s: {what}"), err=True)
 
 
+def tell_jump(jump: dict[str, Any]) -> None:
+    """SUMO's time jumped."""
+    what = f"the script has loaded a state: from {jump['from_s']:.1f} to {jump['to_s']:.1f} s"
+    click.echo(f"{what}; an attack under way is not counted", err=True)
+
+
 def show_session(done: Attached, avs: Sequence[str], out: Path) -> None:
     """The attacks, why it is over, and where the files are."""
     from deepmf_sumo.report.table import counted

@@ -85,7 +85,7 @@ def command(
     attacked at the same time, each for itself.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session, tell_switch
+    from deepmf_sumo.cli._screen import leaving, show_session, tell_jump, tell_switch
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.lockstep import Stay
 
@@ -99,6 +99,7 @@ def command(
         closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
     ):
         prepared.record.switched = tell_switch
+        prepared.record.jumped = tell_jump
         done = live.attach(
             Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell, watch=watch
         )

@@ -57,7 +57,7 @@ def command(
     may also start it, with traci.start, in place of SUMO.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session, tell_switch
+    from deepmf_sumo.cli._screen import leaving, show_session, tell_jump, tell_switch
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.live.record import SUMO_FILES
     from deepmf_sumo.live.session import parts_of_a_step
@@ -84,6 +84,7 @@ def command(
     ):
         click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
         prepared.record.switched = tell_switch
+        prepared.record.jumped = tell_jump
         server.await_client(stopped)
         if not stopped():
             server.check()

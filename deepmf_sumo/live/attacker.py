@@ -281,6 +281,7 @@ class Attacker:
         self._sessions = sessions(api, wish, spec, self._record.add)
         for one in self._sessions:
             one.switched = self._record.switch
+        self._sessions[0].jumped = self._record.jump
         self._record.begin(setting_of(self._sessions[0], wish))
 
     @property
@@ -446,6 +447,7 @@ def attach(
         record.begin(setting_of(own[0], wish, planner="sumo" if clients == 0 else "script"))
         for one in own:
             one.switched = record.switch
+        own[0].jumped = record.jump  # all of them see the same
         watch(own)
         steps = Lockstep(api, own, stay, stopped)
     end: str = "failed"

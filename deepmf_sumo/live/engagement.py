@@ -195,6 +195,10 @@ class Engagement:
         for agent in self._takeover.placed():
             self._takeover.hand_back(self._step, agent)
 
+    def forget(self) -> None:
+        """SUMO has loaded another state, in which nothing is driven here."""
+        self._takeover.forget()
+
     def rollout(self) -> Rollout:
         """What happened, with the last second before it; only after the end."""
         assert self.turn is not None

@@ -148,6 +148,9 @@ class Lockstep:
 
     def _step(self) -> None:
         """One step, or a longer one where nothing can happen: each costs an exchange with SUMO."""
+        now_s = float(self._api.simulation.getTime())
+        for session in self._sessions:
+            session.keep_time(now_s)
         frames = min(session.idle_frames() for session in self._sessions)
         if self._stay.until_s is not None:
             frames = min(frames, round((self._stay.until_s - self._time_s) / DT_S))
@@ -158,7 +161,7 @@ class Lockstep:
                 session.after_long_step(frames)
             return
         for session in self._sessions:
-            session.before_step()
+            session.before_step(now_s)
         self._api.simulationStep()
         for session in self._sessions:
             session.after_step()

@@ -7,6 +7,7 @@ would contain values that were never asked for.
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -100,8 +101,9 @@ class Observer:
         x, y = state[POSITION][:2]
         if np.hypot(x - self._at[0], y - self._at[1]) > _SLACK_M:
             self._at = (x, y)
-            for domain in self._subscribed:
-                self._api.poi.setPosition(self._points[domain], x, y)
+            points = [self._points[domain] for domain in self._subscribed]
+            if not all(self._moved(point, self._at) for point in points):
+                return self._find()
         return seen
 
     def position(self, agent: AgentId) -> tuple[float, float] | None:
@@ -173,12 +175,34 @@ class Observer:
                 poi.remove(point)
         return Sighting(self._boxes(seen[_VEHICLES]), _on_foot(seen[_PERSONS]))
 
+    def keep(self) -> None:
+        """Before a step: a script may have removed our points; SUMO 1.28 ends without them."""
+        poi = self._api.poi
+        for domain in self._subscribed:
+            point = self._points[domain]
+            try:
+                poi.getType(point)
+            except self._api.TraCIException:
+                poi.add(point, *(self._at or (0.0, 0.0)), _INVISIBLE)
+                poi.subscribeContext(point, domain, self._radius_m, _VARIABLES[domain])
+
+    def forget(self) -> None:
+        """SUMO has loaded another state, with its own agents, and without subscriptions."""
+        there = self._api.poi.getIDList()
+        for point in (self._points[domain] for domain in self._subscribed):
+            if point in there:
+                self._api.poi.remove(point)
+        self._subscribed, self._at = [], None
+        self.bodies = Bodies(self._api, self._av)
+
     def close(self) -> None:
         """Remove the subscription and its point."""
         for domain in self._subscribed:
             point = self._points[domain]
-            self._api.poi.unsubscribeContext(point, domain, self._radius_m)
-            self._api.poi.remove(point)
+            with suppress(self._api.TraCIException):  # the script has removed it
+                self._api.poi.unsubscribeContext(point, domain, self._radius_m)
+            with suppress(self._api.TraCIException):
+                self._api.poi.remove(point)
         self._subscribed = []
         self._at = None
 
@@ -191,11 +215,9 @@ class Observer:
         poi = self._api.poi
         for domain in [_VEHICLES, _PERSONS] if self._api.person.getIDCount() else [_VEHICLES]:
             point = self._points[domain]
-            if domain in self._subscribed:
-                poi.setPosition(point, *at)
-            else:
+            if domain not in self._subscribed or not self._moved(point, at):
                 poi.add(point, *at, _INVISIBLE)
-                self._subscribed.append(domain)
+                self._subscribed = sorted({*self._subscribed, domain})
             # answered at once
             poi.subscribeContext(point, domain, self._radius_m, _VARIABLES[domain])
         self._at = at
@@ -206,6 +228,14 @@ class Observer:
             own = {POSITION: vehicle.getPosition3D(self._av), ANGLE: angle, SPEED: speed}
             seen = Sighting({**seen.vehicles, self._av: own}, seen.persons)
         return seen
+
+    def _moved(self, point: str, at: tuple[float, float]) -> bool:
+        """Put one of our points there; False where the script has removed it."""
+        try:
+            self._api.poi.setPosition(point, *at)
+        except self._api.TraCIException:
+            return False
+        return True
 
     def _persons_came(self) -> bool:
         """Whether there are persons that are not subscribed to yet: each subscription costs."""

@@ -22,7 +22,7 @@ import deepmf_sumo
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.live.session import LiveAttack, Switch
+from deepmf_sumo.live.session import Jump, LiveAttack, Switch
 from deepmf_sumo.metrics import measure
 from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
@@ -175,6 +175,7 @@ class Record:
     Attributes:
         rows: the attacks. switches: when new attacks were turned off and on, as in
             ``session.json``. switched: called with each of them; may be replaced.
+        jumps: of SUMO's time. jumped: called with each of them; may be replaced.
 
     Raises OutputError if the folder cannot be written, is in use, or contains something else, or
     earlier results without ``overwrite``.
@@ -191,6 +192,8 @@ class Record:
     ) -> None:
         self.rows: list[dict[str, Any]] = []
         self.switches: list[dict[str, Any]] = []
+        self.jumps: list[dict[str, Any]] = []
+        self.jumped: Callable[[dict[str, Any]], None] = lambda _: None
         self.switched: Callable[[dict[str, Any]], None] = lambda _: None
         self.simulations = 0
         self._now: tuple[str, float | None] = ("going on", None)
@@ -257,6 +260,19 @@ class Record:
             self._write(*self._now)
         self.switched(values)
 
+    def jump(self, jump: Jump) -> None:
+        """Note that SUMO's time jumped."""
+        values = {
+            "simulation": self.simulations,
+            "from_s": round(jump.from_s, 3),
+            "to_s": round(jump.to_s, 3),
+            "attacks": len(self.rows),
+        }
+        self.jumps.append(values)
+        if self._out is not None and self._results is not None:
+            self._write(*self._now)
+        self.jumped(values)
+
     def finish(self, end: str, time_s: float) -> None:
         """End the session."""
         if self._out is not None and self._results is not None:
@@ -287,6 +303,7 @@ class Record:
                 "attacks": len(self.rows),
                 "simulations": self.simulations,
                 "switches": self.switches,
+                "jumps": self.jumps,
             }
             files.write_json(self._out / sessions.FILE, values)
 

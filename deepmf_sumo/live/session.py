@@ -1,5 +1,6 @@
 """Attacks on one AV of a simulation that another program runs, step by step."""
 
+import copy
 import math
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
@@ -17,6 +18,9 @@ from deepmf_sumo.policies.base import Policy
 
 _ASK_EVERY: Final = 10
 _WAKE_S: Final = 1.5
+_SAME_S: Final = 1e-4
+_MISSED_S: Final = 1.0
+"""A script that is ahead by less has made steps of its own."""
 _AGAIN_S: Final = 1.0
 """Until the next try to attack after one in which no vehicle could."""
 
@@ -43,6 +47,14 @@ class Switch:
     door: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jump:
+    """SUMO's time went from one to another: its script has loaded a state."""
+
+    from_s: float
+    to_s: float
+
+
 class Session:
     """Attacks on one AV; the caller calls `before_step` and `after_step` around each step.
 
@@ -60,6 +72,7 @@ class Session:
     Attributes:
         attacks, undriven: numbers of attacks so far.
         last_failure: why the last try to attack failed.
+        jumped: called with each jump of SUMO's time; may be replaced.
         switched: called with each change of `switch`; may be replaced.
         enough: whether no other attack may begin; may be replaced.
 
@@ -84,12 +97,14 @@ class Session:
         self.av_present = False
         self.last_failure = ""
         self.switched: Callable[[Switch], None] = lambda _: None
+        self.jumped: Callable[[Jump], None] = lambda _: None
         self._on = True
         self.enough: Callable[[], bool] = lambda: False
         self._scenery = scenery
         self._policy = policy
         self._call = AtTime(np.inf)
-        self._triggers = (self._call, *triggers)
+        self._wanted = tuple(triggers)
+        self._triggers = (self._call, *map(copy.copy, triggers))
         self._pause_s = pause_s
         self._rng = rng
         self._finished = finished
@@ -107,6 +122,7 @@ class Session:
         self._next_s = -np.inf
         self._asleep = False
         self._frames = 0
+        self._ran_ahead = False
         self._start_s = self.time_s = float(scenery.api.simulation.getTime())
 
     @property
@@ -156,8 +172,16 @@ class Session:
         """Attack as soon as a vehicle can, whatever the triggers say."""
         self._call.not_before_s = -np.inf
 
-    def before_step(self) -> None:
-        """Put opponents at their poses at the end of the coming step."""
+    def before_step(self, now_s: float | None = None) -> None:
+        """Put opponents at their poses at the end of the coming step.
+
+        ``now_s``: SUMO's time, where `keep_time` has been told.
+
+        Raises UsageError where the script has made steps of its own since `after_step`.
+        """
+        if now_s is None:
+            self._check_time(self._sumo_time_s())
+        self._scenery.observer.keep()
         for engagement in self._engaged():
             if self._part == 0:
                 engagement.decide()
@@ -234,18 +258,62 @@ class Session:
             self._publish()
         self._scenery.observer.close()
 
+    def _sumo_time_s(self) -> float:
+        return float(self._scenery.api.simulation.getTime())
+
     def _count_time(self) -> None:
-        """Count, and check with SUMO now and then: asking costs as much as a tenth of a step."""
         self._frames += 1
         self.time_s = self._start_s + self._frames * DT_S
-        if self._frames % _ASK_EVERY:
-            return
-        now = float(self._scenery.api.simulation.getTime())
-        if abs(now - self.time_s) > 1e-6:
+
+    @property
+    def _expected_s(self) -> float:
+        return self.time_s + self._part * DT_S / self._parts
+
+    def _check_time(self, now_s: float) -> None:
+        """As `keep_time`, where the script steps: a little ahead, or twice, is no loaded state."""
+        ahead_s = now_s - self._expected_s
+        again = self._ran_ahead and self._frames < _ASK_EVERY
+        if _SAME_S < ahead_s < (np.inf if again else _MISSED_S):
             raise UsageError(
-                f"The simulation is at {now:g} s and was stepped to {self.time_s:g} s here; "
+                f"The simulation is at {now_s:g} s and was stepped to {self._expected_s:g} s here; "
                 "before_step and after_step belong around every single step."
             )
+        self.keep_time(now_s)
+
+    def keep_time(self, now_s: float) -> None:
+        """Before each step: begin anew where SUMO is not at the time to which it was stepped.
+
+        Then its script has loaded a state. An attack under way is over, and counts as undriven.
+        """
+        expected_s = self._expected_s
+        if abs(now_s - expected_s) < _SAME_S:
+            return
+        self._ran_ahead = now_s > expected_s
+        self._begin_anew(now_s, ahead=self._ran_ahead)
+        self.jumped(Jump(from_s=expected_s, to_s=now_s))
+
+    def _begin_anew(self, now_s: float, *, ahead: bool) -> None:
+        """Forget what was seen; what is later than a time that comes again has not been."""
+        for engagement in self._engaged():
+            if ahead:
+                engagement.let_go()
+            else:
+                engagement.forget()
+        self.undriven += self._attack is not None and self._attack.turn is None
+        self._attack, self._leaving = None, []
+        self._teleported = self._asleep = False
+        self._history.clear()
+        observer = self._scenery.observer
+        if ahead:
+            observer.close()
+        else:
+            observer.forget()
+        self._start_s = self.time_s = now_s
+        self._frames = self._part = 0
+        if not ahead:
+            self._triggers = (self._call, *map(copy.copy, self._wanted))
+            self._ended_s.clear()
+            self._next_s = np.inf if self._next_s == np.inf else -np.inf
 
     def _may_sleep(self) -> bool:
         """Whether no attack can begin before a second of history could be observed."""

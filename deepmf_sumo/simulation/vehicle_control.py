@@ -310,6 +310,13 @@ class Takeover:
         cost = self._hand_over.lane_cost(agent, lane_id, taken.route)
         return None if cost and taken.stops else cost
 
+    def forget(self) -> None:
+        """SUMO has loaded another state: it drives all vehicles from where they are in it."""
+        there = self._api.vehicle.getIDList()
+        for agent in [agent for agent in self._taken if agent in there]:
+            self._hand_over.give_back(agent)
+        self._taken.clear()
+
     def hand_back(self, step: int, agent: AgentId) -> None:
         """Let SUMO drive a vehicle from the coming step on: from where it is, if it is `drivable`.
 

@@ -12,19 +12,20 @@ Lost = type("FatalTraCIError", (Exception,), {})
 Refused = type("TraCIException", (Exception,), {})
 
 
-def steps_lost_at(time_s, error=Lost):
+def steps_lost_at(time_s, error=Lost, *, script_left=False):
     def lost():
         session.time_s = time_s
         raise error("connection closed by SUMO")
 
-    nothing = lambda: None  # noqa: E731
+    nothing = lambda *_: None  # noqa: E731
     session = SimpleNamespace(
-        time_s=0.0, before_step=nothing, after_step=nothing, close=nothing, idle_frames=lambda: 0
-    )
+        time_s=0.0, before_step=nothing, after_step=nothing, close=nothing, idle_frames=lambda: 0,
+        keep_time=nothing, check_script=nothing, script_left=script_left,
+    )  # fmt: skip
     api = SimpleNamespace(
         simulationStep=lost,
         close=nothing,
-        simulation=SimpleNamespace(getOption=lambda name: "25.0"),
+        simulation=SimpleNamespace(getOption=lambda name: "25.0", getTime=lambda: 0.0),
     )
     return Lockstep(api, [session], Stay(), lambda: False)
 
@@ -37,6 +38,10 @@ def test_at_the_end_the_simulation_is_over():
 def test_else_it_is_lost(time_s):
     with pytest.raises(SimulationError, match=f"lost at {time_s} s"):
         steps_lost_at(time_s).run()
+
+
+def test_a_sumo_that_was_ended_since_the_script_left_is_no_error():
+    assert steps_lost_at(12.0, script_left=True).run() == "script_left"
 
 
 def test_what_sumo_refuses_is_told():
