@@ -81,6 +81,7 @@ def confirmed(scene: Scene) -> Scene:
 
 
 def _checked(recording: Recording) -> Scene:
+    recording = _motion_checks.thinned(recording)
     raw, now, repairs = recording.tracks, recording.now, list(recording.repairs)
     steps = raw.valid.shape[1]
     _refuse_ids(recording.name, raw.ids, recording.signals.lane_ids, recording.road)
@@ -88,11 +89,12 @@ def _checked(recording: Recording) -> Scene:
     _refuse_twice(raw.ids, recording.signals.lane_ids)
     av_id = _named_av(recording)
     timestamps = _motion_checks.timestamps(recording.timestamps_s, steps, repairs)
+    _motion_checks.flatten_unknown_heights(raw, repairs)
     _motion_checks.drop_impossible_states(raw, repairs)
     _refuse_av(av_id, raw.valid[raw.ids.index(av_id)], now, repairs)
     _motion_checks.refuse_other_rate(raw, timestamps)
     _motion_checks.cut_jumps(raw, timestamps, now, av_id, repairs)
-    road = _repaired_road(recording.road, repairs)
+    road = _repaired_road(with_heights(recording.road, repairs), repairs)
     tracks = _finished(raw, now, av_id, repairs)
     return Scene(
         name=recording.name,
@@ -319,6 +321,21 @@ def _refuse_road(road: RoadMap) -> None:
             raise ReaderError(
                 f"lane {lane.id} has points that are not finite numbers, or too far away"
             )
+
+
+def with_heights(road: RoadMap, repairs: list[str]) -> RoadMap:
+    """The road with height 0 where a lane's is not finite."""
+    unknown = [lane.id for lane in road.lanes.values() if not np.isfinite(lane.z_m).all()]
+    if not unknown:
+        return road
+    repairs.append(
+        f"{len(unknown)} lanes without heights were taken to be at 0: {quoted(unknown)}."
+    )
+    flat = {
+        name: replace(road.lanes[name], z_m=np.where(np.isfinite(z_m), z_m, 0.0))
+        for name, z_m in ((one, road.lanes[one].z_m) for one in unknown)
+    }
+    return replace(road, lanes=road.lanes | flat)
 
 
 def _repaired_road(road: RoadMap, repairs: list[str]) -> RoadMap:

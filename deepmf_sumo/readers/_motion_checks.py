@@ -1,18 +1,21 @@
 """Checks of a recording's clock and of the motion in it; `_checks` has the others."""
 
 import itertools
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Bools, Floats, Ints, frozen
+from deepmf_sumo.datatypes import DT_S, HISTORY_STEPS, Bools, Floats, Ints, frozen
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers._recording import RecordingTracks
+from deepmf_sumo.readers._recording import Recording, RecordingTracks
 
 RATE_OFF: Final = 0.02
 """Share by which the clock may differ from 0.1 s a step over the whole recording,"""
 DRIFT_S: Final = 0.1
 """and seconds by which it may differ within a second; WOMD's differs by up to 0.05 s."""
+MOST_THINNED: Final = 10
+"""A recording may have so many times 10 Hz, less a half."""
 MOVES_MPS: Final = 2.0
 """Faster road users show the rate of a recording by their motion,"""
 LEAST_STATES: Final = 50
@@ -27,6 +30,41 @@ UNSEEN_MPS2: Final = 4.0
 """A road user may speed up and slow down by this much while it is not seen."""
 FARTHEST_M: Final = 1e6
 """Recordings have their origin closer than this."""
+
+
+def thinned(recording: Recording) -> Recording:
+    """A recording of 20, 30, ... Hz with every second, third, ... step of it, else as it is."""
+    times = recording.timestamps_s
+    steps = recording.tracks.valid.shape[1]
+    if len(times) != steps or steps < 2 or not np.isfinite(times).all():
+        return recording
+    usual = float(np.median(np.diff(times)))
+    every = round(DT_S / usual) if usual > DT_S / MOST_THINNED else 1
+    if every < 2 or abs(every * usual - DT_S) > RATE_OFF * DT_S:
+        return recording
+    first = recording.now % every  # so that the current step stays one
+    raw, signals = recording.tracks, recording.signals
+    return replace(
+        recording,
+        now=max(recording.now // every, HISTORY_STEPS - 1),
+        timestamps_s=times[first::every],
+        tracks=RecordingTracks(
+            ids=raw.ids,
+            kinds=raw.kinds,
+            size_m=raw.size_m[:, first::every],
+            position_m=raw.position_m[:, first::every],
+            heading_rad=raw.heading_rad[:, first::every],
+            velocity_mps=raw.velocity_mps[:, first::every],
+            valid=raw.valid[:, first::every],
+        ),
+        signals=replace(
+            signals, state=signals.state[:, first::every], seen=signals.seen[:, first::every]
+        ),
+        repairs=[
+            *recording.repairs,
+            f"It was recorded at {1 / usual:.3g} Hz; one of {every} steps was used.",
+        ],
+    )
 
 
 def timestamps(recorded: Floats, steps: int, repairs: list[str]) -> Floats:
@@ -79,6 +117,15 @@ def _refuse_drift(recorded: Floats, off_s: Floats) -> None:
                 f"was not recorded every {DT_S} s throughout: from step {at} on a step takes "
                 f"{took:.3g} s; resample it"
             )
+
+
+def flatten_unknown_heights(raw: RecordingTracks, repairs: list[str]) -> None:
+    """Set heights to 0, in place, that are not finite at states whose place is."""
+    placed = np.isfinite(raw.position_m[..., :2]).all(-1)
+    unknown = raw.valid & placed & ~np.isfinite(raw.position_m[..., 2])
+    if unknown.any():
+        raw.position_m[..., 2] = np.where(unknown, 0.0, raw.position_m[..., 2])
+        repairs.append(f"{int(unknown.sum())} states without a height were taken to be at 0.")
 
 
 def drop_impossible_states(raw: RecordingTracks, repairs: list[str]) -> None:

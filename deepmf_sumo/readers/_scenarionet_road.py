@@ -146,8 +146,9 @@ def _is_mirrored(features: Mapping[Any, Described], version: str) -> bool:
     by_name = {identifier(key): feature for key, feature in features.items()}
     for feature in by_name.values():
         for side, sign in (("left", 1.0), ("right", -1.0)):
-            for other in filter(_is_name, _listed(feature, side)):
-                beside = by_name.get(identifier(other), {})
+            for other in _listed(feature, side):
+                name = other if _is_name(other) else other["feature_id"]
+                beside = by_name.get(identifier(name), {})
                 left_m = _left_of(feature.get("polyline"), beside.get("polyline"))
                 right += left_m * sign > 0
                 wrong += left_m * sign < 0

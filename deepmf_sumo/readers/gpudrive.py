@@ -24,7 +24,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.readers import _lane_links, _single_file
-from deepmf_sumo.readers._checks import is_placed
+from deepmf_sumo.readers._checks import is_placed, with_heights
 from deepmf_sumo.readers._recording import (
     TWO_STATES,
     Recording,
@@ -237,6 +237,7 @@ def _road(features: Sequence[Described], repairs: list[str]) -> RoadMap:
                 strange.add(str(other))
     if strange:
         repairs.append(f"Roads of unknown types were dropped: {', '.join(sorted(strange))}.")
+    road.lanes = with_heights(road.built(), repairs).lanes
     lost = next((lane.id for lane in road.lanes.values() if not is_placed(lane)), None)
     if lost is not None:
         raise ValueError(f"lane {lost} has points that are not finite numbers, or too far away")

@@ -148,14 +148,17 @@ def _agents(listed: Any) -> tuple[str, ...]:
 
 
 def _timestamps(metadata: Described, steps: int) -> Floats:
-    """(T) as recorded, else from the sample rate (in s), else empty."""
+    """(T) as recorded, else from the sample rate (in s, or in Hz above 1), else empty."""
     times = metadata.get("ts")
     if times is not None:
         recorded = np.asarray(times, float).reshape(-1)
         # nuScenes' are made by adding 0.1 s, which can come to one too many.
         return recorded[:steps] if len(recorded) == steps + 1 else recorded
-    rate_s = metadata.get("sample_rate")
-    return np.zeros(0) if rate_s is None else float(rate_s) * np.arange(steps, dtype=float)
+    rate = metadata.get("sample_rate")
+    if rate is None:
+        return np.zeros(0)
+    step_s = float(rate) if float(rate) <= 1 else 1 / float(rate)
+    return step_s * np.arange(steps, dtype=float)
 
 
 # Road users

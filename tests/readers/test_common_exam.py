@@ -113,12 +113,33 @@ def test_the_av_may_not_jump_while_unseen(read, tmp_path):
         (0.12, "every 0.12 s (8.33 Hz)"),
         (0.105, "every 0.105 s (9.52 Hz)"),
         (0.075, "every 0.075 s (13.3 Hz)"),
-        (0.05, "every 0.05 s (20 Hz)"),
+        (0.03, "every 0.03 s (33.3 Hz)"),
     ],
 )
 def test_other_rates_are_refused_with_the_real_one(read, seconds, said, tmp_path):
     message = moves(clock(by_hand.scenario(), np.arange(91) * seconds), seconds)
     assert f"was recorded {said}; only 0.1 s can be used" in reason(read(message, tmp_path))
+
+
+@pytest.mark.parametrize("read", WITH_CLOCK)
+@pytest.mark.parametrize(("every", "now"), [(2, 20), (2, 21), (3, 31), (2, 5)])
+def test_a_multiple_of_10_hz_is_the_same_scene_at_10_hz(read, every, now, tmp_path):
+    step = 0.1 / every
+    fine = by_hand.scenario(steps=90 * every + max(now, 10) % every + 1, now=now)
+    fine = moves(clock(fine, np.arange(len(fine.timestamps_seconds)) * step), step)
+    scene = read(fine, tmp_path)
+    assert scene.now == max(now // every, 10)
+    assert f"It was recorded at {10 * every} Hz; one of {every} steps was used." in scene.repairs
+    assert scene.tracks.steps == scene.signals.state.shape[1] == 91
+    for row, speed in ((0, 12.0), (2, 10.0)):
+        assert np.diff(scene.tracks.position_m[row, :, 0]) == pytest.approx(0.1 * speed, abs=1e-4)
+    x = fine.tracks[2].states[now].center_x if now >= 10 * every else 10.0
+    assert scene.tracks.position_m[2, scene.now, 0] == pytest.approx(x, abs=1e-4)
+    assert np.diff(scene.timestamps_s) == pytest.approx(0.1, abs=1e-5)
+    shown = [bool(one.lane_states) for one in fine.dynamic_map_states][
+        max(now, 10) % every :: every
+    ]
+    assert scene.signals.seen[0].tolist() == shown
 
 
 @pytest.mark.parametrize("read", WITH_CLOCK)
@@ -228,6 +249,23 @@ def test_heights_are_as_recorded(read, tmp_path):
     assert scene.tracks.z_m[scene.tracks.row("7")].tolist() == [8.0] * 91
     assert set(scene.road.lanes["101"].z_m) == {7.5}
     assert set(scene.road.lanes["100"].z_m) == {0.5}
+
+
+@pytest.mark.parametrize("read", FORMATS)
+def test_heights_that_are_missing_are_0(read, tmp_path):
+    message = by_hand.scenario()
+    for state in message.tracks[0].states[:20]:
+        state.center_z = np.nan
+    for point in message.map_features[1].lane.polyline:
+        point.z = np.nan
+    scene = read(message, tmp_path)
+    assert valid(scene, "7").all()
+    assert scene.tracks.z_m[0].tolist() == [0.0] * 20 + [1.0] * 71
+    assert not scene.road.lanes["101"].z_m.any()
+    assert set(scene.repairs) == {
+        "20 states without a height were taken to be at 0.",
+        "1 lanes without heights were taken to be at 0: 101.",
+    }
 
 
 def test_the_native_format_has_the_same_clock_and_no_signal_twice(tmp_path):
