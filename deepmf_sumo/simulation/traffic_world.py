@@ -209,9 +209,13 @@ class TrafficWorld:
 
 
 def _named(api: SumoApi, only: set[AgentId]) -> set[AgentId]:
-    """The named road users; a person may be named as SUMO has it, unless a vehicle has the name."""
+    """The named road users, and the vehicles of named parts.
+
+    A person may be named as SUMO has it, unless a vehicle has the name.
+    """
     vehicles = set(api.vehicle.getIDList())
-    return only | {agent_ids.of_person(name) for name in only - vehicles}
+    persons = {agent_ids.of_person(name) for name in only - vehicles}
+    return only | persons | {agent_ids.whole_of(name) for name in only}
 
 
 def _of_bodies(frame: Frame, only: Collection[AgentId]) -> Frame:
