@@ -22,6 +22,7 @@ import difflib
 from collections.abc import Iterable
 from typing import Final, Literal
 
+PlannerFault = Literal["crashed", "hung", "nonsense"]
 Ending = Literal["interrupted", "wrong", "failed", "broken", "fine"]
 
 EXIT_CODES: Final[dict[Ending, int]] = {
@@ -89,7 +90,16 @@ class SimulationError(RunError):
 
 
 class PlannerError(RunError):
-    """The planner under test raised, ended, was late, or gave a command that cannot be driven."""
+    """The planner under test raised, ended, was late, or gave a command that cannot be driven.
+
+    Attributes:
+        kind: which of these: it raised or ended (``crashed``), was late (``hung``), or answered
+            what cannot be understood or driven (``nonsense``).
+    """
+
+    def __init__(self, message: str, *, kind: PlannerFault = "nonsense") -> None:
+        super().__init__(message)
+        self.kind: PlannerFault = kind
 
     def __str__(self) -> str:
         return f"planner_error: {super().__str__()}"
@@ -112,6 +122,7 @@ __all__ = [
     "Ending",
     "OutputError",
     "PlannerError",
+    "PlannerFault",
     "PluginError",
     "ReaderError",
     "RunError",

@@ -118,7 +118,7 @@ def blamed() -> Iterator[None]:
         if isinstance(error, KeyboardInterrupt) and not _ignored(signal.SIGINT):
             raise
         reason = f"{type(error).__name__}: {error} (see log.txt)"
-        raise PlannerError(reason) from error
+        raise PlannerError(reason, kind="crashed") from error
     finally:
         if os.getpid() != process:  # it forked, and this is the copy: there is one simulation
             os._exit(0)

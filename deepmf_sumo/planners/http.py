@@ -81,12 +81,14 @@ class Server:
             self.close()
             if time.monotonic() >= deadline:
                 raise PlannerError(
-                    f"{self._name} did not answer {what} within {limit_s:g} s."
+                    f"{self._name} did not answer {what} within {limit_s:g} s.", kind="hung"
                 ) from None
-            raise PlannerError(f"{self._name} cannot be asked for {what}: {error}.") from None
-        if status != 200:
+            reason = f"{self._name} cannot be asked for {what}: {error}."
+            raise PlannerError(reason, kind="crashed") from None
+        if status != 200:  # its code has raised
             raise PlannerError(
-                f"{self._name} answered {what} with status {status}: {answer[:200]!r}."
+                f"{self._name} answered {what} with status {status}: {answer[:200]!r}.",
+                kind="crashed",
             )
         if len(answer) > LONGEST_BYTES:
             raise PlannerError(

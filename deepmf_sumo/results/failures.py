@@ -6,6 +6,7 @@ what the AV did, and when the AV could first have reacted. The kind of conflict 
 `conflict_types`.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -26,7 +27,7 @@ from deepmf_sumo.results.conflict_types import ACROSS, ConflictType, Meeting, Si
 from deepmf_sumo.results.reader import Results, Run
 
 Kind = Literal[
-    "hit", "planner crashed", "planner hung", "planner or attack hung", "planner answered nonsense"
+    "hit", "planner crashed", "planner hung", "planner answered nonsense", "run timed out"
 ]  # fmt: skip
 Action = Literal[
     "braked", "stopped", "accelerated", "set off", "stood", "held speed", "steered"
@@ -44,9 +45,15 @@ _STOPPED_STEPS: Final = 10
 _LATE_S: Final = 1.0
 """Braking is late if it begins later than 1 s after the onset."""
 _LONG_M: Final = 6.5
-_HUNG: Final = ("did not answer", "TimeoutError")
-_CRASHED: Final = ("ended its process", "before it answered", "(see log.txt)")
 _PLANNER: Final = "planner_error:"
+_FAULTS: Final[dict[str, Kind]] = {
+    "crashed": "planner crashed",
+    "hung": "planner hung",
+    "nonsense": "planner answered nonsense",
+}
+_HUNG: Final = re.compile(r"did not answer .* within \S+ s\.$")
+_CRASHED: Final = re.compile(r"ended its process|before it answered|\(see log\.txt\)")
+"""The words of errors in results of earlier versions, which do not name the fault."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,20 +148,19 @@ def _joining(turned: Who, conflict: ConflictType, priority: Who) -> Who:
 
 
 def _of_planner(run: Run) -> Failure | None:
-    """A planner's error. Of a run that was out of time it is not known whether the planner hung."""
+    """A planner's error, or a run out of time: by the planner, the attack or a slow machine."""
     error = run.row.get("error", "")
     if run.status == "timeout":
-        reason = f"the run took {error}"
-        return Failure(run=run, kind="planner or attack hung", reason=reason)
-    if not error.startswith(_PLANNER):
-        return None
+        return Failure(run=run, kind="run timed out", reason=f"it took {error}")
     reason = error.removeprefix(_PLANNER).strip()
-    kind: Kind = "planner answered nonsense"
-    if any(mark in reason for mark in _HUNG):
-        kind = "planner hung"
-    elif any(mark in reason for mark in _CRASHED):
-        kind = "planner crashed"
-    return Failure(run=run, kind=kind, reason=reason)
+    fault = run.result.get("planner_fault") if run.has_result else None
+    if fault is None and error.startswith(_PLANNER):
+        fault = "nonsense"
+        if _CRASHED.search(reason):
+            fault = "crashed"
+        elif _HUNG.search(reason):
+            fault = "hung"
+    return Failure(run=run, kind=_FAULTS[fault], reason=reason) if fault in _FAULTS else None
 
 
 def _of_hit(run: Run, rollout: Rollout, contact: Contact, road: RoadMap | None) -> Failure:

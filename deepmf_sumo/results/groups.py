@@ -85,7 +85,7 @@ def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
     """Groups of the failures of a number of runs, the worst first.
 
     Errors of the planner come first, then hits by avoidability, delta-v, and how ordinary the
-    opponent's motion is.
+    opponent's motion is, and last the runs that were out of time, which may be the machine's fault.
     """
     found: dict[Hashable, list[Failure]] = defaultdict(list)
     for failure in failures:
@@ -111,5 +111,5 @@ def _key(failure: Failure) -> Hashable:
 def _rank(failure: Failure) -> tuple[Any, ...]:
     grade = -1 if failure.grade is None else GRADES.index(failure.grade)
     ordinary = _UNKNOWN if failure.ordinary_mps2 is None else failure.ordinary_mps2
-    hit = failure.kind == "hit"
-    return (hit, -grade, -failure.delta_v_mps, ordinary, failure.run.run_id)
+    place = {"hit": 1, "run timed out": 2}.get(failure.kind, 0)
+    return (place, -grade, -failure.delta_v_mps, ordinary, failure.run.run_id)

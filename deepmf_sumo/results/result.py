@@ -23,6 +23,7 @@ from deepmf_sumo.datatypes import (
     Turn,
 )
 from deepmf_sumo.datatypes.rollout import decisive
+from deepmf_sumo.errors import PlannerFault
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.metrics import NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
@@ -175,6 +176,8 @@ class Result(TypedDict, total=False):
         inputs: digests of what the run reads: ``source``, ``weights``, ``planner``,
             ``adversary``, ``others`` (code of metrics and readers that is not of this package).
         error: why the run failed.
+        planner_fault: of a run that failed, what the planner did wrong: ``crashed``, ``hung`` or
+            ``nonsense``; empty where it is not the planner's.
         refused: a record that cannot be used.
         expectations_broken: sentences of the spec's ``expect``.
         timings: wall times; the only values that differ between equal runs.
@@ -220,6 +223,7 @@ class Result(TypedDict, total=False):
     inputs: dict[str, str]
     status: Required[Status]
     error: Required[str]
+    planner_fault: str
     refused: bool
     expectations_broken: list[str]
     timings: Required[dict[str, Any]]
@@ -282,10 +286,17 @@ TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
 """Columns that differ between equal runs."""
 
 
-def unfinished(task: Task, status: Status, error: str, wall_s: float = 0.0) -> Result:
-    """The result of a run without one, and the reason."""
+def unfinished(
+    task: Task,
+    status: Status,
+    error: str,
+    wall_s: float = 0.0,
+    fault: PlannerFault | Literal[""] = "",
+) -> Result:
+    """The result of a run without one, and the reason; ``fault``: what the planner did wrong."""
     return {
         **_identity(task, status, " ".join(error.split())),
+        "planner_fault": fault,
         "timings": {"wall_s": wall_s},
     }
 

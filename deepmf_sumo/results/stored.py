@@ -158,6 +158,7 @@ class _Result(_Part):
     budget: _Budget = _Budget()
     setup: dict[str, Any] | None = None
     inputs: dict[str, str] = {}
+    planner_fault: str | None = None
     status: Literal["ok", "failed", "timeout", "skipped"]
     error: str
     expectations_broken: list[str]

@@ -117,7 +117,8 @@ class Episode:
             self._do(task)
         except PlannerError as error:  # it ended the process
             wall_s = time.perf_counter() - begin
-            finish(self.runs, task, result.unfinished(task, "failed", str(error), wall_s))
+            ended = result.unfinished(task, "failed", str(error), wall_s, error.kind)
+            finish(self.runs, task, ended)
 
     def _do(self, task: Task) -> None:
         work = self._work_of(task)
@@ -152,7 +153,9 @@ class Episode:
             except DeepmfError as error:
                 if isinstance(error, PlannerError) and error.__cause__:
                     traceback.print_exc()  # where in the planner it was
-                found = result.unfinished(task, "failed", str(error), time.perf_counter() - begin)
+                fault = error.kind if isinstance(error, PlannerError) else ""
+                seconds = time.perf_counter() - begin
+                found = result.unfinished(task, "failed", str(error), seconds, fault)
             except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
                 traceback.print_exc()
                 reason = f"{type(error).__name__}: {error} (see log.txt)"

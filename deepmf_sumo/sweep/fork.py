@@ -295,7 +295,8 @@ def _copied(work: Callable[[], T], shared: object = None) -> T:
         said = answer.read()
     blamed = _checked.at_work()
     if not said and blamed:
-        raise PlannerError(f"the planner ended its process ({_ending(status)}; see log.txt).")
+        reason = f"the planner ended its process ({_ending(status)}; see log.txt)."
+        raise PlannerError(reason, kind="crashed")
     if not said:
         _die(os.waitstatus_to_exitcode(status))
     ended = _Answer(io.BytesIO(said), shared).load()  # its own copy said it

@@ -1,7 +1,9 @@
 """Failures: the words for a hit, errors of planners, and groups with the worst first."""
 
 import json
+import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from deepmf_sumo import files
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
+from deepmf_sumo.errors import PlannerError
 from deepmf_sumo.report import failures as words
 from deepmf_sumo.results import conflict_types
 from deepmf_sumo.results import failures as module
@@ -17,6 +20,7 @@ from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.results.reader import Results, Run
 
+from tests.support import gate_doubles
 from tests.support.result_folders import Folder
 from tests.support.rollout_doubles import contact_of, rollout_of, straight
 
@@ -233,10 +237,10 @@ def test_who_yields_by_the_map_has_no_priority():
         assert module._by_map(pair) == priority
 
 
-def run(run_id, status="ok", error=""):
+def run(run_id, status="ok", error="", folder=Path("nowhere")):
     names = ("run_id", "method", "planner", "scene", "adversary", "version", "outcome")
     values = dict.fromkeys(names, "") | {"run_id": run_id, "part": "main", "seed": 0}
-    return Run(folder=None, row={"error": error}, status=status, **values)
+    return Run(folder=folder, row={"error": error}, status=status, **values)
 
 
 @pytest.mark.parametrize(
@@ -248,7 +252,9 @@ def run(run_id, status="ok", error=""):
         ("failed", "planner_error: p.py ended with exit code 3 before it answered step 12.",
          "planner crashed"),
         ("failed", "planner_error: p.py did not answer step 12 within 1 s.", "planner hung"),
-        ("timeout", "longer than 600 s", "planner or attack hung"),
+        ("failed", "planner_error: RuntimeError: the lidar did not answer (see log.txt)",
+         "planner crashed"),
+        ("timeout", "longer than 600 s", "run timed out"),
         ("failed", "planner_error: speed_mps at step 12 is nan, not a finite number.",
          "planner answered nonsense"),
         ("failed", "SUMO refused something", None),
@@ -260,6 +266,30 @@ def test_errors_of_a_planner_are_failures_of_their_own(status, error, kind):
     assert (found and found.kind) == kind
     if found:
         assert words.sentence(grouped([found], 4)[0]).startswith(f"The {kind}: ")
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        ("crashed", "planner crashed"),
+        ("hung", "planner hung"),
+        ("nonsense", "planner answered nonsense"),
+        ("", None),
+    ],
+)
+def test_a_fault_is_what_was_raised_whatever_the_words(tmp_path, fault, kind):
+    """Words of a planner or an adversary may be those of any of our messages."""
+    words_of_all = "planner_error: the planner ended its process, did not answer step 1 within 1 s."
+    values = gate_doubles.failed() | {"error": words_of_all, "planner_fault": fault}
+    (tmp_path / "result.json").write_text(json.dumps(values))
+    found = failure_of(run("a", "failed", words_of_all, tmp_path))
+    assert (found and found.kind) == kind
+
+
+def test_a_fault_survives_the_way_between_processes():
+    error = pickle.loads(pickle.dumps(PlannerError("late", kind="hung")))
+    assert (error.kind, str(error)) == ("hung", "planner_error: late")
+    assert PlannerError("what").kind == "nonsense"
 
 
 def hit(name, grade="C", delta_v=5.0, ordinary=1.0, **more):
@@ -280,10 +310,11 @@ def test_groups_are_ranked_by_error_avoidability_severity_and_ordinary_motion():
         hit("fast", "C", 9.0, conflict="head-on"),
         hit("all", "D", 1.0, conflict="rear-end"),
         crash,
+        Failure(run=run("slow"), kind="run timed out", reason="it took longer than 600 s"),
     ]
     groups = grouped(found, 40)
     names = [[one.run.run_id for one in group.failures] for group in groups]
-    assert names == [["crash"], ["all"], ["fast"], ["calm", "same"], ["wild"], ["fated"]]
+    assert names == [["crash"], ["all"], ["fast"], ["calm", "same"], ["wild"], ["fated"], ["slow"]]
     values = groups[3].values()
     assert (values["runs"], values["of"], values["example"]) == (2, 40, "calm")
     assert values["avoided_by"] == "careful driver"

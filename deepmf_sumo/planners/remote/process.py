@@ -65,7 +65,9 @@ class Process:
             while (answer := self._next_line(what)) is None:
                 ready = selector.select(max(0.0, deadline - time.monotonic()))
                 if time.monotonic() >= deadline:
-                    raise PlannerError(f"{self._name} did not answer {what} within {limit_s:g} s.")
+                    raise PlannerError(
+                        f"{self._name} did not answer {what} within {limit_s:g} s.", kind="hung"
+                    )
                 for key, _ in ready:
                     line = self._serve(selector, key.fd, line, what)
         return answer
@@ -106,7 +108,8 @@ class Process:
         elif data:
             self._answers += data
         else:
-            raise PlannerError(f"{self._name} {self._ending()} before it answered {what}.")
+            reason = f"{self._name} {self._ending()} before it answered {what}."
+            raise PlannerError(reason, kind="crashed")
         return line
 
     def _next_line(self, what: str) -> bytes | None:
