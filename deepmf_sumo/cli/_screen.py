@@ -6,13 +6,11 @@ Imports inside functions: help and short commands load nothing that they do not 
 from __future__ import annotations
 
 import json
-import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -61,28 +59,6 @@ def plain_grid(texts: Iterable[str], numbers: Iterable[str] = ()) -> Table:
     for heading in numbers:
         grid.add_column(escape(heading), overflow="fold", justify="right")
     return grid
-
-
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-@contextmanager
-def leaving() -> Iterator[Callable[[], bool]]:
-    """Whether a signal has asked to stop; a second one raises KeyboardInterrupt at once."""
-    asked = False
-
-    def ask(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as `signal` wants it
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-
-    before = [signal.signal(number, ask) for number in _SIGNALS]
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in zip(_SIGNALS, before, strict=True):
-            signal.signal(number, handler)
 
 
 def emit(form: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> None:

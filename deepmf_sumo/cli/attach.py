@@ -85,7 +85,8 @@ def command(
     attacked at the same time, each for itself.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session, tell_jump, tell_switch
+    from deepmf_sumo.cli._leaving import leaving
+    from deepmf_sumo.cli._screen import show_session, tell_jump, tell_switch
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.lockstep import Stay
 

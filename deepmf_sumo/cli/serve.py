@@ -1,6 +1,6 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
 from deepmf_sumo.errors import SimulationError, exit_code
 
 if TYPE_CHECKING:
+    from deepmf_sumo.cli._leaving import Leaving
     from deepmf_sumo.live import Server
     from deepmf_sumo.live.attacker import Attached, Prepared
     from deepmf_sumo.live.lockstep import Stay
@@ -57,7 +58,8 @@ def command(
     may also start it, with traci.start, in place of SUMO.
     """
     from deepmf_sumo import live
-    from deepmf_sumo.cli._screen import leaving, show_session, tell_jump, tell_switch
+    from deepmf_sumo.cli._leaving import leaving
+    from deepmf_sumo.cli._screen import show_session, tell_jump, tell_switch
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.live.record import SUMO_FILES
     from deepmf_sumo.live.session import parts_of_a_step
@@ -110,7 +112,7 @@ def _simulations(
     server: "Server",
     prepared: "Prepared",
     stay: "Stay",
-    stopped: Callable[[], bool],
+    stopped: "Leaving",
     tell: attach.Tell,
     watch: attach.Watch,
 ) -> "Iterator[Attached]":
@@ -132,7 +134,8 @@ def _simulations(
         undriven += done.undriven
         yield replace(done, undriven=undriven)
         end = done.end
-        server.stay(lambda: stopped() and end != "stopped")  # noqa: B023 - called here
+        # after Ctrl-C the script may go on without attacks
+        server.stay(lambda: stopped() and (end != "stopped" or stopped.terminated))  # noqa: B023
         more = not stopped() and server.load()
         if more:
             click.echo("the client has loaded another simulation", err=True)

@@ -18,6 +18,7 @@ from deepmf_sumo.errors import SimulationError, UsageError, nearest
 from deepmf_sumo.live.connection import (
     LiveApi,
     Port,
+    abandon,
     connect,
     lost,
     of_sumo,
@@ -453,10 +454,14 @@ def attach(
     end: str = "failed"
     try:
         end = why = steps.run()
+    except KeyboardInterrupt:
+        end = "stopped"
+        abandon(api)
+        raise
+    finally:
         if end == "stopped":
             for one in own:
                 one.switch(on=False, door="signal")
-    finally:
         record.finish(end, steps.ended_s)
     return Attached(
         profile=record.profile,

@@ -123,6 +123,13 @@ def others(api: LiveApi) -> int | None:
     return len(clients) - 1 if seen else None
 
 
+def abandon(api: LiveApi) -> None:
+    """Close a connection on which an answer is still due: SUMO reads nothing before, and ends."""
+    connection = getattr(api, "_socket", None)
+    if connection is not None:
+        connection.close()
+
+
 def of_sumo(error: BaseException) -> bool:
     """Whether SUMO or its connection raised it: libsumo and traci have classes of their own."""
     return type(error).__name__ in _EXCEPTIONS

@@ -98,6 +98,7 @@ class Lockstep:
             return end
         except KeyboardInterrupt:
             in_order = False
+            self.ended_s = self._time_s
             raise
         except Exception as error:
             if not of_sumo(error):

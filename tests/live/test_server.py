@@ -3,6 +3,7 @@
 import csv
 import functools
 import json
+import os
 import re
 import shutil
 import signal
@@ -21,7 +22,7 @@ import pytest
 import sumo
 from traci import constants
 
-from deepmf_sumo.cli import main
+from deepmf_sumo.cli import _leaving, main
 from deepmf_sumo.errors import exit_code
 from deepmf_sumo.live.relay import CLOSE, LARGEST, LOAD, ORDER, STEP
 
@@ -595,6 +596,32 @@ def test_nothing_is_left_where_the_command_is_killed(served):
         except OSError:
             return
     raise AssertionError("the port is still open")
+
+
+@pytest.mark.parametrize("last", [b"", b"\x08\xa4\x00" + struct.pack("!i", 0) + b"x"])
+def test_one_sigterm_ends_it_while_the_client_is_idle_or_sumo_hangs(
+    talked, tmp_path, monkeypatch, last
+):
+    monkeypatch.setattr(_leaving, "_IDLE_S", 0.3)
+    monkeypatch.setattr(_leaving, "_LOOK_S", 0.05)
+
+    def talk(connect):
+        with connect() as connection:
+            for _ in range(3):
+                connection.sendall(message(command(STEP, struct.pack("!d", 0.0))))
+                assert connection.recv(4096)
+            if last:
+                connection.sendall(message(last))
+            os.kill(os.getpid(), signal.SIGTERM)
+            connection.settimeout(30)
+            with suppress(ConnectionError):
+                assert connection.recv(4096) == b""  # SUMO has ended
+
+    code, _, told = talked(talk)
+    assert code == exit_code("interrupted"), told
+    session = json.loads((tmp_path / "live/session.json").read_text())
+    assert (session["ended"], session["switches"][0]["door"]) == ("stopped", "signal")
+    assert session["time_s"] > 0
 
 
 def test_a_second_client_is_turned_away(talked):
