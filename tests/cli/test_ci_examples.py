@@ -142,9 +142,32 @@ def test_the_action_installs_this_package_with_the_build_that_is_asked_for(repos
         assert action(repository, "install", package="my package", torch=torch).returncode == 0
     install = "uv pip install --quiet --system"
     assert (repository / "asked").read_text().splitlines() == [
-        "pip install --quiet uv", f"{install} --torch-backend cpu my package", "deepmf-sumo doctor",
-        "pip install --quiet uv", f"{install} my package", "deepmf-sumo doctor",
+        "pip install --quiet uv==0.13.9", f"{install} --torch-backend cpu my package", "deepmf-sumo doctor",
+        "pip install --quiet uv==0.13.9", f"{install} my package", "deepmf-sumo doctor",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("out", "name"),
+    [
+        ("results", "results"),
+        ("build/results", "build-results"),
+        ("./a b/ü:1", "a-b----1"),
+        ('x"y\nz', "x-y-z"),
+    ],
+)
+def test_the_artifact_has_a_name_that_github_takes(repository, monkeypatch, out, name):
+    monkeypatch.setenv("LC_ALL", "C")
+    monkeypatch.setenv("GITHUB_OUTPUT", str(repository / "output"))
+    assert action(repository, "name", out=out).returncode == 0
+    assert (repository / "output").read_text() == f"artifact={name}\n"
+
+
+def test_what_others_wrote_is_pinned():
+    """A tag can be moved to another program."""
+    for steps in (ACTION["runs"]["steps"], GITHUB["steps"]):
+        for used in filter(None, (step.get("uses") for step in steps)):
+            assert re.fullmatch(r"actions/[a-z-]+@[0-9a-f]{40}", used)
 
 
 def test_inputs_reach_the_shell_of_the_action_as_variables_alone():
