@@ -142,7 +142,8 @@ def test_the_action_installs_this_package_with_the_build_that_is_asked_for(repos
         assert action(repository, "install", package="my package", torch=torch).returncode == 0
     install = "uv pip install --quiet --system"
     assert (repository / "asked").read_text().splitlines() == [
-        "pip install --quiet uv==0.13.9", f"{install} --torch-backend cpu my package", "deepmf-sumo doctor",
+        "pip install --quiet uv==0.13.9", f"{install} --torch-backend cpu my package",
+        "deepmf-sumo doctor",
         "pip install --quiet uv==0.13.9", f"{install} my package", "deepmf-sumo doctor",
     ]  # fmt: skip
 
