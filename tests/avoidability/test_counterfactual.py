@@ -115,6 +115,9 @@ def test_a_log_is_what_would_have_been_whatever_the_av_does():
     alone = counterfactual(rollout, case, "b")
     assert alone.by == "log"
     np.testing.assert_array_equal(alone.position_m, BESIDE[:, :2])
+    # an earlier turn took the opponent elsewhere: the log is not where it comes from
+    elsewhere = rollout_of({"av": braking, "b": slow_cut_in() + np.array([0.1, 0, 0])})
+    assert counterfactual(elsewhere, case, "b").by == "lane"
 
 
 @pytest.mark.parametrize("moved", ["av", "b"])
