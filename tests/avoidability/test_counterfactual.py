@@ -11,7 +11,7 @@ from deepmf_sumo.avoidability.counterfactual import counterfactual
 from deepmf_sumo.avoidability.encounter import onset_step
 from deepmf_sumo.datatypes import Budget, Forecast, Futures, Plan, PlanReason, RoadMap
 
-from tests.adversaries.test_every_adversary import NEEDED
+from tests.policies.test_every_policy import NEEDED
 from tests.support.drawn_attacks import NO_ROAD, NOW, attack
 from tests.support.driven_world import World
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight, tracks_of
