@@ -119,7 +119,7 @@ def test_adversaries_without_such_settings_are_as_they_were(tmp_path, adversary)
     assert found[0].adversary.settings == {}
 
 
-@pytest.mark.parametrize("profile", ["fare", "", 3, None])
+@pytest.mark.parametrize("profile", ["fare", "", 3, None, [], ["fair"], {"fair": True}])
 def test_an_unknown_profile_is_refused(tmp_path, profile):
     with pytest.raises(SpecError, match="key 'profile'"):
         spec.load(written(tmp_path, profile=profile))
@@ -275,7 +275,21 @@ def test_version_3_says_what_to_write_in_place_of_a_switch(tmp_path, keys, switc
 
 
 @pytest.mark.parametrize("version", [1, 2, 3])
-@pytest.mark.parametrize("wrong", [{"fair": "yes"}, {"lawful": 1}, {"constraints": "fair"}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"fair": "yes"},
+        {"lawful": 1},
+        {"no_rear_end": None},
+        {"fair": [], "goal": "avoidable"},
+        {"constraints": "fair"},
+        {"constraints": None},
+        {"constraints": ["fair", None]},
+        {"constraints": ["fair", ["on_road"]], "fair": True},
+        {"constraints": [1.5, "fair"]},
+        {"constraints": {"fair": True}},
+    ],
+)
 def test_what_is_no_constraint_is_refused(tmp_path, version, wrong):
     with pytest.raises(SpecError, match="adversary"):
         spec.load(written(tmp_path, version=version, adversary={"name": "deepmf", **wrong}))

@@ -112,7 +112,7 @@ def completed(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _of_version_3(found: dict[str, Any], choice: dict[str, Any]) -> dict[str, Any]:
     name = found.setdefault("profile", DEFAULT)
-    if name not in PROFILES:
+    if not (isinstance(name, str) and name in PROFILES):
         return found  # which is refused where keys are checked
     if applies_to(str(choice.get("name"))):
         if choice.get("form") == "paper":
@@ -144,7 +144,7 @@ def _profiled(choice: dict[str, Any], name: ProfileName) -> dict[str, Any]:
 def _as_list(choice: Mapping[str, Any], switch: str, profile: Profile) -> str:
     """What to write in place of a constraint that is switched on or off."""
     listed = choice.get("constraints", left_open(profile.constraints, choice))
-    others = {one for one in listed if one != switch} if isinstance(listed, list | tuple) else set()
+    others = {one for one in listed if one != switch} if _are_names(listed) else set()
     meant = sorted(others | {switch} if choice[switch] is True else others)
     profiles = [name for name in PROFILES if name == switch and choice[switch] is True]
     instead = f", or profile: {profiles[0]}" if profiles else ""
@@ -161,7 +161,7 @@ def with_listed(settings: Mapping[str, Any]) -> dict[str, Any]:
     nor false, is left for the settings to refuse.
     """
     found, listed = dict(settings), _in_order(settings.get("constraints", ()))
-    known = isinstance(listed, list)  # what is none is refused
+    known = _are_names(listed)  # what is none is refused
     names = {*listed} if known else set()
     for switch in SWITCHES:
         if found.get(switch) is True:
@@ -180,9 +180,11 @@ def _contradicts_goal(settings: Mapping[str, Any], switch: str) -> bool:
 
 def _in_order(names: Any) -> Any:
     """Names each once; what is no list of names as it is, to be refused."""
-    if isinstance(names, list | tuple) and all(isinstance(one, str) for one in names):
-        return sorted({*names})
-    return names
+    return sorted({*names}) if _are_names(names) else names
+
+
+def _are_names(names: Any) -> bool:
+    return isinstance(names, list | tuple) and all(isinstance(one, str) for one in names)
 
 
 def _ruled(choice: dict[str, Any], rule: str | None, version: int) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from deepmf_sumo.sweep.inputs import fingerprinted
 from tests.fuzz import mutators, runner
 
 _SPEC = {
-    "version": 2,
+    "version": 3,
     "name": "one",
     "source": {
         "network": "tiny.sumocfg",
@@ -25,7 +25,16 @@ _SPEC = {
     "weights": "open",
     "seed": 3,
     "planner": {"name": "idm", "perception": "lane"},
-    "adversary": {"name": "deepmf", "version": "S1", "rule": "expected", "reactions": 16},
+    "profile": "lawful",
+    "adversary": {
+        "name": "deepmf",
+        "version": "S1",
+        "rule": "expected",
+        "reactions": 16,
+        "sector": "left",
+        "goal": "hit",
+        "constraints": ["fair", "on_road"],
+    },
     "opponents": "in_turn",
     "turns": {"longest_s": 8.0},
     "budget": {"simulations": 4},
@@ -34,7 +43,8 @@ _SPEC = {
 _TAGS = ("int", "float", "bool", "null", "str", "binary", "timestamp", "set", "omap", "python/x")
 _PIECES = ("*a", "&a ", "[", "{", "]", "}", "? ", "- ", "--- ", "| ", "<<: ", "%Y 9\n", "\t", "\n")
 _SCALARS = ("0x" + "f" * 200, "1:" * 300 + "1", "2020-99-99", ".nan", "-.inf", "1e999", "~", "''")
-_SETS = ("seed=1", "planner=idm", "adversary=S1", "source.start_s=1.0", "turns.longest_s=2.0")
+_SETS = ("seed=1", "planner=idm", "adversary=S1", "source.start_s=1.0", "turns.longest_s=2.0",
+    "profile=any", "duration_s=30")  # fmt: skip
 
 
 def _make(folder: Path) -> Path:
