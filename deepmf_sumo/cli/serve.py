@@ -1,7 +1,7 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -66,12 +66,13 @@ def command(
     from deepmf_sumo.simulation.sumo_config import read_configuration
 
     port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
-    named = {one.partition("=")[0] for one in options}
-    if not {"-n", "--net-file"} & named:
-        # what is wrong with it shows before a client comes
+    # what is wrong with them shows before a client comes
+    given_s = _step_length(options)
+    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
         step_s = read_configuration(config).step_s
-        if "--step-length" not in named:
-            parts_of_a_step(step_s)
+        given_s = step_s if given_s is None else given_s
+    if given_s is not None:
+        parts_of_a_step(given_s)
     wish, stay = (
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
@@ -139,6 +140,16 @@ def _simulations(
         more = not stopped() and server.load()
         if more:
             click.echo("the client has loaded another simulation", err=True)
+
+
+def _step_length(options: Sequence[str]) -> float | None:
+    """The step length on SUMO's command line; None where it has none that can be read here."""
+    for place, word in enumerate(options):
+        name, equals, value = word.partition("=")
+        if name == "--step-length":
+            with suppress(ValueError):
+                return float(value if equals else (options[place + 1 :] or [""])[0])
+    return None
 
 
 def _port_and_options(port: int, after: Sequence[str], ctx: click.Context) -> tuple[int, list[str]]:

@@ -32,7 +32,7 @@ from deepmf_sumo.live.kept_files import SET_GUI, SET_SIMULATION, KeptFiles, Refu
 from deepmf_sumo.live.observer import MARK
 from deepmf_sumo.simulation.sumo_outputs import confined
 
-LOAD, STEP, ORDER, CLOSE = 0x01, 0x02, 0x03, 0x7F
+LOAD, STEP, ORDER, CLOSE, HALF_STEP = 0x01, 0x02, 0x03, 0x7F, 0x7D
 """TraCI's numbers of commands."""
 LARGEST: Final = 64 * 2**20
 """Bytes of a message."""
@@ -41,7 +41,7 @@ Said = tuple[Kind, str]
 """What the parent process is told, and the sentence of a complaint, or JSON of what to load."""
 Tell = Callable[..., None]
 
-_OURS: Final = frozenset({LOAD, STEP, ORDER, CLOSE, SET_SIMULATION, SET_GUI})
+_OURS: Final = frozenset({LOAD, STEP, ORDER, CLOSE, HALF_STEP, SET_SIMULATION, SET_GUI})
 _OK, _ERROR = b"\x00", b"\xff"
 _STRINGS: Final = 0x0E
 _START_S: Final = 60.0
@@ -266,6 +266,8 @@ class _Filter:
         if number == ORDER:
             return _done(ORDER)  # the number of the client is ours to give
         try:
+            if number == HALF_STEP:
+                raise RefusedError("simulation.executeMove: SUMO does it for a lone client")
             if number == LOAD:
                 return self._load(command)
             if self._files.concerns(command):

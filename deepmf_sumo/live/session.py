@@ -406,7 +406,7 @@ class Session:
 
 def parts_of_a_step(step_s: float) -> int:
     """Number of the simulation's steps in 0.1 s. Raises UsageError if 0.1 s is not a multiple."""
-    parts = round(DT_S / step_s)
+    parts = round(DT_S / step_s) if step_s > 0 else 0
     if parts < 1 or abs(parts * step_s - DT_S) > 1e-9:
         raise UsageError(
             f"The simulation steps by {step_s:g} s, and an attack needs 0.1 s or a whole part of "

@@ -137,6 +137,17 @@ def test_a_load_that_writes_elsewhere_is_refused_by_name_and_the_simulation_goes
     assert load not in played.asked
 
 
+def test_half_a_step_which_sumo_cannot_do_with_two_clients_is_refused_by_name(played):
+    connection, outside = client(played)
+    with connection:
+        outside.send(framed(bytes((relay.HALF_STEP,))) + STEP)
+        answer = outside.receive()
+    assert (answer[1], answer[2]) == (relay.HALF_STEP, 0xFF)
+    assert b"simulation.executeMove" in answer
+    assert answer.endswith(relay._done(2))
+    assert played.said()  # the connection has gone on
+
+
 def test_a_state_is_saved_in_the_folder_only(played, tmp_path):
     connection, outside = client(played)
     with connection:

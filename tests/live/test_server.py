@@ -648,6 +648,9 @@ def test_what_cannot_begin_is_one_sentence(tiny, tmp_path, capsys):
     assert f"--port {port} cannot be used" in told
     assert serve(tiny, tmp_path, "--port", 0) == 2, "the configuration has steps of 1 s"
     assert "start SUMO with --step-length 0.1" in capsys.readouterr().err
+    for words in (["--step-length", "0.04"], ["--step-length=0"], ["-n", "x", "--step-length=1"]):
+        assert serve(tiny, tmp_path, "--port", 0, "--", *words) == 2
+        assert "start SUMO with --step-length 0.1" in capsys.readouterr().err
     assert serve(tiny, tmp_path, "--port", 0, *STEPS, "--no-such-option", "1") == 3
     assert "SUMO ended with exit code 1" in capsys.readouterr().err
 
