@@ -113,6 +113,13 @@ def test_circles_end():
     assert many.value.busiest <= set(names)
 
 
+def test_circles_without_a_way_out_end():
+    names = [f"r{n}" for n in range(10)]
+    ways = {name: [other for other in names if other != name] for name in names} | {"in": ["r0"]}
+    with pytest.raises(TooManyMovementsError):
+        movements(Graph(ways), set(names))
+
+
 def test_a_chain_of_diamonds_becomes_a_network():
     graph = lane_graph(diamonds(20)[1])
     found = layout(graph, set())

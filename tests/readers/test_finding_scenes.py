@@ -223,6 +223,14 @@ def test_a_file_that_cannot_be_read_keeps_its_place_in_a_folder(data, tmp_path, 
 
 
 @pytest.mark.sumo
+def test_a_file_whose_start_cannot_be_read_is_not_of_another_format(data, monkeypatch):
+    by_hand.shard(data / "c", by_hand.scenario(name="u"))  # known by its content alone
+    fails(monkeypatch, "c", after=0)
+    names = [ref.name for ref in readers.records(data)]
+    assert names == ["x", "y", "z", "c record 0", "g"]
+
+
+@pytest.mark.sumo
 def test_the_only_file_that_cannot_be_read_is_an_error(data, monkeypatch):
     fails(monkeypatch, "b.tfrecord", after=None)
     with pytest.raises(ReaderError, match=r"b.tfrecord cannot be read: Input/output error"):

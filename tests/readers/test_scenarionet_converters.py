@@ -73,6 +73,22 @@ def test_motion_is_as_recorded(read, converted):
     assert said(scene, "1 tracks of the kinds TRAFFIC_CONE were read as 'other'.")
 
 
+def test_neighbours_are_beside_each_other_wherever_they_start(read):
+    described = by_hand.nuplan()
+    described["map_features"]["left"]["polyline"] = by_hand.straight((60, 3.5), (160, 3.5))[::2]
+    lanes = read(described).road.lanes
+    for lane, listed in (
+        (lanes["right"], lanes["right"].left),
+        (lanes["left"], lanes["left"].right),
+    ):
+        (one,) = listed
+        other = lanes[one.lane_id]
+        for own, its in ((one.self_start, one.other_start), (one.self_end, one.other_end)):
+            assert abs(lane.centre_m[own] - other.centre_m[its])[0] <= 2.0
+        assert lane.centre_m[one.self_start, 0] == pytest.approx(60, abs=1.5)
+        assert lane.centre_m[one.self_end, 0] == pytest.approx(100, abs=1.5)
+
+
 def test_directions_in_place_of_heights_are_a_flat_road(read):
     scene = read(by_hand.nuscenes())
     assert not any(lane.z_m.any() for lane in scene.road.lanes.values())

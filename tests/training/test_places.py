@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from deepmf_sumo.training.samples import places
 from deepmf_sumo.training.samples.places import APART_M, CELL_M, Area, area_of, held_out, numbered
 
 from tests.support.synthetic import scene
@@ -112,6 +113,13 @@ def test_of_few_places_one_is_held_out_and_never_most_samples(count):
         assert kept.any()
         assert not kept[0] or count > 9
         assert samples[kept].sum() <= samples.sum() / 2
+
+
+def test_at_most_half_of_the_samples_are_held_out_whatever_is_drawn(monkeypatch):
+    monkeypatch.setattr(places, "_draws", lambda areas, _: [0] * len(areas))
+    areas = [Area("", ((50 * number, 0),)) for number in range(9)]
+    kept, _ = held_out(areas, np.ones(9, int))
+    assert kept.sum() == 4
 
 
 def test_places_without_samples_are_not_what_is_held_out():
