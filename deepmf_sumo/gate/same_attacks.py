@@ -6,12 +6,13 @@ opponent drives the path that it drove. A hit that comes again with its own plan
 the other, is that planner's own.
 
 Between equally good planners an own hit would be the one's or the other's with equal probability
-(sign test). A planner compared with itself has none, so that it raises no alarm.
+(sign test). Runs of one spec and scene with other seeds are one unit, which counts for the planner
+that has more own hits in it. A planner compared with itself has none, so that it raises no alarm.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import comb
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -20,6 +21,7 @@ from deepmf_sumo import spec as spec_module
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.statistics import by_chance
 from deepmf_sumo.shrink.candidate import AFTER_STEPS, Candidate, path_of, spec_values
 from deepmf_sumo.spec import Plugin, Spec
 from deepmf_sumo.sweep import batch
@@ -50,21 +52,26 @@ class SameAttacks:
 
     @property
     def chance(self) -> float:
-        """Probability of at least as many own hits of the new planner, if both are equally good."""
-        return _at_least(len(self.own), len(self.own) + len(self.baseline_own))
+        """Probability of own hits in as many units, or more, if both planners are equally good."""
+        return by_chance(*self._units())
+
+    def _units(self) -> tuple[int, int]:
+        """Units in which the new planner has more own hits, and in which the other has."""
+        lead = Counter(map(_situation, self.own))
+        lead.subtract(Counter(map(_situation, self.baseline_own)))
+        return sum(more > 0 for more in lead.values()), sum(more < 0 for more in lead.values())
 
     @property
     def state(self) -> Literal["worse", "better", "cannot tell"]:
         """What the own hits say of the new planner."""
         if self.chance < self.level:
             return "worse"
-        other = _at_least(len(self.baseline_own), len(self.own) + len(self.baseline_own))
-        return "better" if other < self.level else "cannot tell"
+        more, fewer = self._units()
+        return "better" if by_chance(fewer, more) < self.level else "cannot tell"
 
 
-def _at_least(count: int, of: int) -> float:
-    """Probability of at least ``count`` heads in ``of`` tosses of a coin."""
-    return sum(comb(of, one) for one in range(count, of + 1)) / 2**of
+def _situation(run_id: str) -> str:
+    return run_id.rsplit("--", 1)[0]
 
 
 class _Hit(NamedTuple):

@@ -21,20 +21,20 @@ another value. How far it may be off is known for rates, and said for quantities
 give equal intervals.
 
 Places of a network borrow from each other. A place's own few attacks and all places together say
-how often attacks hit there (Beta-binomial) and how critical they are (normal). Neither the mean of
-all places nor how much they differ is known: both are integrated over.
+how often attacks hit there and how critical they are (Beta-binomial). Neither the mean of all
+places nor how much they differ is known: both are integrated over.
 """
 
 import math
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from functools import lru_cache
-from statistics import fmean, median
+from statistics import fmean
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import betainc, betaln, expit, ndtr
+from scipy.special import betainc, betaln, expit
 
 from deepmf_sumo.datatypes import Floats
 
@@ -306,17 +306,19 @@ def place_rates(places: Mapping[str, Units]) -> dict[str, Interval]:
     if len(places) == 1:
         [(place, units)] = places.items()
         exact = _ends(units, (0.0, 1.0), PLACE_CONFIDENCE)
-        expected = _place_rates(tuple(counts.values()))[counts[place]].rate
+        expected = _place_rates(tuple(counts.values()))[0][counts[place]].rate
         return {place: Interval(expected, *exact)}
-    known = _place_rates(tuple(sorted(counts.values())))
+    known, _ = _place_rates(tuple(sorted(counts.values())))
     return {place: known[count] for place, count in counts.items()}
 
 
 @lru_cache(maxsize=64)
-def _place_rates(counts: tuple[tuple[float, float], ...]) -> dict[tuple[float, float], Interval]:
-    """The interval of each (events, attacks) among those of all places."""
+def _place_rates(
+    counts: tuple[tuple[float, float], ...], confidence: float = PLACE_CONFIDENCE
+) -> tuple[dict[tuple[float, float], Interval], float]:
+    """The interval of each (events, attacks) among those of all places; the mean of all rates."""
     if not counts:
-        return {}
+        return {}, 0.0
     different, number = np.unique(np.array(counts), axis=0, return_counts=True)
     events, misses = different[:, :1], different[:, 1:] - different[:, :1]
     a, b = _MEAN * _STRENGTH, (1 - _MEAN) * _STRENGTH
@@ -328,16 +330,17 @@ def _place_rates(counts: tuple[tuple[float, float], ...]) -> dict[tuple[float, f
         weights = np.exp(logs - logs.max())
         return np.where(weights > _LIKELY, weights, 0.0)
 
-    tail = (1 - PLACE_CONFIDENCE) / 2
+    tail = (1 - confidence) / 2
     middle = posterior(0.5, 0.5)
     rates = (a + events) / (a + b + events + misses) @ (middle / middle.sum())
     low = _mixture_quantile(a, b, events, misses, posterior(1.0, _BIAS), tail)
     high = _mixture_quantile(a, b, events, misses, posterior(_BIAS, 1.0), 1 - tail)
     low[events[:, 0] == 0], high[misses[:, 0] == 0] = 0.0, 1.0
-    return {
+    intervals = {
         (float(one[0]), float(one[1])): Interval(*map(float, found))
         for one, *found in zip(different, rates, low, high, strict=True)
     }
+    return intervals, float(_MEAN @ middle / middle.sum())
 
 
 def _mixture_quantile(
@@ -367,7 +370,7 @@ def _bisected(below: Callable[[Floats], Floats], level: float, low: Floats, high
 class PlaceMean(NamedTuple):
     """A place's mean: of its attacks, and ``shrunk`` towards the others, with a 90 % interval.
 
-    ``typical`` is the median of the places, or of those of its kind.
+    ``typical`` is the mean of the distribution that the means of its kind are drawn from.
     """
 
     attacks: int
@@ -393,16 +396,11 @@ class PlaceMean(NamedTuple):
         return self.surely > 0
 
 
-_BETWEEN, _WITHIN = (
-    nodes.ravel() for nodes in np.meshgrid(np.geomspace(0.01, 0.5, 12), np.geomspace(0.02, 0.5, 12))
-)
-"""Standard deviations: of places, and of attacks at a place; nothing within 0 and 1 has more."""
-_UNKNOWN: Final = 0.25
-"""Standard deviation of two more attacks that are added: equal attacks do not make it small."""
-_BORROWED: Final = 4
-"""Usual attacks that say with a place's own ones how much attacks vary there."""
-_NORMAL: Final = 0.94
-"""Ends that hold 90 %, since criticalities are not normal: most attacks have 0."""
+_ALIKE: Final = 8.0
+"""Attacks that vary as much as is possible, added: few equal attacks do not make places certain."""
+_QUASI: Final = 0.94
+"""With this the intervals hold 90 %, since what attacks are worth is estimated from few."""
+_MOST_WORTH: Final = 50.0
 
 
 def place_means(
@@ -410,64 +408,45 @@ def place_means(
 ) -> dict[str, PlaceMean]:
     """Of places, from values between 0 and 1 of their attacks; without attacks they are typical.
 
-    Attacks are taken as normal around their place, and places as normal around the mean of their
-    kind (Efron and Morris, J. Am. Stat. Assoc. 70, 1975; Highway Safety Manual, 2010).
+    Places of one kind are compared. Their means are drawn from one Beta distribution as rates are
+    in `place_rates`. Attacks that vary less than zeros and ones of the same mean would are worth
+    more attacks in proportion (quasi-likelihood: McCullagh and Nelder, 1989).
     """
-    kinds = kinds or dict.fromkeys(places, "")
-    measured = [place for place, units in places.items() if units.values]
-    of_kind: dict[str, list[float]] = {}
-    for place in measured:
-        of_kind.setdefault(kinds[place], []).append(places[place].mean)
-    ends = dict(zip(measured, _place_ends(measured, places, kinds), strict=True))
-    found = {}
+    of_kind: dict[str, dict[str, Units]] = {}
     for place, units in places.items():
-        typical = median(of_kind.get(kinds[place]) or [0.0])
+        of_kind.setdefault(kinds[place] if kinds else "", {})[place] = units
+    found = {
+        place: one for group in of_kind.values() for place, one in _means_of_kind(group).items()
+    }
+    return {place: found[place] for place in places}
+
+
+def _means_of_kind(places: Mapping[str, Units]) -> dict[str, PlaceMean]:
+    values = {place: units.values for place, units in places.items() if units.values}
+    worth = _worth(list(values.values()))
+    counts = {
+        place: (round(worth * sum(found), 9), round(worth * len(found), 9))
+        for place, found in values.items()
+    }
+    known, typical = _place_rates(tuple(sorted(counts.values())), _QUASI)
+    means = {}
+    for place, units in places.items():
+        shrunk, low, high = known[counts[place]] if place in counts else (typical, 0.0, 1.0)
+        if place in counts and len(counts) == 1:
+            low, high = _ends(units, (0.0, 1.0), PLACE_CONFIDENCE)
         own = units.mean if units.values else typical
-        nothing_known = (typical, 0.0, 1.0)
-        found[place] = PlaceMean(len(units.values), own, typical, *ends.get(place, nothing_known))
-    return found
+        means[place] = PlaceMean(len(units.values), own, typical, shrunk, low, high)
+    return means
 
 
-def _place_ends(
-    measured: Sequence[str], places: Mapping[str, Units], kinds: Mapping[str, str]
-) -> list[tuple[float, float, float]]:
-    """The mean to expect and the ends, of each measured place; integrals over (J,) nodes."""
-    if not measured:
-        return []
-    means = np.array([fmean(places[place].values) for place in measured])
-    counts = np.array([len(places[place].values) for place in measured], dtype=float)
-    squares = np.array(
-        [len(places[place].values) * np.var(places[place].values) for place in measured]
-    )
-    same = np.array([[kinds[one] == kinds[other] for other in measured] for one in measured], float)
-    own = (squares + _BORROWED * _WITHIN[:, None] ** 2) / (counts - 1 + _BORROWED)
-    variances = _BETWEEN[:, None] ** 2 + own / counts
-    precision = (1 / variances) @ same
-    centre = (means / variances) @ same / precision
-    logs = (
-        np.log(_BETWEEN)
-        - (counts.sum() - len(means) + 2) * np.log(_WITHIN)
-        - (squares.sum() / 2 + _UNKNOWN**2) / _WITHIN**2
-        - 0.5 * (np.log(variances) + (means - centre) ** 2 / variances).sum(axis=1)
-        - 0.5 * (np.log(precision) / same.sum(axis=0)).sum(axis=1)
-    )
-    weights = np.exp(logs - logs.max())
-    kept = weights > _LIKELY
-    weights = weights[kept] / weights[kept].sum()
-    share = _BETWEEN[kept, None] ** 2 / variances[kept]
-    middle = centre[kept] + share * (means - centre[kept])
-    spread = np.sqrt(_BETWEEN[kept, None] ** 2 * (1 - share) + (1 - share) ** 2 / precision[kept])
-
-    def below(values: Floats) -> Floats:
-        chances: Floats = weights @ ndtr((values - middle) / spread)
-        return chances
-
-    ends = [
-        _bisected(below, level, np.full(len(means), -4.0), np.full(len(means), 5.0)).clip(0.0, 1.0)
-        for level in ((1 - _NORMAL) / 2, (1 + _NORMAL) / 2)
-    ]
-    expected = (weights @ middle).clip(0.0, 1.0)
-    return list(zip(expected.tolist(), *(end.tolist() for end in ends), strict=True))
+def _worth(groups: Sequence[Sequence[float]]) -> float:
+    """How many zeros and ones a value is worth, by how much values vary within groups."""
+    attacks = sum(map(len, groups))
+    mean = (sum(map(sum, groups)) + 0.5) / (attacks + 1.0)
+    most = mean * (1 - mean)
+    squares = sum(len(group) * float(np.var(group)) for group in groups)
+    variance = (squares + _ALIKE * most) / (attacks - len(groups) + _ALIKE)
+    return min(max(most / variance, 1.0), _MOST_WORTH)
 
 
 def ranks(worse: Mapping[str, float]) -> dict[str, float]:

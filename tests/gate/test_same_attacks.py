@@ -91,11 +91,21 @@ def test_a_planner_has_no_hits_of_its_own_against_itself(folders):
 )  # fmt: skip
 def test_the_sign_test_by_hand(own, baseline_own, chance, state):
     same = SameAttacks(
-        folder=Path(), hits=9, baseline_hits=9, own=("a",) * own,
-        baseline_own=("b",) * baseline_own, unrepeated=(), level=0.05,
+        folder=Path(), hits=9, baseline_hits=9, own=tuple(f"a{n}--m--0" for n in range(own)),
+        baseline_own=tuple(f"b{n}--m--0" for n in range(baseline_own)), unrepeated=(), level=0.05,
     )  # fmt: skip
     assert same.chance == pytest.approx(chance)
     assert same.state == state
+
+
+def test_own_hits_with_several_seeds_of_one_spec_are_one():
+    """Eight seeds of one spec, and one spec in which each planner has one: not 9 against 1."""
+    same = SameAttacks(
+        folder=Path(), hits=9, baseline_hits=9,
+        own=(*(f"a--m--{seed}" for seed in range(8)), "c--m--0"),
+        baseline_own=("c--m--1",), unrepeated=(), level=0.05,
+    )  # fmt: skip
+    assert (same.chance, same.state) == (0.5, "cannot tell")
 
 
 def test_it_needs_two_result_folders(folders, tmp_path, capsys):

@@ -94,8 +94,8 @@ def attack(edge, value):
 
 
 def test_the_table_has_it_by_place_and_leaves_out_what_was_not_measured():
-    attacks = [attack("w_in", value) for value in (0.9, 0.8, 1.0, None)]
-    attacks += [attack(edge, 0.1) for edge in ("e_in", "n_in", "n_in", "e_in")]
+    attacks = [attack("w_in", value) for value in (0.9, 0.8, 1.0, None) * 4]
+    attacks += [attack(edge, 0.1) for edge in ("e_in", "n_in", "n_in", "e_in") * 4]
     attacks += [attack("n_out", None)]
     network = risk.Network(
         name="city", net_file=NET, places=places.read(NET), attacks=tuple(attacks), left_out={}

@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 
 import pytest
@@ -53,6 +54,30 @@ def test_five_of_seven_hit_four_avoidable():
     assert values["title"] == "centre: from west to north (left, permissive)"
     assert values["hit_rate_lo"] == pytest.approx(binomtest(5, 7).proportion_ci().low, abs=1e-4)
     assert values["avoidable_share"] == 0.8
+
+
+def test_seeds_of_one_moment_are_one_attack_in_intervals():
+    """Ten seeds of a moment that all hit say of the place what one says."""
+
+    def left(seeds):
+        return [dataclasses.replace(at_left(hit=True), run_id=f"m--car--{n}") for n in range(seeds)]
+
+    others = [on_edge(edge) for edge in ("w_in", "e_in", "n_in")]
+    rows = [risk.worst(rows_of([*left(seeds), *others]))[0] for seeds in (1, 10)]
+    assert [row.attacks for row in rows] == [1, 10]
+    assert rows[0].risk == rows[1].risk
+    assert rows[0].hit_rate == rows[1].hit_rate == pytest.approx((1.0, 0.025, 1.0), abs=1e-6)
+
+
+def test_six_places_without_a_hit_are_not_sure():
+    """One attack each, as the map of a small network has: the exact bound of all is 39 %."""
+    edges = ("w_in", "e_in", "n_in", "s_in", "n_out", "s_out")
+    rows = risk.worst(rows_of([on_edge(edge, criticality=0.0) for edge in edges]))
+    assert len(rows) == 6
+    for row in rows:
+        assert 0.3 < row.risk["hit"].high < 0.6
+        assert row.risk["hit"].low == 0.0
+        assert row.criticality.high - row.criticality.low > 0.1
 
 
 def test_each_attack_was_decided_at_one_movement_or_edge():

@@ -1,0 +1,41 @@
+"""Seeds of one spec are one unit wherever a rate has an interval."""
+
+import pytest
+
+from deepmf_sumo.gate.rows import read
+from deepmf_sumo.gate.thresholds import Thresholds, judge
+from deepmf_sumo.plans.tables import row_of
+from deepmf_sumo.results.folder import summary
+
+from tests.support import gate_doubles
+
+ONE = pytest.approx((1.0, 0.025, 1.0), abs=1e-6)
+"""Of one unit that was hit, with 95 %."""
+
+
+def runs(seeds):
+    known = {"perception": None, "parameters": "treiber", "samples": None, "error": ""}
+    found = [gate_doubles.result("a", seed, hit=True, **known) for seed in range(seeds)]
+    for one in found:
+        one["metrics"] = {}
+    return found
+
+
+@pytest.mark.parametrize("seeds", [1, 10])
+def test_of_the_summary_that_run_prints(seeds):
+    assert tuple(summary(runs(seeds))["collision_rate"].values()) == ONE
+
+
+@pytest.mark.parametrize("seeds", [1, 10])
+def test_of_thresholds(tmp_path, seeds):
+    rows = read(gate_doubles.write_folder(tmp_path / "out", runs(seeds))).rows.values()
+    limits = Thresholds.model_validate({"version": 1, "max_av_collision_rate": 0.5})
+    [judged] = [one for one in judge(limits, list(rows)) if one.limit == "max_av_collision_rate"]
+    assert (judged.value, judged.runs) == (1.0, seeds)
+    assert judged.interval == pytest.approx((0.025, 1.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("seeds", [1, 10])
+def test_of_tables_of_plans(seeds):
+    row = row_of("fast", "lane", runs(seeds), seeds)
+    assert tuple(row[f"collision_rate{end}"] for end in ("", "_lo", "_hi")) == ONE
