@@ -62,13 +62,6 @@ def test_a_result_table_is_a_trajectory(tmp_path):
     np.testing.assert_allclose(plan.heading_rad, 0.25)
 
 
-def test_a_trajectory_that_begins_elsewhere_is_refused():
-    """The vehicle is at (-8, 3.5) and drives 12 m/s."""
-    far = poses() + np.array([3.0, 0.0, 0.0])
-    with pytest.raises(RunError, match=r"at \(-3.8, 3.5\) at step 11, 4.2 m from where it is"):
-        build(agent="b", poses=far.tolist()).plan(VIEW)
-
-
 def test_npz(tmp_path):
     file = tmp_path / "plan.npz"
     np.savez(file, step=np.arange(11, 41), position_m=poses()[:, :2], heading_rad=poses()[:, 2])

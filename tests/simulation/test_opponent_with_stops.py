@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import sumolib
 
-from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import Plan
 from deepmf_sumo.geometry import polylines
 from deepmf_sumo.planners.idm import Settings, build
-from deepmf_sumo.policies import trajectory
 from deepmf_sumo.simulation import network_case, simulate
 
 pytestmark = pytest.mark.sumo
@@ -25,6 +24,28 @@ CONFIG = """<configuration><input><net-file value="{}"/>
 <route-files value="van.rou.xml"/></input></configuration>"""
 
 
+class Along:
+    """Drives the van along points, from wherever it is."""
+
+    period_steps = None
+
+    def __init__(self, points, heading):
+        self.points, self.heading = points, heading
+
+    def reset(self, view, rng):
+        return "van"
+
+    def plan(self, view):
+        return Plan(
+            agent_id="van",
+            first_step=view.step + 1,
+            position_m=self.points,
+            heading_rad=self.heading,
+            speed_mps=np.full(len(self.points), 20.0),
+        )
+
+
+@pytest.mark.jumps("it is put 1 km farther on, off its route")
 def test_an_opponent_with_a_stop_behind_it_may_leave_its_route(tmp_path, starts_sumo):
     (tmp_path / "van.rou.xml").write_text(ROUTES)
     config = tmp_path / "van.sumocfg"
@@ -33,14 +54,11 @@ def test_an_opponent_with_a_stop_behind_it_may_leave_its_route(tmp_path, starts_
     edges = [net.getEdge(name) for name in ("middle-AddedOffRampEdge", "off_ramp")]
     shape = np.array([point for edge in edges for point in edge.getLanes()[0].getShape()])
     points, heading = polylines.points_at(shape, np.arange(210.0, 300.0, 2.0))
-    poses = np.column_stack([points, heading])
-    settings = plugins.settings("policies", "trajectory", {"agent": "van", "poses": poses.tolist()})
     case = network_case(config, 8.0, "av", 70)
-    rollout = simulate(
-        case, build(Settings()), trajectory.build(settings), rng=np.random.default_rng(0)
-    )
+    policy = Along(points, heading)
+    rollout = simulate(case, build(Settings()), policy, rng=np.random.default_rng(0))
     tracks, row = rollout.tracks, rollout.tracks.row("van")
-    begin, end = rollout.now + 1, rollout.now + 1 + len(poses)
+    begin, end = rollout.now + 1, rollout.now + 1 + len(points)
     np.testing.assert_allclose(tracks.position_m[row, begin:end], points, atol=0.01)
     kinds = [event.kind for event in rollout.events if event.agent_id == "van"]
     assert "seen_on_route" in kinds

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import Driver
 from deepmf_sumo.planners.idm import Settings, build
 from deepmf_sumo.policies import trajectory
 from deepmf_sumo.simulation import network_case, simulate
-from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.simulation.vehicle_control import NetworkEnds, Takeover
 
 NET = Path(__file__).parents[2] / "sumo_nets" / "highway" / "highway.net.xml"
@@ -89,7 +91,7 @@ def test_the_opponent_leaves_where_the_network_ends(tmp_path, starts_sumo):
     config.write_text(CONFIG.format(NET))
 
     case = network_case(config, 2.0, "av", 79)
-    poses = [[2141.0 + 2.0 * step, -8.0, 0.0] for step in range(60)]
+    poses = [[2103.0 + 2.0 * step, -8.0, 0.0] for step in range(60)]
     settings = plugins.settings("policies", "trajectory", {"agent": "ov", "poses": poses})
     policy = trajectory.build(settings)
     rollout = simulate(case, build(Settings()), policy, rng=np.random.default_rng(0))
@@ -144,3 +146,46 @@ def test_only_a_vehicle_that_may_be_removed_leaves_at_the_end(leaves):
     takeover.place(1, "ov", Pose(x_m=110, y_m=0, heading_rad=0, speed_mps=5), 4.5)
     assert there == ([] if leaves else ["ov"])
     assert [event.kind for event in events] == ["opponent_gone"] * leaves
+
+
+@pytest.mark.parametrize(
+    ("changed", "drivable"),
+    [
+        ({}, True),
+        ({"heading": 0.2}, False),
+        ({"heading": np.pi}, False),
+        ({"left": 0.3}, False),
+        ({"left": 0.3, "sublane": "0.8"}, True),
+        ({"lane": ""}, False),
+        ({"class": "bus"}, False),
+        ({"other": (3.0, 0.0)}, False),
+        ({"other": (30.0, 0.0)}, True),
+        ({"av": (3.0, 0.0)}, True),  # SUMO separates the two
+    ],
+)
+def test_from_which_poses_sumo_drives_on(changed, drivable):
+    api = sumo(["ov"], classes={"ov": changed.get("class", "passenger")})
+    options = {"lateral-resolution": changed.get("sublane", "0")}
+    api.simulation.getOption = lambda name: options.get(name, "0")
+    api.lane = SimpleNamespace(
+        getShape=lambda _: [(-50.0, 0.0), (50.0, 0.0)],
+        getAllowed=lambda _: (),
+        getDisallowed=lambda _: ("bus",),
+    )
+    takeover = Takeover(api, [])
+    pose = Pose(x_m=0, y_m=0, heading_rad=changed.get("heading", 0.0), speed_mps=5)
+    takeover.place(1, "ov", pose, 4.5)
+    api.vehicle.getLaneID = lambda _: changed.get("lane", "ab_0")
+    api.vehicle.getLateralLanePosition = lambda _: changed.get("left", 0.0)
+    agents = {
+        "ov": (0.0, 0.0),
+        **{name: changed[name] for name in ("other", "av") if name in changed},
+    }
+    frame = Frame.of_poses(
+        {
+            name: (Pose(x_m=x, y_m=y, heading_rad=0.0, speed_mps=0.0), Driver.SUMO)
+            for name, (x, y) in agents.items()
+        }
+    )
+    occupancy = Occupancy(frame=frame, size_m=np.tile([4.5, 1.8], (len(agents), 1)), av_id="av")
+    assert takeover.drivable("ov", occupancy) is drivable

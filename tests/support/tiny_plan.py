@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-POSES = ", ".join(["[36.0, -4.8, 0.0]"] * 5)
-"""Where the AV is at the first moment, so that it is hit there and not at the second."""
+POSES = ", ".join(["[56.0, -4.8, 0.0]"] + ["[36.0, -4.8, 0.0]"] * 4)
+"""To where the AV is at the first moment, so that it is hit there and not at the second."""
 
 PLAN = f"""version: 1
 name: tiny
