@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from deepmf_sumo import spec, tasks
 from deepmf_sumo.datatypes import Command, Driver
 from deepmf_sumo.errors import PlannerError, PluginError, UsageError
+from deepmf_sumo.metrics import NotMeasurable
 from deepmf_sumo.simulation.sumo_api import sumo_seed
 from deepmf_sumo.sweep import episode
 
@@ -219,3 +221,20 @@ def test_wrong_settings_are_refused(loaded, keys, told):
     pytest.importorskip("gymnasium")
     with pytest.raises(UsageError, match=told):
         importlib.import_module(MODULE).AttackEnv(loaded, **keys)
+
+
+def test_a_contact_that_cannot_be_judged_counts(monkeypatch):
+    """E.g. with another vehicle than the opponent: that nobody could avoid it is not known."""
+    module = importlib.import_module(MODULE)
+    hit = SimpleNamespace(contacts=[SimpleNamespace(kind="av_other")])
+    judged = SimpleNamespace(compute=_not_measurable)
+    monkeypatch.setattr(module, "avoidable", judged)
+    monkeypatch.setattr(module, "Episode", lambda *_: None)
+    for only in (True, False):
+        assert module.Reward(avoidable_only=only).of_end(hit, None) == -module.Reward().contact
+    assert module.Reward().contact > 0
+    assert module.Reward(avoidable_only=True).of_end(SimpleNamespace(contacts=[]), None) == 0.0
+
+
+def _not_measurable(_):
+    raise NotMeasurable("the opponent did not hit the AV")

@@ -97,3 +97,9 @@ def test_an_actuated_light_keeps_its_greens():
     signals.write(cycle, found)
     assert [one.get("duration") for one in cycle] == ["31", "4", "31", "4"]
     assert (cycle[0].get("minDur"), cycle[0].get("maxDur")) == ("5", "50")
+
+
+def test_a_green_of_its_own_ends_with_yellow_where_the_program_has_none():
+    left = {"lefts": [2], "foes": [(1, 2)], "protected_left_s": 8.0}
+    assert after("25:GGg 25:rrr", **left) == "14:GGr 25:rrr 8:rrG 3:rry"
+    assert after("25:GGg 25:rrr", **left, yellow_s=4.0).endswith("8:rrG 4:rry")

@@ -56,6 +56,9 @@ def test_each_is_a_row_with_its_error_and_the_sweep_goes_on(out):
         assert found["status"] == "failed"
         assert found["error"].startswith("planner_error: program 'misbehaving.py' ")
         assert found["error"].endswith(end)
+        fault = "hung" if "did not answer" in end else "nonsense"
+        fault = "crashed" if "before it answered" in end else fault
+        assert found["planner_fault"] == fault
 
 
 def test_what_the_program_says_is_in_the_log(out):
