@@ -129,6 +129,17 @@ def test_before_a_stop_sign_one_stands():
     assert is_lawful(waits, drive("b", -9, 0, 2.0 * SECONDS), AWAY, 2.0 * SECONDS)
 
 
+@pytest.mark.parametrize("state", [SignalState.STOP, SignalState.FLASHING_STOP])
+def test_the_light_of_a_turn_does_not_stop_who_goes_straight_on(state):
+    road = crossing()
+    turn = lane("turn", [(-5, 0), (-1, -1), (0, -5)], interpolating=True)
+    west = replace(road.lanes["west"], next=("over", "turn"))
+    road = RoadMap(lanes={**road.lanes, "west": west, "turn": turn})
+    view = view_of({"av": (0, -90, np.pi / 2, 1.0), "b": (-40, 0, 0, 12.0)}, road=road)
+    view = replace(view, signals={"turn": state})
+    assert is_lawful(view, drive("b", -40, 0, 12.0), AWAY, 12.0)
+
+
 def test_a_light_that_flashes_red_is_a_stop_sign():
     view = at_light(SignalState.FLASHING_STOP, speed=10.0)
     assert not is_lawful(view, drive("b", -40, 0, 10.0), AWAY, 10.0)

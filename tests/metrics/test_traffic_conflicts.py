@@ -1,5 +1,6 @@
 """Conflicts of plain traffic: motions whose measures are known by hand, and brute force."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,15 @@ def motions(*ways, steps=100, edges=(0, 0, 1)):
 A = way(-19.95 + 10 * T, 0, 0, 10)
 STOPS = np.where(T < 1.05, -25.05 + 10 * T, np.where(T < 2.95, -15.05, -45.05 + 10 * T))
 B = way(0, STOPS, np.pi / 2, np.where((T < 1.05) | (T > 2.95), 10.0, 0.0), lane=2)
+
+
+def test_a_vehicle_of_several_boxes_has_one_conflict():
+    """The second and third box follow the first; the one that comes nearest in time counts."""
+    behind = [way(0, STOPS - 4.0 * number, np.pi / 2, B[0][3], lane=2) for number in (1, 2)]
+    seen = replace(motions(A, B, *behind), parts=np.array([0, 1, 1, 1]))
+    assert len(find(replace(seen, parts=None), Limits(ttc_s=3.0)).conflicts) > 1
+    [one] = find(seen, Limits(ttc_s=3.0)).conflicts
+    assert {int(seen.whole[body]) for body in (one.first, one.second)} == {0, 1}
 
 
 @pytest.mark.parametrize("order", [(A, B), (B, A)])
