@@ -54,12 +54,13 @@ B = way(0, STOPS, np.pi / 2, np.where((T < 1.05) | (T > 2.95), 10.0, 0.0), lane=
 
 
 def test_a_vehicle_of_several_boxes_has_one_conflict():
-    """The second and third box follow the first; the one that comes nearest in time counts."""
-    behind = [way(0, STOPS - 4.0 * number, np.pi / 2, B[0][3], lane=2) for number in (1, 2)]
-    seen = replace(motions(A, B, *behind), parts=np.array([0, 1, 1, 1]))
-    assert len(find(replace(seen, parts=None), Limits(ttc_s=3.0)).conflicts) > 1
-    [one] = find(seen, Limits(ttc_s=3.0)).conflicts
-    assert {int(seen.whole[body]) for body in (one.first, one.second)} == {0, 1}
+    boxes = [way(0, -20 + 10 * T - 4.0 * number, np.pi / 2, 10, lane=2) for number in range(3)]
+    seen = motions(A, *boxes)
+    alone = find(seen, Limits()).conflicts
+    assert len([one for one in alone if 0 in (one.first, one.second)]) > 1
+    [one] = find(replace(seen, parts=np.array([0, 1, 1, 1])), Limits()).conflicts
+    assert 0 in (one.first, one.second)
+    assert one.ttc_s == min(each.ttc_s for each in alone)
 
 
 @pytest.mark.parametrize("order", [(A, B), (B, A)])
