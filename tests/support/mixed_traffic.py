@@ -24,8 +24,8 @@ ROUTES = """<routes><vType id="bus" vClass="bus"/><vType id="truck" vClass="truc
 <vehicle id="2" depart="0" departPos="10" departLane="2" departSpeed="10" route="all"/>
 <person id="0" depart="0" departPos="85"><ride from="ab" busStop="last" lines="ANY"/>
   <walk to="bc"/></person>
-<person id="rider" depart="0" departPos="90"><walk from="ab" busStop="first"/>
-  <ride busStop="last" lines="0"/><walk to="bc"/></person>
+<person id="rider" depart="0" departPos="90"><ride from="ab" busStop="last" lines="0"/>
+  <walk to="bc"/></person>
 <person id="1" depart="0" departPos="200"><walk from="ab" to="bc"/></person>
 <person id="late" depart="0" departPos="220"><walk from="ab" to="bc"/></person>
 <person id="taken" depart="triggered"><ride from="ab" to="bc" lines="2"/></person>
