@@ -27,7 +27,9 @@ MEANS: Final = {
     "av_ade": "av_ade_m",
 }
 """Metrics of ``result.json`` that are averaged over all runs, and their columns."""
-_APART: Final = ("spec", "planner", "perception", "method", "planner_label", "part")
+_APART: Final = (
+    "spec", "planner", "perception", "method", "planner_label", "part", "profile", "constraints",
+)  # fmt: skip
 """Columns of ``runs.csv`` whose values are never mixed."""
 
 

@@ -180,7 +180,7 @@ def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
     ("options", "said"),
     [
         (["--trigger", "speed=3"], "trigger 'speed=3': must be time=SECONDS"),
-        (["--set", "planner=idm"], "only adversary, weights and seed"),
+        (["--set", "planner=idm"], "only profile, adversary, weights and seed"),
         (["--set", "adversary=bbo"], "only deepmf attacks"),
         (["--set", "adversary.opponnt=x"], "Did you mean 'opponent'?"),
         (["--set", "adversary.opponent=labelled"], "only recordings label"),

@@ -6,7 +6,12 @@ import json
 from rich.console import Console
 
 from deepmf_sumo.cli import _screen as screen
+from deepmf_sumo.results import folder
+from deepmf_sumo.results.result import profile as profile_of
+from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.sweep.batch import Progress
+
+from tests.support import gate_doubles
 
 RUN = {"run_id": "one--tiny--0", "status": "ok", "outcome": "none"}
 
@@ -56,3 +61,16 @@ def test_rows_are_json(capsys):
     assert json.loads(capsys.readouterr().out) == ROWS
     screen.emit("json", [])
     assert capsys.readouterr().out == "[]\n"
+
+
+def test_the_table_of_runs_begins_with_what_was_meant(tmp_path, capsys):
+    runs = [
+        gate_doubles.result(name, profile=profile, constraints=constraints, opponent_score=None)
+        | {"timings": {"wall_s": 1.0, "generation_s": 1.0}}
+        for name, profile, constraints in (("a", "fair", ["fair"]), ("b", "any", []))
+    ]
+    summary = folder.summary([])
+    screen.table(runs, summary | {"profile": headline(map(profile_of, runs))}, tmp_path)
+    assert capsys.readouterr().out.startswith("profiles fair (fair) (1 run); any (1 run)\n")
+    screen.table(runs, summary, tmp_path)
+    assert capsys.readouterr().out.startswith("run ")

@@ -221,6 +221,11 @@ def test_of_an_earlier_manifest_other_runs_say_the_name(tmp_path):
     assert found["other--b--0"].spec == "other"
 
 
+def test_the_verdict_says_the_profile(tmp_path):
+    found = verdict(tmp_path, {"adversary": {"name": "deepmf", "constraints": ["fair", "on_road"]}})
+    assert "; profile fair (fair, on_road)" in text(found)
+
+
 def test_specs_of_versions_2_and_3_may_be_one_attack():
     """Version 2 says neither its profile nor that there is one opponent."""
     newer = json.loads(json.dumps(SPEC)) | {"version": 3, "profile": "any"}

@@ -1,5 +1,6 @@
 """The default adversary on real networks: the same plans, byte for byte, whatever asks for them."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -89,3 +90,9 @@ def test_a_running_simulation_is_attacked_as_a_spec_attacks_it(tmp_path):
     assert "00/candidate_fair" in plans.files
     differ = [key for key in plans.files if plans[key].tobytes() != live[key].tobytes()]
     assert all("/score_" in key for key in differ)
+    session = json.loads((tmp_path / "live" / "session.json").read_text())
+    result = json.loads(one.with_name("result.json").read_text())
+    assert session["profile"] == result["profile"] == "fair"
+    assert session["constraints"] == result["constraints"] == [
+        "fair", "no_rear_end", "on_road", "with_traffic",
+    ]  # fmt: skip

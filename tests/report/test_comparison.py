@@ -1,5 +1,6 @@
 """Result folders side by side, on numbers that can be counted by hand."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from deepmf_sumo import tables
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.comparison import compare, groups, side_by_side
@@ -60,6 +62,17 @@ def test_rates_count_only_successful_runs(tmp_path):
     assert row["on_road_hits"] == 1
     assert row["third_party"] == 1
     assert row["on_road"] == pytest.approx(0.875)
+
+
+def test_the_profile_is_said_and_runs_of_two_are_not_mixed(tmp_path):
+    out = folder(tmp_path, [("ok", "none", 1.0)] * 3)
+    with (out / "runs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row, profile in zip(rows, ("fair", "any", "any"), strict=True):
+        row |= {"profile": profile, "constraints": "on_road" if profile == "any" else ""}
+    (out / "runs.csv").write_text(tables.to_csv(rows, COLUMNS))
+    [line] = [one for one in side_by_side(groups([out])).about if one.label == "profile"]
+    assert line.cells == ("fair (no constraints)", "any (on_road)")
 
 
 def test_runs_without_an_opponent_are_not_misses(tmp_path):
