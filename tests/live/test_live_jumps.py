@@ -114,3 +114,21 @@ def test_points_that_the_script_removes_come_back(api, folder, when):
                 api.poi.remove(point)
     assert [one.rollout.ended for one in fought] == ["plan_ended"]
     session.close()
+
+
+def test_a_vehicle_of_a_state_saved_in_an_attack_is_sumos_again(folder, tmp_path, monkeypatch):
+    """What an attack changes of a vehicle's type is in the state, too."""
+    monkeypatch.chdir(folder)
+    more = ("--step-length", "0.1", "--lanechange.duration", "2")
+    libsumo.start(["sumo", "-c", "tiny.sumocfg", *OPTIONS, *more])
+    session, _ = session_on(libsumo, folder, Brake(), pause_s=100.0)
+    before = libsumo.vehicletype.getVehicleClass("DEFAULT_VEHTYPE")
+    step(libsumo, session, 15)
+    assert libsumo.vehicle.getVehicleClass("leader") != before
+    state = str(tmp_path / "state.xml")
+    libsumo.simulation.saveState(state)
+    step(libsumo, session, 2)
+    libsumo.simulation.loadState(state)
+    step(libsumo, session, 1)
+    assert libsumo.vehicle.getVehicleClass("leader") == before
+    libsumo.close()
