@@ -62,12 +62,20 @@ class Reward:
         contact: taken away at the end of an episode in which the AV touched another vehicle.
         avoidable_only: only contacts that a careful driver would have avoided count (metric
             ``avoidable``), so that contacts that no driver could avoid teach nothing.
+
+    Raises UsageError for a number that is not finite.
     """
 
     progress: float = 0.01
     comfort: float = 0.005
     contact: float = 1.0
     avoidable_only: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("progress", "comfort", "contact"):
+            value = getattr(self, name)
+            if not (isinstance(value, int | float) and np.isfinite(value)):
+                raise UsageError(f"reward has {name} {value!r:.80}; it must be a finite number.")
 
     def of_step(self, before: View, after: View) -> float:
         """Of the AV's motion from one view to the next."""

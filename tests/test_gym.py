@@ -214,6 +214,8 @@ def test_a_contact_that_nobody_could_avoid_may_count_for_nothing(make, tiny, mon
     ("keys", "told"),
     [
         ({"reward": {"comfrot": 1}}, "can have progress, comfort"),
+        ({"reward": {"comfort": float("nan")}}, "comfort nan; it must be a finite number"),
+        ({"reward": {"contact": "1"}}, "contact '1'; it must be a finite number"),
         ({"render_mode": "human"}, "rgb_array"),
     ],
 )
