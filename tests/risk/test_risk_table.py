@@ -75,7 +75,7 @@ def test_six_places_without_a_hit_are_not_sure():
     rows = risk.worst(rows_of([on_edge(edge, criticality=0.0) for edge in edges]))
     assert len(rows) == 6
     for row in rows:
-        assert 0.3 < row.risk["hit"].high < 0.6
+        assert 1 - 0.05 ** (1 / 6) < row.risk["hit"].high < 0.6
         assert row.risk["hit"].low == 0.0
         assert row.criticality.high - row.criticality.low > 0.1
 
