@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.training.fit import checkpoints, loop
+from deepmf_sumo.training.fit import loop
 from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
 from deepmf_sumo.training.fit.loop import Schedule
 
@@ -121,7 +121,7 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
         real(descriptor)
 
-    monkeypatch.setattr(checkpoints.os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", full)
     monkeypatch.setattr(Curves, "write", lambda *_: None)  # it flushes files, too
     lines = []
     with pytest.raises(CutError):
