@@ -138,7 +138,7 @@ def _files(path: Path) -> list[Path]:
             return [file for file in found if file.name not in OVERVIEWS]
         except OSError as error:
             raise ReaderError(f"{error.filename} cannot be read: {files.reason(error)}.") from None
-    if path.exists():
+    if path.exists() or path.is_symlink():  # a link to nowhere is a file that cannot be read
         return [path]
     raise UsageError(f"{path} does not exist; give a recorded file or a folder of such files.")
 

@@ -70,6 +70,16 @@ def test_records_that_cannot_be_used_are_counted_and_named(folder, tmp_path):
     assert again == lines[-1:]
 
 
+def test_a_file_that_cannot_be_read_is_counted_and_read_once_it_can_be(folder, tmp_path):
+    gone = tmp_path / "not mounted" / "7.npz"
+    (folder / "7.npz").symlink_to(gone)
+    source = make(folder, tmp_path)
+    assert (len(source.scenes), list(source.refused)) == (6, ["7.npz: record 0"])
+    gone.parent.mkdir()
+    npz.write(scene(shift=7, av_speed=8.0), gone)
+    assert len(make(folder, tmp_path).scenes) == 7
+
+
 def test_an_empty_folder_is_named(tmp_path):
     empty = tmp_path / "empty"
     empty.mkdir()

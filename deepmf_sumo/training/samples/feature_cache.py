@@ -25,7 +25,7 @@ import numpy as np
 from deepmf_sumo import readers
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import OutputError, ReaderError, RunError
-from deepmf_sumo.files import opened, reason
+from deepmf_sumo.files import opened
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training.samples.dataset import Arrays, Progress, Source
 from deepmf_sumo.training.samples.places import Area, area_of
@@ -143,15 +143,16 @@ def _source(folder: Path, contents: Contents, data: Data, digest: str) -> Source
 def digest_of(kind: str, settings: str, path: Path) -> str:
     """Digest of the settings of the features, and of the files' names and contents.
 
-    A copy of the recordings has the same digest. Raises UsageError if the path does not exist.
+    A copy of the recordings has the same digest. A file that cannot be read counts as one without
+    content, and is refused with the others. Raises UsageError if the path does not exist.
     """
     hasher = hashlib.sha256(f"{VERSION} {kind} {settings}".encode())
     for file in readers.find([path]):
         try:
             with opened(file) as stream:
                 content = hashlib.file_digest(stream, "sha256").hexdigest()
-        except OSError as error:
-            raise ReaderError(f"{file} cannot be read: {reason(error)}.") from None
+        except OSError:
+            content = ""
         hasher.update(f"{file.name} {content}".encode())
     return hasher.hexdigest()
 
