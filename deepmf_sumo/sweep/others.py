@@ -4,7 +4,7 @@
 is still good is told as for the command's own runs: by the key of its spec, which lies beside it.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,7 @@ class Others:
 def others(store: Store, planned: Sequence[Task]) -> Others:
     """What the folder has beside the planned runs."""
     mine = {task.run_id for task in planned}
-    found = {one["run_id"]: one for one in _results(store) if one["run_id"] not in mine}
+    found = {one["run_id"]: one for one in _results(store, mine)}
     marked, read = fingerprinted([task for one in found.values() for task in _task_of(store, one)])
     good = {task.run_id for task in marked if task.key == found[task.run_id]["key"]}
     order = _order(store.out)
@@ -70,10 +70,10 @@ def others(store: Store, planned: Sequence[Task]) -> Others:
     )
 
 
-def _results(store: Store) -> Iterable[Result]:
-    """All results in a folder; those of an earlier command without tables, too."""
+def _results(store: Store, without: Collection[str]) -> Iterable[Result]:
+    """All other results in a folder; those of an earlier command without tables, too."""
     for file in sorted(store.runs.glob("*/result.json")):
-        if is_run_id(file.parent.name):
+        if is_run_id(file.parent.name) and file.parent.name not in without:
             try:
                 found = store.read_run(file.parent.name)
             except UsageError:  # damaged, or of another version
