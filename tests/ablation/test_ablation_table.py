@@ -1,6 +1,7 @@
 """Figures of an ablation and their table: every denominator is shown."""
 
 import csv
+import itertools
 
 import pytest
 
@@ -36,8 +37,13 @@ EVALUATION = Evaluation(
 )
 
 
+NUMBERS = itertools.count()
+
+
 def run_of(outcome, rms, *cycles):
     return {
+        "spec": f"s{next(NUMBERS)}",
+        "scene": "a",
         "status": "ok",
         "outcome": outcome,
         "metrics": {"opponent_rms_acceleration": {"value": rms}},
@@ -91,7 +97,7 @@ def test_the_table_shows_what_was_not_measured(row, tmp_path):
     assert [one.strip() for one in lines[6].strip("|").split("|")] == [
         "half", "base", "1,234", "9.0", "4.12 ± 0.50", "2.50", "-", "-3.21 ± 0.10",
         "+0.25 ± 0.02", "-0.50", "20",
-        "1/3 (2 not ok) = 0.33 (0.06 to 0.79)", "1.50", "0/0 (1 not ok)", "-",
+        "1/3 (2 not ok) = 0.33 (0.01 to 0.91)", "1.50", "0/0 (1 not ok)", "-",
     ]  # fmt: skip
     with (tmp_path / "ablation.csv").open(newline="", encoding="utf-8") as file:
         first, _ = csv.DictReader(file)
