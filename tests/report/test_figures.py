@@ -214,7 +214,7 @@ def test_rates_count_attacked_runs_of_the_own_budget(folder):
     found = reader.Results.of(folder.out)
     assert "S1 (8 simulations)" not in found.methods
     points = methods._points(found, "replay", "opponent_rms_acceleration")
-    assert [(one.method, one.rate.rate, one.mean) for one in points] == [
+    assert [(one.method, one.rate.rate, one.mean.mean) for one in points] == [
         ("S1", 0.5, 3.5),
         ("G", 0.0, 3.5),
     ]
