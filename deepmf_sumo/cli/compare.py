@@ -35,13 +35,10 @@ def command(
     """
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report.risk import comparison as files
-    from deepmf_sumo.results.reader import Results, judged_before
     from deepmf_sumo.risk import comparison
 
     compared = comparison.compare(a, b, quantities or comparison.COMPARED, confidence)
     names = str(a), str(b)
-    if said := judged_before(Results.open(a, b).runs):
-        click.echo(f"deepmf-sumo: {said}.", err=True)
     if form == "table":
         screen.show_comparison(compared, names)
     elif form == "md":

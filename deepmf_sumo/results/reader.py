@@ -297,11 +297,15 @@ class Run:
 
 def judged_before(runs: Sequence[Run]) -> str:
     """A sentence on the runs that an earlier version judged by their own plans; empty if none."""
-    count = sum(run.judged_by_plan for run in runs)
+    return before_note(sum(run.judged_by_plan for run in runs), len(runs))
+
+
+def before_note(count: int, among: int) -> str:
+    """A sentence on runs that an earlier version judged by their own plans; empty for none."""
     if not count:
         return ""
     return (
-        f"an earlier version judged {count} of {len(runs)} runs, in traffic of SUMO, by what their"
+        f"an earlier version judged {count} of {among} runs, in traffic of SUMO, by what their"
         " own plan predicted (DeepMF, CAT) or without it (other methods): compare their avoidable"
         " hits neither with each other nor with those of this version; run them again"
     )

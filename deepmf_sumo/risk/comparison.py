@@ -19,6 +19,7 @@ from deepmf_sumo.gate.setups import WHOM, differing
 from deepmf_sumo.results import sessions
 from deepmf_sumo.results.matching import Matched, answer, match
 from deepmf_sumo.results.quantities import COMPARABLE, RATE, Quantity
+from deepmf_sumo.results.reader import before_note
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.stored import inputs_of, result_folders
 from deepmf_sumo.risk import attacks
@@ -61,6 +62,10 @@ def notes(
             f"the network {name} is not the same in A and B in spite of one name: a difference"
             " may be the network's"
         )
+    found = [one for side in sides for one in side.values() if one["network"] is not None]
+    before = [one for one in found if one["opponent"] and one.get("counterfactual") is None]
+    if said := before_note(len(before), len(found)):
+        yield said
     if planners_differ and (networks_differ or changed):
         yield (
             "planner and network are both different: a difference may be of either; compare sides"

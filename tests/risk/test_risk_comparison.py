@@ -260,3 +260,16 @@ def test_runs_that_are_not_there_yet_differ_in_nothing(tmp_path):
     found = comparison.compare(tmp_path / "a", tmp_path / "b")
     assert (found.differs, found.pairs) == ({}, 1)
     assert "1 runs of B failed, timed out or are missing, and are not compared" in found.notes
+
+
+def test_hits_that_an_earlier_version_judged_by_plans_are_told_apart(tmp_path):
+    def folder(name, by):
+        out = Attacks(tmp_path / name)
+        for seed in range(2):
+            out.add("crossing", seed, av=eastward(), opponent=eastward(), hit=20, counterfactual=by)
+        return tmp_path / name
+
+    new, old = folder("new", "episode"), folder("old", None)
+    said = "an earlier version judged 2 of 4 runs"
+    assert any(said in one for one in comparison.compare(old, new).notes)
+    assert not any("earlier version" in one for one in comparison.compare(new, new).notes)

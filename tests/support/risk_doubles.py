@@ -62,6 +62,7 @@ class Attacks:
         if hit:
             known |= {"avoidable": 1.0, "delta_v": 6.0, "accident_type": 1.0}
         values = {
+            "counterfactual": "episode",
             "run_id": run_id, "key": "k", "spec": spec, "scene": scene, "network": network,
             "seed": seed, "planner": "idm", "planner_label": planner, "adversary": "deepmf",
             "settings": {"planner": {}, "adversary": {}}, "weights": "open", "status": "ok",
