@@ -105,7 +105,8 @@ def written(page: Page, ran: Ran, folder: Path) -> str:
         shown = block.language == "text" and ran.outputs.get(number, "").strip()
         if shown:
             lines = ran.outputs[number].replace(f"{folder}/here/", "").strip("\n").splitlines()
-            cut = [*lines[:FIRST], "...", *lines[-LAST:]] if len(lines) > FIRST + LAST else lines
+            long = len(lines) > FIRST + LAST + 1  # else the line of dots is no shorter
+            cut = [*lines[:FIRST], "...", *lines[-LAST:]] if long else lines
             new = "\n".join(line.rstrip() for line in cut) + "\n"
             text = text[: block.start] + new + text[block.end :]
     return text
