@@ -98,6 +98,8 @@ def running(
     except refusals as error:
         # repr() of libsumo's errors is the name of a wrapper object; str() is the message
         reason = str(error).strip() if started else _why_not(arguments, str(error).strip())
+        with suppress(*refusals):
+            api.close()  # only then is all that it said in its file
         words = reason if folder is None else sumo_words.before(reason, folder)
         raise SimulationError(f"SUMO refused{_what(arguments)}: {words}") from error
     finally:

@@ -10,7 +10,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -250,6 +250,8 @@ def hold(case: TrafficCase, model: VehicleModel | None) -> None:
         if api.simulation.getTime() < until_s:
             api.simulationStep(until_s)
     except (api.TraCIException, api.FatalTraCIError) as error:
+        with suppress(api.TraCIException, api.FatalTraCIError):
+            api.close()  # only then is all that it said in its file
         reason = sumo_words.before(str(error), _held.folder)
         release()
         raise SimulationError(f"SUMO does not come to {until_s:g} s: {reason}") from error

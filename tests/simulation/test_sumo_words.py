@@ -3,13 +3,14 @@
 import os
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import sumo
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.simulation import sumo_words
+from deepmf_sumo.simulation import sumo_config, sumo_words
 from deepmf_sumo.simulation.motion_survey import Survey, survey
 from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, running
 
@@ -47,6 +48,10 @@ WRONG = {
     "a type that is not there": '<vehicle id="x" type="lorry" depart="3">ROUTE</vehicle>',
     "an edge that is not there":
         '<vehicle id="x" type="car" depart="3"><route edges="nowhere"/></vehicle>',
+    # SUMO reads one vehicle ahead, so this one is met in a step, not at the start
+    "an id after a vehicle that it takes":
+        '<vehicle id="second" type="car" depart="2">ROUTE</vehicle>'
+        '<vehicle id="taxi 7" type="car" depart="9">ROUTE</vehicle>',
 }  # fmt: skip
 
 
@@ -62,6 +67,14 @@ def test_an_error_names_what_sumo_names(fault, tmp_path, capsys):
     code = main._run(["attack", str(config), "--moments", "1", "--out", str(tmp_path / "out")])
     assert code == 3
     assert words[0].rstrip(".") in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.sumo
+def test_an_error_on_the_way_to_a_start_names_what_sumo_names(tmp_path):
+    config = config_of(tmp_path, WRONG["an id after a vehicle that it takes"])
+    case = SimpleNamespace(config=config, sumo_options=(), seed=1, start_s=100.0)
+    with pytest.raises(SimulationError, match=r"SUMO does not come to .*'taxi 7'"):
+        sumo_config.hold(case, None)
 
 
 @pytest.mark.sumo
