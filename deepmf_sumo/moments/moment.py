@@ -193,8 +193,11 @@ def suitable(
 
 
 def opponents(sightings: Sightings) -> Bools:
-    """(K) whether it can attack: vehicles on roads that are not parked."""
-    others = np.array([kind_of(body.permission) == "vehicle" for body in sightings.bodies], bool)
+    """(K) whether it can attack: vehicles on roads that do not bend, and are not parked."""
+    others = np.array(
+        [kind_of(body.permission) == "vehicle" and not body.bends for body in sightings.bodies],
+        bool,
+    )
     able: Bools = others[sightings.vehicle] & ~sightings.parked
     return able
 

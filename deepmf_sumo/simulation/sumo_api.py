@@ -124,7 +124,7 @@ def _why_not(arguments: Sequence[str], error: str) -> str:
         run = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return error
-    lines = [line.removeprefix("Error: ") for line in run.stderr.splitlines()]
+    lines = [line.removeprefix("Error: ").strip() for line in run.stderr.splitlines()]
     return " ".join(line for line in lines if not line.startswith("Quitting")) or error
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import DT_S, Bools, Floats
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.simulation.long_vehicles import LongVehicles
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
 
@@ -65,12 +66,18 @@ class Scouting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """A vehicle of the demand. ``departed_s``: when SUMO inserted it."""
+    """A vehicle of the demand.
+
+    Attributes:
+        departed_s: when SUMO inserted it.
+        bends: it is several boxes (`long_vehicles`), which a policy cannot drive.
+    """
 
     id: str
     type: str
     permission: str
     departed_s: float
+    bends: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -204,6 +211,9 @@ class _Notes:
     numbers: "array[float]" = field(default_factory=lambda: array("d"))
     rows: "array[int]" = field(default_factory=lambda: array("q"))
 
+    def __post_init__(self) -> None:
+        self.long = LongVehicles(self.api)
+
     def look(self, now: float) -> int:
         """Note all vehicles on the road; returns their number."""
         vehicle = self.api.vehicle
@@ -263,6 +273,7 @@ class _Notes:
                     type=vehicle.getTypeID(name).partition("@")[0],
                     permission=vehicle.getVehicleClass(name),
                     departed_s=float(vehicle.getDeparture(name)),
+                    bends=bool(self.long.lengths_m(name)),
                 )
             )
         return self.bodies[name]

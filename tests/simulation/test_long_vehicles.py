@@ -17,11 +17,13 @@ from deepmf_sumo.geometry import boxes
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.live.observer import Observer
 from deepmf_sumo.metrics.traffic_conflicts import Limits, find
+from deepmf_sumo.moments.moment import opponents
 from deepmf_sumo.planners import idm
 from deepmf_sumo.recording.conflicts import observation
 from deepmf_sumo.simulation import long_vehicles, network_case, simulate
 from deepmf_sumo.simulation.motion_survey import Survey, survey
 from deepmf_sumo.simulation.road_users import TrafficReader
+from deepmf_sumo.simulation.traffic_survey import Scouting, scout
 
 NODES = """<nodes><node id="w" x="-200" y="0"/><node id="mid" x="0" y="0" type="priority"/>
 <node id="n" x="0" y="200"/><node id="e" x="200" y="0"/></nodes>"""
@@ -222,3 +224,19 @@ def test_a_live_attack_sees_the_same_boxes(trams, started):
         assert set(live.ids) == set(frame.ids)
         np.testing.assert_allclose(live.position_m[rows], frame.position_m, atol=1e-9)
         np.testing.assert_allclose(live.heading_rad[rows], frame.heading_rad, atol=1e-9)
+
+
+def test_who_can_attack_is_the_same_when_moments_are_chosen_and_in_an_episode(folder, started):
+    types = ["DEFAULT_VEHTYPE", "bendy", "said", "bus", "semi", "trailer"]
+    config = configured(folder, "mixed", "".join(
+        f'<vehicle id="{one}" type="{one}" depart="{4 * at}"><route edges="in on"/></vehicle>'
+        for at, one in enumerate(types)
+    ))  # fmt: skip
+    seen = scout(Scouting(config=config, sumo_options=(), seed=0))
+    able = {seen.bodies[number].id for number in seen.vehicle[opponents(seen)]}
+    api = started(config)
+    reader, driven = TrafficReader(api), set()
+    for _ in range(300):
+        api.simulationStep()
+        driven |= {one for one in reader.read().ids if reader.body(one).kind == "vehicle"}
+    assert able == driven == {"DEFAULT_VEHTYPE", "bus"}
