@@ -112,13 +112,23 @@ class Places:
         return {lane: one for one in self.movements.values() for lane in one.lanes}
 
     @cached_property
+    def _of_way_over(self) -> dict[str, Movement]:
+        """By the names of ways over lights in networks without lanes inside (`NetLink.onto`)."""
+        found = {}
+        for link in self.net.links:
+            one = self.movement(*link.edges)
+            if one is not None and link.onto not in self.lanes:
+                found[link.onto] = one
+        return found
+
+    @cached_property
     def _outlines(self) -> list[tuple[str, shapely.Polygon]]:
         drawn = [one for one in self.net.junctions if len(one.shape_m) > 2]
         return [(one.id, shapely.Polygon(one.shape_m)) for one in drawn]
 
     def spot(self, lane_id: str) -> Spot:
         """Where a lane is."""
-        movement = self._of_inner_lane.get(lane_id)
+        movement = self._of_inner_lane.get(lane_id) or self._of_way_over.get(lane_id)
         if movement:
             return Spot(lane=lane_id, junction=movement.junction, movement=movement.id)
         edge = self.lanes[lane_id].edge

@@ -108,10 +108,12 @@ def test_damaged_records_are_rows_and_the_others_run(recordings, tmp_path, capsy
 def test_scenes_convert_and_run_agree_on_what_is_no_recording(recordings, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "nil.tfrecord").touch()
-    for name in ("empty", "nil.tfrecord"):
+    for name, why in (("empty", "There is no scene in"), ("nil.tfrecord", "contains no scene")):
         for more in (["scenes"], ["convert", "--out", str(tmp_path / "nets")]):
             assert main._run([*more, str(tmp_path / name)]) == 3
-            assert f"There is no scene in {tmp_path / name}." in capsys.readouterr().err
+            said = " ".join("".join(capsys.readouterr()).split())
+            assert why in said
+            assert str(tmp_path / name) in said
     assert main._run(["scenes", str(recordings / "f.txt")]) == 3
     assert "f.txt has an unknown format" in capsys.readouterr().err
 

@@ -130,7 +130,7 @@ def test_each_spec_runs_with_each_seed(specs, tmp_path, capsys):
         ("-3", "'-3' is not a seed"),
         ("5-1", "5-1 ends before it begins"),
         ("1-3,2", "the seed 2 is given twice"),
-        ("0-2147483648", "2147483648 is too large"),
+        ("0-4294967296", "4294967296 is too large"),
         ("0-2147483647", "holds more than 100000 seeds"),
     ],
 )

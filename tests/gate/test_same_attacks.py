@@ -29,9 +29,11 @@ def folders(tmp_path_factory, starts_sumo):
             "planner": "constant_velocity" if name == "blind" else "idm",
             "adversary": {"name": "trajectory", "agent": "leader", "poses": brakes()},
         }
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump(values))
-        out = ["--out", str(folder / name), "--no-pictures", "--seeds", "1-5", "--jobs", "2"]
-        assert run("run", folder / f"{name}.yaml", *out) == 0
+        files = [folder / f"{name}-{number}.yaml" for number in range(5)]
+        for number, file in enumerate(files):  # seeds of one spec would be one unit
+            file.write_text(yaml.safe_dump(values | {"name": f"brakes {number}", "seed": 1}))
+        out = ["--out", str(folder / name), "--no-pictures", "--jobs", "2"]
+        assert run("run", *files, *out) == 0
     return folder
 
 
@@ -110,7 +112,7 @@ def test_own_hits_with_several_seeds_of_one_spec_are_one():
 
 def test_it_needs_two_result_folders(folders, tmp_path, capsys):
     with pytest.raises(UsageError, match="file of --write-baseline"):
-        gate.repeated(folders / "blind", folders / "blind.yaml", tmp_path / "out", 0.95)
+        gate.repeated(folders / "blind", folders / "blind-0.yaml", tmp_path / "out", 0.95)
     for results in ("blind", "seeing"):
         with pytest.raises(UsageError, match="holds the results themselves"):
             gate.repeated(folders / "blind", folders / "seeing", folders / results, 0.95)

@@ -41,7 +41,7 @@ WRONG = {
     "other_step": "answered for step 11 when asked for step 12",
     "other_kind": "answered kind 'fly' at step 12; known: sumo, speed, leader, pose",
     "other_protocol": "speaks protocol 2, this is 1",
-    "teleport": "(0, 5000) at step 12 is 5005.0 m from the AV",
+    "teleport": "(0, 5000) at step 12 is 5005.05 m from the AV",
     "deep": "which is not JSON",
     "kill_parent": "was ended by signal 9",
 }

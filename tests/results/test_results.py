@@ -95,6 +95,8 @@ def test_row(found):
     assert row == {
         "run_id": "made-up--tiny--0",
         "spec": "made up",
+        "profile": "any",
+        "constraints": "",
         "scene": "tiny",
         "planner": "idm",
         "perception": "lane",

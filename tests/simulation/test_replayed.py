@@ -176,6 +176,7 @@ def test_longer_than_the_recording(case, tmp_path):
     assert_same(one, other)
 
 
+@pytest.mark.jumps("the opponent turns toward the AV in a step")
 def test_recorded_scenes(womd, tmp_path):
     for name in readers.ids(womd / "val", tmp_path)[3:6]:
         scene = readers.scene(womd / "val", name, tmp_path)
