@@ -374,10 +374,13 @@ def _accelerated(view: View, action: Floats) -> Command:
     """The command for the speed after a step at an acceleration."""
     row = view.history.row(view.av_id)
     speed = float(view.history.speed_mps[row, -1])
-    given = np.asarray(action, float).reshape(-1)
+    try:
+        given = np.asarray(action, float).reshape(-1)
+    except (TypeError, ValueError):  # text, None, rows of unequal lengths
+        given = np.empty(0)
     if len(given) != 1 or not np.isfinite(given).all():
         raise UsageError(
-            f"The action is {given.tolist()!r:.80}; it must be one finite acceleration in m/s2. A"
+            f"The action is {action!r:.80}; it must be one finite acceleration in m/s2. A"
             " network that diverged gives nan."
         )
     wish = float(given[0])

@@ -120,8 +120,9 @@ def test_accelerations_are_driven_and_a_contact_ends_it(make, tiny):
 def test_an_action_that_is_no_acceleration_is_refused_and_the_episode_goes_on(make, loaded, action):
     environment = make(loaded)
     environment.reset()
-    with pytest.raises(UsageError, match="must be one finite acceleration"):
-        environment.step(np.array(action, np.float32))
+    for given in (np.array(action, np.float32), "brake", None, [[1.0], [2.0, 3.0]]):
+        with pytest.raises(UsageError, match="must be one finite acceleration"):
+            environment.step(given)
     assert environment.step(np.zeros(1, np.float32))[1] != 0.0
 
 

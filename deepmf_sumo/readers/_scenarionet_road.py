@@ -331,7 +331,7 @@ class _Reading:
             kinds = ", ".join(sorted(self.unknown))
             repairs.append(f"Map features of unknown kinds were dropped: {kinds}.")
         for what, count in sorted(self.beside_road.items()):
-            repairs.append(f"{count} {what} were left out; a scene contains the road alone.")
+            repairs.append(f"Left out: {count} {what}; a scene contains the road alone.")
         if self.without_points:
             repairs.append(
                 f"{len(self.without_points)} map features without points were dropped: "

@@ -6,6 +6,7 @@ copy of this process (`os.fork`) goes on from there, and here SUMO waits for the
 has all of SUMO's state, so nothing differs from a SUMO that was started for the run alone.
 """
 
+import math
 import os
 import re
 import tempfile
@@ -152,6 +153,8 @@ def _seconds(file: Path, name: str, text: str) -> float:
         if len(parts) not in {1, 3, 4}:
             raise ValueError
         numbers = [float(part) for part in parts]
+        if not all(math.isfinite(number) for number in numbers):
+            raise ValueError
     except ValueError:
         raise SimulationError(
             f"'{file}' has {name} '{text}', which is not a time: write seconds, or"

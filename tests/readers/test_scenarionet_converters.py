@@ -130,7 +130,7 @@ def test_a_nearly_flat_road_that_leads_one_way_east_keeps_its_heights(read):
 def test_sidewalks_are_left_out_and_counted(read):
     scene = read(by_hand.nuscenes())
     assert [one.kind for one in scene.road.polygons] == ["crosswalk"]
-    assert said(scene, "2 sidewalks were left out; a scene contains the road alone.")
+    assert said(scene, "Left out: 2 sidewalks; a scene contains the road alone.")
 
 
 def test_outlines_of_the_drivable_area_are_road_edges(read):

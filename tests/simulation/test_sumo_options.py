@@ -81,7 +81,7 @@ def test_sumo_and_we_read_the_same(spelling, folder):
 @pytest.mark.parametrize(
     ("text", "seconds"),
     [("1:00:00", 3600), ("1:0:0:5", 86405), ("1e1", 10), ("3.", 3), ("9:9:1:0:0:5", None),
-     ("2:5", None), ("0.5h", None)],
+     ("2:5", None), ("0.5h", None), ("nan", None)],
 )  # fmt: skip
 def test_times_are_those_of_sumo(text, seconds, folder):
     config = written(folder, f'<net-file value="tiny.net.xml"/><begin value="{text}"/>')
