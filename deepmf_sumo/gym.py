@@ -28,8 +28,8 @@ from deepmf_sumo.datatypes.scene import HISTORY_STEPS
 from deepmf_sumo.errors import PluginError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry import frames, polylines
-from deepmf_sumo.metrics import Episode, NotMeasurable
-from deepmf_sumo.metrics.avoidability import avoidable
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable
+from deepmf_sumo.judge.metrics.avoidability import avoidable
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.sweep import episode

@@ -11,13 +11,15 @@ import functools
 import importlib
 import importlib.metadata
 import pkgutil
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from deepmf_sumo.errors import PluginError, nearest
 
 Kind = Literal["readers", "planners", "policies", "adversaries", "metrics", "exporters"]
+_PLACES: Final[dict[str, str]] = {"metrics": "deepmf_sumo.judge.metrics"}
+"""Packages of the kinds that are not on top."""
 
 
 class Settings(BaseModel):
@@ -46,7 +48,7 @@ def module_of(kind: Kind, name: str) -> str | None:
 @functools.cache
 def _own(kind: Kind) -> tuple[str, ...]:
     """Names of this package's plug-ins; cached, because folders are slow to list."""
-    package = importlib.import_module(f"deepmf_sumo.{kind}")
+    package = importlib.import_module(_PLACES.get(kind, f"deepmf_sumo.{kind}"))
     if kind == "metrics":
         return tuple(package.own())
     return tuple(
@@ -72,7 +74,7 @@ def load(kind: Kind, name: str) -> Any:
             f"No plug-in '{name}' in {kind}.{nearest(name, known)} Known: {', '.join(known)}."
         )
     if kind == "metrics":
-        return importlib.import_module("deepmf_sumo.metrics").own()[name]
+        return importlib.import_module(_PLACES[kind]).own()[name]
     return importlib.import_module(f"deepmf_sumo.{kind}.{name}")
 
 

@@ -15,8 +15,9 @@ from griffe import Docstring, DocstringSectionAttributes
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from deepmf_sumo import metrics, plugins
+from deepmf_sumo import plugins
 from deepmf_sumo.errors import EXIT_CODES
+from deepmf_sumo.judge import metrics
 from deepmf_sumo.results.quantities import QUANTITIES
 from deepmf_sumo.spec.profiles import LONG_S, PROFILES
 
@@ -158,7 +159,7 @@ def metric_tables() -> str:
         by_module.setdefault(one.compute.__module__.rpartition(".")[2], []).append(one)
     parts = []
     for module, those in sorted(by_module.items()):
-        text = importlib.import_module(f"deepmf_sumo.metrics.{module}").__doc__ or ""
+        text = importlib.import_module(f"deepmf_sumo.judge.metrics.{module}").__doc__ or ""
         rows = ([f"`{one.name}`", one.unit, one.better, one.definition] for one in those)
         parts += [
             f"## {module}",

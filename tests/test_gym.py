@@ -10,7 +10,7 @@ import pytest
 from deepmf_sumo import spec, tasks
 from deepmf_sumo.datatypes import Command, Driver
 from deepmf_sumo.errors import PlannerError, PluginError, UsageError
-from deepmf_sumo.metrics import NotMeasurable
+from deepmf_sumo.judge.metrics import NotMeasurable
 from deepmf_sumo.simulation.sumo_api import sumo_seed
 from deepmf_sumo.sweep import episode
 

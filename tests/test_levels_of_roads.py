@@ -9,7 +9,6 @@ import pytest
 from deepmf_sumo.adversaries import _open_loop as open_loop
 from deepmf_sumo.adversaries import diffscene
 from deepmf_sumo.adversaries._episodes import Motion
-from deepmf_sumo.avoidability.av_path import keeps_lane, route_ahead
 from deepmf_sumo.datatypes import DT_S, Lane, Plan, RoadMap, View
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.lane_assignment import lanes_at
@@ -18,6 +17,7 @@ from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
 from deepmf_sumo.geometry import road as roads
+from deepmf_sumo.judge.avoidability.av_path import keeps_lane, route_ahead
 from deepmf_sumo.network import matching
 from deepmf_sumo.predictors.lanes import road_index
 from deepmf_sumo.predictors.opponent import _pairs, surroundings

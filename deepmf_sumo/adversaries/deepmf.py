@@ -15,8 +15,8 @@ from deepmf_sumo.deepmf.policy import DeepMF as Policy
 from deepmf_sumo.deepmf.policy import Predictors
 from deepmf_sumo.deepmf.policy import build as build_policy
 from deepmf_sumo.deepmf.settings import Goal, Settings
-from deepmf_sumo.metrics import Episode
-from deepmf_sumo.metrics.collision import valid_collision
+from deepmf_sumo.judge.metrics import Episode
+from deepmf_sumo.judge.metrics.collision import valid_collision
 
 _Rank = tuple[bool, ...]
 """What an episode reached; the first is the goal."""

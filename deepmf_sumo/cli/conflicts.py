@@ -10,7 +10,7 @@ from deepmf_sumo.cli._parameters import AFTER, FiniteRange, WithSumoOptions, for
 from deepmf_sumo.errors import OutputError
 
 if TYPE_CHECKING:
-    from deepmf_sumo.metrics.traffic_conflicts import Limits
+    from deepmf_sumo.judge.metrics.traffic_conflicts import Limits
     from deepmf_sumo.recording.conflicts import Observation
     from deepmf_sumo.risk.traffic_conflicts import PlaceConflicts
     from deepmf_sumo.simulation.motion_survey import Survey
@@ -78,7 +78,7 @@ def command(
     """
     from deepmf_sumo import files
     from deepmf_sumo.cli import _screen as screen
-    from deepmf_sumo.metrics.traffic_conflicts import Limits
+    from deepmf_sumo.judge.metrics.traffic_conflicts import Limits
     from deepmf_sumo.network.sumo_road import road_once
     from deepmf_sumo.recording import conflicts as recording
     from deepmf_sumo.risk import places

@@ -22,8 +22,8 @@ import deepmf_sumo
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
 from deepmf_sumo.errors import RunError
+from deepmf_sumo.judge.metrics import measure
 from deepmf_sumo.live.session import Jump, LiveAttack, Switch
-from deepmf_sumo.metrics import measure
 from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result

@@ -8,8 +8,8 @@ import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Floats
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.judge.metrics.conflict import Moving, time_to_collision
 from deepmf_sumo.live.observer import Observer, Sighting
-from deepmf_sumo.metrics.conflict import Moving, time_to_collision
 from deepmf_sumo.simulation.frame import Frame
 from deepmf_sumo.simulation.sumo_api import SumoApi
 

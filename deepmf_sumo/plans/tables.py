@@ -15,9 +15,9 @@ import numpy as np
 from deepmf_sumo import files, tables
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.geometry.impact import SECTORS
-from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
-from deepmf_sumo.metrics.naturalness import Samples
-from deepmf_sumo.metrics.statistics import (
+from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
+from deepmf_sumo.judge.metrics.naturalness import Samples
+from deepmf_sumo.judge.metrics.statistics import (
     distinct,
     diversity_m,
     diversity_within_m,

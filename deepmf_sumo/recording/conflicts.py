@@ -15,7 +15,7 @@ import numpy as np
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import DeepmfError, OutputError, SimulationError, UsageError
 from deepmf_sumo.exporters import ssam
-from deepmf_sumo.metrics.traffic_conflicts import Limits, SsamType, TrafficConflict, find
+from deepmf_sumo.judge.metrics.traffic_conflicts import Limits, SsamType, TrafficConflict, find
 from deepmf_sumo.simulation.motion_survey import Survey, Surveyed, survey
 from deepmf_sumo.simulation.sumo_config import read_configuration
 from deepmf_sumo.sweep import workers

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import pandas as pd
 
-from deepmf_sumo.avoidability.grading import GRADES
-from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
+from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
+from deepmf_sumo.judge.avoidability.grading import GRADES
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.results.reader import Results, Run

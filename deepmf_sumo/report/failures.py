@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from deepmf_sumo.results.conflict_types import ACROSS, ConflictType
+from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType
 from deepmf_sumo.results.failures import Failure
 from deepmf_sumo.results.groups import Group, avoided_by
 from deepmf_sumo.texts import shown

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo import files
-from deepmf_sumo.avoidability.counterfactual import By, Counterfactual, likeliest, predicted
 from deepmf_sumo.datatypes import (
     DT_S,
     Case,
@@ -18,6 +17,7 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     Rollout,
 )
+from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, likeliest, predicted
 from deepmf_sumo.results import signals, stored, tracks
 from deepmf_sumo.results.result import counterfactual_of
 from deepmf_sumo.results.tracks import read_tracks

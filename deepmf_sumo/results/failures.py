@@ -3,7 +3,7 @@
 A failure is a hit of the opponent, or an error of the planner: one that crashed, hung, or answered
 nonsense. A hit is described by its conflict, by where the opponent came from, by priority,
 what the AV did, and when the AV could first have reacted. The kind of conflict is that of
-`conflict_types`.
+`judge.conflict_types`.
 """
 
 import re
@@ -14,16 +14,16 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.avoidability.encounter import onset_of
-from deepmf_sumo.avoidability.grading import GRADES, Grade
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Tracks
 from deepmf_sumo.datatypes.signals import FORBIDS, GOES, STOP_FIRST
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.geometry.slow import STANDING_MPS
-from deepmf_sumo.metrics.driving import lights_passed
+from deepmf_sumo.judge.avoidability.encounter import onset_of
+from deepmf_sumo.judge.avoidability.grading import GRADES, Grade
+from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
+from deepmf_sumo.judge.metrics.driving import lights_passed
 from deepmf_sumo.network.matching import match
 from deepmf_sumo.results import stored
-from deepmf_sumo.results.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
 from deepmf_sumo.results.reader import Results, Run
 
 Kind = Literal[

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, Final, Literal
 
-from deepmf_sumo.avoidability.grading import GRADES
+from deepmf_sumo.judge.avoidability.grading import GRADES
 from deepmf_sumo.results.failures import Failure
 
 AvoidedBy = Literal["careful driver", "emergency manoeuvre", "no driver", ""]

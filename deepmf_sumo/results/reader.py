@@ -18,12 +18,12 @@ from typing import Any, Final, Self
 import pandas as pd
 
 from deepmf_sumo import files, readers
-from deepmf_sumo.avoidability.counterfactual import Counterfactual
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Scene
 from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry.impact import SECTORS
-from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
+from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
+from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import artifacts, stored, tracks
 from deepmf_sumo.results.result import ContactValues, MetricValues, Result

@@ -11,7 +11,6 @@ from typing import Any, Final, Literal, Required, TypedDict
 import numpy as np
 
 from deepmf_sumo import plugins, tables
-from deepmf_sumo.avoidability.counterfactual import By, Counterfactual, counterfactual
 from deepmf_sumo.datatypes import (
     Attack,
     Case,
@@ -25,7 +24,8 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.errors import PlannerFault
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.metrics import NotMeasurable, naturalness
+from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, counterfactual
+from deepmf_sumo.judge.metrics import NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
 from deepmf_sumo.tasks import Label, Task
 

@@ -19,9 +19,9 @@ import numpy as np
 from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import stored
-from deepmf_sumo.results.conflict_types import ConflictType, Meeting
 from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked

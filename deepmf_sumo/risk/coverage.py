@@ -8,7 +8,7 @@ from math import inf
 from statistics import fmean, median
 from typing import Final, Literal
 
-from deepmf_sumo.results.conflict_types import DEFINITIONS, TYPES
+from deepmf_sumo.judge.conflict_types import DEFINITIONS, TYPES
 from deepmf_sumo.risk.attacks import Attacked, Network
 from deepmf_sumo.risk.passing import Passing, hours
 from deepmf_sumo.risk.places import SITES

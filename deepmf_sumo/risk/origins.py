@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate.rows import Row
-from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
+from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.results import quantities
 from deepmf_sumo.results.matching import Matched, answer, match
 from deepmf_sumo.results.result import Result, attacked

@@ -12,10 +12,10 @@ import numpy as np
 
 from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.metrics.traffic_conflicts import SSAM_TYPES
+from deepmf_sumo.judge.conflict_types import Course, conflict_type
+from deepmf_sumo.judge.metrics.traffic_conflicts import SSAM_TYPES
 from deepmf_sumo.network.sumo_net import going_first
 from deepmf_sumo.recording.conflicts import Observation, Observed, Side
-from deepmf_sumo.results.conflict_types import Course, conflict_type
 from deepmf_sumo.risk import table
 from deepmf_sumo.risk.attacks import Network, read
 from deepmf_sumo.risk.places import SITES, Kind, Places, Spot

@@ -10,7 +10,7 @@ import numpy as np
 from deepmf_sumo.datatypes import DT_S, AgentId, agent_ids
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.metrics.traffic_conflicts import Motions
+from deepmf_sumo.judge.metrics.traffic_conflicts import Motions
 from deepmf_sumo.network.sumo_net import edge_of
 from deepmf_sumo.simulation.long_vehicles import State
 from deepmf_sumo.simulation.road_users import TrafficReader

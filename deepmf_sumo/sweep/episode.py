@@ -41,7 +41,7 @@ from deepmf_sumo.errors import (
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.exporters import scene as scene_file
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.metrics import measure
+from deepmf_sumo.judge.metrics import measure
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy

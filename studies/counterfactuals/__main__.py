@@ -17,13 +17,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from deepmf_sumo.avoidability import encounter
-from deepmf_sumo.avoidability.counterfactual import Counterfactual, counterfactual
-from deepmf_sumo.avoidability.grading import GRADES, Judgement, judge
 from deepmf_sumo.datatypes import AgentId, Case, Rollout, TrafficCase
-from deepmf_sumo.metrics import Episode
-from deepmf_sumo.metrics.avoidability import judgement
-from deepmf_sumo.metrics.collision import valid_collision
+from deepmf_sumo.judge.avoidability import encounter
+from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
+from deepmf_sumo.judge.avoidability.grading import GRADES, Judgement, judge
+from deepmf_sumo.judge.metrics import Episode
+from deepmf_sumo.judge.metrics.avoidability import judgement
+from deepmf_sumo.judge.metrics.collision import valid_collision
 from deepmf_sumo.results import artifacts
 from deepmf_sumo.results.reader import Results, Run
 

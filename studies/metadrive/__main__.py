@@ -17,7 +17,7 @@ from deepmf_sumo import plugins, tasks
 from deepmf_sumo.datatypes import Attack, Budget, RecordedCase, Rollout
 from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.files import cache_folder
-from deepmf_sumo.metrics import measure
+from deepmf_sumo.judge.metrics import measure
 from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.results import statistics
 from deepmf_sumo.simulation.episode import run

@@ -19,8 +19,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.avoidability import reference_drivers as drivers
-from deepmf_sumo.avoidability.av_path import AvPath
 from deepmf_sumo.datatypes import (
     AgentId,
     Bools,
@@ -35,6 +33,8 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import off_level
 from deepmf_sumo.geometry.slow import WAITING_MPS
+from deepmf_sumo.judge.avoidability import reference_drivers as drivers
+from deepmf_sumo.judge.avoidability.av_path import AvPath
 from deepmf_sumo.planners import idm
 from deepmf_sumo.planners.perception import entries
 from deepmf_sumo.plugins import Settings as PluginSettings

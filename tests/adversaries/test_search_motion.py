@@ -9,7 +9,7 @@ from deepmf_sumo.adversaries._controls import Bicycle, Knots
 from deepmf_sumo.adversaries._episodes import Motion, Scouted
 from deepmf_sumo.adversaries._search import SearchSettings, Weights, cost_of
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.metrics.driving import feasible
+from deepmf_sumo.judge.metrics.driving import feasible
 
 from tests.support.predictor_doubles import straight_road, view_of
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight

@@ -10,7 +10,7 @@ from test_study_tables import folder, result, rows  # noqa: F401 - a fixture
 from deepmf_sumo import plans
 from deepmf_sumo.cli import _screen as screen
 from deepmf_sumo.errors import SpecError, UsageError
-from deepmf_sumo.metrics import statistics
+from deepmf_sumo.judge.metrics import statistics
 from deepmf_sumo.plans import layout, tables
 from deepmf_sumo.report import benchmark as report
 from deepmf_sumo.results.folder import summary

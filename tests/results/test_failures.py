@@ -12,10 +12,10 @@ from deepmf_sumo import files
 from deepmf_sumo.cli import main
 from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
 from deepmf_sumo.errors import PlannerError
+from deepmf_sumo.judge import conflict_types
+from deepmf_sumo.judge.conflict_types import Meeting
 from deepmf_sumo.report import failures as words
-from deepmf_sumo.results import conflict_types
 from deepmf_sumo.results import failures as module
-from deepmf_sumo.results.conflict_types import Meeting
 from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.results.reader import Results, Run

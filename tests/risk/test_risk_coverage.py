@@ -5,8 +5,8 @@ import pytest
 
 from deepmf_sumo import risk
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.judge.conflict_types import Course, conflict_type
 from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.results.conflict_types import Course, conflict_type
 from deepmf_sumo.risk import places as places_module
 from deepmf_sumo.risk.coverage import NO_CONFLICT
 

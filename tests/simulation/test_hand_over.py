@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import shapely
 
-from deepmf_sumo import metrics
 from deepmf_sumo.datatypes import Driver
-from deepmf_sumo.metrics import collision, driving
+from deepmf_sumo.judge import metrics
+from deepmf_sumo.judge.metrics import collision, driving
 from deepmf_sumo.planners import constant_velocity, replay
 from deepmf_sumo.policies import trajectory
 from deepmf_sumo.simulation import simulate

@@ -14,9 +14,9 @@ import sumo
 
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.judge.metrics.traffic_conflicts import Limits, find
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.live.observer import Observer
-from deepmf_sumo.metrics.traffic_conflicts import Limits, find
 from deepmf_sumo.moments.moment import opponents
 from deepmf_sumo.planners import idm
 from deepmf_sumo.recording.conflicts import observation

@@ -6,7 +6,7 @@ A ram from behind is a rear-end collision or a cut-in that the AV is hit at the 
 import argparse
 from pathlib import Path
 
-from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
+from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.results import quantities
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked

@@ -11,7 +11,7 @@ import yaml
 
 import deepmf_sumo
 from deepmf_sumo import spec
-from deepmf_sumo.avoidability.encounter import onset_of
+from deepmf_sumo.judge.avoidability.encounter import onset_of
 from deepmf_sumo.readers import npz
 from deepmf_sumo.results.failures import failure_of
 from deepmf_sumo.results.stored import DAMAGE

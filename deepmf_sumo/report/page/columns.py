@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.metrics.collision import ACCIDENT_TYPES
+from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 from deepmf_sumo.results.quantities import QUANTITIES, Quantity, accident
 from deepmf_sumo.results.result import Result, first_contact

@@ -25,7 +25,7 @@ from deepmf_sumo.datatypes import (
     Rollout,
 )
 from deepmf_sumo.datatypes.signals import FORBIDS, GOES, HALTS, STOP_FIRST
-from deepmf_sumo.metrics import NotMeasurable, conflict
+from deepmf_sumo.judge.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures.episode import met_at
 from deepmf_sumo.results import stored
 

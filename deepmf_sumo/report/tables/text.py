@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from deepmf_sumo import plugins
-from deepmf_sumo.metrics.statistics import BINS
+from deepmf_sumo.judge.metrics.statistics import BINS
 from deepmf_sumo.plans.layout import Layout
 from deepmf_sumo.plans.tables import STATUSES
 from deepmf_sumo.report.tables import layouts

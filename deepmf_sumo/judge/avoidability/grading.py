@@ -1,0 +1,265 @@
+"""Grades of contacts: whether the AV could have avoided them, and whether it was at fault.
+
+`judge` grades a contact: unavoidable, avoidable by a manoeuvre but by no reference driver, by some
+or by all of them. `avoidable` tests many futures of the opponent before any of them is driven: the
+AV keeps its speed along its path until the driver in its place reacts.
+
+`av_at_fault` follows the classes of nuPlan's at-fault collisions (Caesar et al., 2021, metric
+``no_ego_at_fault_collisions``): the AV is at fault if it hits something that stands, or hits with
+its front, or touches sideways while it is not within one lane. It is not at fault while it stands
+itself, or if it is hit from behind. The classes contain neither right of way nor cut-ins: a car
+that cuts in close ahead of the AV and is hit there counts against the AV; the grade says whether
+the AV could have avoided it. A vehicle stands at less than 0.1 m/s (nuPlan: 0.05, which recorded
+velocities of standing vehicles exceed).
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Floats, Ints, Rollout
+from deepmf_sumo.geometry import boxes, frames
+from deepmf_sumo.geometry.slow import STANDING_MPS
+from deepmf_sumo.judge.avoidability import manoeuvres, reference_drivers
+from deepmf_sumo.judge.avoidability.av_path import AvPath, State, keeps_lane, stays_on_road
+from deepmf_sumo.judge.avoidability.encounter import (
+    DEPARTURE_M,
+    Encounter,
+    Moving,
+    encounter_of,
+    hit_by,
+    on_collision_course,
+    third_parties_of,
+)
+from deepmf_sumo.judge.avoidability.reference_drivers import MODELS, Approach
+
+Grade = Literal["A", "B", "C", "D"]
+GRADES: Final[tuple[Grade, ...]] = ("A", "B", "C", "D")
+"""A: unavoidable. B: physically avoidable, but by no driver. C: by at least one. D: by all."""
+By = Literal["any", "all", "cc", "fsm", "rss"]
+Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front", "active_lateral"]
+BEHIND_RAD: Final = np.radians(30)
+_BUMPER_M = 0.1
+_PARTS_LEFT = np.linspace(0.95, 0.0, 20)  # of the step: at 40 m/s 0.2 m from one to the next
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """The drivers and manoeuvres that would have avoided a contact.
+
+    Attributes:
+        avoided_by: name of each of `reference_drivers.MODELS` -> whether that driver avoids it.
+        standing: the same -> whether the opponent hits that driver's car after it has stopped.
+        manoeuvres: number of `manoeuvres.GRID` that avoid it, started at the onset.
+        onset_step: of the rollout.
+    """
+
+    avoided_by: dict[str, bool]
+    standing: dict[str, bool]
+    manoeuvres: int
+    onset_step: int
+
+    @property
+    def physically(self) -> bool:
+        """Whether any manoeuvre or driver would have avoided the contact."""
+        return self.manoeuvres > 0 or any(self.avoided_by.values())
+
+    @property
+    def avoidable(self) -> bool:
+        """Whether one of the drivers would have avoided the contact: grade C or D."""
+        return any(self.avoided_by.values())
+
+    @property
+    def hit_standing(self) -> bool:
+        """Whether no driver avoids the contact, but one has stopped before it."""
+        return not self.avoidable and any(self.standing.values())
+
+    @property
+    def grade(self) -> Grade:
+        """See `GRADES`."""
+        if all(self.avoided_by.values()):
+            return "D"
+        if self.avoidable:
+            return "C"
+        return "B" if self.physically else "A"
+
+
+def judge(rollout: Rollout, case: Case) -> Judgement | None:
+    """The judgement, or None if AV and opponent did not touch."""
+    encounter = encounter_of(rollout, case)
+    if encounter is None:
+        return None
+    outcome = reference_drivers.outcome(
+        list(MODELS.values()),
+        encounter.path,
+        encounter.approach,
+        encounter.av_along_m,
+        encounter.onset,
+    )
+    return Judgement(
+        avoided_by={name: bool(outcome.avoided[d, 0]) for d, name in enumerate(MODELS)},
+        standing={name: bool(outcome.standing[d, 0]) for d, name in enumerate(MODELS)},
+        manoeuvres=int(evasive_manoeuvres(encounter, rollout, case).sum()),
+        onset_step=encounter.first_step + encounter.onset,
+    )
+
+
+def evasive_manoeuvres(encounter: Encounter, rollout: Rollout, case: Case) -> Bools:
+    """(M) whether each of `manoeuvres.GRID` avoids all contacts and stays on the road."""
+    approach, start = encounter.approach, encounter.onset
+    steps = approach.steps - start
+    driven = manoeuvres.drive(encounter.path, encounter.av_along_m[start:], rollout.dt_s)
+    poses = driven.centre_m, driven.heading_rad
+    free = driven.holds & ~reference_drivers.overlaps(approach, *poses, start).any(axis=1)
+    free &= stays_on_road(
+        case.road,
+        encounter.path,
+        driven.along_m,
+        driven.left_m,
+        approach.av_size_m[1] / 2,
+        float(rollout.tracks.z_m[rollout.tracks.row(rollout.av_id), encounter.first_step + start]),
+    )
+    if free.any():
+        first = encounter.first_step + start
+        others = third_parties_of(rollout, case, first, steps)
+        free &= ~hit_by(driven, others, approach.av_size_m)
+    return free
+
+
+class Past(NamedTuple):
+    """(H, 3) poses x, y, heading of the AV and of the opponent in the steps before now."""
+
+    av: Floats
+    opponent: Floats
+
+    @classmethod
+    def none(cls) -> "Past":
+        """No steps."""
+        return cls(np.empty((0, 3)), np.empty((0, 3)))
+
+
+def avoidable(
+    av_start: State,
+    av_size_m: Floats,
+    av_path_m: Floats,
+    opponent_now: State,
+    opponent_size_m: Floats,
+    opponent_position_m: Floats,
+    opponent_heading_rad: Floats,
+    dt_s: float,
+    by: By = "any",
+    av_along_m: Floats | None = None,
+    past: Past | None = None,
+    expected_m: Floats | None = None,
+) -> Bools:
+    """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
+
+    Args:
+        av_start: the AV now; it keeps this speed until the driver reacts.
+        av_size_m: (2) length, width.
+        av_path_m: (P, 2), P >= 0, the known points ahead of the AV; then it goes straight on.
+        opponent_now: the opponent at the current step.
+        opponent_size_m: (2) length, width.
+        opponent_position_m: (N, K, 2) its futures from the next step on.
+        opponent_heading_rad: (N, K).
+        dt_s: of a step.
+        by: the driver that has to avoid contact: one of `reference_drivers.MODELS`, ``any`` of them
+            or ``all``.
+        av_along_m: (K + 1) the AV's arc lengths now and at the opponent's steps until the driver
+            reacts, if it does not keep its speed.
+        past: what both did before; the driver takes over at its first step, not now.
+        expected_m: (H + 1 + K, 2) where the opponent would have been without the attack, from the
+            first step of ``past`` on, nan where that is not known. The driver then takes over at
+            the first sign of the attack, as in `judge` (`encounter.onset_step`).
+    """
+    past = past or Past.none()
+    av_m = np.concatenate([past.av[:, :2], [av_start.position_m]])
+    path = AvPath.through(av_m, np.append(past.av[:, 2], av_start.heading_rad), av_path_m)
+    futures, steps = np.shape(opponent_heading_rad)
+    now = np.append(opponent_now.position_m, opponent_now.heading_rad)
+    before = np.concatenate([past.opponent, [now]])
+    before = np.broadcast_to(before, (futures, *before.shape))
+    position = np.concatenate([before[..., :2], opponent_position_m], axis=1)
+    heading = np.concatenate([before[..., 2], opponent_heading_rad], axis=1)
+    approach = Approach.of(path, position, heading, opponent_size_m, av_size_m, dt_s)
+    steady_m = av_start.speed_mps * dt_s * np.arange(steps + 1)
+    ahead_m = steady_m if av_along_m is None else av_along_m
+    past_m = np.append(0.0, np.hypot(*np.diff(av_m, axis=0).T).cumsum())
+    driven_m = np.concatenate([past_m[:-1], past_m[-1] + ahead_m])
+    models = list(MODELS.values()) if by in ("any", "all") else [MODELS[by]]
+    start = 0 if expected_m is None else _onsets(path, approach, driven_m, expected_m)
+    avoided = reference_drivers.outcome(models, path, approach, driven_m, start).avoided
+    return np.all(avoided, axis=0) if by == "all" else np.any(avoided, axis=0)
+
+
+def _onsets(path: AvPath, approach: Approach, driven_m: Floats, expected_m: Floats) -> Ints:
+    """(N) first steps with a sign of the attack (`encounter.onset_step`); 0 without a sign."""
+    away = np.hypot(*np.moveaxis(approach.position_m - expected_m, -1, 0))
+    signs: Bools = away > DEPARTURE_M
+    first = np.where(signs.any(axis=1), signs.argmax(axis=1), approach.steps)
+    row, step = np.nonzero(np.arange(approach.steps) < first[:, None])
+    centre_m, heading = path.at(driven_m)
+    av = Moving(
+        centre_m[step],
+        np.gradient(centre_m, approach.dt_s, axis=0)[step],
+        heading[step],
+        approach.av_size_m,
+    )
+    opponent = Moving(
+        approach.position_m[row, step],
+        approach.velocity_mps[row, step],
+        approach.heading_rad[row, step],
+        approach.size_m,
+    )
+    signs[row, step] |= on_collision_course(av, opponent)
+    return np.asarray(signs.argmax(axis=1))
+
+
+def collision_class(rollout: Rollout, contact: Contact) -> Collision:
+    """Class of a contact of the AV; speeds are those of the step before it."""
+    tracks, before = rollout.tracks, max(contact.step - 1, 0)
+    av, other = tracks.row(contact.first_id), tracks.row(contact.second_id)
+    if tracks.speed_mps[av, before] <= STANDING_MPS:
+        return "av_stopped"
+    if tracks.speed_mps[other, before] <= STANDING_MPS:
+        return "other_stopped"
+    pose, size_m = _during_step(rollout, contact, contact.first_id, contact.pose_first)
+    others, other_m = _during_step(rollout, contact, contact.second_id, contact.pose_second)
+    their_box = others[:, :2], others[:, 2], other_m
+    touch = int(boxes.overlap(pose[:, :2], pose[:, 2], size_m, *their_box).argmax())
+    x, y = others[touch, :2] - pose[touch, :2]
+    aside = frames.difference(float(np.arctan2(y, x)), float(pose[touch, 2]))
+    if abs(float(aside)) >= np.pi - BEHIND_RAD:
+        return "active_rear"
+    bumper = pose[:, :2] + size_m[0] / 2 * frames.unit(pose[:, 2])
+    front = boxes.overlap(bumper, pose[:, 2], np.array([_BUMPER_M, size_m[1]]), *their_box)
+    return "active_front" if front.any() else "active_lateral"
+
+
+def _during_step(
+    rollout: Rollout, contact: Contact, agent_id: AgentId, end: Floats
+) -> tuple[Floats, Floats]:
+    """(P, 3) poses during the step of the contact until its end (3), and the agent's size (2).
+
+    At the end of the step a fast AV may be half through a crossing car, its front beyond it.
+    """
+    tracks, before = rollout.tracks, max(contact.step - 1, 0)
+    row = tracks.row(agent_id)
+    turn = frames.difference(end[2], tracks.heading_rad[row, before])
+    moved = np.append(end[:2] - tracks.position_m[row, before], turn)
+    return end - _PARTS_LEFT[:, None] * moved, tracks.size_m[row, :2]
+
+
+def av_at_fault(rollout: Rollout, case: Case) -> bool | None:
+    """Whether the contact with the opponent is the AV's fault; None if they did not touch."""
+    contact = rollout.first("av_opponent")
+    if contact is None:
+        return None
+    found = collision_class(rollout, contact)
+    if found == "active_lateral":
+        pose, tracks = contact.pose_first, rollout.tracks
+        av = tracks.row(contact.first_id)
+        width, z_m = float(tracks.size_m[av, 1]), float(tracks.z_m[av, contact.step])
+        return not keeps_lane(case.road, pose[:2], float(pose[2]), width, z_m)
+    return found in ("other_stopped", "active_front")

@@ -1,0 +1,230 @@
+"""The opponent's driving under the policy: limits of a car, the road, traffic lights."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deepmf_sumo.datatypes import (
+    Bools,
+    Case,
+    Floats,
+    RecordedCase,
+    RoadMap,
+    Rollout,
+    SignalState,
+)
+from deepmf_sumo.datatypes.signals import FORBIDS, HALTS
+from deepmf_sumo.geometry import frames, polylines, road
+from deepmf_sumo.geometry.lane_map import WIDTH_M
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric, once
+
+_ALONG_MPS2, _ACROSS_MPS2 = 8.0, 5.0
+_CURVATURE, _TURN_NOISE_RAD = 0.3, 0.1  # turning circles are at least 3.3 m in radius
+_SIDEWAYS, _SLIDING_MPS = 0.5, 2.0  # sine of 30 degrees; slow motion has no exact direction
+_NOISE_M = 0.1  # error of a state, mainly of the measured one before the first driven pose
+_MOVING_MPS = 1.0
+_SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
+
+
+@metric("1", better="higher")
+def feasible(episode: Episode) -> float:
+    """1 where, at every step driven by the policy, the opponent's acceleration (second differences
+    over 0.2 s) is at most 8 m/s2 along and 5 m/s2 across its motion, it turns by at most 0.3 rad a
+    metre (and 0.1 rad) and moves within 30 degrees of its heading (above 2 m/s; over 0.4 s), and
+    each pose is at most 0.14 m from where the state before leads, else 0.
+
+    A car neither accelerates nor steers beyond limits, nor slides sideways. Of 241 recorded cars
+    240 steer and slide within these limits; the limits of acceleration are those of dry roads.
+    """
+    rollout = episode.rollout
+    row, steps = _slices.driving(rollout)
+    if not _follows(rollout, row, steps).all():
+        return False
+    tracks = rollout.tracks
+    for run in _slices.runs(steps):
+        poses = tracks.position_m[row, run], tracks.heading_rad[row, run], rollout.dt_s
+        along, across = _slices.accelerations(*poses)
+        if (np.abs(along) > _ALONG_MPS2).any() or (np.abs(across) > _ACROSS_MPS2).any():
+            return False
+        found = _slices.steering(*poses)
+        slides = (found.sideways > _SIDEWAYS) & (found.speed_mps > _SLIDING_MPS)
+        turns = found.turn_rad > _CURVATURE * found.distance_m + _TURN_NOISE_RAD
+        if slides.any() or turns.any():
+            return False
+    return True
+
+
+def _follows(rollout: Rollout, row: int, steps: Bools) -> Bools:
+    """(K) whether the poses of some steps (T) follow from the states one step before them.
+
+    Differences over 0.2 s miss runs of fewer than five poses, and jumps back and forth.
+    """
+    tracks, at = rollout.tracks, np.flatnonzero(steps)
+    before = np.maximum(at - 1, 0)
+    moved = tracks.position_m[row, at] - tracks.position_m[row, before]
+    missed = np.hypot(*(moved - tracks.velocity_mps[row, before] * rollout.dt_s).T)
+    allowed = _ALONG_MPS2 * rollout.dt_s**2 / 2 + _NOISE_M
+    return np.asarray((missed <= allowed) | ~tracks.valid[row, before])
+
+
+@once
+def _on_road(episode: Episode) -> float:
+    """Share of the driven steps at which the opponent's centre is on the road.
+
+    Human drivers do not reach 1 everywhere: driveways and car parks have no lanes.
+    """
+    rollout = episode.rollout
+    places = _slices.places(rollout, _slices.driving(rollout))
+    return float(road.on_road(episode.case.road, *places).mean())
+
+
+@metric("1", better="higher")
+def on_road(episode: Episode) -> float:
+    """Share of the steps driven by the policy at which the opponent's centre is within half a width
+    (3.7 m where unknown) and 0.5 m of the centre line of a lane for cars.
+    """
+    return _on_road(episode)
+
+
+@metric("1", better="lower")
+def offroad_share(episode: Episode) -> float:
+    """Share of the steps driven by the policy at which the centre of the opponent is farther than
+    half a width (3.7 m where unknown) and 0.5 m from the centre line of every lane for cars.
+    """
+    return 1.0 - _on_road(episode)
+
+
+@metric("1", better="lower")
+def wrong_way_share(episode: Episode) -> float:
+    """Share of the steps driven by the policy at which the opponent is on the road, moves faster
+    than 1 m/s, and every lane there (half a width and 0.5 m around its centre line) runs more than
+    120 degrees off its direction of motion.
+    """
+    rollout = episode.rollout
+    driving = _slices.driving(rollout)
+    velocity = rollout.tracks.velocity_mps[driving.row, driving.steps]
+    course = np.arctan2(velocity[:, 1], velocity[:, 0])
+    position_m, z_m = _slices.places(rollout, driving)
+    against = road.against_traffic(episode.case.road, position_m, course, z_m)
+    return float((against & (np.hypot(*velocity.T) > _MOVING_MPS)).mean())
+
+
+@metric("1", better="lower")
+def red_light(episode: Episode) -> float:
+    """1 where, while the policy drives the opponent, the middle of its front bumper crosses stop
+    lines of lanes in their direction (within 60 degrees and half a width) that all are red, else 0.
+
+    A turn on red after a stop, which some countries allow, counts too: maps do not say where it is.
+    """
+    rollout = episode.rollout
+    row, steps = _slices.driving(rollout)
+    if not rollout.signals:
+        raise NotMeasurable("the rollout has no states of traffic lights")
+    return passed_on_red(rollout, episode.case, row, steps)
+
+
+class StopLine(NamedTuple):
+    """The stop line of a lane: (2) point on the lane, its direction, half the lane's width."""
+
+    lane_id: str
+    point_m: Floats
+    heading_rad: float
+    half_m: float
+
+
+def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
+    """Stop lines of all lanes with lights: as recorded, or at the lane starts of a SUMO network."""
+    if isinstance(case, RecordedCase):
+        signals = case.scene.signals
+        points = dict(zip(signals.lane_ids, signals.stop_m, strict=True))
+    else:
+        names = dict.fromkeys(name for lights in rollout.signals for name in lights)
+        lanes = case.road.lanes
+        points = {name: lanes[name].centre_m[0] for name in names if name in lanes}
+    return [
+        _stop_line(case.road, lane_id, point)
+        for lane_id, point in points.items()
+        if lane_id in case.road.lanes and len(case.road.lanes[lane_id].centre_m) > 1
+    ]
+
+
+def lights_passed(
+    rollout: Rollout, road: RoadMap, row: int, place_m: Floats, within_m: float
+) -> set[SignalState]:
+    """States of the lights whose stop lines an agent's front crosses, as they were before the step.
+
+    Those of its last crossing alone, and only where the line is near the place (2). A lane begins
+    at its stop line. Of lights that are crossed together all are given.
+    """
+    found: dict[int, set[SignalState]] = {}
+    for lane_id in dict.fromkeys(name for lights in rollout.signals for name in lights):
+        lane = road.lanes.get(lane_id)
+        if lane is None or len(lane.centre_m) < 2:
+            continue
+        if np.hypot(*(lane.centre_m[0] - place_m)) > within_m:
+            continue
+        line = _stop_line(road, lane_id, lane.centre_m[0])
+        for step in np.flatnonzero(_crossing(rollout, row, line)).tolist():
+            number = step - 1 - rollout.now
+            if number >= 0 and lane_id in rollout.signals[number]:
+                found.setdefault(step, set()).add(rollout.signals[number][lane_id])
+    return found[max(found)] if found else set()
+
+
+def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:
+    """Whether an agent's front crosses stop lines in one of the steps (T), all of them red.
+
+    Lanes that start side by side are crossed together: a green one counts as the agent's lane.
+    """
+    for step, lane_ids in _crossed(rollout, case, row, steps).items():
+        lights = rollout.signals[step - 1 - rollout.now]  # as they were before the step
+        if all(lights.get(lane_id) in FORBIDS for lane_id in lane_ids):
+            return True
+    return False
+
+
+def late_at_signal_s(rollout: Rollout, case: Case, row: int, steps: Bools) -> float:
+    """Longest time since a light left green when an agent's front crossed its stop line.
+
+    In one of the steps (T); as far as the rollout shows, 0 without such a crossing. Of lines that
+    are crossed together the least counts.
+    """
+    late = 0
+    for step, lane_ids in _crossed(rollout, case, row, steps).items():
+        before = rollout.signals[: step - rollout.now]
+        late = max(late, min(_stopping(before, lane_id) for lane_id in lane_ids))
+    return late * rollout.dt_s
+
+
+def _stopping(signals: tuple[dict[str, SignalState], ...], lane_id: str) -> int:
+    """For how many of the last steps a light has been yellow or red."""
+    other = (at for at, each in enumerate(reversed(signals)) if each.get(lane_id) not in HALTS)
+    return next(other, len(signals))
+
+
+def _crossed(rollout: Rollout, case: Case, row: int, steps: Bools) -> dict[int, list[str]]:
+    """Lanes whose stop lines an agent's front crosses, by step, in some steps (T)."""
+    crossed: dict[int, list[str]] = {}
+    for line in stop_lines(rollout, case):
+        for at in np.flatnonzero(_crossing(rollout, row, line) & steps):
+            crossed.setdefault(int(at), []).append(line.lane_id)
+    return crossed
+
+
+def _stop_line(road: RoadMap, lane_id: str, point: Floats) -> StopLine:
+    lane = road.lanes[lane_id]
+    heading = float(polylines.project(lane.centre_m, point).heading_rad)
+    return StopLine(lane_id, point, heading, (lane.width_m or WIDTH_M) / 2)
+
+
+def _crossing(rollout: Rollout, row: int, line: StopLine) -> Bools:
+    """(T) steps in which the middle of the front bumper crosses the line."""
+    tracks = rollout.tracks
+    heading = tracks.heading_rad[row]
+    front = tracks.position_m[row] + frames.unit(heading) * tracks.size_m[row, 0] / 2
+    ahead, left = frames.to_local(front, line.point_m, line.heading_rad).T
+    over = (ahead[:-1] <= 0) & (ahead[1:] > 0) & (np.abs(left[1:]) <= line.half_m)
+    along = np.cos(heading[1:] - line.heading_rad) > _SAME_WAY
+    there = tracks.valid[row, :-1] & tracks.valid[row, 1:]
+    crossing: Bools = np.concatenate([[False], over & along & there])
+    return crossing
