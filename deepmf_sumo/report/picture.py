@@ -24,10 +24,10 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Side
+from deepmf_sumo.judge.hits import conflict_of
 from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
-from deepmf_sumo.results.failures import conflict_of
 
 OTHER, CONTACT = "#8d99a6", "#000000"
 AXES_IN: Final = 7.4
