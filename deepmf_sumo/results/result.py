@@ -25,7 +25,8 @@ from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.errors import PlannerFault
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, counterfactual
-from deepmf_sumo.judge.metrics import NotMeasurable, naturalness
+from deepmf_sumo.judge.causes import cause_of
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
 from deepmf_sumo.tasks import Label, Task
 
@@ -197,6 +198,7 @@ class Result(TypedDict, total=False):
         conversion: what was lost when a recording became a network.
         repairs: of the recorded scene.
         turns: where opponents take turns.
+        cause: of a finding, see `judge.causes.Cause`.
     """
 
     run_id: Required[str]
@@ -245,6 +247,7 @@ class Result(TypedDict, total=False):
     conversion: dict[str, Any] | None
     repairs: list[str]
     turns: list[dict[str, Any]] | None
+    cause: dict[str, Any]
 
 
 COLUMNS: Final = (
@@ -341,6 +344,9 @@ def finished(
     }
     if by_turn is not None:
         found["turns"] = by_turn
+    cause = cause_of(Episode(*decisive))
+    if cause is not None:
+        found["cause"] = cause.values()
     return found
 
 

@@ -123,7 +123,7 @@ def route_ahead(rollout: Rollout, case: Case, step: int) -> Floats:
         path = _rest(recorded.position_m[av, recorded.valid[av]], position, float(heading))
         if path is not None:
             return path
-    return _along_lanes(case.road, position, float(heading), float(rollout.tracks.z_m[row, step]))
+    return along_lanes(case.road, position, float(heading), float(rollout.tracks.z_m[row, step]))
 
 
 def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | None:
@@ -138,7 +138,7 @@ def _rest(line_m: Floats, position_m: Floats, heading_rad: float) -> Floats | No
     return line[polylines.arc_lengths(line) > foot.along_m]
 
 
-def _along_lanes(road_map: RoadMap, position_m: Floats, heading_rad: float, z_m: float) -> Floats:
+def along_lanes(road_map: RoadMap, position_m: Floats, heading_rad: float, z_m: float) -> Floats:
     """The rest of the nearest lane, and the lanes after it, until the route is 150 m long.
 
     Where roads cross at different heights, the nearest lane of the level nearest to ``z_m``.

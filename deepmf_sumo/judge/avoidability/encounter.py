@@ -15,7 +15,6 @@ from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.geometry.ground import clear, off_level
 from deepmf_sumo.judge.avoidability.av_path import AvPath, route_ahead
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
-from deepmf_sumo.judge.avoidability.manoeuvres import GRID, Driven
 from deepmf_sumo.judge.avoidability.reference_drivers import Approach
 
 AFTER_S: Final = 4.0
@@ -236,29 +235,30 @@ def _as_recorded(
     found.valid[mine, here] = recorded.valid[theirs, there]
 
 
-def hit_by(driven: Driven, others: ThirdParties, av_size_m: Floats) -> Bools:
-    """(M) whether a manoeuvre of `manoeuvres.GRID` hits a third party.
+def hit_by(
+    centre_m: Floats, heading_rad: Floats, others: ThirdParties, av_size_m: Floats, stays: Bools
+) -> Bools:
+    """(M) whether AV boxes (M, K, 2), (M, K) hit a third party.
 
     An agent that overlaps the AV at the first step is left out: its recorded position is wrong. An
-    agent that is behind the AV when it appears does not count against manoeuvres that only brake:
-    recorded followers do not brake, real ones would.
+    agent that is behind the AV when it appears does not count against an AV that ``stays`` (M) on
+    its path and brakes: recorded followers do not brake, real ones would.
     """
-    hit = np.zeros(len(driven.holds), bool)
-    straight = GRID.lateral_mps2 == 0
+    hit = np.zeros(len(centre_m), bool)
     reach = (np.hypot(*av_size_m) + np.hypot(*others.size_m.T)) / 2
-    low = driven.centre_m.min(axis=(0, 1)) - reach[:, None]
-    high = driven.centre_m.max(axis=(0, 1)) + reach[:, None]
+    low = centre_m.min(axis=(0, 1)) - reach[:, None]
+    high = centre_m.max(axis=(0, 1)) + reach[:, None]
     inside = ((others.position_m >= low[:, None]) & (others.position_m <= high[:, None])).all(-1)
     for other in np.flatnonzero((inside & others.valid).any(axis=1)):
         size, where = others.size_m[other], others.position_m[other]
         seen = int(others.valid[other].argmax())
-        offset, course = where[seen] - driven.centre_m[:, seen], driven.heading_rad[:, seen]
+        offset, course = where[seen] - centre_m[:, seen], heading_rad[:, seen]
         ahead = (offset * frames.unit(course)).sum(-1) > -av_size_m[0] / 2
-        rows = np.flatnonzero(~hit & (ahead | ~straight))
+        rows = np.flatnonzero(~hit & (ahead | ~stays))
         steps = np.flatnonzero(inside[other] & others.valid[other])
         overlaps = boxes.touching(
-            driven.centre_m[np.ix_(rows, steps)],
-            driven.heading_rad[np.ix_(rows, steps)],
+            centre_m[np.ix_(rows, steps)],
+            heading_rad[np.ix_(rows, steps)],
             av_size_m,
             where[steps],
             others.heading_rad[other, steps],

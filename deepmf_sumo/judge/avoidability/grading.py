@@ -123,7 +123,8 @@ def evasive_manoeuvres(encounter: Encounter, rollout: Rollout, case: Case) -> Bo
     if free.any():
         first = encounter.first_step + start
         others = third_parties_of(rollout, case, first, steps)
-        free &= ~hit_by(driven, others, approach.av_size_m)
+        straight = manoeuvres.GRID.lateral_mps2 == 0
+        free &= ~hit_by(*poses, others, approach.av_size_m, straight)
     return free
 
 
