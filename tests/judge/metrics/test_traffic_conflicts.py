@@ -19,7 +19,7 @@ from deepmf_sumo.judge.metrics.traffic_conflicts import (
 from deepmf_sumo.simulation.motion_survey import Survey, survey
 
 CAR = 4.0, 2.0
-FOUR_WAY = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.sumocfg"
+FOUR_WAY = Path(__file__).resolve().parents[3] / "sumo_nets" / "four_way" / "four_way.sumocfg"
 T = np.arange(100) * 0.1
 
 
