@@ -319,11 +319,18 @@ class Meeting:
             sign = 1.0 if self.type.startswith("left") else -1.0
             turn = [sign * _turn_rad(one, self.road) for one in self.courses]
             return "AV" if turn[0] > turn[1] else "opponent"
-        aside = [self._toward_m(which) for which in (0, 1)]
+        aside = [self.toward_m(which) for which in (0, 1)]
         return "opponent" if aside[1] >= aside[0] else "AV"
 
-    def _toward_m(self, which: int) -> float:
-        """How far one of the two moved sideways of its lane, toward the other, in the last 3 s."""
+    def turn_rad(self, which: int) -> float:
+        """By how much AV (0) or opponent (1) turned, left is positive; 0 for straight on."""
+        return _turn_rad(self.courses[which], self.road)
+
+    def toward_m(self, which: int) -> float:
+        """How far AV (0) or opponent (1) moved sideways of its lane, toward the other, in 3 s.
+
+        Minus infinity for a vehicle that stood.
+        """
         row, facing = (self.av, self.other) if which == 0 else (self.other, self.av)
         begin = max(self.first, self.step - round(CUT_IN_S / DT_S))
         steps = np.arange(begin, self.step + 1)
@@ -349,17 +356,21 @@ class Meeting:
                     along[at:] = polylines.project(line, place[None]).heading_rad[0]
         return along
 
-    def strayed(self) -> bool:
-        """Whether the opponent was not on its lane when they met, and the AV was on its own."""
-        before = max(self.first, self.step - 1)
-        if self.road is None or self._off_lane(0, before, on_road=True):
-            return False
-        lane = self.lanes[0][before - self.first]
-        in_junction = lane is not None and _of_junction(self.road, lane)
-        return self._off_lane(1, before, on_road=not in_junction)
+    def strayed(self, which: int = 1) -> bool:
+        """Whether the opponent (1) was not on its lane when they met, and the AV (0) on its own.
 
-    def _off_lane(self, which: int, step: int, *, on_road: bool) -> bool:
-        """Of AV (0) or opponent (1); ways over a junction are taken loosely, unless ``on_road``."""
+        Or the other way round. Ways over a junction are taken loosely, by that which did not stray
+        in any case, by the other where both are in one.
+        """
+        before, other = max(self.first, self.step - 1), 1 - which
+        if self.road is None or self._off_lane(other, before, loosely=True):
+            return False
+        lane = self.lanes[other][before - self.first]
+        in_junction = lane is not None and _of_junction(self.road, lane)
+        return self._off_lane(which, before, loosely=in_junction)
+
+    def _off_lane(self, which: int, step: int, *, loosely: bool) -> bool:
+        """Of AV (0) or opponent (1); ``loosely``: on ways over a junction."""
         lane = self.lanes[which][step - self.first]
         if lane is None or self.road is None:
             return True
@@ -369,9 +380,8 @@ class Meeting:
         place = polylines.project(known.centre_m, self.tracks.position_m[row, step][None])
         askew = _angle(self.tracks.heading_rad[row, step], float(place.heading_rad[0]))
         width_m, aside_m = known.width_m or _WIDTH_M, float(place.distance_m[0])
-        loose = _of_junction(self.road, lane) and (which == 0 or not on_road)
         beyond_m = aside_m + (self.tracks.size_m[row, 1] - width_m) / 2
-        if loose:
+        if loosely and _of_junction(self.road, lane):
             return askew > _TURNED_RAD or beyond_m > _OVER_AT_JUNCTION_M
         return askew > _ASKEW_RAD or beyond_m > _OVER_M
 

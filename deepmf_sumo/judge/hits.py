@@ -219,7 +219,7 @@ def _priority(rollout: Rollout, meeting: Meeting, turned: Who, *, ran_red: bool)
     return _by_map(meeting) if kind != "head-on" else ""
 
 
-_JUNCTION_M: Final = 50.0
+JUNCTION_M: Final = 50.0
 """From the contact to the stop lines of its junction, at most."""
 _AT_LIGHTS: Final = {"crossing", "merging", *ACROSS}
 
@@ -228,7 +228,7 @@ def _by_lights(rollout: Rollout, meeting: Meeting, road: RoadMap) -> Who:
     """The one whose light let it go, where that of the other did not."""
     place = meeting.tracks.position_m[meeting.av, meeting.step]
     mine, theirs = (
-        lights_passed(rollout, road, row, place, _JUNCTION_M) for row in (meeting.av, meeting.other)
+        lights_passed(rollout, road, row, place, JUNCTION_M) for row in (meeting.av, meeting.other)
     )
     stops = FORBIDS | STOP_FIRST
     if mine & GOES and theirs and theirs <= stops:

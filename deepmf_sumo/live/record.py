@@ -22,7 +22,7 @@ import deepmf_sumo
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.judge.metrics import measure
+from deepmf_sumo.judge.metrics import Episode, measured
 from deepmf_sumo.live.session import Jump, LiveAttack, Switch
 from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
@@ -143,9 +143,11 @@ def _finished(task: Task, attack: LiveAttack, setting: Setting, folder: Path) ->
     )
     spent = [sum(one.reason.milliseconds.values()) for one in rollout.plans if one.reason]
     found_attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)
-    metrics = measure(rollout, case)
+    episode = Episode(rollout, case)
+    values = measured(episode)
     artifacts.write_unattacked(folder, rollout, case)
-    found = result.finished(task, case, found_attack, metrics, time.perf_counter() - begin)
+    wall_s = time.perf_counter() - begin
+    found = result.finished(task, case, found_attack, values, wall_s, decided=episode)
     found["timings"]["simulation_s"] = None  # another program ran SUMO
     found["search"]["simulations"] = 0
     wrong = result.not_finite(found)

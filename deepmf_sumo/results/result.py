@@ -26,6 +26,7 @@ from deepmf_sumo.errors import PlannerFault
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, counterfactual
 from deepmf_sumo.judge.causes import cause_of
+from deepmf_sumo.judge.ladder import verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
 from deepmf_sumo.tasks import Label, Task
@@ -191,6 +192,7 @@ class Result(TypedDict, total=False):
             results of earlier versions.
         opponent_score: softmax of the scores.
         metrics: by name.
+        finding: of a hit, its `judge.ladder.Verdict`; None for a miss.
         samples: the opponent's accelerations, for pooled naturalness.
         plans: their number.
         rules: of all plans: the rule that chose, or why there is no attack.
@@ -240,6 +242,7 @@ class Result(TypedDict, total=False):
     contacts: list[ContactValues]
     events: list[dict[str, Any]]
     metrics: dict[str, MetricValues]
+    finding: dict[str, Any] | None
     samples: dict[str, Any] | None
     plans: int
     rules: list[str]
@@ -311,14 +314,18 @@ def finished(
     metrics: list[MetricValue],
     wall_s: float,
     by_turn: list[dict[str, Any]] | None = None,
+    decided: Episode | None = None,
 ) -> Result:
     """The result of a successful run.
 
     ``metrics`` are of the decisive turn where opponents attack in turn, ``by_turn`` all turns.
+    ``decided``: the decisive part with what is known of it already.
     """
     rollout = attack.rollout
     decisive = decisive_part(rollout, case)
-    found: Result = {
+    decided = decided or Episode(*decisive)
+    told = verdict(decided)
+    result: Result = {
         **_identity(task, "ok"),
         "outcome": rollout.outcome,
         "ended": rollout.ended,
@@ -330,6 +337,7 @@ def finished(
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
         "events": [asdict(event) for event in rollout.events],
         "metrics": {value.name: _metric(value) for value in metrics},
+        "finding": None if told is None else asdict(told),
         "samples": _samples(*decisive),
         "plans": len(rollout.plans),
         "rules": [plan.reason.rule for plan in rollout.plans if plan.reason],
@@ -343,11 +351,11 @@ def finished(
         "timings": _timings(attack, case, wall_s),
     }
     if by_turn is not None:
-        found["turns"] = by_turn
-    cause = cause_of(Episode(*decisive))
+        result["turns"] = by_turn
+    cause = cause_of(decided)
     if cause is not None:
-        found["cause"] = cause.values()
-    return found
+        result["cause"] = cause.values()
+    return result
 
 
 def row(result: Result) -> dict[str, str]:

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.judge.ladder import Rung
 from deepmf_sumo.results import result
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.tables import read_csv
@@ -123,6 +124,16 @@ class _Timings(_Part):
     simulation_s: float | None = None
 
 
+class _Verdict(_Part):
+    """`judge.ladder.Verdict`."""
+
+    rung: Rung
+    reasons: list[str]
+    av_error: str
+    opponent_error: str
+    avoided_by: list[str]
+
+
 class _Planned(_Part):
     """`result.identity`."""
 
@@ -178,6 +189,7 @@ class _Finished(_Result):
     contacts: Sequence[_Contact]
     events: list[_Event] = []
     metrics: Mapping[str, _Metric]
+    finding: _Verdict | None = None
     samples: _Samples | None = None
     rules: list[str] = []
     repairs: list[str] = []

@@ -41,7 +41,8 @@ from deepmf_sumo.errors import (
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.exporters import scene as scene_file
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.judge.metrics import measure
+from deepmf_sumo.judge import metrics
+from deepmf_sumo.judge.ladder import verdict
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
@@ -169,8 +170,9 @@ class Episode:
         attack = attack_case(task, case, gui=self.gui)
         rollout = attack.rollout
         decisive = result.decisive_part(rollout, case)
-        metrics = measure(*decisive)
-        by_turn = result.judged(rollout, case, measure)
+        decided = metrics.Episode(*decisive)
+        measured = metrics.measured(decided)
+        by_turn = result.judged(rollout, case, metrics.measure)
         write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
         artifacts.write_unattacked(folder, *decisive)
@@ -183,7 +185,7 @@ class Episode:
         if self.draw:
             self.draw(*decisive, folder / "picture.png")
         wall_s = time.perf_counter() - begin
-        found = result.finished(task, case, attack, metrics, wall_s, by_turn)
+        found = result.finished(task, case, attack, measured, wall_s, by_turn, verdict(decided))
         wrong = result.not_finite(found)
         if wrong:
             raise RunError(f"{wrong} is not a finite number; the run is not used.")

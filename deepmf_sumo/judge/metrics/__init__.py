@@ -100,8 +100,13 @@ def own() -> dict[str, Metric]:
 
 
 def measure(rollout: Rollout, case: Case) -> list[MetricValue]:
+    """`measured` of an episode without intermediate results."""
+    return measured(Episode(rollout, case))
+
+
+def measured(episode: Episode) -> list[MetricValue]:
     """All metrics, including those of other packages, in the order of their names."""
-    episode = Episode(rollout, case)
+    rollout, case = episode.rollout, episode.case
     every = [plugins.load("metrics", name) for name in plugins.names("metrics")]
     return [
         one.of(episode) if isinstance(one, Metric) else one.measure(rollout, case) for one in every

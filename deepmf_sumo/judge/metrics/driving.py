@@ -100,13 +100,17 @@ def wrong_way_share(episode: Episode) -> float:
     than 1 m/s, and every lane there (half a width and 0.5 m around its centre line) runs more than
     120 degrees off its direction of motion.
     """
+    return float(against_traffic(episode, _slices.driving(episode.rollout)).mean())
+
+
+def against_traffic(episode: Episode, driving: _slices.Driving) -> Bools:
+    """(K) steps at which an agent is against the traffic, see `wrong_way_share`."""
     rollout = episode.rollout
-    driving = _slices.driving(rollout)
     velocity = rollout.tracks.velocity_mps[driving.row, driving.steps]
     course = np.arctan2(velocity[:, 1], velocity[:, 0])
     position_m, z_m = _slices.places(rollout, driving)
     against = road.against_traffic(episode.case.road, position_m, course, z_m)
-    return float((against & (np.hypot(*velocity.T) > _MOVING_MPS)).mean())
+    return np.asarray(against & (np.hypot(*velocity.T) > _MOVING_MPS))
 
 
 @metric("1", better="lower")

@@ -1,0 +1,233 @@
+"""What a hit is worth: four rungs, of which the first two are findings.
+
+- **A**, the AV's error: it took the other's priority, ran a light, struck what stood or drove
+  ahead, moved over into a vehicle or left its lane, while the opponent kept the rules as long as
+  that could matter.
+- **B**, avoidable: the opponent made an error that drivers make, or nobody did, and a reference
+  driver or a manoeuvre avoids it.
+- **C**, contrived: it says little about the AV, see `_contrived`.
+- **D**, unavoidable.
+
+C comes first: an error of the AV in a contrived hit is not a finding. All that a rung is made of is
+driven motion and the map; which method attacked has no influence.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Floats, Ints, Rollout
+from deepmf_sumo.datatypes.signals import FORBIDS
+from deepmf_sumo.geometry import road
+from deepmf_sumo.geometry.slow import WAITING_MPS
+from deepmf_sumo.judge.conflict_types import Meeting
+from deepmf_sumo.judge.hits import JUNCTION_M, Hit, hit_of
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
+from deepmf_sumo.judge.metrics.avoidability import judgement
+from deepmf_sumo.judge.metrics.collision import collision_clean
+from deepmf_sumo.judge.metrics.driving import against_traffic, feasible, lights_passed
+
+Rung = Literal["A", "B", "C", "D"]
+RUNGS: Final[tuple[Rung, ...]] = get_args(Rung)
+FINDINGS: Final[frozenset[Rung]] = frozenset({"A", "B"})
+DRIVERS: Final = ("cc", "fsm", "rss", "search")
+"""What may avoid a hit: three models of drivers, and about a hundred manoeuvres."""
+
+WALKING_MPS: Final = 1.4
+"""An AV that is slower creeps."""
+LEAST_DELTA_V_MPS: Final = 5.0 / 3.6
+"""Less harms nobody, and often not even the cars."""
+MOMENT_S: Final = 0.5
+"""Drivers that cut a corner or drift over the middle are back after it, or have met somebody."""
+LAST_S: Final = 1.0
+AHEAD_S: Final = 3.0
+"""What has stood for this time has been there for long enough, as in `CUT_IN_S` for what drives."""
+HARDEST_MPS2: Final = 6.0
+"""Drivers hardly ever brake harder; a careful one is prepared for it (UN R157)."""
+LIMIT: Final = 1.3
+"""Times the limit; SUMO's drivers exceed it by a tenth or two."""
+MOVED_OVER_M: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """The rung of a hit, and what decided.
+
+    Attributes:
+        reasons: what decided the rung: of C each thing that is contrived, else the error.
+        av_error, opponent_error: what each did wrong; empty where nothing is known.
+        avoided_by: those of `DRIVERS`, in the AV's place, that avoid it, in that order.
+    """
+
+    rung: Rung
+    reasons: tuple[str, ...]
+    av_error: str
+    opponent_error: str
+    avoided_by: tuple[str, ...]
+
+    @property
+    def finding(self) -> bool:
+        """Whether an engineer can act on it."""
+        return self.rung in FINDINGS
+
+
+@once
+def verdict(episode: Episode) -> Verdict | None:
+    """The verdict on the contact of AV and opponent; None if they did not touch."""
+    hit = hit_of(episode)
+    if hit is None:
+        return None
+    judged = judgement(episode)
+    able = {**judged.avoided_by, "search": judged.manoeuvres > 0}
+    avoided_by = tuple(name for name in DRIVERS if able[name])
+    contrived = tuple(_contrived(episode, hit))
+    av = _av_error(episode, hit)
+    # what it did before it stood for long enough to be seen does not matter
+    opponent = "" if av == "struck_standing" else _opponent_error(episode, hit)
+    rung: Rung
+    if contrived:
+        rung, reasons = "C", contrived
+    elif av and not opponent:
+        rung, reasons = "A", (av,)
+    elif avoided_by:
+        rung, reasons = "B", (opponent or "nobody_erred",)
+    else:
+        rung, reasons = "D", ("unavoidable",)
+    return Verdict(
+        rung=rung, reasons=reasons, av_error=av, opponent_error=opponent, avoided_by=avoided_by
+    )
+
+
+def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
+    """What makes a hit say little about the AV.
+
+    - It stood or crept during the last second: others drive into it, and it can do nothing.
+    - Nobody is hurt.
+    - The opponent rams it from behind, which can be done anywhere.
+    - The opponent drives against the traffic, or leaves the road, for more than a moment. That is
+      where no lane of its direction is under its middle: whoever cuts a corner within its own half
+      is on such a lane, and in junctions lanes lie in most directions. Overtaking on the oncoming
+      lane counts too: a map does not tell where it is allowed, and an opponent that may use that
+      lane can meet an AV head-on anywhere.
+    - Nothing with wheels moves as the opponent did.
+    - The AV or the opponent had touched another road user before.
+    """
+    rollout, meeting = episode.rollout, hit.meeting
+    if _speeds(rollout, meeting.av, meeting.step, LAST_S).max() < WALKING_MPS:
+        yield "av_stood"
+    if hit.delta_v_mps < LEAST_DELTA_V_MPS:
+        yield "low_delta_v"
+    if hit.conflict == "rear-end" and hit.turned == "AV":
+        yield "rammed"
+    yield from _astray(episode)
+    try:
+        if not feasible.compute(episode):
+            yield "infeasible"
+    except NotMeasurable:  # the policy never drove the opponent: others decided its motion
+        pass
+    if not collision_clean.compute(episode):
+        yield "touched_another"
+
+
+def _astray(episode: Episode) -> Iterator[str]:
+    """Where the opponent drove for more than a moment, although nobody drives there."""
+    rollout = episode.rollout
+    try:
+        driving = _slices.driving(rollout)
+    except NotMeasurable:
+        return
+    most = MOMENT_S / rollout.dt_s
+    if against_traffic(episode, driving).sum() > most:
+        yield "against_traffic"
+    inside = road.on_road(episode.case.road, *_slices.places(rollout, driving))
+    # what begins beside the lanes comes out of a drive or a car park
+    if (~inside & np.maximum.accumulate(inside)).sum() > most:
+        yield "off_road"
+
+
+def _av_error(episode: Episode, hit: Hit) -> str:
+    """What the AV did wrong; empty where nothing is known."""
+    rollout, meeting = episode.rollout, hit.meeting
+    if _speeds(rollout, meeting.other, meeting.step, AHEAD_S).max() < WAITING_MPS:
+        return "struck_standing"
+    if _ran_light(rollout, meeting):
+        return "ran_light"
+    if hit.conflict == "rear-end":
+        return "struck_ahead" if hit.turned == "opponent" else ""
+    if hit.conflict == "lane change":
+        return "moved_over" if hit.turned == "AV" else ""
+    if hit.conflict == "head-on":
+        return "left_lane" if meeting.strayed(0) else ""
+    return "took_priority" if hit.priority == "opponent" else ""
+
+
+def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:
+    """Whether the AV passed a red light before the contact.
+
+    Turning right does not count, which is allowed in places: who has priority then tells.
+    """
+    if meeting.road is None or meeting.turn_rad(0) < 0:
+        return False
+    place = rollout.tracks.position_m[meeting.av, meeting.step]
+    passed = lights_passed(rollout, meeting.road, meeting.av, place, JUNCTION_M)
+    return bool(passed) and passed <= FORBIDS
+
+
+def _opponent_error(episode: Episode, hit: Hit) -> str:
+    """What the opponent did wrong; empty where nothing is known."""
+    if hit.ran_red:
+        return "ran_light"
+    if hit.strayed:
+        return "left_lane"
+    if hit.conflict == "rear-end":
+        return _rear_end(episode.rollout, hit)
+    if hit.conflict == "lane change":
+        moved = hit.turned == "opponent" or hit.meeting.toward_m(1) > MOVED_OVER_M
+        return "cut_in" if moved else ""
+    if hit.priority == "AV":
+        return "took_priority"
+    return "sped" if _over_limit(episode, hit.meeting) else ""
+
+
+def _rear_end(rollout: Rollout, hit: Hit) -> str:
+    """Of an opponent behind or ahead of the AV."""
+    if hit.turned == "AV":
+        return "rammed"
+    return "braked_hard" if _braking_mps2(rollout, hit.meeting) > HARDEST_MPS2 else ""
+
+
+def _braking_mps2(rollout: Rollout, meeting: Meeting) -> float:
+    """The opponent's hardest braking in the last seconds, mean over 0.5 s."""
+    speed = _speeds(rollout, meeting.other, meeting.step, AHEAD_S)
+    apart = min(round(0.5 / rollout.dt_s), len(speed) - 1)
+    if not apart:
+        return 0.0
+    return float((speed[:-apart] - speed[apart:]).max()) / (apart * rollout.dt_s)
+
+
+def _over_limit(episode: Episode, meeting: Meeting) -> bool:
+    """Whether the opponent drove far above the limit in the last seconds."""
+    rollout = episode.rollout
+    tracks, row = rollout.tracks, meeting.other
+    steps = _last(rollout, row, meeting.step, AHEAD_S)
+    limit = road.limit_mps(
+        episode.case.road,
+        tracks.position_m[row, steps],
+        tracks.heading_rad[row, steps],
+        tracks.z_m[row, steps],
+    )
+    return bool((tracks.speed_mps[row, steps] > LIMIT * limit).any())  # nan: none is known
+
+
+def _speeds(rollout: Rollout, row: int, step: int, seconds: float) -> Floats:
+    """(K) of an agent in the seconds before a step, as far as it was there."""
+    return rollout.tracks.speed_mps[row, _last(rollout, row, step, seconds)]
+
+
+def _last(rollout: Rollout, row: int, step: int, seconds: float) -> Ints:
+    """(K) steps with an agent in the seconds before a step; that step where there are none."""
+    steps = np.arange(max(0, step - round(seconds / rollout.dt_s)), step)
+    steps = steps[rollout.tracks.valid[row, steps]]
+    return steps if len(steps) else np.array([step])

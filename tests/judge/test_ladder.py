@@ -1,0 +1,252 @@
+"""The ladder: hits made by hand, whose rung is evident."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepmf_sumo.datatypes import Lane, Neighbour, RoadMap, SignalState
+from deepmf_sumo.geometry import boxes
+from deepmf_sumo.judge.ladder import verdict
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable
+from deepmf_sumo.judge.metrics.findings import finding, rung
+
+from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of
+
+STEPS = 91
+NORTH, WEST = np.pi / 2, np.pi
+
+
+def lane(name, *points, **more):
+    return Lane(
+        id=name, kind="street", centre_m=np.array(points, float), z_m=np.zeros(len(points)),
+        width_m=3.5, speed_limit_mps=14.0, **more,
+    )  # fmt: skip
+
+
+def beside(name):
+    return (Neighbour(lane_id=name, self_start=0, self_end=1, other_start=0, other_end=1),)
+
+
+def road_of(*lanes):
+    return RoadMap(lanes={one.id: one for one in lanes})
+
+
+STREET = road_of(
+    lane("east", (-200, 0), (300, 0), left=beside("fast")),
+    lane("fast", (-200, 3.5), (300, 3.5), right=beside("east")),
+    lane("back", (300, 7), (-200, 7)),
+)
+"""Two lanes to the east, one to the west."""
+
+
+def junction(*, east_yields=False, north_yields=False):
+    """A road to the east and one to the north meet at the origin."""
+    return road_of(
+        lane("west", (-200, 0), (-10, 0), next=("east",)),
+        lane("east", (-10, 0), (200, 0), interpolating=True, previous=("west",),
+             gives_way_to=("north",) * east_yields),
+        lane("south", (0, -200), (0, -10), next=("north",)),
+        lane("north", (0, -10), (0, 200), interpolating=True, previous=("south",),
+             gives_way_to=("east",) * north_yields),
+    )  # fmt: skip
+
+
+def driven(*parts, x=0.0, y=0.0, heading=0.0):
+    """(T, 3) a vehicle that is at x, y now; parts: (seconds, acceleration) after now."""
+    first, *accelerations = parts
+    speed = np.full(STEPS, float(first))
+    at = 10
+    for seconds, accel in accelerations:
+        end = min(at + round(10 * seconds), STEPS - 1)
+        for step in range(at, end):
+            speed[step + 1 :] = max(speed[step] + 0.1 * accel, 0.0)
+        at = end
+    along = np.concatenate([[0.0], np.cumsum(0.1 * (speed[1:] + speed[:-1]) / 2)])
+    along -= along[10]
+    pose = np.stack([x + along * np.cos(heading), y + along * np.sin(heading)], -1)
+    return np.concatenate([pose, np.full((STEPS, 1), heading)], axis=1)
+
+
+def aside(path, metres, begin, seconds=2.0):
+    """The path moved to the left in some seconds from a step on, with the headings for it."""
+    share = np.clip((np.arange(STEPS) - begin) / (10 * seconds), 0, 1)
+    smooth = share**2 * (3 - 2 * share)
+    moved = path.copy()
+    normal = np.stack([-np.sin(path[:, 2]), np.cos(path[:, 2])], -1)
+    moved[:, :2] += metres * smooth[:, None] * normal
+    step = np.gradient(moved[:, :2], axis=0)
+    moving = np.hypot(*step.T) > 0.05
+    moved[moving, 2] = np.arctan2(step[moving, 1], step[moving, 0])
+    return moved
+
+
+def episode_of(av, opponent, road=STREET, alone=None, lights=None, delta_v=4.0, others=()):
+    """The episode up to the first overlap; ``alone``: the opponent without the attack."""
+    size = np.array([4.8, 2.0])
+    touch = boxes.touching(av[:, :2], av[:, 2], size, opponent[:, :2], opponent[:, 2], size)
+    assert touch[11:].any(), "they do not meet"
+    step = 11 + int(touch[11:].argmax())
+    contact = replace(
+        contact_of(step=step), pose_first=av[step], pose_second=opponent[step], delta_v_mps=delta_v
+    )
+    paths = {"av": av[: step + 1], "b": opponent[: step + 1]}
+    rollout = rollout_of(paths, [*others, contact])
+    if lights:
+        rollout = replace(rollout, signals=(lights,) * (step - 10))
+    expected = opponent if alone is None else alone
+    case = replace(case_of({"av": av, "b": expected}), road=road)
+    return Episode(rollout, in_traffic(case) if lights else case)
+
+
+def told(*args, **more):
+    found = verdict(episode_of(*args, **more))
+    return found.rung, found.reasons, found.av_error, found.opponent_error
+
+
+AV = driven(10)
+
+
+def test_a_miss_has_no_rung():
+    episode = Episode(rollout_of({"av": AV, "b": driven(10, y=3.5)}), case_of())
+    assert verdict(episode) is None
+    assert finding.compute(episode) == 0
+    with pytest.raises(NotMeasurable, match="did not collide"):
+        rung.compute(episode)
+
+
+def braking_leader(mps2, gap=25.0):
+    return driven(10, (1, 0.0), (8, -mps2), x=gap)
+
+
+def test_an_av_that_drives_into_the_one_ahead_errs():
+    episode = episode_of(AV, braking_leader(4), alone=driven(10, x=25))
+    assert told(AV, braking_leader(4)) == ("A", ("struck_ahead",), "struck_ahead", "")
+    assert (finding.compute(episode), rung.compute(episode)) == (1, 0)
+
+
+def test_drivers_hardly_brake_harder_than_6_mps2():
+    """At 30 m the careful AV stops in time behind either."""
+    assert told(AV, braking_leader(5.8, 30))[0] == "A"
+    hard = told(AV, braking_leader(7.5, 30), alone=driven(10, x=30))
+    assert hard == ("B", ("braked_hard",), "struck_ahead", "braked_hard")
+
+
+def test_an_av_that_drives_into_what_stands_errs():
+    """Whatever stands there: the other stands across the lane."""
+    ahead = driven(0, x=70, heading=NORTH)
+    assert told(AV, ahead) == ("A", ("struck_standing",), "struck_standing", "")
+
+
+def from_south(speed, y, *more):
+    return driven(speed, *more, y=y, heading=NORTH)
+
+
+MEETS = from_south(10, -40)
+AV_MEETS = driven(10, x=-40)
+
+
+def test_who_takes_the_priority_errs():
+    """Two roads cross; both arrive at the same time."""
+    yields = told(AV_MEETS, MEETS, road=junction(east_yields=True))
+    assert yields == ("A", ("took_priority",), "took_priority", "")
+    has = told(AV_MEETS, MEETS, road=junction(north_yields=True))
+    assert has == ("B", ("took_priority",), "", "took_priority")
+    assert told(AV_MEETS, MEETS, road=junction()) == ("B", ("nobody_erred",), "", "")
+
+
+GO, STOP = SignalState.GO, SignalState.STOP
+
+
+def test_who_passes_a_red_light_errs():
+    def at(mine, theirs):
+        lights = {"east": mine, "north": theirs}
+        return told(AV_MEETS, MEETS, road=junction(), lights=lights)
+
+    assert at(STOP, GO) == ("A", ("ran_light",), "ran_light", "")
+    assert at(GO, STOP) == ("B", ("ran_light",), "", "ran_light")
+    assert at(STOP, STOP) == ("B", ("ran_light",), "ran_light", "ran_light")
+    assert at(SignalState.CAUTION, GO)[2] == ""  # yellow is no red
+
+
+def test_an_av_that_moves_over_into_a_vehicle_errs():
+    over = aside(AV, 3.5, 30)
+    assert told(over, driven(10, x=2, y=3.5)) == ("A", ("moved_over",), "moved_over", "")
+    both = told(aside(AV, 1.75, 30), aside(driven(10, x=2, y=3.5), -1.75, 30))
+    assert both[3] == "cut_in"
+
+
+def test_an_av_that_comes_into_the_oncoming_lane_errs():
+    oncoming = driven(10, x=120, y=7, heading=WEST)
+    assert told(aside(AV, 7, 30, 3.0), oncoming) == ("A", ("left_lane",), "left_lane", "")
+
+
+def test_a_cut_in_that_a_careful_driver_avoids():
+    """It moves over 13 m ahead, at 6 m/s."""
+    path = driven(6, x=18, y=3.5)
+    found = verdict(episode_of(AV, aside(path, -3.5, 11, 2.5), alone=path))
+    assert (found.rung, found.reasons, found.av_error) == ("B", ("cut_in",), "")
+    assert found.avoided_by == ("cc", "fsm", "rss", "search")
+
+
+def test_who_drives_far_above_the_limit_errs():
+    """The limit is 14 m/s, and SUMO's drivers exceed it somewhat."""
+    crossing = junction(east_yields=True)
+    fast, quick = (from_south(speed, -4 * speed) for speed in (20, 16))
+    assert told(AV_MEETS, quick, road=crossing)[0] == "A"
+    assert told(AV_MEETS, fast, road=crossing)[2:] == ("took_priority", "sped")
+
+
+def test_nothing_is_found_by_running_into_an_av_that_stands_or_creeps():
+    for speed, contrived in ((0.0, True), (1.3, True), (1.6, False)):
+        av = driven(speed, x=-2 - 4 * speed)
+        reasons = told(av, MEETS, road=junction(east_yields=True))[1]
+        assert ("av_stood" in reasons) == contrived
+    brakes = driven(10, (3, 0), (5, -5), x=-40)  # it moved in the last second
+    assert "av_stood" not in told(brakes, MEETS, road=junction(east_yields=True))[1]
+
+
+def test_a_touch_is_no_finding():
+    for kmh, reasons in ((4.9, ("low_delta_v",)), (5.1, ("struck_ahead",))):
+        assert told(AV, braking_leader(4), delta_v=kmh / 3.6)[1] == reasons
+
+
+def test_a_car_behind_can_ram_anybody_anywhere():
+    behind = driven(10, (8, 2.0), x=-15)
+    assert told(AV, behind)[:2] == ("C", ("rammed",))
+
+
+def test_nobody_drives_against_the_traffic_for_more_than_a_moment():
+    """An oncoming car comes over the middle: late, it has met the AV after a moment."""
+    oncoming, av = driven(10, x=120, y=7, heading=WEST), driven(10, y=3.5)
+    late = told(av, aside(oncoming, 3.5, 55, 2.2), alone=oncoming)
+    assert (late[0], late[3]) == ("B", "left_lane")
+    early = told(av, aside(oncoming, 3.5, 25, 2.2), alone=oncoming)
+    assert early[:2] == ("C", ("against_traffic",))
+
+
+def test_nobody_drives_beside_the_road_for_more_than_a_moment():
+    path = driven(6, x=25, y=3.5)
+    detour = aside(aside(path, 12.0, 15), -15.5, 40)
+    assert "off_road" in told(AV, detour, alone=path)[1]
+    drive = told(AV, driven(4, x=45, y=-20, heading=NORTH))  # out of a drive, which no map knows
+    assert drive[0] == "B"
+
+
+def test_no_car_accelerates_like_that():
+    assert "infeasible" in told(AV_MEETS, from_south(2, -50, (1, 0), (6, 10)), road=junction())[1]
+
+
+def test_what_has_touched_another_before_is_no_finding():
+    before = contact_of(kind="opponent_other", step=20, first="b", second="c")
+    assert told(AV, braking_leader(4), others=[before])[1] == ("touched_another",)
+    assert told(AV, braking_leader(4), others=[replace(before, step=89)])[0] == "A"
+
+
+def test_what_nobody_avoids_is_no_finding():
+    """It moves over from beside the AV."""
+    narrow = replace(STREET.lanes["east"], width_m=2.4)
+    road = road_of(narrow, STREET.lanes["fast"], STREET.lanes["back"])
+    path = driven(10, x=1, y=2.8)
+    found = verdict(episode_of(AV, aside(path, -2.8, 11, 2.0), alone=path, road=road))
+    assert (found.rung, found.reasons, found.avoided_by) == ("D", ("unavoidable",), ())
