@@ -42,7 +42,6 @@ from deepmf_sumo.exporters import fcd
 from deepmf_sumo.exporters import scene as scene_file
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.judge import metrics
-from deepmf_sumo.judge.ladder import verdict
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
@@ -185,7 +184,7 @@ class Episode:
         if self.draw:
             self.draw(*decisive, folder / "picture.png")
         wall_s = time.perf_counter() - begin
-        found = result.finished(task, case, attack, measured, wall_s, by_turn, verdict(decided))
+        found = result.finished(task, case, attack, measured, wall_s, by_turn, decided)
         wrong = result.not_finite(found)
         if wrong:
             raise RunError(f"{wrong} is not a finite number; the run is not used.")
