@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from deepmf_sumo.report.comparison import Line, SideBySide
     from deepmf_sumo.report.risk import Written
     from deepmf_sumo.report.tables.layouts import Row as MethodRow
+    from deepmf_sumo.results.findings import Count
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.risk.comparison import Compared
     from deepmf_sumo.risk.coverage import TypeRow
@@ -134,6 +135,8 @@ def table(results: Sequence[Result], summary: dict[str, Any], out: Path) -> None
         grid.add_row(*map(escape, row), style="red" if bad else "")
     console.print(grid)
     console.print(escape(tables.totals(summary)), soft_wrap=True)
+    for line in tables.meanings(summary):
+        console.print(escape(f"  {line}"), soft_wrap=True)
     pictures = any((out / "runs").glob("*/picture.png"))
     shown = f", {out}/runs/<run>/picture.png" if pictures else ""
     console.print(escape(f"{out}/runs.csv{shown}"), soft_wrap=True)
@@ -222,10 +225,15 @@ def tell_switched_off(folders: Iterable[Path], *, err: bool) -> None:
         click.echo(shown(line), err=err)
 
 
-def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int) -> None:
-    """The sentence and the cells of each group of failures; ``of``: number of runs."""
+def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int, worth: Count) -> None:
+    """The sentence and the cells of each group of failures; ``of``: number of runs.
+
+    ``worth``: of the hits among them.
+    """
     from deepmf_sumo.report.failures import HEADINGS
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.results.findings import counted as counted_hits
+    from deepmf_sumo.results.findings import legend
 
     if not rows:
         click.echo(f"no failures in {counted(of, 'run')}")
@@ -235,6 +243,9 @@ def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int) -> None:
     console.print()
     for number, (sentence, _) in enumerate(rows, start=1):
         console.print(f"{number}. {escape(sentence)}", soft_wrap=True)
+    console.print()
+    for line in (f"hits: {counted_hits(worth)}", *(f"  {one}" for one in legend(worth))):
+        console.print(escape(line), soft_wrap=True)
 
 
 def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:
@@ -357,11 +368,11 @@ def _attacked_from(found: Found) -> str:
 
 
 _HEADINGS: Final = (
-    "where attacks were decided", "attacks", "hits", "avoidable hits", "least TTC",
+    "where attacks were decided", "attacks", "hits", "findings", "least TTC",
     "mean delta-v", "risk of a hit (90 % interval)",
 )  # fmt: skip
 _KIND_HEADINGS: Final = (
-    "kind of conflict", "attacks", "hits", "avoidable hits", "least TTC", "least PET",
+    "kind of conflict", "attacks", "hits", "findings", "least TTC", "least PET",
     "mean delta-v",
 )  # fmt: skip
 _MOST: Final = 30
@@ -422,7 +433,7 @@ def _cells(row: PlaceRow) -> tuple[str, ...]:
         row.title if row.kind == "movement" else f"{row.kind} {row.title}",
         str(row.attacks),
         str(row.events["hit"]),
-        f"{row.events['avoidable']} of {row.judged}",
+        f"{row.events['finding']} of {row.judged}",
         _ttc(row.ttc_s),
         speed or "-",
         f"{100 * risk.rate:.0f} % ({100 * risk.low:.0f} to {100 * risk.high:.0f} %)",
@@ -432,8 +443,8 @@ def _cells(row: PlaceRow) -> tuple[str, ...]:
 def _kind_cells(row: TypeRow) -> tuple[str, ...]:
     pet = "-" if row.least_pet_s is None else f"{row.least_pet_s:.1f} s"
     speed = "-" if row.delta_v_mps is None else f"{row.delta_v_mps:.1f} m/s"
-    avoidable = f"{row.avoidable} of {row.judged}"
-    return row.kind, str(row.attacks), str(row.hits), avoidable, _ttc(row.least_ttc_s), pet, speed
+    found = f"{row.findings} of {row.judged}"
+    return row.kind, str(row.attacks), str(row.hits), found, _ttc(row.least_ttc_s), pet, speed
 
 
 def _ttc(value_s: float | None) -> str:

@@ -29,8 +29,8 @@ _MAPS: "Final[dict[str, tuple[Form, ...]]]" = {
 )  # fmt: skip
 @click.option("--to", "name", metavar="FORMAT", required=True, help="Write this format.")
 @click.option(
-    "--only", type=click.Choice(["hits", "avoidable"]),
-    help="Write hits of the opponent alone, or those that a careful driver would have avoided.",
+    "--only", type=click.Choice(["hits", "findings"]),
+    help="Write hits of the opponent alone, or findings: errors of the AV and avoidable hits.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),

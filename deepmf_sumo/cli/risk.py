@@ -29,7 +29,7 @@ def command(
 ) -> None:
     """Map the risk of the networks that OUT..., results of attack or run, attacked on.
 
-    For each movement, edge, junction and lane: attacks, hits, avoidable hits, least time to
+    For each movement, edge, junction and lane: attacks, hits, findings, least time to
     collision, delta-v. Written as CSV, SUMO edge data, polygons for sumo-gui, and a page; with
     --gis as GeoJSON or GeoPackage. OUT may contain result folders, e.g. one for each seed.
     """

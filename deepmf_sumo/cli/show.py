@@ -35,8 +35,8 @@ def command(
     """Show the result folders OUT... side by side, each spec of a folder separately.
 
     With --failures: hits of the opponent and errors of the planner, grouped by conflict, by where
-    the opponent came from, which of the two had priority, what the AV did and what would have
-    avoided the hit.
+    the opponent came from, which of the two had priority, what the AV did, what the hit is worth
+    and who would have avoided it. Findings come first; contrived and unavoidable hits follow them.
     Rates have 95 % intervals. Means are of the runs that have a value; below the table it says why
     others have none.
     """
@@ -68,6 +68,7 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import failures as words
     from deepmf_sumo.results.failures import failures
+    from deepmf_sumo.results.findings import count
     from deepmf_sumo.results.groups import grouped
     from deepmf_sumo.results.reader import Results
 
@@ -80,7 +81,8 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
     groups = grouped((one for _, one, _ in looked if one is not None), len(results.runs))
     if form == "table":
         rows = [(_named(group, folders), words.row(group)) for group in groups]
-        screen.show_failures(rows, len(results.runs))
+        worth = count(one.worth for group in groups for one in group.failures if one.kind == "hit")
+        screen.show_failures(rows, len(results.runs), worth)
     else:
         values = [{"sentence": words.sentence(group), **group.values()} for group in groups]
         if form != "json":  # a cell is a text
@@ -89,9 +91,9 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
 
 
 def _warn(runs: "Sequence[Run]") -> None:
-    from deepmf_sumo.results.reader import judged_before
+    from deepmf_sumo.results.reader import judged_before, without_ladder
 
-    if said := judged_before(runs):
+    for said in filter(None, (judged_before(runs), without_ladder(runs))):
         click.echo(f"deepmf-sumo: {said}.", err=True)
 
 

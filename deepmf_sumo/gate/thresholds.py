@@ -4,16 +4,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.gate.rows import Row
 from deepmf_sumo.results import statistics
-from deepmf_sumo.results.quantities import COMPARABLE, TTC_CEILING_S, Quantity
+from deepmf_sumo.results.quantities import COMPARABLE, TTC_CEILING_S, Quantity, no_quantity
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import Strict
@@ -29,7 +29,8 @@ class Limits(Strict):
     Attributes:
         max_av_collision_rate: share of the judged runs in which the AV touched anything.
         max_collision_rate: share of the attacked runs in which the opponent hit the AV.
-        max_valid_collision_rate: share of the attacked runs with the metric `valid_collision`.
+        max_finding_rate: share of the attacked runs with a finding: a hit that the AV's error or a
+            driver's error of the opponent led to, and that a driver avoids (metric `finding`).
         max_avoidable_rate: share of the hits that a reference driver would have avoided.
         max_av_at_fault_rate: share of the hits that are the AV's fault.
         min_ttc_p05: seconds; the least time to collision that 95 % of the attacked runs keep.
@@ -42,7 +43,7 @@ class Limits(Strict):
 
     max_av_collision_rate: Share | None = None
     max_collision_rate: Share | None = None
-    max_valid_collision_rate: Share | None = None
+    max_finding_rate: Share | None = None
     max_avoidable_rate: Share | None = None
     max_av_at_fault_rate: Share | None = None
     min_ttc_p05: Annotated[float, Field(ge=0, lt=TTC_CEILING_S)] | None = None
@@ -53,18 +54,30 @@ class Limits(Strict):
     max_skipped_runs: Count | None = None
     min_judged_runs: Count = 1
 
+    @model_validator(mode="before")
+    @classmethod
+    def _names_of_today(cls, values: Any) -> Any:
+        old = next((name for name in _NOW if isinstance(values, dict) and name in values), None)
+        if old:
+            rule = f"'{old}' is no bound any more; write '{_NOW[old]}'"
+            raise PydanticCustomError("unknown", "{rule}", {"rule": rule, "key": old})
+        return values
+
+
+_NOW: Final = {"max_valid_collision_rate": "max_finding_rate"}
+"""Bounds of earlier versions."""
+
 
 def _known(name: str) -> str:
     if name not in COMPARABLE:
-        rule = f"'{name}' is not a quantity. Known: {', '.join(COMPARABLE)}"
-        raise PydanticCustomError("rule", "{rule}", {"rule": rule})
+        raise PydanticCustomError("rule", "{rule}", {"rule": no_quantity(name)})
     return name
 
 
 QuantityName = Annotated[str, AfterValidator(_known)]
 COMPARED: Final = ("impact_mps",)
 """One quantity, so that few specs suffice: every contact of the AV, by its relative speed."""
-SHOWN: Final = ("impact_mps", "av_collision_rate", "valid_collision_rate", "ttc_s", "min_gap_m")
+SHOWN: Final = ("impact_mps", "av_collision_rate", "finding_rate", "ttc_s", "min_gap_m")
 """Shown to the reader, judged or not."""
 
 

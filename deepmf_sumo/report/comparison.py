@@ -12,7 +12,8 @@ import pandas as pd
 
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.judge.avoidability.grading import GRADES
-from deepmf_sumo.results import statistics
+from deepmf_sumo.results import findings, statistics
+from deepmf_sumo.results.findings import APART, FINDINGS, NAMES
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.spec.profiles import described
@@ -63,6 +64,11 @@ class Group:
                 ((run.row["spec"], run.scene), float(run.hit)) for run in self.attacked
             )
         )
+
+    @cached_property
+    def worth(self) -> findings.Count:
+        """What the hits are worth."""
+        return findings.count(run.worth for run in self.hits)
 
     @property
     def fair_hits(self) -> int:
@@ -189,12 +195,12 @@ def _column(runs: Sequence[Run], name: str) -> list[float]:
 
 
 NONE: Final = "-"
-_LABELS: Final = {"avoidable": "avoidable", "ttc_min": "least TTC", "min_gap": "least gap"}
+_LABELS: Final = {"finding": "findings", "ttc_min": "least TTC", "min_gap": "least gap"}
 """Metrics of the key quantities whose missing values are explained."""
 _SHOWN: Final = {*_LABELS, "collision", "collision_speed", "collision_time_s", "delta_v"}
 """Metrics that the key quantities contain."""
 _NAMES: Final[Mapping[str, Sequence[str]]] = {
-    "accident_type": ACCIDENT_TYPES, "avoidance_grade": GRADES,
+    "accident_type": ACCIDENT_TYPES, "avoidance_grade": GRADES, "rung": tuple(NAMES.values()),
 }  # fmt: skip
 """Metrics whose values are numbers of names: they are counted, not averaged."""
 _ANGLES: Final = {"pdof"}
@@ -261,7 +267,8 @@ def _key(groups: Sequence[Group]) -> tuple[Line, ...]:
         ("runs in which a vehicle was attacked", "attacked", lambda one: str(len(one.attacked))),
         ("AV hit by the opponent, runs", "hits", lambda one: str(len(one.hits))),
         ("  rate (95 % interval)", "hit rate (95 %)", _rate),
-        ("  of these avoidable", "avoidable", _avoidable),
+        ("  of these findings", "findings", _findings),
+        ("  contrived or unavoidable, no findings", "", _apart),
         ("  of these drivable and on the road", "", _fair),
         ("AV hit another vehicle, runs", "", lambda one: str(one.touched("av_other"))),
         ("opponent hit another vehicle, runs", "", lambda one: str(one.touched("opponent_other"))),
@@ -315,9 +322,23 @@ def _rate(group: Group) -> str:
     return f"{100 * found.rate:.0f} % ({100 * found.low:.0f} to {100 * found.high:.0f})"
 
 
-def _avoidable(group: Group) -> str:
-    judged = _values(group.hits, "avoidable")
-    return f"{sum(value >= 1 for value in judged)} of {len(judged)}" if group.hits else NONE
+def _findings(group: Group) -> str:
+    """How many of the hits that were judged; with the kinds, where the ladder judged them."""
+    found = group.worth
+    if not found.hits:
+        return NONE
+    kinds = ", ".join(
+        f"{found.rungs[rung]} {NAMES[rung]}" for rung in FINDINGS if found.rungs[rung]
+    )
+    return f"{found.findings} of {found.judged}" + (f" ({kinds})" if kinds else "")
+
+
+def _apart(group: Group) -> str:
+    """Hits that are no findings, by kind."""
+    found = group.worth
+    if not found.hits or found.valid + found.others:
+        return NONE
+    return ", ".join(f"{found.rungs[rung]} {NAMES[rung]}" for rung in APART)
 
 
 def _fair(group: Group) -> str:
@@ -409,9 +430,7 @@ def _reasons(group: Group, labels: Mapping[str, str]) -> Counter[tuple[str, str]
     found: Counter[tuple[str, str]] = Counter()
     for run in group.attacked:
         for name in labels:
-            # of hits alone: it does not miss where there is none
-            asked = name != "avoidable" or run.hit
             given = run.metrics.get(name)
-            if asked and given and given["value"] is None:
+            if given and given["value"] is None:
                 found[given["reason"] or "no reason given", name] += 1
     return found

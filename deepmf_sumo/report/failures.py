@@ -4,12 +4,13 @@ from typing import Final
 
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType
 from deepmf_sumo.results.failures import Failure
-from deepmf_sumo.results.groups import Group, avoided_by
+from deepmf_sumo.results.findings import DRIVERS, by_whom
+from deepmf_sumo.results.groups import Group
 from deepmf_sumo.texts import shown
 
 HEADINGS: Final = (
-    "runs", "failure", "opponent from", "priority", "AV", "avoided by", "onset, s before the hit",
-    "delta-v, m/s",
+    "runs", "failure", "worth", "opponent from", "priority", "AV", "avoided by",
+    "onset, s before the hit", "delta-v, m/s",
 )  # fmt: skip
 _CAREFUL: Final[dict[ConflictType, str]] = {
     "rear-end": "kept its distance",
@@ -46,6 +47,7 @@ def row(group: Group) -> tuple[str, ...]:
     return (
         f"{len(group.failures)} of {group.of}",
         title(one),
+        group.worth,
         one.side or "",
         one.priority,
         one.action or "",
@@ -59,10 +61,11 @@ def facts(group: Group) -> list[list[str]]:
     """Names and values of what the failures of a group have in common."""
     one = group.example
     known = {
+        "worth": group.worth,
         f"{one.opponent} from": one.side,
         "priority": one.priority,
         "AV": one.action,
-        "avoided by": group.avoided_by,
+        "avoided by": by_whom(one.worth, words=True),
         "onset": _seconds(group),
         "delta-v": f"up to {group.delta_v_mps:.1f} m/s" if one.kind == "hit" else "",
     }
@@ -71,7 +74,7 @@ def facts(group: Group) -> list[list[str]]:
 
 def _seconds(group: Group) -> str:
     """Since when, where it is avoidable."""
-    if group.onset_s is None or group.avoided_by in {"", "no driver"}:
+    if group.onset_s is None or not (group.example.worth and group.example.worth.avoided_by):
         return ""
     return f"{group.onset_s:.1f} s before the hit (median)"
 
@@ -150,12 +153,17 @@ def _right_of_way(one: Failure) -> str:
 
 
 def _advice(one: Failure) -> str:
-    by = avoided_by(one)
-    if by == "careful driver":
-        assert one.conflict is not None
-        moves = one.turned == "AV" and one.action != "stood" and not one.strayed
-        waits = moves and one.conflict in _WAITING
-        return f"a careful driver would have {'waited' if waits else _CAREFUL[one.conflict]}"
-    if by == "emergency manoeuvre":
-        return "only braking or steering at once would have avoided it"
-    return "no driver could have avoided it" if by else "it is not known whether it was avoidable"
+    by = one.worth.avoided_by if one.worth else None
+    if by is None:
+        return "it is not known whether it was avoidable"
+    if not by:
+        return "no driver could have avoided it"
+    if by == ("search",):
+        return "only braking or steering immediately would have avoided it"
+    assert one.conflict is not None
+    moves = one.turned == "AV" and one.action != "stood" and not one.strayed
+    did = "waited" if moves and one.conflict in _WAITING else _CAREFUL[one.conflict]
+    if "cc" in by:
+        return f"a careful driver would have {did}"
+    named = " and ".join(DRIVERS[name] for name in by if name != "search")
+    return f"{named} would have {did}, a careful driver would not"

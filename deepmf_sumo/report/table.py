@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from deepmf_sumo.geometry import impact
+from deepmf_sumo.results import findings
 from deepmf_sumo.results.result import Result, first_contact
 
 HEADINGS: Final = ("run", "outcome", "contact", "speed", "opponent", "AV hit at", "generated in")
@@ -49,6 +50,11 @@ def counted(number: int, one: str, many: str = "") -> str:
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
+def meanings(summary: dict[str, Any]) -> list[str]:
+    """What the letters and drivers in `totals` are, a sentence each."""
+    return findings.legend(findings.Count(**summary["findings"]))
+
+
 def totals(summary: dict[str, Any]) -> str:
     """The line under the table, from the content of ``summary.json``."""
     statuses = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
@@ -60,6 +66,8 @@ def totals(summary: dict[str, Any]) -> str:
             f" {100 * rate['rate']:.0f} %"
             f" (95 % interval {100 * rate['low']:.0f}-{100 * rate['high']:.0f} %)"
         )
+    if summary["hits"]:
+        parts.append(findings.counted(findings.Count(**summary["findings"])))
     if summary["contact_speed_mps_mean"] is not None:
         parts.append(f"mean contact speed {summary['contact_speed_mps_mean']:.1f} m/s")
     if summary["expectations_broken"]:

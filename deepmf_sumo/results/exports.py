@@ -12,9 +12,10 @@ from deepmf_sumo.datatypes import ROLLOUT, Source
 from deepmf_sumo.errors import OutputError, RunError, UsageError
 from deepmf_sumo.exporters.base import Exportable, Exporter, NetFiles, Surroundings, signals_of
 from deepmf_sumo.results import result, stored, tracks
+from deepmf_sumo.results.findings import said
 from deepmf_sumo.results.reader import Results, Run
 
-Only = Literal["hits", "avoidable"]
+Only = Literal["hits", "findings"]
 ONLY: Final[tuple[Only, ...]] = get_args(Only)
 Outcome = Literal["written", "left out", "failed"]
 _MAP: Final = "map.add.xml"
@@ -182,15 +183,15 @@ def left_out(run: Run | None, only: Only | None) -> str:
         return "the opponent did not hit the AV"
     if not run.recorded:
         return f"it has no {tracks.FILE}"
-    return _other_hit(run) if only == "avoidable" else ""
+    return _other_hit(run) if only == "findings" else ""
 
 
 def _other_hit(run: Run) -> str:
     try:
-        avoidable = run.metric("avoidable")
+        worth = run.worth
     except UsageError as error:
         return str(error).rstrip(".")
-    return "" if avoidable else "the hit is not known to be avoidable"
+    return "" if worth and worth.finding else f"the hit is no finding ({said(worth)})"
 
 
 def exportable(run: Run) -> Exportable:

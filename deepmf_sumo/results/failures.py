@@ -11,10 +11,10 @@ from typing import Final, Literal
 
 from deepmf_sumo.datatypes import RoadMap, Rollout
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.judge.avoidability.grading import GRADES, Grade
 from deepmf_sumo.judge.conflict_types import ConflictType, Side, Who
 from deepmf_sumo.judge.hits import Action, Hit, described
 from deepmf_sumo.results import stored
+from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.reader import Results, Run
 
 Kind = Literal[
@@ -39,8 +39,7 @@ class Failure:
 
     Attributes:
         reason: what the planner did wrong.
-        grade: whether the hit could be avoided from the onset on (`avoidability.grading`); None:
-            not known.
+        worth: what the hit is worth, and who avoids it from the onset on; None: not known.
         ordinary_mps2: rms acceleration of the opponent; None where it is not known.
     """
 
@@ -56,7 +55,7 @@ class Failure:
     late: bool = False
     braking_mps2: float = 0.0
     onset_s: float | None = None
-    grade: Grade | None = None
+    worth: Worth | None = None
     delta_v_mps: float = 0.0
     ordinary_mps2: float | None = None
     opponent: str = "car"
@@ -111,11 +110,10 @@ def _of_planner(run: Run) -> Failure | None:
 def _of_hit(run: Run, rollout: Rollout, road: RoadMap | None) -> Failure:
     red = bool(run.metric("red_light"))
     hit = described(rollout, road, run.unattacked(), begin=_begin(run, rollout), ran_red=red)
-    grade = run.metric("avoidance_grade")
     return Failure(
         run=run,
         kind="hit",
-        grade=None if grade is None else GRADES[int(grade)],
+        worth=run.worth,
         ordinary_mps2=run.metric("opponent_rms_acceleration"),
         **{name: getattr(hit, name) for name in _of_the_hit()},
     )

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from statistics import fmean, median
@@ -24,8 +24,8 @@ import deepmf_sumo
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.predictors.weights import runtime_and_device
-from deepmf_sumo.results import junit, result, statistics, stored
-from deepmf_sumo.results.quantities import unit
+from deepmf_sumo.results import findings, junit, result, statistics, stored
+from deepmf_sumo.results.quantities import unit, worth
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.tasks import Task
@@ -129,7 +129,7 @@ RISK_FILES: Final = {
 """All files of a risk map: whatever else lies beside them is the user's."""
 _OF_NETWORK: Final = re.compile(r"[1-9][0-9]*-.+")
 """Folders in a risk map of several networks."""
-_NUMBERED: Final = {"accident_type", "avoidance_grade"}
+_NUMBERED: Final = {"accident_type", "avoidance_grade", "rung"}
 """Metrics whose values are numbers of names: counted, since their mean says nothing."""
 _DIRECTIONS: Final = {"pdof"}
 """Directions: a mean across the jump from -pi to pi is not a direction between them."""
@@ -279,7 +279,7 @@ def _emptied(out: Path, *, resume: bool) -> None:
 
 
 def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str, Any]:
-    """Counts, the rate of hits with its 95 % interval, and metrics over all successful runs.
+    """Counts, also of hits by their worth, the rate of hits with its 95 % interval, and metrics.
 
     The rate is of the attacked runs: without an opponent there is no attempt. Runs of one spec and
     scene count as one in the interval.
@@ -294,6 +294,7 @@ def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str
         "runs": len(results),
         "attacked": len(attacked),
         "hits": len(hits),
+        "findings": asdict(findings.count(map(worth, hits))),
         "interrupted": interrupted,
         "out_of_time": sum(bool(one.get("search", {}).get("out_of_time")) for one in done),
         "status": dict(Counter(one["status"] for one in results)),

@@ -5,18 +5,14 @@ from collections import defaultdict
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from statistics import median
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
-from deepmf_sumo.judge.avoidability.grading import GRADES
+from deepmf_sumo.results import findings
 from deepmf_sumo.results.failures import Failure
 
-AvoidedBy = Literal["careful driver", "emergency manoeuvre", "no driver", ""]
-_AVOIDED_BY: Final[dict[str, AvoidedBy]] = {
-    "A": "no driver",
-    "B": "emergency manoeuvre",
-    "C": "careful driver",
-    "D": "careful driver",
-}
+Class = Literal["planner", "finding", "not judged", "no finding", "out of time"]
+"""Of failures, the worst first; ``no finding``: contrived and unavoidable hits."""
+CLASSES: Final[tuple[Class, ...]] = get_args(Class)
 _NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _UNKNOWN: Final = 99.0
 """Motion of which nothing is known is not ordinary."""
@@ -39,9 +35,19 @@ class Group:
         return self.failures[0]
 
     @property
-    def avoided_by(self) -> AvoidedBy:
-        """What would have avoided it from the onset on; empty where that is not known."""
-        return avoided_by(self.example)
+    def avoided_by(self) -> str:
+        """Who would have avoided it from the onset on, in words; empty where that is not known."""
+        return findings.by_whom(self.example.worth)
+
+    @property
+    def worth(self) -> str:
+        """What its hits are worth, in words; empty for failures that are no hits."""
+        return findings.said(self.example.worth) if self.example.kind == "hit" else ""
+
+    @property
+    def kind(self) -> Class:
+        """What its failures are."""
+        return class_of(self.example)
 
     @property
     def onset_s(self) -> float | None:
@@ -63,7 +69,10 @@ class Group:
             "from": example.side,
             "priority": example.priority or None,
             "av": example.action,
-            "avoided_by": self.avoided_by or None,
+            "worth": self.worth or None,
+            "rung": example.worth.rung if example.worth else None,
+            "finding": self.kind == "finding" if hit else None,
+            "avoided_by": list(drivers) if (drivers := _drivers(example)) is not None else None,
             "onset_s": self.onset_s,
             "delta_v_mps": round(self.delta_v_mps, 3) if hit else None,
             "opponent_rms_mps2": example.ordinary_mps2,
@@ -76,16 +85,28 @@ class Group:
         }
 
 
-def avoided_by(failure: Failure) -> AvoidedBy:
-    """What would have avoided a failure: the mildest that is enough."""
-    return _AVOIDED_BY[failure.grade] if failure.grade else ""
+def class_of(failure: Failure) -> Class:
+    """What a failure is: hits by their worth, see `findings`."""
+    if failure.kind == "run timed out":
+        return "out of time"
+    if failure.kind != "hit":
+        return "planner"
+    if failure.worth is None:
+        return "not judged"
+    return "finding" if failure.worth.finding else "no finding"
+
+
+def _drivers(failure: Failure) -> tuple[str, ...] | None:
+    return failure.worth.avoided_by if failure.worth else None
 
 
 def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
     """Groups of the failures of a number of runs, the worst first.
 
-    Errors of the planner come first, then hits by avoidability, delta-v, and how ordinary the
-    opponent's motion is, and last the runs that were out of time, which may be the machine's fault.
+    Errors of the planner come first, then findings: errors of the AV before avoidable hits, then by
+    how many drivers avoid them, delta-v, and how ordinary the opponent's motion is. Contrived and
+    unavoidable hits follow, and last the runs that were out of time, which may be the machine's
+    fault.
     """
     found: dict[Hashable, list[Failure]] = defaultdict(list)
     for failure in failures:
@@ -104,12 +125,17 @@ def _key(failure: Failure) -> Hashable:
         failure.turned,
         failure.ran_red,
         failure.action,
-        avoided_by(failure),
+        failure.worth.rung if failure.worth else None,
+        class_of(failure),
+        _drivers(failure),
     )
 
 
 def _rank(failure: Failure) -> tuple[Any, ...]:
-    grade = -1 if failure.grade is None else GRADES.index(failure.grade)
+    rung = failure.worth.rung if failure.worth else None
+    drivers = len(_drivers(failure) or ())
     ordinary = _UNKNOWN if failure.ordinary_mps2 is None else failure.ordinary_mps2
-    place = {"hit": 1, "run timed out": 2}.get(failure.kind, 0)
-    return (place, -grade, -failure.delta_v_mps, ordinary, failure.run.run_id)
+    return (
+        CLASSES.index(class_of(failure)), rung or "", -drivers, -failure.delta_v_mps, ordinary,
+        failure.run.run_id,
+    )  # fmt: skip

@@ -8,6 +8,8 @@ from typing import Final, Literal
 from xml.etree import ElementTree as ET  # written, never parsed
 
 from deepmf_sumo import files
+from deepmf_sumo.results.findings import said
+from deepmf_sumo.results.quantities import hit, worth
 from deepmf_sumo.results.result import Result
 
 FILE: Final = "junit.xml"
@@ -71,8 +73,15 @@ def _case(result: Result) -> TestCase:
         name=result["run_id"],
         seconds=result["timings"]["wall_s"],
         marks=marks,
-        output=f"outcome: {result.get('outcome', '-')}; files: runs/{result['run_id']}",
+        output=f"outcome: {_outcome(result)}; files: runs/{result['run_id']}",
     )
+
+
+def _outcome(result: Result) -> str:
+    """With the worth of a hit."""
+    if "outcome" not in result:
+        return "-"
+    return f"{result['outcome']}, {said(worth(result))}" if hit(result) else result["outcome"]
 
 
 def _add(suite: ET.Element, case: TestCase) -> None:

@@ -11,6 +11,7 @@ from functools import partial
 from math import inf
 from typing import Any, Final, Literal
 
+from deepmf_sumo.results import findings
 from deepmf_sumo.results.result import ContactValues, Result, attacked, first_contact
 
 Value = Callable[[Result], float | None]
@@ -157,9 +158,14 @@ def _flag(name: str, test: Callable[[float], bool]) -> Value:
     return value
 
 
-def _valid(result: Result) -> float | None:
-    found = result["metrics"].get("valid_collision")
-    return None if found is None else float(found["value"] == 1)
+def values(result: Result) -> dict[str, float | None]:
+    """All metrics by name; None where one has no value."""
+    return {name: one["value"] for name, one in result["metrics"].items()}
+
+
+def worth(result: Result) -> findings.Worth | None:
+    """What the hit of a run is worth; None without a hit, or where that is not known."""
+    return findings.worth(values(result)) if hit(result) else None
 
 
 def _contacts(result: Result) -> list[ContactValues]:
@@ -269,12 +275,13 @@ QUANTITIES: Final = (
         "share of the attacked runs with a value above 0", "third_party", title="Third party",
     ),
     _rate(
-        "valid_collision_rate", "higher", _valid, "share of the attacked runs with a value of 1",
-        "valid_collision", title="Valid", rule_out=RATE,
+        "finding_rate", "higher", lambda result: findings.finding(values(result)),
+        "share of the attacked runs with a hit by an error of the AV, or one that a driver avoids",
+        title="Findings", label="finding", rule_out=RATE,
     ),
     _rate(
         "avoidable_rate", "higher", _flag("avoidable", _positive), "share of the hits with a value"
-        " of 1", "avoidable", title="Avoidable", label="avoidable", of_hits=True, rule_out=RATE,
+        " of 1", "avoidable", title="Avoidable", of_hits=True, rule_out=RATE,
     ),
     _rate(
         "av_at_fault_rate", "neither", _flag("av_at_fault", _positive),
@@ -372,10 +379,19 @@ COLUMNS: Final = tuple(quantity for quantity in QUANTITIES if quantity.in_table)
 COMPARABLE: Final = {
     name: BY_NAME[name]
     for name in (
-        "impact_mps", "av_collision_rate", "collision_rate", "valid_collision_rate",
+        "impact_mps", "av_collision_rate", "collision_rate", "finding_rate",
         "avoidable_rate", "av_at_fault_rate", "criticality", "ttc_s", "min_gap_m",
         "required_braking_mps2", "collision_speed_mps", "delta_v_mps",
         *(name for name, *_ in _OF_THE_AV), *_INVERSE,
     )
 }  # fmt: skip
 """What `check` and `compare` judge, by name: what is worse for the AV is said of each."""
+_NOW: Final = {"valid_collision_rate": "finding_rate"}
+"""Names of earlier versions."""
+
+
+def no_quantity(name: str) -> str:
+    """The sentence, without its full stop, on a name that is none of `COMPARABLE`."""
+    if name in _NOW:
+        return f"'{name}' is no quantity any more; write '{_NOW[name]}'"
+    return f"'{name}' is not a quantity. Known: {', '.join(COMPARABLE)}"

@@ -25,7 +25,8 @@ from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual
 from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.results import artifacts, stored, tracks
+from deepmf_sumo.results import artifacts, findings, stored, tracks
+from deepmf_sumo.results.findings import Rung, Worth
 from deepmf_sumo.results.result import ContactValues, MetricValues, Result
 from deepmf_sumo.spec import document
 
@@ -142,13 +143,19 @@ class Run:
         return "T-bone" if name == "t-bone" else name
 
     @property
-    def clean(self) -> bool:
-        """Whether the hit is valid: limits, road, third parties, avoidability."""
-        valid = self.metric("valid_collision")
-        if valid is not None:
-            return valid >= 1.0
-        names = ("feasible", "on_road", "collision_clean")
-        return all((self.metric(name) or 0.0) >= 1.0 for name in names)
+    def worth(self) -> Worth | None:
+        """What the hit is worth; None without a hit, or where that is not known."""
+        return findings.worth(self.values) if self.hit else None
+
+    @property
+    def rung(self) -> Rung | None:
+        """Of the ladder; None without a hit, and in results of versions without a ladder."""
+        return self.worth.rung if self.worth is not None else None
+
+    @property
+    def finding(self) -> bool:
+        """Whether it hit, and the hit is known to be a finding."""
+        return self.worth is not None and self.worth.finding
 
     @property
     def sector(self) -> int | None:
@@ -166,6 +173,11 @@ class Run:
     def metrics(self) -> Mapping[str, MetricValues]:
         """The metrics by name; none where the run has no result."""
         return self.result["metrics"] if self.status == "ok" and self.has_result else {}
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """The metrics' values by name; None where one is not defined."""
+        return {name: one["value"] for name, one in self.metrics.items()}
 
     def metric(self, name: str) -> float | None:
         """Value of a metric; None where it is not defined, or not known to that version."""
@@ -293,6 +305,13 @@ class Run:
         except stored.DAMAGE:  # what is damaged is reported where it is shown
             return False
         return found["network"] is not None or traffic == "sumo"
+
+
+def without_ladder(runs: Sequence[Run]) -> str:
+    """A sentence on the hits of versions without a ladder; empty if there are none."""
+    hits = [run for run in runs if run.hit]
+    old = sum(findings.earlier(run.metrics) for run in hits)
+    return findings.earlier_note(old, len(hits))
 
 
 def judged_before(runs: Sequence[Run]) -> str:

@@ -15,7 +15,7 @@ from deepmf_sumo.risk.traffic_conflicts import site
 
 ATTACKED: Final = (
     "attack", "folder", "run_id", "turn", "scene", "seed", "kind", "contact", "other_contact",
-    "avoidable", "ttc_s", "pet_s", "gap_m", "delta_v_mps", "criticality", "x_m", "y_m",
+    "finding", "rung", "ttc_s", "pet_s", "gap_m", "delta_v_mps", "criticality", "x_m", "y_m",
     "place_kind", "place", "title", "junction", "gives_way", "av", "av_lane", "av_speed_mps",
     "opponent", "opponent_lane", "opponent_title", "began_title",
 )  # fmt: skip
@@ -51,7 +51,8 @@ def _values(
     where = site(at, places) if at.movement or at.edge or at.junction else ("", "", "")
     return (
         Path(one.folder).resolve().name, one.run_id, one.turn, one.scene, one.seed, one.kind,
-        one.hit, one.other, one.avoidable, one.ttc_s, one.pet_s, one.gap_m, one.delta_v_mps,
+        one.hit, one.other, one.finding if one.worth else None,
+        one.worth.rung if one.worth else None, one.ttc_s, one.pet_s, one.gap_m, one.delta_v_mps,
         one.criticality,
         *one.place_m, *where, at.junction, _gives_way(one, places, first_at),
         one.av, at.lane, one.speed_mps, one.opponent, one.against.lane,

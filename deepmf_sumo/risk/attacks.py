@@ -21,7 +21,8 @@ from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
 from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.results import stored
+from deepmf_sumo.results import findings, stored
+from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
@@ -44,7 +45,7 @@ class Attacked:
         place_m: (2,) of the AV's centre when it was decided.
         against: where the opponent was then.
         hit: the opponent touched the AV. other: the AV touched another vehicle.
-        avoidable: whether a reference driver would have avoided the hit; None without one.
+        worth: what the hit is worth; None without a hit, or where that is not known.
         ttc_s: least; None off a collision course. gap_m: least. delta_v_mps: of the hit.
         criticality: see there; None in results of versions that did not measure it.
         kind: of conflict that it is, or would have been; None where the opponent was not there.
@@ -63,7 +64,7 @@ class Attacked:
     place_m: tuple[float, float]
     hit: bool
     other: bool
-    avoidable: bool | None
+    worth: Worth | None
     ttc_s: float | None
     gap_m: float | None
     delta_v_mps: float | None
@@ -74,6 +75,11 @@ class Attacked:
     speed_mps: float = 0.0
     av: str = ""
     opponent: str = ""
+
+    @property
+    def finding(self) -> bool:
+        """Whether it hit, and the hit is known to be a finding."""
+        return self.worth is not None and self.worth.finding
 
     @property
     def unit(self) -> tuple[str, int | None]:
@@ -150,7 +156,6 @@ def _attacked(
     # of the opponent, else of another, else when the gap was least, else at the start
     step = next(iter((*hits, *others, first if nearest is None else nearest)))
     place_m: Floats = found.tracks.position_m[found.tracks.row(found.av_id), step]
-    avoidable = part.metrics.get("avoidable")
     decided, against = spots.at(step), opponent.at(step) if opponent else OFF
     return Attacked(
         folder=folder,
@@ -163,7 +168,7 @@ def _attacked(
         place_m=(float(place_m[0]), float(place_m[1])),
         hit=bool(hits),
         other=bool(others),
-        avoidable=avoidable >= 1 if hits and avoidable is not None else None,
+        worth=findings.worth(part.metrics) if hits else None,
         ttc_s=part.metrics.get("ttc_min"),
         gap_m=part.metrics.get("min_gap"),
         delta_v_mps=part.metrics.get("delta_v"),
@@ -348,14 +353,14 @@ class Conflict:
 
     Attributes:
         place, against: titles of the AV's and the opponent's; empty off the lanes.
-        avoidable: of the hits that were ``judged``.
+        findings: of the hits that were ``judged``.
     """
 
     place: str
     against: str
     attacks: int
     hits: int
-    avoidable: int
+    findings: int
     judged: int
 
 
@@ -376,6 +381,6 @@ def _conflict(place: str, against: str, group: Iterable[Attacked]) -> Conflict:
         against=against,
         attacks=len(attacks),
         hits=sum(one.hit for one in attacks),
-        avoidable=sum(bool(one.avoidable) for one in attacks),
-        judged=sum(one.avoidable is not None for one in attacks),
+        findings=sum(one.finding for one in attacks),
+        judged=sum(one.worth is not None for one in attacks),
     )

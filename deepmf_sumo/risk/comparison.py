@@ -18,7 +18,7 @@ from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.setups import WHOM, differing
 from deepmf_sumo.results import sessions
 from deepmf_sumo.results.matching import Matched, answer, match
-from deepmf_sumo.results.quantities import COMPARABLE, RATE, Quantity
+from deepmf_sumo.results.quantities import COMPARABLE, RATE, Quantity, no_quantity
 from deepmf_sumo.results.reader import before_note
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.stored import inputs_of, result_folders
@@ -185,8 +185,7 @@ def compare(
     """
     unknown = [name for name in quantities if name not in COMPARABLE]
     if unknown:
-        known = ", ".join(COMPARABLE)
-        raise UsageError(f"'{unknown[0]}' is not a quantity to compare; there are: {known}.")
+        raise UsageError(f"{no_quantity(unknown[0])}.")
     old, new = _side(a), _side(b)
     if old.version != new.version:
         raise UsageError(

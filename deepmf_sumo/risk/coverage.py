@@ -30,7 +30,7 @@ class TypeRow:
 
     Attributes:
         kind: `NO_CONFLICT` for attacks without one.
-        judged: hits whose avoidability is known.
+        judged: hits whose worth is known.
         least_ttc_s, median_ttc_s: least and median of the attacks' least times; None without any.
         delta_v_mps, delta_v_most_mps: mean and most of hits.
     """
@@ -38,7 +38,7 @@ class TypeRow:
     kind: str
     attacks: int
     hits: int
-    avoidable: int
+    findings: int
     judged: int
     least_ttc_s: float | None
     median_ttc_s: float | None
@@ -71,8 +71,8 @@ def _type_row(kind: str, group: Sequence[Attacked]) -> TypeRow:
         kind=kind,
         attacks=len(group),
         hits=sum(one.hit for one in group),
-        avoidable=sum(bool(one.avoidable) for one in group),
-        judged=sum(one.avoidable is not None for one in group),
+        findings=sum(one.finding for one in group),
+        judged=sum(one.worth is not None for one in group),
         least_ttc_s=min(ttc, default=None),
         median_ttc_s=median(ttc) if ttc else None,
         least_pet_s=min(pet, default=None),

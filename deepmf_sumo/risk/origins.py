@@ -13,19 +13,20 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate.rows import Row
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.results import quantities
+from deepmf_sumo.results.findings import said
 from deepmf_sumo.results.matching import Matched, answer, match
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.risk import attacks
 
-Dimension = Literal["place", "accident", "sector", "avoidable"]
-DIMENSIONS: Final[tuple[Dimension, ...]] = ("place", "accident", "sector", "avoidable")
+Dimension = Literal["place", "accident", "sector", "worth"]
+DIMENSIONS: Final[tuple[Dimension, ...]] = ("place", "accident", "sector", "worth")
 _PART: Final = "part"
 Tags = Mapping[Dimension, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tagged:
-    """An attacked run, and of its hit: place, accident, sector (a number), avoidable or not."""
+    """An attacked run, and of its hit: place, accident, sector (a number), worth in words."""
 
     row: Row
     tags: Tags
@@ -75,14 +76,14 @@ def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str,
 
 def _kinds(result: Result) -> dict[Dimension, str]:
     accident, sector = quantities.accident(result), quantities.sector(result)
-    avoidable = quantities.metric(result, "avoidable")
+    worth = quantities.worth(result)
     kinds: dict[Dimension, str] = {}
     if accident is not None:
         kinds["accident"] = ACCIDENT_TYPES[accident].replace("_", " ")
     if sector is not None:
         kinds["sector"] = str(sector)
-    if avoidable is not None:
-        kinds["avoidable"] = "avoidable" if avoidable >= 1 else "not avoidable"
+    if worth is not None:
+        kinds["worth"] = said(worth)
     return kinds
 
 

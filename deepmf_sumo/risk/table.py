@@ -15,14 +15,15 @@ SEVERE_MPS: Final = 5.0
 CONFLICT_S: Final = 1.5
 """Times to collision below are conflicts (Gettman et al., FHWA-HRT-08-051, 2008)."""
 
-Event = Literal["hit", "avoidable", "severe", "conflict"]
+Event = Literal["hit", "finding", "severe", "conflict"]
 Counted = Literal["decided", "began"]
 COUNTED: Final[tuple[Counted, ...]] = ("decided", "began")
 
 _EVENTS: Final[Mapping[Event, tuple[Callable[[Attacked], bool], str]]] = {
     "hit": (lambda one: one.hit, "the opponent touched the AV"),
-    "avoidable": (
-        lambda one: bool(one.avoidable), "a hit that a reference driver would have avoided",
+    "finding": (
+        lambda one: one.finding,
+        "a hit by an error of the AV, or by one of drivers which a reference driver avoids",
     ),
     "severe": (
         lambda one: one.hit and (one.delta_v_mps or 0.0) >= SEVERE_MPS,
@@ -52,10 +53,10 @@ class Row:
         place: its id.
         title: a readable name of the place.
         events: how many of the attacks were such an event.
-        judged: hits whose avoidability is known. others: attacks in which the AV touched
+        judged: hits whose worth is known. others: attacks in which the AV touched
             another vehicle.
         ttc_s, gap_m: least of all attacks. delta_v_mps, delta_v_most_mps: mean and most of hits.
-        hit_rate: of the attacks here alone. avoidable_share: of judged hits; None without any.
+        hit_rate: of the attacks here alone. finding_share: of judged hits; None without any.
         risk: chance of such an event in an attack here, see `statistics.place_rates`.
         rank: among the places of its kind, by the lower end of the risk; 1 is the worst.
         criticality: mean of the attacks here, see `quantities.criticality`; or None.
@@ -77,7 +78,7 @@ class Row:
     delta_v_mps: float | None
     delta_v_most_mps: float | None
     hit_rate: Interval
-    avoidable_share: Interval | None
+    finding_share: Interval | None
     risk: Mapping[Event, Interval]
     rank: Mapping[Event, int]
     criticality: PlaceMean | None
@@ -124,7 +125,7 @@ def worst(table: Iterable[Row], event: Event = "hit", counted: Counted = "decide
 
 def columns(row: Row) -> dict[str, Any]:
     """A row's numbers by name, None where there is none; rates with their 95 % intervals."""
-    hit, share = row.hit_rate, row.avoidable_share or (None, None, None)
+    hit, share = row.hit_rate, row.finding_share or (None, None, None)
     risks = {
         f"{name}_{event}{end}": value
         for event in EVENTS
@@ -145,11 +146,9 @@ def columns(row: Row) -> dict[str, Any]:
         "hit_rate": hit.rate,
         "hit_rate_lo": hit.low,
         "hit_rate_hi": hit.high,
-        "avoidable": row.events["avoidable"],
+        "findings": row.events["finding"],
         "judged": row.judged,
-        **dict(
-            zip(("avoidable_share", "avoidable_share_lo", "avoidable_share_hi"), share, strict=True)
-        ),
+        **dict(zip(("finding_share", "finding_share_lo", "finding_share_hi"), share, strict=True)),
         "severe": row.events["severe"],
         "conflicts": row.events["conflict"],
         "other_contacts": row.others,
@@ -250,15 +249,15 @@ def _order(risk: Interval, place: str) -> tuple[float, float, str]:
 def _row(group: Sequence[Attacked], **named: Any) -> Row:
     speeds = [one.delta_v_mps for one in group if one.hit and one.delta_v_mps is not None]
     hits = statistics.by_unit((one.unit, float(one.hit)) for one in group)
-    avoidable = statistics.by_unit(
-        (one.unit, float(one.avoidable)) for one in group if one.avoidable is not None
+    found = statistics.by_unit(
+        (one.unit, float(one.finding)) for one in group if one.worth is not None
     )
     return Row(
         hit_rate=statistics.rate(hits),
-        avoidable_share=statistics.rate(avoidable) if avoidable else None,
+        finding_share=statistics.rate(found) if found else None,
         attacks=len(group),
         events={event: _happened(group, event) for event in EVENTS},
-        judged=sum(one.avoidable is not None for one in group),
+        judged=sum(one.worth is not None for one in group),
         others=sum(one.other for one in group),
         ttc_s=_least(one.ttc_s for one in group),
         gap_m=_least(one.gap_m for one in group),

@@ -10,6 +10,7 @@ from deepmf_sumo import __version__, files
 from deepmf_sumo import spec as spec_module
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.errors import OutputError, RunError
+from deepmf_sumo.results.findings import said
 from deepmf_sumo.shrink.search import Shrunk
 from deepmf_sumo.spec import Spec
 
@@ -49,7 +50,7 @@ def summary(found: Shrunk) -> str:
     plans = f"changes of plan {before} -> {after}"
     motion = f"hardest acceleration {first.hardest_mps2:.1f} -> {best.hardest_mps2:.1f} m/s2"
     speed = f"contact at {first.contact_mps:.1f} -> {best.contact_mps:.1f} m/s"
-    return f"{users}, {time}, {plans}, {motion}, {speed}"
+    return f"{users}, {time}, {plans}, {motion}, {speed}; the hit is {said(best.worth)}"
 
 
 def _head(found: Shrunk) -> str:

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Floats
 from deepmf_sumo.errors import RunError
+from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.shrink.candidate import (
     AFTER_STEPS,
     Candidate,
@@ -187,13 +188,13 @@ class _Search:
         return True
 
     def _same(self, found: Trial) -> bool:
-        """Whether it is the first trial's: of its kind, as avoidable, no longer, no harder."""
+        """Whether it is the first trial's: of its kind, on its rung, no longer, no harder."""
         first = self.first
         return (
             found.hit
             and found.steps <= first.steps
             and found.accident == first.accident
-            and (found.grade or 0.0) >= (first.grade or 0.0)
+            and _as_much(found.worth, first.worth)
             and found.feasible >= first.feasible
             and found.hardest_mps2 <= first.hardest_mps2 + _ROUNDED_MPS2
             and found.contact_mps <= first.contact_mps + _FASTER_MPS
@@ -276,3 +277,11 @@ class _Search:
             if self._try(said, milder=True, scale=share):
                 return True
         return helped
+
+
+def _as_much(found: Worth | None, first: Worth | None) -> bool:
+    """Whether a hit is on the rung of the first, and all who avoid that one avoid it, too."""
+    if found is None or first is None:
+        return found is first
+    same = (found.rung, found.finding) == (first.rung, first.finding)
+    return same and set(first.avoided_by or ()) <= set(found.avoided_by or ())

@@ -14,8 +14,9 @@ import numpy as np
 from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, Floats
 from deepmf_sumo.files import cache_folder
+from deepmf_sumo.results import findings, quantities, stored, tracks
 from deepmf_sumo.results import result as result_module
-from deepmf_sumo.results import stored, tracks
+from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.shrink.candidate import Candidate
 from deepmf_sumo.shrink.failure import Failure
@@ -39,7 +40,7 @@ class Trial:
         why: why the opponent did not hit the AV; empty where it did.
         contact: step of the contact, counted from the run's start.
         road_users: that were there up to the contact, with the AV.
-        accident, grade: metrics ``accident_type`` and ``avoidance_grade``.
+        accident: metric ``accident_type``. worth: of the hit; None: not judged.
         feasible: the opponent drove within the limits of a car.
         contact_mps: relative speed at the contact.
         hardest_mps2: largest acceleration of the opponent from the begin to the contact.
@@ -52,7 +53,7 @@ class Trial:
     contact: int = 0
     road_users: int = 0
     accident: float | None = None
-    grade: float | None = None
+    worth: Worth | None = None
     feasible: bool = False
     contact_mps: float = np.inf
     hardest_mps2: float = np.inf
@@ -157,14 +158,14 @@ def _judged(blank: Trial, failure: Failure, result: Result, folder: Path) -> Tri
     file = folder / tracks.FILE
     found = tracks.read_tracks(file)
     hit = next(one for one in result["contacts"] if one["kind"] == "av_opponent")
-    metrics = {name: one["value"] for name, one in result["metrics"].items()}
+    metrics = quantities.values(result)
     shown = slice(found.now, hit["step"] + 1)
     return replace(
         blank,
         contact=blank.candidate.begin + hit["step"] - found.now,
         road_users=int(found.tracks.valid[:, shown].any(axis=1).sum()),
         accident=metrics.get("accident_type"),
-        grade=metrics.get("avoidance_grade"),
+        worth=findings.worth(metrics),
         feasible=bool(metrics.get("feasible")),
         contact_mps=float(hit["relative_mps"]),
         hardest_mps2=_hardest(found, failure.opponent, hit["step"]),

@@ -11,7 +11,7 @@ from deepmf_sumo.exporters import scene as scene_format
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Results
 
-from tests.support import tiny_network
+from tests.support import tiny_network, worth_doubles
 from tests.support.result_folders import Folder
 
 
@@ -21,10 +21,10 @@ def call(*arguments):
 
 @pytest.fixture
 def made(tmp_path):
-    """Runs of recordings: a hit, an avoidable hit, a miss, one that failed, one without tracks."""
+    """Runs of recordings: a contrived hit, a finding, a miss, a failed one, one without tracks."""
     folder = Folder(tmp_path)
-    folder.add("one", metrics={"avoidable": 0.0})
-    folder.add("two", metrics={"avoidable": 1.0})
+    folder.add("one", metrics=worth_doubles.metrics("C"))
+    folder.add("two", metrics=worth_doubles.metrics("B"))
     folder.add("three", hit=False)
     folder.fail("four")
     folder.add("five")
@@ -56,7 +56,7 @@ def test_each_run_is_written_beside_its_tracks_and_the_rest_is_counted(made, cap
 
 
 @pytest.mark.parametrize(
-    ("only", "ids"), [("hits", ["00-one", "01-two"]), ("avoidable", ["01-two"])]
+    ("only", "ids"), [("hits", ["00-one", "01-two"]), ("findings", ["01-two"])]
 )
 def test_failures_alone_below_another_folder(made, tmp_path, only, ids, capsys):
     place = tmp_path / "elsewhere"
@@ -72,7 +72,7 @@ def test_one_run_and_several_folders(made, tmp_path):
     assert call("export", made / "runs" / "01-two", "--to", "scene", "--out", place) == 0
     assert files_below(place) == ["01-two/scene.npz"]
     other = shutil.copytree(made, tmp_path / "other")
-    assert call("export", made, other, "--to", "scene", "--only", "avoidable", "--out", place) == 0
+    assert call("export", made, other, "--to", "scene", "--only", "findings", "--out", place) == 0
     assert files_below(place)[1:] == ["other/runs/01-two/scene.npz", "out/runs/01-two/scene.npz"]
 
 
@@ -115,7 +115,7 @@ def test_a_failed_export_leaves_nothing(made, tmp_path, to, capsys):
 def test_a_run_whose_recording_and_network_are_gone_fails(made, capsys):
     for file in made.parent.glob("*.npz"):
         file.unlink()
-    assert call("export", made, "--to", "scene", "--only", "avoidable") == 3
+    assert call("export", made, "--to", "scene", "--only", "findings") == 3
     assert "holds no net.net.xml" in capsys.readouterr().err
 
 

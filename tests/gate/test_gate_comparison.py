@@ -266,7 +266,7 @@ def test_what_is_shown_is_not_judged():
     found = {one.quantity: one.state for one in comparison.compare(Baseline(), new, old)}
     assert found == {
         "impact_mps": "passed", "av_collision_rate": "not judged",
-        "valid_collision_rate": "not judged", "ttc_s": "not judged", "min_gap_m": "not judged",
+        "finding_rate": "not judged", "ttc_s": "not judged", "min_gap_m": "not judged",
     }  # fmt: skip
 
 

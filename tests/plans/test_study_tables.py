@@ -26,9 +26,9 @@ def result(scene="a", method="fast", planner="lane", hit=True, **changes):
     """A run; ``metrics`` are values by name."""
     metrics = {"acceleration_kl": 1.0, "feasible": 1.0, "third_party": 0.0, "av_third_party": 0.0}
     if hit:
-        metrics |= {"collision_time_s": 2.0, "collision_speed": 5.0, "valid_collision": 1.0}
+        metrics |= {"collision_time_s": 2.0, "collision_speed": 5.0, "finding": 1.0}
     else:
-        metrics |= {"collision_time_s": None, "collision_speed": None, "valid_collision": 0.0}
+        metrics |= {"collision_time_s": None, "collision_speed": None, "finding": 0.0}
     metrics |= changes.pop("metrics", {})
     contact = {"kind": "av_opponent", "sector": 2, "time_s": 2.0, "relative_mps": 5.0}
     one = {
@@ -93,7 +93,7 @@ def test_a_row_counts_what_it_averages():
     assert (row["collision_time_s"], row["n_collision_time_s"]) == (2.0, 2)
     assert (row["avoidable_rate"], row["n_avoidable_rate"]) == (0.5, 2)
     assert (row["third_party_rate"], row["feasible_rate"]) == pytest.approx((1 / 3, 2 / 3))
-    assert row["valid_collision_rate"] == pytest.approx(2 / 3)
+    assert row["finding_rate"] == pytest.approx(2 / 3)
     assert row["n_av_other_rate"] == 4
     assert (row["sectors_hit"], row["parameters"]) == (1, "treiber")
     assert row["pooled_runs"] == 3

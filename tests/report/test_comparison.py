@@ -31,7 +31,11 @@ def folder(tmp_path, outcomes, *, opponents=True, planners=("idm",), reason="nev
         lines.append(",".join(str(row[name]) for name in COLUMNS))
         metrics = {"on_road": {"value": on_road}, "feasible": {"value": 1.0}}
         if outcome == "av_opponent":
-            metrics |= {"ttc_min": {"value": 0.04, "unit": "s"}, "avoidable": {"value": 1.0}}
+            metrics |= {
+                "ttc_min": {"value": 0.04, "unit": "s"},
+                "finding": {"value": 1.0},
+                "rung": {"value": 1.0},
+            }
             metrics |= {"accident_type": {"value": 1.0, "unit": "number"}}
         else:
             none = {"value": None, "unit": "s", "reason": reason}
@@ -121,7 +125,8 @@ def test_quantities_have_units_few_digits_and_their_number_of_runs(tmp_path):
     assert found["runs that succeeded"] == "2 of 3, 1 failed"
     assert found["AV hit by the opponent, runs"] == "1"
     assert found["rate (95 % interval)"] == "50 % (1 to 99)"
-    assert found["of these avoidable"] == "1 of 1"
+    assert found["of these findings"] == "1 of 1 (1 avoidable)"
+    assert found["contrived or unavoidable, no findings"] == "0 contrived, 0 unavoidable"
     assert found["relative speed at the hit, mean, m/s"] == "5.0"
     assert found["least TTC, mean, s"] == "0.0 (1 of 2)"
     assert found["least gap of AV and opponent, mean, m"] == "-"

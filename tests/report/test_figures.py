@@ -20,6 +20,7 @@ from deepmf_sumo.report.figures import (
 from deepmf_sumo.report.figures.style import Skipped
 from deepmf_sumo.results import reader
 
+from tests.support import worth_doubles
 from tests.support.result_folders import Folder
 
 SCORES = {"b": 0.9, "c": 0.6, "d": 0.2, "e": 0.1}
@@ -132,9 +133,9 @@ def test_scores_show_the_scenes_in_which_they_differ(folder):
 
 
 @pytest.mark.sumo
-def test_attacks_take_turns_among_the_sides_and_clean_hits_first(folder):
-    good = {"feasible": 1.0, "on_road": 1.0, "collision_clean": 1.0}
-    folder.add("one", sector=0, metrics=good | {"on_road": 0.5})
+def test_attacks_take_turns_among_the_sides_and_findings_first(folder):
+    good = worth_doubles.metrics()
+    folder.add("one", sector=0, metrics=worth_doubles.metrics("C"))
     folder.add("two", sector=0, metrics=good)
     folder.add("three", sector=4, metrics=good)
     folder.add("miss", hit=False)

@@ -19,6 +19,7 @@ from deepmf_sumo.report.page.replay import packed, steady, stepwise
 from deepmf_sumo.results.quantities import QUANTITIES
 from deepmf_sumo.results.statistics import rate
 
+from tests.support import worth_doubles
 from tests.support.result_folders import Folder
 
 ASSETS = resources.files("deepmf_sumo.report.page") / "assets"
@@ -414,7 +415,7 @@ def test_a_browser_shows_table_and_replay(folder):
 
 @pytest.mark.sumo
 def test_the_page_opens_with_groups_of_failures(folder):
-    metrics = {"avoidance_grade": 2.0, "opponent_rms_acceleration": 0.8}
+    metrics = worth_doubles.metrics() | {"opponent_rms_acceleration": 0.8}
     folder.add("s1", metrics=metrics)
     folder.add("s2", metrics=metrics)
     folder.add("miss", hit=False)
@@ -423,7 +424,10 @@ def test_the_page_opens_with_groups_of_failures(folder):
     text = written.read_text("utf-8")
     assert (group["runs"], group["of"], group["replay"]) == ([0, 1], 3, True)
     assert "careful driver" in group["sentence"]
-    assert ["avoided by", "careful driver"] in group["facts"]
+    assert [
+        "avoided by",
+        "a careful driver (cc), braking or steering immediately (search)",
+    ] in group["facts"]
     assert text.index('id="failures-title"') < text.index('id="totals-title"')
 
 
@@ -444,7 +448,7 @@ def test_a_failure_that_cannot_be_described_keeps_its_replay(folder, monkeypatch
 def test_a_browser_shows_the_failures(folder):
     if BROWSER is None:
         pytest.skip("no Chromium")
-    folder.add("s1", metrics={"avoidance_grade": 2.0})
+    folder.add("s1", metrics=worth_doubles.metrics())
     text = shown(f"file://{page.write(folder.out)}")
     assert "a careful driver would have" in text
     assert "1 of 1 run" in text
@@ -542,8 +546,8 @@ def test_a_browser_marks_turns_on_the_timelines(folder):
 def test_the_table_of_runs_is_not_cut(folder, width, tmp_path):
     if BROWSER is None:
         pytest.skip("no Chromium")
-    folder.add("s1", metrics={"ttc_min": 0.0, "avoidable": 0.0}, scores={"b": 0.9})
-    folder.add("s2", hit=False, metrics={"ttc_min": 1.0, "avoidable": 0.0})
+    folder.add("s1", metrics={"ttc_min": 0.0, "finding": 0.0}, scores={"b": 0.9})
+    folder.add("s2", hit=False, metrics={"ttc_min": 1.0, "finding": 0.0})
     street = "Friedrich-Engels-Straße (cluster_1238859995_3624767_2#0)"
     lines = "".join(f"0{run}-s{run + 1},north,{street},left\n" for run in range(2))
     (folder.out / "moments.csv").write_text(f"run_id,edge,street,turn\n{lines}")
@@ -601,7 +605,7 @@ def test_every_quantity_with_a_label_is_a_column_with_its_unit(folder):
     labelled = {quantity.name: quantity for quantity in QUANTITIES if quantity.label}
     assert labelled.keys() <= found.keys()
     assert found["ttc_min_s"]["heading"] == "least TTC, s"
-    assert found["avoidable_rate"]["kind"] == "flag"
+    assert found["finding_rate"]["kind"] == "flag"
     if BROWSER is None:
         pytest.skip("no Chromium")
     assert "least TTC, s</button>" in shown(f"file://{folder.out / 'report.html'}")

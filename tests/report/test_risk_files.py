@@ -51,7 +51,7 @@ def test_the_table_has_a_row_a_place(made):
         table = list(csv.DictReader(lines))
     assert len(table) == len(made.rows)
     [edge] = [row for row in table if row["place"] == "w_in" and row["counted"] == "decided"]
-    assert (edge["attacks"], edge["hits"], edge["avoidable"], edge["judged"]) == (
+    assert (edge["attacks"], edge["hits"], edge["findings"], edge["judged"]) == (
         "2",
         "1",
         "1",

@@ -1,4 +1,9 @@
+from dataclasses import asdict
+
 from deepmf_sumo.report import table
+from deepmf_sumo.results import findings
+
+from tests.support import worth_doubles
 
 OK = {
     "run_id": "a--b--0",
@@ -42,6 +47,7 @@ def test_totals():
         "runs": 3,
         "attacked": 2,
         "hits": 1,
+        "findings": asdict(findings.count([worth_doubles.worth()])),
         "status": {"ok": 2, "failed": 1},
         "collision_rate": {"rate": 0.5, "low": 0.09, "high": 0.91},
         "contact_speed_mps_mean": 6.04,
@@ -49,5 +55,7 @@ def test_totals():
     }
     assert table.totals(summary) == (
         "3 runs: 2 ok, 1 failed; AV hit by opponent in 1 of 2 attacked, 50 %"
-        " (95 % interval 9-91 %); mean contact speed 6.0 m/s; 1 with broken expectations"
+        " (95 % interval 9-91 %); 1 finding: 0 error of the AV (A), 1 avoidable (B; avoided by"
+        " cc 1, search 1); apart from these 0 contrived (C), 0 unavoidable (D); mean contact speed"
+        " 6.0 m/s; 1 with broken expectations"
     )

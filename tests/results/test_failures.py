@@ -15,7 +15,7 @@ from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.results.reader import Results, Run
 
-from tests.support import gate_doubles
+from tests.support import gate_doubles, worth_doubles
 from tests.support.result_folders import Folder
 
 
@@ -74,10 +74,11 @@ def test_a_fault_survives_the_way_between_processes():
     assert PlannerError("what").kind == "nonsense"
 
 
-def hit(name, grade="C", delta_v=5.0, ordinary=1.0, **more):
+def hit(name, rung="B", by=("cc", "search"), delta_v=5.0, ordinary=1.0, **more):
     values = {
         "conflict": "crossing", "side": "left", "action": "held speed", "onset_s": 2.0,
-        "grade": grade, "delta_v_mps": delta_v, "ordinary_mps2": ordinary,
+        "delta_v_mps": delta_v, "ordinary_mps2": ordinary,
+        "worth": worth_doubles.worth(rung, by) if rung else None,
     }  # fmt: skip
     return Failure(run=run(name), kind="hit", **values | more)
 
@@ -85,22 +86,32 @@ def hit(name, grade="C", delta_v=5.0, ordinary=1.0, **more):
 def test_groups_are_ranked_by_error_avoidability_severity_and_ordinary_motion():
     crash = Failure(run=run("crash"), kind="planner crashed", reason="a bug")
     found = [
-        hit("fated", "A", 20.0),
-        hit("wild", "C", 5.0, 4.0, side="right"),
-        hit("calm", "C", 5.0, 0.5),
-        hit("same", "C", 3.0),
-        hit("fast", "C", 9.0, conflict="head-on"),
-        hit("all", "D", 1.0, conflict="rear-end"),
+        hit("fated", "D", (), 20.0),
+        hit("silly", "C", delta_v=30.0),
+        hit("unknown", "", delta_v=40.0),
+        hit("wild", ordinary=4.0, side="right"),
+        hit("calm", ordinary=0.5),
+        hit("same", delta_v=3.0),
+        hit("fast", delta_v=9.0, conflict="head-on"),
+        hit("by three", by=("cc", "fsm", "search"), delta_v=2.0),
+        hit("own error", "A", (), 1.0),
         crash,
         Failure(run=run("slow"), kind="run timed out", reason="it took longer than 600 s"),
     ]
     groups = grouped(found, 40)
     names = [[one.run.run_id for one in group.failures] for group in groups]
-    assert names == [["crash"], ["all"], ["fast"], ["calm", "same"], ["wild"], ["fated"], ["slow"]]
-    values = groups[3].values()
+    assert names == [
+        ["crash"], ["own error"], ["by three"], ["fast"], ["calm", "same"], ["wild"], ["unknown"],
+        ["silly"], ["fated"], ["slow"],
+    ]  # fmt: skip
+    values = groups[4].values()
     assert (values["runs"], values["of"], values["example"]) == (2, 40, "calm")
-    assert values["avoided_by"] == "careful driver"
-    assert words.row(groups[3])[0] == "2 of 40"
+    assert (values["worth"], values["rung"], values["finding"]) == ("avoidable (B)", "B", True)
+    assert values["avoided_by"] == ["cc", "search"]
+    assert words.row(groups[4])[::2] == ("2 of 40", "avoidable (B)", "", "cc, search", "5.0")
+    assert [group.kind for group in groups[-4:]] == [
+        "not judged", "no finding", "no finding", "out of time",
+    ]  # fmt: skip
 
 
 def test_an_error_at_another_step_is_the_same_and_another_error_is_not():
@@ -121,21 +132,21 @@ def test_the_sentence_is_that_of_an_engineer():
         "The AV turned left in front of an oncoming car. The danger showed 2.1 s before the hit; a"
         " careful driver would have waited."
     )
-    assert sentence(priority="AV", grade="B") == (
+    assert sentence(priority="AV", by=("search",)) == (
         "A car from the left without priority crossed in front of the AV, and the AV held its"
-        " speed. The danger showed 2.0 s before the hit; only braking or steering at once would"
-        " have avoided it."
+        " speed. The danger showed 2.0 s before the hit; only braking or steering immediately"
+        " would have avoided it."
     )
     assert sentence(
         conflict="rear-end", turned="AV", side="behind", action="braked", braking_mps2=3.2,
-        late=True, onset_s=None, grade="A",
+        late=True, onset_s=None, rung="D", by=(),
     ) == (
         "A car behind ran into the AV, which braked late with up to 3 m/s2; no driver could have"
         " avoided it."
     )  # fmt: skip
     assert "braked with up to 1 m/s2" in sentence(action="braked", braking_mps2=0.4)
     turning = {"conflict": "left turn across path", "turned": "AV", "side": "ahead"}
-    assert sentence(**turning, action="stood", grade="A") == (
+    assert sentence(**turning, action="stood", rung="D", by=()) == (
         "The AV waited to turn left, and an oncoming car came into its way. The danger showed 2.0 s"
         " before the hit; no driver could have avoided it."
     )
@@ -148,14 +159,14 @@ def test_the_sentence_is_that_of_an_engineer():
     assert sentence(conflict="crossing", strayed=True).startswith(
         "A car from the left left its lane and came into the way of the AV, and the AV held"
     )
-    assert sentence(grade="A", ran_red=True).endswith(" avoided it. The car ran a red light.")
+    assert sentence(rung="D", by=(), ran_red=True).endswith(" avoided it. The car ran a red light.")
 
 
 @pytest.mark.parametrize("conflict", words._CAREFUL)
 @pytest.mark.parametrize("turned", ["AV", "opponent", ""])
-@pytest.mark.parametrize("grade", ["A", "B", "C", "D", None])
-def test_each_failure_has_a_sentence(conflict, turned, grade):
-    told = sentence(conflict=conflict, turned=turned, grade=grade)
+@pytest.mark.parametrize("by", [(), ("search",), ("fsm", "rss"), ("cc", "fsm", "rss", "search")])
+def test_each_failure_has_a_sentence(conflict, turned, by):
+    told = sentence(conflict=conflict, turned=turned, by=by)
     assert told.endswith(".")
     assert "None" not in told
 
@@ -163,7 +174,7 @@ def test_each_failure_has_a_sentence(conflict, turned, grade):
 @pytest.fixture
 def folder(tmp_path, starts_sumo):  # recordings are read in a process of their own
     made = Folder(tmp_path)
-    metrics = {"avoidance_grade": 2.0, "opponent_rms_acceleration": 0.8, "accident_type": 1.0}
+    metrics = worth_doubles.metrics() | {"opponent_rms_acceleration": 0.8, "accident_type": 1.0}
     for scene in ("one", "two"):
         made.add(scene, metrics=metrics)
     made.add("miss", hit=False)
@@ -175,7 +186,7 @@ def test_failures_of_a_result_folder(folder):
     found = list(module.failures(Results.open(folder)))
     assert [one is not None for _, one, _ in found] == [True, True, False, False]
     failure = found[0][1]
-    assert failure.grade == "C"
+    assert failure.worth == worth_doubles.worth()
     assert 0 < failure.onset_s <= 3.0
     assert failure.conflict in words._CAREFUL
 

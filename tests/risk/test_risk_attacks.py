@@ -6,6 +6,7 @@ from deepmf_sumo import risk
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.network import sumo_tools
 
+from tests.support import worth_doubles
 from tests.support.risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
 
 ENDED = {"ended": "longest", "outcome": "none", "hit_speed_mps": None}
@@ -25,7 +26,8 @@ def test_a_hit_counts_where_the_av_was_at_the_contact(tmp_path):
     assert (attack.decided.edge, attack.decided.lane) == ("w_in", "w_in_1")
     assert attack.place_m == pytest.approx((-60.0, -4.8))
     assert attack.hit
-    assert attack.avoidable
+    assert attack.finding
+    assert attack.worth.avoided_by == ("cc", "search")
     assert attack.delta_v_mps == 6.0
 
 
@@ -37,7 +39,7 @@ def test_without_a_contact_the_least_gap_counts(tmp_path):
     assert attack.place_m[0] == pytest.approx(-124.0)
     assert attack.decided.edge == "w_approach"
     assert not attack.hit
-    assert attack.avoidable is None
+    assert attack.worth is None
 
 
 def test_a_touch_of_somebody_else_is_no_hit(tmp_path):
@@ -93,7 +95,7 @@ def test_it_is_known_where_the_opponent_was(tmp_path):
     [conflict] = risk.conflicts(network)
     assert conflict.place == "centre: from west to east (straight, protected)"
     assert conflict.against == "centre: from east to south (left, permissive)"
-    assert (conflict.attacks, conflict.hits, conflict.avoidable, conflict.judged) == (1, 1, 1, 1)
+    assert (conflict.attacks, conflict.hits, conflict.findings, conflict.judged) == (1, 1, 1, 1)
 
 
 @pytest.fixture(scope="module")
@@ -120,14 +122,20 @@ def test_turns_are_attacks_of_their_own(tmp_path):
     """Turn 1 without a hit up to 2 s, turn 2 with one at 5 s."""
     turns = [
         {"opponent": "foe", "begin_s": 0.0, "end_s": 2.0, **ENDED, "metrics": {"ttc_min": 3.0}},
-        {"opponent": "foe", "begin_s": 4.0, "end_s": 5.0, **ENDED, "metrics": {"avoidable": 0.0}},
+        {
+            "opponent": "foe",
+            "begin_s": 4.0,
+            "end_s": 5.0,
+            **ENDED,
+            "metrics": worth_doubles.metrics("C", by=()),
+        },
     ]
     out = Attacks(tmp_path / "out")
     out.add("a", av=eastward(), opponent=eastward(x=-155.0), hit=60, turns=turns)
     [network] = risk.read([tmp_path / "out"])
     first, second = network.attacks
     assert (first.turn, first.hit, first.ttc_s) == (1, False, 3.0)
-    assert (second.turn, second.hit, second.avoidable) == (2, True, False)
+    assert (second.turn, second.hit, second.finding, second.worth.rung) == (2, True, False, "C")
     assert first.place_m[0] < -120 < second.place_m[0]
 
 

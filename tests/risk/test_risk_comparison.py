@@ -141,7 +141,7 @@ def test_two_planners_are_paired_and_hits_come_from_places(tmp_path):
     assert by_place["w_in (w_pocket to centre)"] == (0, 6)
     [moved] = [one for one in found.origins if one.value == "w_in (w_pocket to centre)"]
     assert moved.found.difference.mean == pytest.approx(0.5)
-    assert {one.dimension for one in found.origins} == {"place", "accident", "sector", "avoidable"}
+    assert {one.dimension for one in found.origins} == {"place", "accident", "sector", "worth"}
 
 
 def test_shares_of_places_add_up_to_the_difference():
@@ -188,7 +188,7 @@ def test_hits_on_recorded_scenes_come_from_kinds_alone(tmp_path):
     a, b = (folder(tmp_path / name, {0, 1}, network=None) for name in "ab")
     found = comparison.compare(a, b)
     assert found.pairs == 12
-    assert {one.dimension for one in found.origins} == {"accident", "sector", "avoidable"}
+    assert {one.dimension for one in found.origins} == {"accident", "sector", "worth"}
 
 
 def test_what_cannot_be_compared_is_refused(tmp_path):

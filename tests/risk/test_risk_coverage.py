@@ -89,7 +89,7 @@ def network(tmp_path_factory):
 def test_conflicts_have_a_row_a_kind(network):
     rows = {row.kind: row for row in risk.by_type(network.attacks)}
     behind = rows["rear-end"]
-    assert (behind.attacks, behind.hits, behind.avoidable, behind.judged) == (2, 1, 1, 1)
+    assert (behind.attacks, behind.hits, behind.findings, behind.judged) == (2, 1, 1, 1)
     assert (behind.least_ttc_s, behind.median_ttc_s) == (0.0, pytest.approx(0.6))
     assert (behind.least_pet_s, behind.median_pet_s) == (0.0, pytest.approx(0.4))
     assert behind.delta_v_mps == behind.delta_v_most_mps == 6.0

@@ -88,7 +88,7 @@ def attack(edge, value):
     spot = Spot(lane=f"{edge}_0", edge=edge)
     return risk.Attacked(
         folder="out", run_id=f"m--{next(NUMBERS)}--0", turn=None, scene="s", seed=0,
-        decided=spot, began=spot, place_m=(0.0, 0.0), hit=False, other=False, avoidable=None,
+        decided=spot, began=spot, place_m=(0.0, 0.0), hit=False, other=False, worth=None,
         ttc_s=None, gap_m=1.0, delta_v_mps=None, criticality=value,
     )  # fmt: skip
 

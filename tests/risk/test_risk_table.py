@@ -8,6 +8,7 @@ from deepmf_sumo import risk
 from deepmf_sumo.risk import places
 from deepmf_sumo.risk.places import Spot
 
+from tests.support import worth_doubles
 from tests.support.risk_doubles import NET
 
 LEFT = "centre: w_in -> n_out"
@@ -17,7 +18,11 @@ numbers = itertools.count()
 
 
 def attack(spot, *, began=None, hit=False, **changes):
-    values = {"avoidable": True if hit else None, "ttc_s": 0.0 if hit else 3.0, "gap_m": 1.0}
+    values = {
+        "worth": worth_doubles.worth() if hit else None,
+        "ttc_s": 0.0 if hit else 3.0,
+        "gap_m": 1.0,
+    }
     values |= {"delta_v_mps": 6.0 if hit else None, "other": False, **changes}
     number = next(numbers)
     return risk.Attacked(
@@ -41,19 +46,22 @@ def on_edge(edge, **changes):
     return attack(Spot(lane=f"{edge}_0", edge=edge), **changes)
 
 
-def test_five_of_seven_hit_four_avoidable():
+def test_five_of_seven_hit_four_findings():
     """As an engineer would say it, with the exact interval."""
-    hits = [at_left(hit=True, avoidable=number < 4) for number in range(5)]
+    hits = [
+        at_left(hit=True, worth=worth_doubles.worth("B" if number < 4 else "C"))
+        for number in range(5)
+    ]
     table = rows_of([*hits, at_left(), at_left(ttc_s=1.0, gap_m=0.4)])
     [row] = [one for one in table if one.kind == "movement" and one.counted == "decided"]
-    assert (row.attacks, row.events["hit"], row.events["avoidable"], row.judged) == (7, 5, 4, 5)
+    assert (row.attacks, row.events["hit"], row.events["finding"], row.judged) == (7, 5, 4, 5)
     assert row.events["conflict"] == 6
     assert row.events["severe"] == 5
     assert (row.ttc_s, row.gap_m, row.delta_v_mps) == (0.0, 0.4, 6.0)
     values = risk.columns(row)
     assert values["title"] == "centre: from west to north (left, permissive)"
     assert values["hit_rate_lo"] == pytest.approx(binomtest(5, 7).proportion_ci().low, abs=1e-4)
-    assert values["avoidable_share"] == 0.8
+    assert values["finding_share"] == 0.8
 
 
 def test_seeds_of_one_moment_are_one_attack_in_intervals():
@@ -115,11 +123,11 @@ def test_equals_have_one_rank():
 
 
 def test_ranks_by_another_event():
-    harmless = [on_edge("w_in", hit=True, avoidable=False) for _ in range(8)]
-    avoidable = [on_edge("e_in", hit=number < 4) for number in range(8)]
-    table = rows_of([*harmless, *avoidable])
+    harmless = [on_edge("w_in", hit=True, worth=worth_doubles.worth("D")) for _ in range(8)]
+    found = [on_edge("e_in", hit=number < 4) for number in range(8)]
+    table = rows_of([*harmless, *found])
     assert risk.worst(table)[0].place == "w_in"
-    assert risk.worst(table, "avoidable")[0].place == "e_in"
+    assert risk.worst(table, "finding")[0].place == "e_in"
 
 
 def test_a_hit_without_known_delta_v_is_not_severe():

@@ -114,7 +114,7 @@ def attacked(place, value, *, hit=False):
     return Attacked(
         folder="out", run_id=f"m--{next(NUMBERS)}--0", turn=None, scene="s", seed=1,
         decided=Spot(), began=Spot(edge=f"{place}_west_in"), place_m=(0.0, 0.0), hit=hit,
-        other=False, avoidable=None, ttc_s=None, gap_m=0.0, delta_v_mps=8.0 if hit else None,
+        other=False, worth=None, ttc_s=None, gap_m=0.0, delta_v_mps=8.0 if hit else None,
         criticality=value,
     )  # fmt: skip
 

@@ -11,6 +11,8 @@ import numpy as np
 from deepmf_sumo.results.tracks import TRACK_COLUMNS
 from deepmf_sumo.tasks import slug
 
+from tests.support import worth_doubles
+
 NET = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.net.xml"
 LEFT_IN = "w_in", "n_out"
 """The permissive left turn from west to north."""
@@ -60,7 +62,7 @@ class Attacks:
         ]
         known = {"min_gap": 0.0 if hit else 2.0, "ttc_min": 0.0 if hit else 4.0}
         if hit:
-            known |= {"avoidable": 1.0, "delta_v": 6.0, "accident_type": 1.0}
+            known |= {**worth_doubles.metrics(), "delta_v": 6.0, "accident_type": 1.0}
         values = {
             "counterfactual": "episode",
             "run_id": run_id, "key": "k", "spec": spec, "scene": scene, "network": network,

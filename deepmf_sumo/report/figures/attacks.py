@@ -81,7 +81,7 @@ def of_deepmf(runs: Sequence[Run]) -> list[Run]:
 
 def various(hits: Sequence[Run]) -> list[Run]:
     """One run a scene, by turns of the side on which the AV is hit; whole hits come first."""
-    ordered = sorted(hits, key=lambda run: not run.clean)
+    ordered = sorted(hits, key=lambda run: not run.finding)
     scenes = {run.scene: run for run in reversed(ordered)}
     by_sector: dict[int | None, list[Run]] = defaultdict(list)
     for run in ordered:

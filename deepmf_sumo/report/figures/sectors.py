@@ -67,7 +67,7 @@ def _best(hits: list[Run], sector: int) -> Run:
 
     def rank(run: Run) -> tuple[int, bool, float]:
         wish = {sector: 0, None: 1}.get(run.asked_sector, 2)
-        return wish, not run.clean, -(run.metric("collision_speed") or 0.0)
+        return wish, not run.finding, -(run.metric("collision_speed") or 0.0)
 
     return min(there, key=rank)
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
-from deepmf_sumo.results.quantities import QUANTITIES, Quantity, accident
+from deepmf_sumo.results.findings import said
+from deepmf_sumo.results.quantities import QUANTITIES, Quantity, accident, worth
+from deepmf_sumo.results.quantities import hit as is_hit
 from deepmf_sumo.results.result import Result, first_contact
 
 SPEEDS_MPS: Final = (2.0, 5.0, 10.0)
@@ -78,6 +80,7 @@ RUN_COLUMNS: Final = (
     Column(name="seed", heading="seed", kind="number"),
     *map(_measured, _MEASURED),
     _filtered("sector", "AV hit at"),
+    _filtered("worth", "worth"),
     _filtered("accident", "accident"),
     _filtered("element", "road element"),
     _filtered("edge", "edge at the start"),
@@ -113,6 +116,7 @@ def run_row(table: Mapping[str, str], result: Result | None, element: str, note:
         "seed": int(table["seed"]) if table.get("seed") else None,
         **{one.name: _value(one, result, contact) for one in _MEASURED},
         "sector": SECTORS[contact["sector"]] if hit else None,
+        "worth": said(worth(done)) if done and is_hit(done) else None,
         "accident": _accident(accident(done) if done else None),
         "element": element or None,
         "edge": _edge(table),

@@ -4,7 +4,7 @@ const KIND_HEADINGS = [
   "kind",
   "attacks",
   "hits",
-  "avoidable hits",
+  "findings",
   "least TTC, s",
   "median TTC, s",
   "least PET, s",
@@ -22,11 +22,11 @@ const COVERED_NAMES = {
 };
 
 function showKinds() {
-  const rows = risk.content.types.map(([meaning, kind, attacks, hits, avoidable, judged, ...numbers]) => [
+  const rows = risk.content.types.map(([meaning, kind, attacks, hits, found, judged, ...numbers]) => [
     make("span", { title: meaning }, kind),
     String(attacks),
     String(hits),
-    hits ? `${avoidable} of ${judged}` : "–",
+    hits ? `${found} of ${judged}` : "–",
     ...numbers.map((value) => fixed(value, 1)),
   ]);
   byId("kinds").replaceChildren(

@@ -3,11 +3,11 @@
 /** Names of an event: one, several, and one with its article. */
 const EVENT_NAMES = {
   hit: ["hit", "hits", "a hit"],
-  avoidable: ["avoidable hit", "avoidable hits", "an avoidable hit"],
+  finding: ["finding", "findings", "a finding"],
   severe: ["severe hit", "severe hits", "a severe hit"],
   conflict: ["conflict", "conflicts", "a conflict"],
 };
-const COUNTS = { hit: "hits", avoidable: "avoidable", severe: "severe", conflict: "conflicts" };
+const COUNTS = { hit: "hits", finding: "findings", severe: "severe", conflict: "conflicts" };
 const KIND_NAMES = {
   site: "movements and edges",
   movement: "movements",

@@ -35,7 +35,7 @@ function showTotals(rows) {
         "AV hit by opponent",
         "95 % interval",
         "",
-        "avoidable hits",
+        "findings",
         `contact ${columnOf("collision_speed_mps").heading}`,
         `mean of ${columnOf("ttc_min_s").heading}`,
       ],
@@ -51,9 +51,9 @@ function totalsLine(name, group) {
   const attacked = done.filter((row) => row.opponent !== null);
   const isHit = (row) => row.outcome === "AV hit by opponent";
   const hits = done.filter(isHit);
-  const judged = hits.filter((row) => row.avoidable_rate !== null);
+  const judged = hits.filter((row) => row.finding_rate !== null);
   const rate = rateOf(unitsOf(attacked, isHit));
-  const avoidable = judged.filter((row) => row.avoidable_rate >= 1).length;
+  const found = judged.filter((row) => row.finding_rate >= 1).length;
   return [
     name,
     String(group.length),
@@ -62,7 +62,7 @@ function totalsLine(name, group) {
     rate ? `${hits.length}/${attacked.length} = ${percent(rate.rate)}` : "–",
     rate ? `${percent(rate.low)} to ${percent(rate.high)}` : "–",
     rate ? intervalBar(rate) : "",
-    judged.length ? `${avoidable}/${judged.length} = ${percent(avoidable / judged.length)}` : "–",
+    judged.length ? `${found}/${judged.length} = ${percent(found / judged.length)}` : "–",
     meanOf(hits.map((row) => row.collision_speed_mps)),
     meanOf(attacked.map((row) => row.ttc_min_s)),
   ];

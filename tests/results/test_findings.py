@@ -1,0 +1,81 @@
+"""What a hit is worth, and how it is said; results of versions without a ladder."""
+
+import pytest
+
+from deepmf_sumo.results import findings, quantities
+from deepmf_sumo.results.findings import DRIVERS, Worth
+
+from tests.support import gate_doubles, worth_doubles
+
+
+@pytest.mark.parametrize(("rung", "found"), [("A", True), ("B", True), ("C", False), ("D", False)])
+def test_the_rung_says_whether_it_is_a_finding(rung, found):
+    one = findings.worth(worth_doubles.metrics(rung, by=("search", "cc")))
+    assert one == Worth(rung=rung, finding=found, avoided_by=("cc", "search"))
+    assert findings.said(one).endswith(f"({rung})")
+    assert quantities.BY_NAME["finding_rate"].of(
+        gate_doubles.result(hit=True, metrics=valued(worth_doubles.metrics(rung)))
+    ) == float(found)
+
+
+def valued(metrics):
+    return {name: {"value": value} for name, value in metrics.items()}
+
+
+def test_a_miss_counts_zero_and_what_could_not_be_judged_is_left_out():
+    rate = quantities.BY_NAME["finding_rate"]
+    assert rate.of(gate_doubles.result(metrics=valued({"finding": 0.0, "rung": None}))) == 0.0
+    hit = gate_doubles.result(hit=True, metrics=valued({"finding": None, "rung": None}))
+    assert rate.of(hit) is None
+    assert quantities.worth(hit) is None
+    assert quantities.worth(gate_doubles.result(metrics=valued({"finding": 0.0}))) is None
+
+
+@pytest.mark.parametrize(("valid", "word"), [(1.0, "valid"), (0.0, "not valid")])
+def test_a_valid_hit_of_an_earlier_version_counts_as_a_finding(valid, word):
+    metrics = {"valid_collision": valid, "avoided_by_cc": 1.0, "avoided_by_search": 0.0}
+    one = findings.worth(metrics)
+    assert one == Worth(rung=None, finding=valid == 1, avoided_by=("cc",))
+    assert findings.said(one) == word
+    assert findings.finding(metrics) == valid
+    assert findings.earlier(metrics)
+    assert not findings.earlier(metrics | {"finding": 0.0})
+    assert findings.finding(metrics | {"finding": 0.0}) == 0.0
+    assert findings.worth({"avoidable": 1.0}) is None
+    assert "1 of 2 hits" in findings.earlier_note(1, 2)
+    assert findings.earlier_note(0, 2) == ""
+
+
+def test_hits_are_counted_by_rung_and_every_driver_is_named():
+    hits = [
+        worth_doubles.worth("A", by=()), worth_doubles.worth("B", by=("cc", "search")),
+        worth_doubles.worth("B", by=("cc",)), worth_doubles.worth("C", by=("rss",)),
+    ]  # fmt: skip
+    found = findings.count(hits)
+    assert (found.hits, found.findings, found.judged) == (4, 3, 4)
+    assert findings.counted(found) == (
+        "3 findings: 1 error of the AV (A), 2 avoidable (B; avoided by cc 2, search 1); apart from"
+        " these 1 contrived (C), 0 unavoidable (D)"
+    )
+    told = findings.legend(found)
+    assert [line.partition(":")[0] for line in told] == ["A", "B", "C", "cc", "search"]
+    assert findings.by_whom(hits[0]) == "no driver"
+    assert findings.by_whom(hits[1]) == "cc, search"
+    assert findings.by_whom(None) == ""
+
+
+def test_counts_of_earlier_versions_and_of_what_was_not_judged():
+    old = [Worth(rung=None, finding=one) for one in (True, False, False)]
+    assert findings.counted(findings.count([*old, None])) == (
+        "1 finding: 1 of an earlier version, which knows no ladder (valid hits); apart from these"
+        " 2 not valid in an earlier version, 1 not judged"
+    )
+    assert findings.counted(findings.count([])) == "no findings"
+    assert findings.counted(findings.count([None])) == "no findings; apart from these 1 not judged"
+    assert findings.legend(findings.count(old)) == []
+
+
+def test_each_driver_of_the_judge_has_words():
+    from deepmf_sumo.judge.avoidability.reference_drivers import MODELS
+
+    assert list(DRIVERS) == [*MODELS, "search"]
