@@ -154,7 +154,8 @@ def counted(found: Count) -> str:
     if not found.hits:
         return "no findings"
     parts = []
-    if any(found.rungs.values()):
+    laddered = any(found.rungs.values())
+    if laddered:
         by = ", ".join(f"{name} {number}" for name, number in found.avoided_by.items())
         whom = f"; avoided by {by}" if by else ""
         parts = [
@@ -163,7 +164,7 @@ def counted(found: Count) -> str:
         ]
     if found.valid:
         parts.append(f"{found.valid} of an earlier version, which knows no ladder (valid hits)")
-    apart = [f"{found.rungs[rung]} {NAMES[rung]} ({rung})" for rung in APART] if parts else []
+    apart = [f"{found.rungs[rung]} {NAMES[rung]} ({rung})" for rung in APART] if laddered else []
     if found.others:
         apart.append(f"{found.others} not valid in an earlier version")
     if found.unjudged:

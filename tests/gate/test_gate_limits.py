@@ -127,3 +127,17 @@ def test_the_baseline_lies_beside_the_file(tmp_path):
 
 def test_doubles_are_judged():
     assert gate_doubles.row().judged
+
+
+@pytest.mark.parametrize(
+    ("text", "now"),
+    [
+        ("max_valid_collision_rate: 0.1", "write 'max_finding_rate'"),
+        ("planners: {idm: {max_valid_collision_rate: 0.1}}", "write 'max_finding_rate'"),
+        ("baseline: {quantities: [valid_collision_rate]}", "write 'finding_rate'"),
+    ],
+)
+def test_a_name_of_an_earlier_version_names_that_of_today(tmp_path, text, now):
+    with pytest.raises(SpecError, match=now) as raised:
+        load(tmp_path, text)
+    assert "Known:" not in str(raised.value)
