@@ -1,0 +1,1 @@
+"""Hits judged by eye, to compare with the ladder."""
