@@ -46,7 +46,7 @@ def film(run: Run, road: RoadMap, hit: Contact, path: Path) -> None:
                 middle = window.place(lane.centre_m)
                 at = len(middle) // 2
                 axes.annotate("", middle[at], middle[max(at - 1, 0)],
-                              arrowprops={"arrowstyle": "->", "color": "#9aa4af"}, clip_on=True)  # fmt: skip
+                              arrowprops={"arrowstyle": "->", "color": "#9aa4af"})  # fmt: skip
         there = [row for row in range(len(tracks.ids)) if tracks.valid[row, step]]
         tints = [AV if r == rows[0] else OPPONENT if r == rows[1] else OTHER for r in there]
         draw_boxes(axes, tracks, [(row, step) for row in there], tints, window, edge="k", zorder=4)
