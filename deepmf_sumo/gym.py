@@ -28,8 +28,8 @@ from deepmf_sumo.datatypes.scene import HISTORY_STEPS
 from deepmf_sumo.errors import PluginError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry import frames, polylines
+from deepmf_sumo.judge import ladder
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
-from deepmf_sumo.judge.metrics.avoidability import avoidable
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.sweep import episode
@@ -60,8 +60,8 @@ class Reward:
         progress: for each metre driven.
         comfort: for each second at an acceleration of 1 m/s2, growing with its square.
         contact: taken away at the end of an episode in which the AV touched another vehicle.
-        avoidable_only: only contacts that a careful driver would have avoided count (metric
-            ``avoidable``), so that contacts that no driver could avoid teach nothing.
+        findings_only: of the opponent's hits only findings count (`judge.ladder`), so that hits
+            that no driver could avoid, and contrived ones, teach nothing.
 
     Raises UsageError for a number that is not finite.
     """
@@ -69,7 +69,7 @@ class Reward:
     progress: float = 0.01
     comfort: float = 0.005
     contact: float = 1.0
-    avoidable_only: bool = False
+    findings_only: bool = False
 
     def __post_init__(self) -> None:
         for name in ("progress", "comfort", "contact"):
@@ -88,15 +88,16 @@ class Reward:
         """Of a contact of the AV; 0 without one."""
         if not any(contact.kind.startswith("av_") for contact in rollout.contacts):
             return 0.0
-        return 0.0 if self.avoidable_only and not _avoidable(rollout, case) else -self.contact
+        return 0.0 if self.findings_only and not _counts(rollout, case) else -self.contact
 
 
-def _avoidable(rollout: Rollout, case: Case) -> bool:
+def _counts(rollout: Rollout, case: Case) -> bool:
     """Also where that cannot be judged, e.g. a contact with another vehicle than the opponent."""
     try:
-        return avoidable.compute(Episode(rollout, case)) > 0
+        verdict = ladder.verdict(Episode(rollout, case))
     except NotMeasurable:
         return True
+    return verdict is None or verdict.finding
 
 
 def _motion(view: View) -> tuple[Floats, float]:

@@ -199,9 +199,9 @@ def test_a_contact_that_nobody_could_avoid_may_count_for_nothing(make, tiny, mon
     path = tiny_network.spec(tiny, "racing", planner="sumo", duration_s="20.0")
     rewards = {}
     for judged in (0.0, 1.0):
-        monkeypatch.setattr(module, "_avoidable", lambda *_, judged=judged: judged > 0)
+        monkeypatch.setattr(module, "_counts", lambda *_, judged=judged: judged > 0)
         environment = make(path)
-        environment._reward = module.Reward(progress=0.0, comfort=0.0, avoidable_only=True)
+        environment._reward = module.Reward(progress=0.0, comfort=0.0, findings_only=True)
         environment.reset()
         ended = False
         while not ended:
@@ -230,14 +230,25 @@ def test_a_contact_that_cannot_be_judged_counts(monkeypatch):
     """E.g. with another vehicle than the opponent: that nobody could avoid it is not known."""
     module = importlib.import_module(MODULE)
     hit = SimpleNamespace(contacts=[SimpleNamespace(kind="av_other")])
-    judged = SimpleNamespace(compute=_not_measurable)
-    monkeypatch.setattr(module, "avoidable", judged)
+    monkeypatch.setattr(module.ladder, "verdict", _not_measurable)
     monkeypatch.setattr(module, "Episode", lambda *_: None)
     for only in (True, False):
-        assert module.Reward(avoidable_only=only).of_end(hit, None) == -module.Reward().contact
+        assert module.Reward(findings_only=only).of_end(hit, None) == -module.Reward().contact
     assert module.Reward().contact > 0
-    assert module.Reward(avoidable_only=True).of_end(SimpleNamespace(contacts=[]), None) == 0.0
+    assert module.Reward(findings_only=True).of_end(SimpleNamespace(contacts=[]), None) == 0.0
 
 
 def _not_measurable(_):
     raise NotMeasurable("the opponent did not hit the AV")
+
+
+@pytest.mark.parametrize(("finding", "counts"), [(None, True), (True, True), (False, False)])
+def test_of_hits_of_the_opponent_findings_may_count_alone(monkeypatch, finding, counts):
+    """Without a verdict, as of a contact with another vehicle, it counts."""
+    module = importlib.import_module(MODULE)
+    verdict = None if finding is None else SimpleNamespace(finding=finding)
+    monkeypatch.setattr(module.ladder, "verdict", lambda _: verdict)
+    monkeypatch.setattr(module, "Episode", lambda *_: None)
+    hit = SimpleNamespace(contacts=[SimpleNamespace(kind="av_opponent")])
+    assert (module.Reward(findings_only=True).of_end(hit, None) < 0) == counts
+    assert module.Reward().of_end(hit, None) < 0

@@ -13,7 +13,7 @@ import pandas as pd
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.judge.avoidability.grading import GRADES
 from deepmf_sumo.results import findings, statistics
-from deepmf_sumo.results.findings import APART, FINDINGS, NAMES
+from deepmf_sumo.results.findings import APART, NAMES
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.spec.profiles import described
@@ -328,7 +328,9 @@ def _findings(group: Group) -> str:
     if not found.hits:
         return NONE
     kinds = ", ".join(
-        f"{found.rungs[rung]} {NAMES[rung]}" for rung in FINDINGS if found.rungs[rung]
+        f"{number} {NAMES[rung]}"
+        for rung, number in found.rungs.items()
+        if number and rung not in APART
     )
     return f"{found.findings} of {found.judged}" + (f" ({kinds})" if kinds else "")
 

@@ -8,13 +8,11 @@ rungs: there a *valid* hit counts as a finding, and `earlier_note` says so.
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final
 
-Rung = Literal["A", "B", "C", "D"]
-RUNGS: Final[tuple[Rung, ...]] = get_args(Rung)
-"""In the order of the numbers of the metric ``rung``."""
-FINDINGS: Final[tuple[Rung, ...]] = ("A", "B")
-APART: Final[tuple[Rung, ...]] = ("C", "D")
+from deepmf_sumo.judge.ladder import FINDINGS, RUNGS, Rung
+
+APART: Final = tuple(rung for rung in RUNGS if rung not in FINDINGS)
 """Hits that are shown beside the findings, and are none."""
 
 NAMES: Final[Mapping[Rung, str]] = {

@@ -276,8 +276,8 @@ QUANTITIES: Final = (
     ),
     _rate(
         "finding_rate", "higher", lambda result: findings.finding(values(result)),
-        "share of the attacked runs with a hit by an error of the AV, or one that a driver avoids",
-        title="Findings", label="finding", rule_out=RATE,
+        "share of the attacked runs with a value of 1", "finding", title="Findings",
+        label="finding", rule_out=RATE,
     ),
     _rate(
         "avoidable_rate", "higher", _flag("avoidable", _positive), "share of the hits with a value"

@@ -24,9 +24,10 @@ from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual
+from deepmf_sumo.judge.ladder import Rung
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import artifacts, findings, stored, tracks
-from deepmf_sumo.results.findings import Rung, Worth
+from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.result import ContactValues, MetricValues, Result
 from deepmf_sumo.spec import document
 

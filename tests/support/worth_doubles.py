@@ -1,6 +1,7 @@
 """What made-up hits are worth: as values, and as the metrics that results have of them."""
 
-from deepmf_sumo.results.findings import DRIVERS, RUNGS, Worth
+from deepmf_sumo.judge.ladder import DRIVERS, RUNGS
+from deepmf_sumo.results.findings import Worth
 
 
 def worth(rung="B", by=("cc", "search")):
