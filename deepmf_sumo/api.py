@@ -88,6 +88,7 @@ def attack(
     from_s: float | None = None,
     until_s: float | None = None,
     prefer: Literal["both", "spread", "encounters"] | None = None,
+    draw: Literal["spread", "promising"] | None = None,
     encounters: bool = False,
     moments_of: str | Path | None = None,
     duration_s: float | None = None,
@@ -128,6 +129,8 @@ def attack(
         prefer: ``spread`` moments over places and time; first ``encounters``, before another
             vehicle crosses the AV's path; None means ``both``: spread, encounters first at each
             place.
+        draw: ``promising``: a third of the moments are spread, the others are drawn where conflicts
+            came near before; None means ``spread``: all are.
         encounters: the same as ``prefer="encounters"``.
         moments_of: a result folder, or its moments.csv: attack the same vehicles at the same times.
         duration_s: of an attack; None means 8 s.
@@ -179,6 +182,7 @@ def attack(
         polygon=_absolute(polygon),
         of=_absolute(moments_of),
         prefer="encounters" if encounters else prefer,
+        draw=draw,
     )
     specs = [moments_module.spec_of(one) for one in documents]
     options = batch.Options(

@@ -5,7 +5,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 from zlib import crc32
@@ -16,6 +16,7 @@ from deepmf_sumo.errors import ReaderError, SpecError, UsageError, nearest
 from deepmf_sumo.readers import RecordRef
 from deepmf_sumo.spec import First, FromMoments, FromNetwork, FromRecording, Spec
 
+How = Literal["spread", "promising"]
 Part = Literal["main", "budgets", "figures"]
 """``budgets``: what a method finds with other budgets than its own; ``figures``: in no table."""
 
@@ -37,6 +38,23 @@ class Label:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Draw:
+    """How the moment of a run was drawn, where that depends on what others found.
+
+    Attributes:
+        drawn: ``spread``: one of the first, which are all attacked; ``promising``: at random.
+        draw: its number, from 1.
+        probability: of this one being drawn then, of those that were left; 1 if spread.
+        pool: number of moments that all were drawn from.
+    """
+
+    drawn: How
+    draw: int
+    probability: float
+    pool: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
     """One run.
 
@@ -47,6 +65,7 @@ class Task:
         inputs: what the files are for that it reads, and the digest of what is in them, see
             `inputs.fingerprinted`.
         record: where the scene is recorded; None of a network. Not part of `key`.
+        draw: of its moment; None where all moments are spread, or given.
     """
 
     run_id: str
@@ -55,6 +74,7 @@ class Task:
     label: Label | None = None
     inputs: tuple[tuple[str, str], ...] = ()
     record: RecordRef | None = field(default=None, compare=False)
+    draw: Draw | None = None
 
     @property
     def key(self) -> str:
@@ -63,6 +83,7 @@ class Task:
         Files count by content: where they are on this machine does not matter.
         """
         parts = [self.run_id, self.scene, deepmf_sumo.__version__, self.placeless(), self.inputs]
+        parts += [asdict(self.draw)] if self.draw else []
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def entropy(self) -> list[int]:

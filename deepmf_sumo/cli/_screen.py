@@ -26,16 +26,15 @@ if TYPE_CHECKING:
     from deepmf_sumo.ablation.table import Row as VariantRow
     from deepmf_sumo.gate.verdict import Verdict
     from deepmf_sumo.live.attacker import Attached
-    from deepmf_sumo.moments import Found, Request
     from deepmf_sumo.report.comparison import Line, SideBySide
     from deepmf_sumo.report.risk import Written
     from deepmf_sumo.report.tables.layouts import Row as MethodRow
     from deepmf_sumo.results.findings import Count
     from deepmf_sumo.results.result import Result
+    from deepmf_sumo.risk.attacks import Network
     from deepmf_sumo.risk.comparison import Compared
     from deepmf_sumo.risk.coverage import TypeRow
     from deepmf_sumo.risk.table import Row as PlaceRow
-    from deepmf_sumo.simulation.sumo_config import Configuration
     from deepmf_sumo.sweep.batch import Progress
 
 
@@ -316,57 +315,6 @@ def _add(grid: Table, cells: tuple[str, ...]) -> None:
     grid.add_row(*(escape(cell) for cell in plain), style="red" if marked else "")
 
 
-def announce_moments(request: Request, found: Found) -> None:
-    """A line on what was found, on standard error; one on standard output if it was nothing."""
-    from deepmf_sumo.datatypes import DT_S
-    from deepmf_sumo.report.table import counted
-
-    configuration, wish = request.configuration, request.wish
-    name = configuration.file.name
-    if abs(configuration.step_s - DT_S) > 1e-9:
-        steps = f"asks for steps of {configuration.step_s:g} s; it is run with {DT_S:g} s"
-        click.echo(shown(f"{name} {steps}"), err=True)
-    if not found.moments:
-        click.echo(shown(f"no vehicle to attack in {name}: {found.reason}"))
-        for line in found.notes:
-            click.echo(shown(line), err=True)
-        return
-    span = f"{found.begin_s:g} to {found.until_s:g} s"
-    limit = "the limit of vehicle steps is reached; " * (request.scouting.until_s is None)
-    further = "" if found.complete or wish.at_s or wish.again else f" ({limit}{wish.later})"
-    seen = counted(found.vehicles, "vehicle")
-    click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)
-    chosen = counted(len(found.moments), "moment")
-    if wish.prefer != "spread":
-        before = sum(one.encounter_s is not None for one in found.moments)
-        chosen += f", {before} of them before an encounter"
-    chosen += f"; chosen from {found.suitable} vehicle seconds"
-    if len(found.moments) < wish.count:
-        chosen += f"; not {wish.count}, because {found.reason}"
-    for line in (chosen, *found.notes, *_of_the_network(configuration)):
-        click.echo(shown(line), err=True)
-
-
-def _of_the_network(configuration: Configuration) -> Iterator[str]:
-    """What is wrong with a network so that attacks on it say little."""
-    from deepmf_sumo.network.sumo_net import read_once
-    from deepmf_sumo.report.table import counted
-    from deepmf_sumo.screening import overlaps
-
-    if count := len(list(overlaps(read_once(configuration.net)))):
-        where = counted(count, "pair") + " of edges"
-        yield (
-            f"{configuration.net.name}: lanes of opposite directions lie on each other at {where}."
-            " Contacts there may come from the network; `deepmf-sumo screen` lists them"
-        )
-
-
-def _attacked_from(found: Found) -> str:
-    if found.from_s is None:
-        return ""
-    return f"; attacked from {found.from_s:g} s on" + (f", {found.from_why}" * bool(found.from_why))
-
-
 _HEADINGS: Final = (
     "where attacks were decided", "attacks", "hits", "findings", "least TTC",
     "mean delta-v", "risk of a hit (90 % interval)",
@@ -391,7 +339,7 @@ def show_risk(written: Sequence[Written], top: int) -> None:
             f"; not counted: {counted(count, 'run')} {why}"
             for why, count in network.left_out.items()
         )
-        head = f"{network.name}: {counted(len(network.attacks), 'attack')}{left}"
+        head = f"{network.name}: {counted(len(network.attacks), 'attack')}{left}{_overall(network)}"
         console.print(escape(head), soft_wrap=True)
         console.print(_filled(_HEADINGS, [_cells(row) for row in worst(one.rows)[:top]]))
         console.print(
@@ -400,6 +348,20 @@ def show_risk(written: Sequence[Written], top: int) -> None:
         listed = ("risk.csv", "attacks.csv", "types.csv", "coverage.csv", "risk.sumocfg", *one.more)
         files = f"{one.folder}/risk.html, {', '.join(listed)}"
         console.print(escape(files), soft_wrap=True)
+
+
+def _overall(network: Network) -> str:
+    """The rate of hits over all moments that the attacked ones were drawn from, if they were."""
+    from deepmf_sumo.risk.table import rate
+
+    if all(one.weight == 1.0 for one in network.attacks):
+        return ""
+    hits = rate(network.attacks)
+    return (
+        "; moments were drawn where conflicts came near, and rates count each for those that it was"
+        f" drawn from: hits {100 * hits.rate:.0f} % ({100 * hits.low:.0f} to"
+        f" {100 * hits.high:.0f} %)"
+    )
 
 
 def show_comparison(compared: Compared, names: tuple[str, str]) -> None:

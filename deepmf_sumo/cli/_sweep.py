@@ -214,7 +214,7 @@ def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
     from deepmf_sumo.results.folder import summary
 
     out = sweep.options.out
-    missing = len(stored.keys_of(out)) - len(stored.rows_of(out))
+    missing = stored.missing(out)
     if results:
         table(results, summary(results), out)
     if missing:

@@ -8,8 +8,10 @@ import click
 from deepmf_sumo.cli._parameters import AFTER, FiniteRange, WithSumoOptions
 from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
+    from deepmf_sumo.moments import Found, Request
     from deepmf_sumo.spec.document import Document
 
 
@@ -53,6 +55,11 @@ if TYPE_CHECKING:
     help="Spread moments over places and time (spread), choose first those before another vehicle"
     " crosses the AV's path at a junction (encounters), or spread them and at each place begin with"
     " such encounters.  [default: both]",
+)  # fmt: skip
+@click.option(
+    "--draw", "how", type=click.Choice(["spread", "promising"]),
+    help="Spread all moments over the network (spread), or a third of them, and draw the others"
+    " where conflicts came near before (promising).  [default: spread]",
 )  # fmt: skip
 @click.option(
     "--from", "from_s", metavar="S", type=FiniteRange(min=0),
@@ -136,14 +143,23 @@ def attacked(
 ) -> int:
     """Attack as the command does with these values of its options; returns the exit code."""
     from deepmf_sumo import moments, plans
-    from deepmf_sumo.cli._screen import announce_moments, progress
+    from deepmf_sumo.cli._moments import announce_moments, no_conflict
+    from deepmf_sumo.cli._screen import progress
 
     sweep = Sweep.begin(wanted, pictures=True)
     documents = _documents(sumo_options, configs, sets, wanted, all_conflicts)
     specs = [moments.spec_of(one) for one in documents]
+    looked: list[tuple[Request, Found]] = []
+
+    def announce(request: "Request", found: "Found") -> None:
+        looked.append((request, found))
+        announce_moments(request, found)
+
     with progress() as report:
-        results = plans.run_specs(specs, sweep.options, report, announce_moments, by_option=True)
+        results = plans.run_specs(specs, sweep.options, report, announce, by_option=True)
     code = end_of_runs(sweep, results)
+    if told := no_conflict(results, looked):
+        click.echo(shown(told))
     if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):
         map_risk(sweep.options.out)
     return code
@@ -162,7 +178,7 @@ def _documents(
     keys = {key: value for key in _KEYS if (value := wanted[key]) is not None}
     if "planner" in keys:
         keys["planner"] = {"name": keys["planner"]}
-    chosen = {key: wanted[key] for key in _MOMENTS}
+    chosen = {key: wanted[key] for key in _MOMENTS} | {"draw": wanted["how"]}
     for key in ("of", "polygon"):
         chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
     return moments.documents(

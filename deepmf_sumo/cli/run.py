@@ -78,7 +78,8 @@ def command(
     deepmf-sumo run paper --set source.recording=DIR.
     """
     from deepmf_sumo import plans
-    from deepmf_sumo.cli._screen import announce_moments, progress
+    from deepmf_sumo.cli._moments import announce_moments
+    from deepmf_sumo.cli._screen import progress
 
     _check_seeds(seed, seeds, sets)
     if any(map(plans.is_plan, files)):
@@ -133,7 +134,8 @@ def run_plan(
 ) -> int:
     """Run a plan, write its tables and figures, show the table; returns the exit code."""
     from deepmf_sumo import plans
-    from deepmf_sumo.cli._screen import announce_moments, progress, show_study
+    from deepmf_sumo.cli._moments import announce_moments
+    from deepmf_sumo.cli._screen import progress, show_study
     from deepmf_sumo.report import benchmark
 
     without, figures = wanted.pop("without"), wanted.pop("figures")

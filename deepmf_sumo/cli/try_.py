@@ -105,7 +105,7 @@ def _attack(
     given |= {"formats": (), "count": half or None, "of": None}
     if side != of:
         given |= {"count": None, "of": out / of / f"at-{of}"}
-        given |= {"junctions": (), "edges": (), "polygon": None, "prefer": None}
+        given |= {"junctions": (), "edges": (), "polygon": None, "prefer": None, "how": None}
         given |= dict.fromkeys(("from_s", "until_s", "av", "av_type")) | {"at_s": ()}
     config = built.before if side == "before" else built.after
     click.echo(f"{side} the changes, at moments chosen {of} them")

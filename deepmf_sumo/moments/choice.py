@@ -63,8 +63,10 @@ def choose(
     if wish.again and len(moments) < wish.count and not none_at_all:
         reason = "the other vehicles are not there at their times, or no vehicle is near them"
     said = sightings.warnings
+    by_time = sorted(range(len(moments)), key=lambda at: (moments[at].start_s, moments[at].av))
     return Found(
-        moments=tuple(sorted(moments, key=lambda one: (one.start_s, one.av))),
+        moments=tuple(moments[at] for at in by_time),
+        order=tuple(by_time),
         suitable=len(rows),
         vehicles=len(sightings.bodies),
         begin_s=sightings.begin_s,
@@ -137,7 +139,7 @@ class _Spread:
         self._able = opponents(sightings)
         self._used = _Used()
         self._span = _spans(sightings, wish, rows)
-        self._taken = np.zeros(wish.count + len(wish.at_s), int)
+        self._taken = np.zeros(wish.found + len(wish.at_s), int)
         self._leaves = _leave(sightings, wish.duration_s)
         self._left: dict[Place, Ints] = {}
         self._spans: dict[Place, Ints] = {}
@@ -160,7 +162,7 @@ class _Spread:
     def draw(self) -> list[Moment]:
         """As many moments as are asked for, or all."""
         moments: list[Moment] = []
-        while self._left and len(moments) < self._wish.count:
+        while self._left and len(moments) < self._wish.found:
             place = min(self._left, key=self._order)
             moment = self._take(place)
             if moment is not None:
@@ -277,7 +279,7 @@ def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
         return nearest
     first, last = time_s[rows].min(), time_s[rows].max()
     share = (time_s - first) / max(last - first, 1.0)
-    part: Ints = np.clip((share * wish.count).astype(np.int64), 0, wish.count - 1)
+    part: Ints = np.clip((share * wish.found).astype(np.int64), 0, wish.found - 1)
     return part
 
 

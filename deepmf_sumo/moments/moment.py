@@ -24,6 +24,8 @@ class Wish:
 
     Attributes:
         count: number of moments, at most.
+        pool: where moments are drawn by what others found: number of those that they are drawn
+            from, see `promising`; 0 where all are spread.
         av, av_type: only this vehicle, only vehicles of this type.
         at_s: only these times of the simulation; empty leaves them open.
         again: only these vehicles at these times; empty leaves them open.
@@ -37,6 +39,7 @@ class Wish:
     """
 
     count: int
+    pool: int = 0
     av: AgentId | None = None
     av_type: str | None = None
     at_s: tuple[float, ...] = ()
@@ -51,6 +54,11 @@ class Wish:
     def named(self, key: str) -> str:
         """The option or the key of a spec behind a field."""
         return _OPTIONS[key] if self.by_option else f"source.moments.{key}"
+
+    @property
+    def found(self) -> int:
+        """Number of moments that are looked for."""
+        return self.pool or self.count
 
     @property
     def later(self) -> str:
@@ -126,6 +134,7 @@ class Found:
         from_s, from_why: from when on they were chosen, and why; None: from the beginning.
         notes: further sentences for the user.
         flows: vehicles at each place from then on.
+        order: of each moment, when it was spread; those of a pool begin with the first.
     """
 
     moments: tuple[Moment, ...]
@@ -139,6 +148,7 @@ class Found:
     from_why: str = ""
     notes: tuple[str, ...] = ()
     flows: tuple[Flow, ...] = ()
+    order: tuple[int, ...] = ()
 
     @property
     def hours(self) -> float:

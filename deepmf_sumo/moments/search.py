@@ -19,6 +19,7 @@ from deepmf_sumo.moments.choice import choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
 from deepmf_sumo.moments.flow import flows
 from deepmf_sumo.moments.moment import Flow, Found, Moment, VehicleTime, Wish, check_times
+from deepmf_sumo.moments.promising import POOL
 from deepmf_sumo.network.sumo_net import NetFile, read_once
 from deepmf_sumo.results.stored import MOMENTS
 from deepmf_sumo.simulation import demand
@@ -28,7 +29,7 @@ from deepmf_sumo.spec import FromMoments, Plugin, Spec, of_document, profiles
 from deepmf_sumo.spec.document import Document
 from deepmf_sumo.spec.loading import assign, expand
 from deepmf_sumo.sweep import workers
-from deepmf_sumo.tasks import Task, moment_name, run_id_of, slug
+from deepmf_sumo.tasks import Draw, Task, moment_name, run_id_of, slug
 from deepmf_sumo.texts import of_cell
 
 
@@ -61,8 +62,10 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     asked = source.moments
     key = "--moments-of" if by_option else "source.moments.of"
     again = read(asked.of, key, spec.name, spec.seed) if asked.of else ()
+    count = asked.count or len(asked.at_s or again) or 10
     wish = Wish(
-        count=asked.count or len(asked.at_s or again) or 10,
+        count=count,
+        pool=POOL * count if asked.draw == "promising" else 0,
         **asked.model_dump(include={"av", "av_type", "at_s", "prefer", "from_s"}),
         again=again,
         duration_s=spec.duration_s,
@@ -146,7 +149,8 @@ def _named(found: Found, net: NetFile) -> Found:
 def _found(answer: dict[str, Any]) -> Found:
     moments = tuple(Moment(**one) for one in answer.pop("moments"))
     notes, passing = tuple(answer.pop("notes")), tuple(Flow(**one) for one in answer.pop("flows"))
-    return Found(moments=moments, notes=notes, flows=passing, **answer)
+    order = tuple(answer.pop("order"))
+    return Found(moments=moments, notes=notes, flows=passing, order=order, **answer)
 
 
 _LARGEST: Final = 2**26
@@ -414,14 +418,19 @@ def _against(adversary: Plugin, moment: Moment) -> Plugin:
     return Plugin(name=adversary.name, **settings)
 
 
-def rows(chosen: Iterable[tuple[str, Moment]]) -> list[dict[str, Any]]:
-    """Rows of ``moments.csv``, from run ids and their moments."""
-    return [{"run_id": run_id, **asdict(moment)} for run_id, moment in chosen]
+def rows(chosen: Iterable[tuple[Task, Moment]]) -> list[dict[str, Any]]:
+    """Rows of ``moments.csv``, from runs and their moments."""
+    return [
+        {"run_id": task.run_id, **asdict(moment), **(asdict(task.draw) if task.draw else {})}
+        for task, moment in chosen
+    ]
 
 
-def table(rows: Iterable[Mapping[str, Any]]) -> str:
-    """``moments.csv``."""
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """``moments.csv``; how moments were drawn is in it where that was not by spreading alone."""
     names = ["run_id", *(field.name for field in fields(Moment))]
+    how = [field.name for field in fields(Draw)]
+    names += [name for name in how if any(row.get(name) for row in rows)]
     return tables.to_csv(rows, names, cell=tables.exact)
 
 

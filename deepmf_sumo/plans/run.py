@@ -14,6 +14,7 @@ from deepmf_sumo.plans import entries, layout, tables
 from deepmf_sumo.plans.entries import Entry
 from deepmf_sumo.plans.layout import Layout
 from deepmf_sumo.plans.plan import Loaded
+from deepmf_sumo.plans.rounds import Rounds, refuse
 from deepmf_sumo.results import folder, stored
 from deepmf_sumo.results.folder import opened
 from deepmf_sumo.results.result import Result
@@ -55,21 +56,27 @@ def run_specs(
         for index, one in enumerate(specs)
         if isinstance(one.source, FromMoments)
     }
+    for request in wanted.values():
+        refuse(request, options)
     if wanted:
         folder.check(options.out, resume=options.resume, overwrite=options.overwrite)
     chosen: dict[int, list[Task]] = {}
     found: dict[str, Moment] = {}
     traffic: list[tuple[Spec, Found]] = []
+    rounds = Rounds()
     for index, request in wanted.items():
         traffic.append((request.spec, _found(request, options, announce)))
         moments_of = traffic[-1][1].moments
         chosen[index] = moments.tasks(request.spec, moments_of)
-        found |= zip((task.run_id for task in chosen[index]), moments_of, strict=True)
-    planned = tasks.plan(specs, cache_folder(), options.name_filter, chosen)
+        if request.wish.pool:
+            rounds.add(request, traffic[-1][1], chosen[index])
+        else:
+            found |= zip((task.run_id for task in chosen[index]), moments_of, strict=True)
+    planned = rounds.begin(tasks.plan(specs, cache_folder(), options.name_filter, chosen))
     if wanted:
-        chosen_moments = [(one.run_id, found.get(one.run_id)) for one in planned]
-        report = _noting(chosen_moments, traffic, options, report)
-    return batch.run_tasks(planned, options, report)
+        spread = [(one, found[one.run_id]) for one in planned if one.run_id in found]
+        report = _noting(lambda: [*spread, *rounds.drawn], traffic, options, report)
+    return batch.run_tasks(planned, options, report, rounds)
 
 
 def _found(request: Request, options: batch.Options, announce: Announce) -> Found:
@@ -79,23 +86,22 @@ def _found(request: Request, options: batch.Options, announce: Announce) -> Foun
 
 
 def _noting(
-    chosen: Iterable[tuple[str, Moment | None]],
+    chosen: Callable[[], Sequence[tuple[Task, Moment]]],
     traffic: Iterable[tuple[Spec, Found]],
     options: batch.Options,
     report: Report,
 ) -> Report:
-    """The report, which also writes moments and flows as soon as the folder is there, and empty.
+    """The report, which also writes moments and flows, before the first run and as more are drawn.
 
     Those of runs of earlier commands that a resumed folder keeps stay.
     """
-    mine = [(run_id, one) for run_id, one in chosen if one]
     specs = {spec.name for spec, _ in traffic}
-    rows, flows = moments.rows(mine), moments.flow_rows(traffic)
+    flows = moments.flow_rows(traffic)
 
     def tell(progress: Progress) -> None:
         if progress.last is None:
-            out = options.out
-            kept = stored.keys_of(out).keys() - {run_id for run_id, _ in mine}
+            out, rows = options.out, moments.rows(chosen())
+            kept = stored.keys_of(out).keys() - {row["run_id"] for row in rows}
             earlier, passed = {}, []
             if kept:
                 earlier, passed = stored.moments_of(out), stored.flows_of(out)
@@ -126,7 +132,13 @@ def run(
     traffic: list[tuple[Spec, Found]] = []
 
     def look(spec: Spec) -> Sequence[Moment]:
-        traffic.append((spec, _found(moments.request(spec), options, announce)))
+        request = moments.request(spec)
+        if request.wish.pool:
+            raise UsageError(
+                f"plan '{plan.name}', source.moments.draw: promising: methods are compared at the"
+                " same moments, and these depend on what a method finds; leave it out."
+            )
+        traffic.append((spec, _found(request, options, announce)))
         return traffic[-1][1].moments
 
     rows = entries.entries_of(loaded, cache_folder(), look)
@@ -137,15 +149,17 @@ def run(
     chosen = shard.choose(planned) if shard else planned
     places = {place.scene: place.moment for entry in rows for place in entry.situations}
     if any(places.values()):
-        chosen_moments = [(one.run_id, places[one.scene]) for one in planned]
-        report = _noting(chosen_moments, traffic, options, report)
+        at = [(one, moment) for one in planned if (moment := places[one.scene])]
+        report = _noting(lambda: at, traffic, options, report)
     with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
         changed = batch.begin(store, chosen, options, read)
         note(options.out, None)
         outlined.write(options.out)
         queue = _scene_by_scene(rows, plan.seeds)
         try:
-            return batch.fill(store, chosen, options, report, queue=queue, changed=changed)
+            return batch.fill(
+                store, chosen, options, report, queue=queue, known=batch.Known(changed=changed)
+            )
         finally:
             if (options.out / "runs.csv").is_file():
                 tables.write(options.out)

@@ -170,11 +170,13 @@ class Store:
         keys: Mapping[str, str],
         machine: Mapping[str, Any],
         planned: Mapping[str, Mapping[str, Any]] | None = None,
+        undecided: int = 0,
     ) -> None:
         """Write the manifest of runs, given by id and `Task.key`.
 
         ``machine`` is what may differ between equal batches; ``planned`` is the `result.identity`
-        of each run, so that one without a result belongs to its spec.
+        of each run, so that one without a result belongs to its spec; ``undecided`` is the number
+        of runs to come whose moments depend on the results of these.
         """
         manifest = {
             "format_version": stored.FORMAT_VERSION,
@@ -184,6 +186,7 @@ class Store:
             "networks": runtime_and_device(),
             "runs": dict(keys),
             "planned": dict(planned or {}),
+            **({"undecided": undecided} if undecided else {}),
             "machine": {
                 "command": sys.argv,
                 "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),

@@ -177,6 +177,7 @@ class Result(TypedDict, total=False):
         setup: the spec of this run alone, of files the names alone.
         inputs: digests of what the run reads: ``source``, ``weights``, ``planner``,
             ``adversary``, ``others`` (code of metrics and readers that is not of this package).
+        draw: how its moment was drawn, see `tasks.Draw`; missing where all moments are spread.
         error: why the run failed.
         planner_fault: of a run that failed, what the planner did wrong: ``crashed``, ``hung`` or
             ``nonsense``; empty where it is not the planner's.
@@ -225,6 +226,7 @@ class Result(TypedDict, total=False):
     settings: Required[dict[str, Any]]
     setup: dict[str, Any]
     inputs: dict[str, str]
+    draw: dict[str, Any]
     status: Required[Status]
     error: Required[str]
     planner_fault: str
@@ -417,7 +419,7 @@ def _identity(task: Task, status: Status, error: str = "") -> Result:
     perception = getattr(planner, "perception", None)
     driver = f"{spec.planner.name} {perception}" if perception else spec.planner.name
     label, source = task.label or Label(method=spec.name, planner=driver), spec.source
-    return {
+    found: Result = {
         "run_id": task.run_id,
         "key": task.key,
         "status": status,
@@ -447,6 +449,9 @@ def _identity(task: Task, status: Status, error: str = "") -> Result:
         "setup": task.placeless(),
         "inputs": dict(task.inputs),
     }
+    if task.draw:
+        found["draw"] = asdict(task.draw)
+    return found
 
 
 def identity(task: Task) -> dict[str, Any]:

@@ -26,6 +26,7 @@ places nor how much they differ is known: both are integrated over.
 """
 
 import math
+import operator
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from functools import lru_cache
@@ -107,12 +108,59 @@ def by_unit(values: Iterable[tuple[Hashable, float]]) -> list[list[float]]:
     return list(groups.values())
 
 
+def weighted(values: Iterable[tuple[Hashable, float, float]]) -> Units:
+    """`units_of` of runs that count differently: of each its unit, its value and what it counts.
+
+    The mean is a ratio of estimates (Hajek, "Foundations of Statistical Inference", 1971).
+    """
+    groups: dict[Hashable, list[tuple[float, float]]] = defaultdict(list)
+    for unit, value, counts in values:
+        groups[unit].append((value, counts))
+    sums = [math.fsum(counts for _, counts in group) for group in groups.values()]
+    totals = np.array(sums)
+    weights = totals * totals.sum() / (totals @ totals) if groups else totals
+    means = (
+        math.fsum(value * counts for value, counts in group) / total
+        for group, total in zip(groups.values(), sums, strict=True)
+    )
+    return Units(tuple(means), tuple(weights.tolist()))
+
+
+def drawn(chances: Sequence[float], population: int) -> list[float]:
+    """How many of a population each unit stands for that was drawn from it, in their order.
+
+    Args:
+        chances: of each, that it was drawn then, of the units that were left. The first ones may
+            have been taken with certainty.
+        population: number of its units.
+
+    Each draw gives an estimate of the population's sum: the values drawn before, and its own over
+    its chance (Des Raj, Journal of the American Statistical Association 51, 1956). It is unbiased
+    whatever the chances depend on, also on the values before, and so is each mean of the draws with
+    given weights. Here are what the values count for in the one that gives equal weights, the
+    inverse probabilities of Horvitz and Thompson, where chances are equal (Farquhar, Gal and
+    Rainforth, "On statistical bias in active learning", ICLR 2021).
+    """
+    surely = next((at for at, chance in enumerate(chances) if chance < 1.0), len(chances))
+    units, draws = population - surely, len(chances) - surely
+    weights = [1.0] * surely
+    for number, chance in enumerate(chances[surely:], 1):
+        left = units - number
+        unequal = 1.0 / ((left + 1) * chance) - 1.0
+        weights.append(units / draws * (1.0 + (units - draws) / max(left, 1) * unequal))
+    return weights
+
+
 def rate(groups: Iterable[Sequence[float]], confidence: float = CONFIDENCE) -> Interval:
     """The share of ones, from the zeros and ones of each unit's runs.
 
     Raises ValueError for no runs, or values beyond 0 and 1.
     """
-    units = units_of(groups)
+    return rate_of(units_of(groups), confidence)
+
+
+def rate_of(units: Units, confidence: float = CONFIDENCE) -> Interval:
+    """`rate` of units. Raises ValueError for none, or values beyond 0 and 1."""
     if not units.values or not 0 <= min(units.values) <= max(units.values) <= 1:
         raise ValueError(f"{units.values} are no zeros and ones")
     return Interval(units.mean, *_ends(units, (0.0, 1.0), confidence))
@@ -425,8 +473,12 @@ def _means_of_kind(places: Mapping[str, Units]) -> dict[str, PlaceMean]:
     values = {place: units.values for place, units in places.items() if units.values}
     worth = _worth(list(values.values()))
     counts = {
-        place: (round(worth * sum(found), 9), round(worth * len(found), 9))
-        for place, found in values.items()
+        place: (
+            round(worth * math.fsum(map(operator.mul, units.values, units.weights)), 9),
+            round(worth * math.fsum(units.weights), 9),
+        )
+        for place, units in places.items()
+        if units.values
     }
     known, typical = _place_rates(tuple(sorted(counts.values())), _QUASI)
     means = {}

@@ -303,6 +303,15 @@ def keys_of(out: Path) -> dict[str, str]:
     return keys
 
 
+def missing(out: Path) -> int:
+    """Runs without a row in ``runs.csv``, with those whose moments are not decided yet.
+
+    Raises UsageError where manifest or table are damaged.
+    """
+    undecided = mapping(out / MANIFEST).get("undecided", 0)
+    return len(keys_of(out)) - len(rows_of(out)) + (undecided if isinstance(undecided, int) else 0)
+
+
 def planned_of(out: Path) -> dict[str, dict[str, Any]]:
     """`result.identity` of each run of the manifest; earlier versions did not write it.
 

@@ -8,9 +8,9 @@ when the attack took over; the movement that it began before is the next one on 
 opponents attack in turn, each turn is an attack.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
 from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.results import findings, stored
+from deepmf_sumo.results import findings, statistics, stored
 from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.reader import planned
@@ -52,6 +52,8 @@ class Attacked:
         pet_s: least time between the two at a common place; None without one.
         speed_mps: of the AV when the attack began.
         av, opponent: ids.
+        weight: what it counts for in rates: 1, but where moments were drawn by what others found
+            the number of moments that it stands for, relative to the mean.
     """
 
     folder: str
@@ -75,6 +77,7 @@ class Attacked:
     speed_mps: float = 0.0
     av: str = ""
     opponent: str = ""
+    weight: float = 1.0
 
     @property
     def finding(self) -> bool:
@@ -98,7 +101,12 @@ class _Part(NamedTuple):
 
 
 def of_run(
-    out: Path, result: Result, moment: Mapping[str, str], every: Places, road: RoadMap
+    out: Path,
+    result: Result,
+    moment: Mapping[str, str],
+    every: Places,
+    road: RoadMap,
+    weight: float = 1.0,
 ) -> list[Attacked]:
     """The attacks of a run: one, or one per turn where opponents attacked in turn.
 
@@ -108,6 +116,7 @@ def of_run(
         moment: the run's row of ``moments.csv``, or empty.
         every: places of its network.
         road: map of its network.
+        weight: see `Attacked`.
 
     Raises UsageError where its tracks are missing or damaged.
     """
@@ -118,9 +127,10 @@ def of_run(
     # those that left before the attack began have no tracks
     there = [part.opponent for part in parts if part.opponent in found.tracks.ids]
     opponents = {one: Spots(found, road, every, one, {}) for one in there}
-    return [
+    attacks = (
         _attacked(str(out), result, part, found, av, opponents.get(part.opponent)) for part in parts
-    ]
+    )
+    return [replace(one, weight=weight) for one in attacks]
 
 
 def _parts(result: Result) -> list[_Part]:
@@ -290,7 +300,9 @@ def read(folders: Sequence[Path]) -> list[Network]:
 
 def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counter[str]) -> None:
     moments, flows = stored.moments_of(out), stored.flows_of(out)
-    for run_id, result in planned(out).items():
+    results = planned(out)
+    weights = _weights(results, moments)
+    for run_id, result in results.items():
         if result is None:
             left_out["without a result"] += 1
         elif result["status"] != "ok":
@@ -304,9 +316,30 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
             network.pass_by(out, result, flows)
             moment = moments.get(run_id, {})
             try:
-                network.attacks += of_run(out, result, moment, network.places, network.road)
+                network.attacks += of_run(
+                    out, result, moment, network.places, network.road, weights.get(run_id, 1.0)
+                )
             except UsageError:
                 network.left_out["without readable tracks"] += 1
+
+
+def _weights(
+    results: Mapping[str, Result | None], moments: Mapping[str, Mapping[str, str]]
+) -> dict[str, float]:
+    """Of the runs whose moments were drawn by what others found, see `statistics.drawn`."""
+    draws: dict[tuple[str, int, int], list[tuple[int, float, str]]] = defaultdict(list)
+    for run_id, result in results.items():
+        row = moments.get(run_id, {})
+        if result is not None and result["status"] == "ok" and row.get("probability"):
+            one = int(row["draw"]), float(row["probability"]), run_id
+            draws[result["spec"], result["seed"], int(row["pool"])].append(one)
+    weights: dict[str, float] = {}
+    for (*_, pool), found in draws.items():
+        group = sorted(found)
+        stands_for = statistics.drawn([chance for _, chance, _ in group], pool)
+        mean = sum(stands_for) / len(group)
+        weights |= {one[2]: each / mean for one, each in zip(group, stands_for, strict=True)}
+    return weights
 
 
 def of_runs(folders: Sequence[Path]) -> dict[str, Result]:

@@ -57,7 +57,8 @@ class Row:
             another vehicle.
         ttc_s, gap_m: least of all attacks. delta_v_mps, delta_v_most_mps: mean and most of hits.
         hit_rate: of the attacks here alone. finding_share: of judged hits; None without any.
-        risk: chance of such an event in an attack here, see `statistics.place_rates`.
+        risk: chance of such an event in an attack here, see `statistics.place_rates`; in rates an
+            attack counts for the moments that it was drawn from, see `Attacked.weight`.
         rank: among the places of its kind, by the lower end of the risk; 1 is the worst.
         criticality: mean of the attacks here, see `quantities.criticality`; or None.
         rank_criticality: among the places of its kind, by how far its interval is above the
@@ -180,19 +181,24 @@ def _by_place(
 
 
 def _criticality(group: Iterable[Attacked]) -> Units:
-    measured = ((one.unit, one.criticality) for one in group)
-    return statistics.units_of(
-        statistics.by_unit((unit, value) for unit, value in measured if value is not None)
+    measured = ((one.unit, one.criticality, one.weight) for one in group)
+    return statistics.weighted(
+        (unit, value, weight) for unit, value, weight in measured if value is not None
     )
 
 
 def _units(groups: Mapping[str, Sequence[Attacked]], event: Event) -> dict[str, Units]:
     return {
-        place: statistics.units_of(
-            statistics.by_unit((one.unit, float(happened(one, event))) for one in group)
+        place: statistics.weighted(
+            (one.unit, float(happened(one, event)), one.weight) for one in group
         )
         for place, group in groups.items()
     }
+
+
+def rate(attacks: Iterable[Attacked], event: Event = "hit") -> Interval:
+    """Of all attacks on a network: each counts for the moments that it was drawn from."""
+    return statistics.rate_of(_units({"": list(attacks)}, event)[""])
 
 
 def _happened(group: Sequence[Attacked], event: Event) -> int:
@@ -248,13 +254,12 @@ def _order(risk: Interval, place: str) -> tuple[float, float, str]:
 
 def _row(group: Sequence[Attacked], **named: Any) -> Row:
     speeds = [one.delta_v_mps for one in group if one.hit and one.delta_v_mps is not None]
-    hits = statistics.by_unit((one.unit, float(one.hit)) for one in group)
-    found = statistics.by_unit(
-        (one.unit, float(one.finding)) for one in group if one.worth is not None
+    found = statistics.weighted(
+        (one.unit, float(one.finding), one.weight) for one in group if one.worth is not None
     )
     return Row(
-        hit_rate=statistics.rate(hits),
-        finding_share=statistics.rate(found) if found else None,
+        hit_rate=rate(group),
+        finding_share=statistics.rate_of(found) if found.values else None,
         attacks=len(group),
         events={event: _happened(group, event) for event in EVENTS},
         judged=sum(one.worth is not None for one in group),

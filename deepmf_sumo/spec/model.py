@@ -160,6 +160,10 @@ class Moments(Strict):
         default="spread",
         description="both: spread over places and time, at each place encounters first",
     )
+    draw: Literal["spread", "promising"] = Field(
+        default="spread",
+        description="promising: two of three are drawn where conflicts came near before",
+    )
     av: str | None = Field(default=None, min_length=1, description="only this vehicle")
     av_type: str | None = Field(default=None, min_length=1, description="only this type")
     at_s: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(strict=False)] = Field(
@@ -190,6 +194,9 @@ class Moments(Strict):
         if self.of is not None and self.prefer != "spread":
             rule = f"{self.prefer} cannot be given with 'of' (--moments-of): leave one of them out"
             raise _wrong(rule, "prefer")
+        if self.of is not None and self.draw != "spread":
+            rule = f"{self.draw} cannot be given with 'of' (--moments-of): leave one of them out"
+            raise _wrong(rule, "draw")
         return self
 
     @model_validator(mode="after")

@@ -1,10 +1,12 @@
 """Specs -> result folder."""
 
+import math
 import re
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from deepmf_sumo import errors
 from deepmf_sumo import tasks as tasks_module
@@ -135,20 +137,51 @@ def run(
     return run_tasks(planned, options, report)
 
 
+class More(Protocol):
+    """Runs that are decided by the results of those before."""
+
+    @property
+    def left(self) -> int:
+        """Number of runs that are not decided yet."""
+        ...
+
+    def __call__(self, results: Sequence[Result]) -> Sequence[Task]:
+        """The next ones, from the results of all before; none at the end."""
+        ...
+
+
 def run_tasks(
     planned: Sequence[Task],
     options: Options,
     report: Callable[[Progress], None] = lambda _: None,
+    more: More | None = None,
 ) -> list[Result]:
-    """As `run`, of tasks; tables are in their order."""
+    """As `run`, of tasks; tables are in their order.
+
+    ``more`` decides further ones, each time that all before have ended.
+    """
     executor_named(options.executor, options.jobs)  # errors show before anything is done
+    stop = time.monotonic() + 60.0 * options.minutes if options.minutes else math.inf
     every, read = fingerprinted(planned)
     mine = options.shard.choose(every) if options.shard else every
     with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
         others = find_others(store, mine) if options.resume else Others()
-        changed = begin(store, mine, options, read, others)
+        left = more.left if more else 0
+        changed = begin(store, mine, options, read, others, left)
         shards.note(options.out, every if options.shard else None)
-        return fill(store, mine, options, report, changed=changed, others=others)
+        known = Known(changed=changed, others=others, left=left)
+        results = fill(store, mine, options, report, known=known)
+        while more and len(results) == len(mine) and time.monotonic() < stop:
+            further, also = fingerprinted(more(results))
+            if not further:
+                break
+            mine, read = [*mine, *further], tuple(dict.fromkeys([*read, *also]))
+            others = others.without(further)
+            begin(store, mine, options, read, others, more.left)
+            minutes = (stop - time.monotonic()) / 60 if options.minutes else None
+            known = Known(others=others, before=tuple(results), left=more.left)
+            results = fill(store, mine, replace(options, minutes=minutes), report, known=known)
+    return results
 
 
 def begin(
@@ -157,11 +190,13 @@ def begin(
     options: Options,
     read: Sequence[Input],
     others: Others = _NONE,
+    left: int = 0,
 ) -> tuple[str, ...]:
     """Write the manifest, with what may differ between equal batches in a part of its own.
 
-    ``read`` is what the runs read; ``others`` are runs that the folder has beside them. Returns the
-    files that an earlier batch of the folder read with other content.
+    ``read`` is what the runs read; ``others`` are runs that the folder has beside them; ``left`` is
+    the number of runs that are not decided yet. Returns the files that an earlier batch of the
+    folder read with other content.
     """
     before = stored.inputs_of(store.out)
     now = {str(one.path): one.digest for one in (*others.read, *read)}
@@ -175,8 +210,25 @@ def begin(
         others.keys | {task.run_id: task.key for task in planned},
         machine,
         others.planned | {task.run_id: result_module.identity(task) for task in planned},
+        left,
     )
     return tuple(path for path, got in before.items() if now.get(path, got) != got)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """What a batch knows of its folder before it does runs.
+
+    Attributes:
+        changed: that of `begin`. others: runs of other commands.
+        before: results of tasks that this batch did earlier, however they ended.
+        left: number of runs that are decided later.
+    """
+
+    changed: tuple[str, ...] = ()
+    others: Others = _NONE
+    before: tuple[Result, ...] = ()
+    left: int = 0
 
 
 def fill(
@@ -186,38 +238,23 @@ def fill(
     report: Callable[[Progress], None] = lambda _: None,
     *,
     queue: Callable[[Task], Any] | None = None,
-    changed: tuple[str, ...] = (),
-    others: Others = _NONE,
+    known: Known = Known(),
 ) -> list[Result]:
     """Do the tasks that have no result yet, and write the tables, in a folder with a manifest.
 
-    Runs start in the order of the key ``queue``; ``changed`` is that of `begin`. The tables have
-    ``others``, too; the results are of the tasks alone.
+    Runs start in the order of the key ``queue``. The tables have runs of other commands, too; the
+    results are of the tasks alone.
     """
-    before = {task.run_id: result for task in planned if (result := store.earlier(task))}
-    found = {
-        task.run_id: before[task.run_id]
-        for task in planned
-        if task.run_id in before and before[task.run_id]["key"] == task.key
-    }
+    found = {result["run_id"]: result for result in known.before}
+    now, kept = _kept(store, [task for task in planned if task.run_id not in found], options, known)
+    found |= kept
     left = [task for task in planned if task.run_id not in found]
-    if left or others.stale:
+    if left or known.others.stale:
         store.forget_views()
     if queue:
         left.sort(key=queue)
     elif options.minutes is None:  # with a limit, the runs done must be spread over all moments
         left = fork.in_order(left)
-    now = Progress(
-        done=len(found),
-        of=len(planned),
-        kept=len(found),
-        again=len(before) - len(found),
-        changed=changed,
-        others=others.kept,
-        unbegun=others.unbegun,
-        stale=others.stale,
-        unwritten=tuple(one for kept in found.values() for one in _unwritten(store, options, kept)),
-    )
     report(now)
     endings, interrupted = _endings(store, left, options), True
     try:
@@ -227,16 +264,43 @@ def fill(
                 found[now.last["run_id"]] = now.last
                 now = replace(now, unwritten=tuple(_unwritten(store, options, now.last)))
             report(now)
-        interrupted = len(found) < len(planned)
+        interrupted = len(found) < len(planned) + known.left
     finally:
         endings.close()
         found |= _unheard(store, [task for task in left if task.run_id not in found])
         results = [found[task.run_id] for task in planned if task.run_id in found]
         expects = any(task.spec.expect != Expect() for task in planned)
         junit_too = options.junit or expects or (store.out / junit.FILE).is_file()
-        every = [*others.before, *results, *others.after]
+        every = [*known.others.before, *results, *known.others.after]
         store.finish(every, junit_too=junit_too, interrupted=interrupted)
     return results
+
+
+def _kept(
+    store: Store, planned: Sequence[Task], options: Options, known: Known
+) -> tuple[Progress, dict[str, Result]]:
+    """Where the batch stands, and the results that the folder has of tasks that it did not do."""
+    before = {task.run_id: result for task in planned if (result := store.earlier(task))}
+    kept = {
+        task.run_id: before[task.run_id]
+        for task in planned
+        if task.run_id in before and before[task.run_id]["key"] == task.key
+    }
+    done, others = len(known.before), known.others if not known.before else _NONE  # said once
+    now = Progress(
+        done=done + len(kept),
+        of=done + len(planned) + known.left,
+        kept=len(kept),
+        again=len(before) - len(kept),
+        changed=known.changed,
+        others=others.kept,
+        unbegun=others.unbegun,
+        stale=others.stale,
+        unwritten=tuple(
+            one for result in kept.values() for one in _unwritten(store, options, result)
+        ),
+    )
+    return now, kept
 
 
 def _unwritten(store: Store, options: Options, ended: Result) -> Iterator[str]:

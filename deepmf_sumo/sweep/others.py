@@ -5,7 +5,7 @@ is still good is told as for the command's own runs: by the key of its spec, whi
 """
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,18 @@ class Others:
     def unbegun(self) -> int:
         """Runs of other specs that have no result."""
         return len(self.keys) - self.kept
+
+    def without(self, tasks: Iterable[Task]) -> "Others":
+        """The same but for runs that turn out to be the command's own."""
+        own = {task.run_id for task in tasks}
+        return replace(
+            self,
+            before=tuple(one for one in self.before if one["run_id"] not in own),
+            after=tuple(one for one in self.after if one["run_id"] not in own),
+            planned={name: one for name, one in self.planned.items() if name not in own},
+            keys={name: one for name, one in self.keys.items() if name not in own},
+            stale=tuple(one for one in self.stale if one not in own),
+        )
 
 
 def others(store: Store, planned: Sequence[Task]) -> Others:
