@@ -224,10 +224,12 @@ def tell_switched_off(folders: Iterable[Path], *, err: bool) -> None:
         click.echo(shown(line), err=err)
 
 
-def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int, worth: Count) -> None:
+def show_failures(
+    rows: Sequence[tuple[str, tuple[str, ...]]], of: int, worth: Count, causes: str
+) -> None:
     """The sentence and the cells of each group of failures; ``of``: number of runs.
 
-    ``worth``: of the hits among them.
+    ``worth``: of the hits among them. ``causes``: how many distinct ones; empty for none.
     """
     from deepmf_sumo.report.failures import HEADINGS
     from deepmf_sumo.report.table import counted
@@ -238,6 +240,8 @@ def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int, worth: C
         click.echo(f"no failures in {counted(of, 'run')}")
         return
     console = wide()
+    if causes:
+        console.print(f"{causes}\n")
     console.print(_filled(HEADINGS, [cells for _, cells in rows]))
     console.print()
     for number, (sentence, _) in enumerate(rows, start=1):
@@ -245,6 +249,30 @@ def show_failures(rows: Sequence[tuple[str, tuple[str, ...]]], of: int, worth: C
     console.print()
     for line in (f"hits: {counted_hits(worth)}", *(f"  {one}" for one in legend(worth))):
         console.print(escape(line), soft_wrap=True)
+
+
+def tell_causes(out: Path) -> None:
+    """How many distinct causes the findings of a result folder have, and the first of them."""
+    from deepmf_sumo.report import failures as words
+    from deepmf_sumo.results.failures import failures
+    from deepmf_sumo.results.groups import grouped
+    from deepmf_sumo.results.reader import Results
+
+    results = Results.open(out)
+    found = [one for _, one, _ in failures(results) if one is not None and one.change]
+    groups = grouped(found, len(results.runs))
+    if not groups:
+        return
+    console = wide()
+    console.print(f"{words.summary(groups)}:")
+    for number, group in enumerate(groups[:_MOST_CAUSES], start=1):
+        line = f"{number}. {words.sentence(group)} ({len(group.failures)} of {group.of})"
+        console.print(escape(line), soft_wrap=True)
+    if len(groups) > _MOST_CAUSES:
+        console.print(f"the others: deepmf-sumo show {escape(str(out))} --failures", soft_wrap=True)
+
+
+_MOST_CAUSES: Final = 5
 
 
 def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:

@@ -144,7 +144,7 @@ def attacked(
     """Attack as the command does with these values of its options; returns the exit code."""
     from deepmf_sumo import moments, plans
     from deepmf_sumo.cli._moments import announce_moments, no_conflict
-    from deepmf_sumo.cli._screen import progress
+    from deepmf_sumo.cli._screen import progress, tell_causes
 
     sweep = Sweep.begin(wanted, pictures=True)
     documents = _documents(sumo_options, configs, sets, wanted, all_conflicts)
@@ -158,6 +158,7 @@ def attacked(
     with progress() as report:
         results = plans.run_specs(specs, sweep.options, report, announce, by_option=True)
     code = end_of_runs(sweep, results)
+    tell_causes(sweep.options.out)
     if told := no_conflict(results, looked):
         click.echo(shown(told))
     if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):

@@ -34,9 +34,9 @@ def command(
 ) -> None:
     """Show the result folders OUT... side by side, each spec of a folder separately.
 
-    With --failures: hits of the opponent and errors of the planner, grouped by conflict, by where
-    the opponent came from, which of the two had priority, what the AV did, what the hit is worth
-    and who would have avoided it. Findings come first; contrived and unavoidable hits follow them.
+    With --failures: hits of the opponent and errors of the planner in groups. Findings come first,
+    grouped by their cause: who erred how, the kind of conflict, and the smallest change of the AV
+    that would have avoided the hit. Contrived and unavoidable hits follow them.
     Rates have 95 % intervals. Means are of the runs that have a value; below the table it says why
     others have none.
     """
@@ -82,7 +82,7 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
     if form == "table":
         rows = [(_named(group, folders), words.row(group)) for group in groups]
         worth = count(one.worth for group in groups for one in group.failures if one.kind == "hit")
-        screen.show_failures(rows, len(results.runs), worth)
+        screen.show_failures(rows, len(results.runs), worth, words.summary(groups))
     else:
         values = [{"sentence": words.sentence(group), **group.values()} for group in groups]
         if form != "json":  # a cell is a text

@@ -1,17 +1,35 @@
 """Groups of failures in the words of an engineer."""
 
+from collections.abc import Iterable
 from typing import Final
 
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType
+from deepmf_sumo.report.table import counted
 from deepmf_sumo.results.failures import Failure
 from deepmf_sumo.results.findings import DRIVERS, by_whom
-from deepmf_sumo.results.groups import Group
+from deepmf_sumo.results.groups import Group, causes
 from deepmf_sumo.texts import shown
 
 HEADINGS: Final = (
-    "runs", "failure", "worth", "opponent from", "priority", "AV", "avoided by",
-    "onset, s before the hit", "delta-v, m/s",
+    "runs", "failure", "worth", "opponent from", "AV", "smallest change", "avoided by",
+    "last moment, s before the hit", "delta-v, m/s",
 )  # fmt: skip
+_CONTRIVED: Final = {
+    "av_stood": "the AV stood or crept",
+    "low_delta_v": "delta-v was below 5 km/h",
+    "rammed": "the {other} rammed the AV from behind",
+    "against_traffic": "the {other} drove against the traffic",
+    "off_road": "the {other} left the road",
+    "infeasible": "no {other} moves like that",
+    "touched_another": "one of the two had touched another road user before",
+}
+"""Why a hit says little about the AV, by the reasons of `judge.ladder`."""
+_ALSO: Final = {
+    "ran_light": " The {other} ran a red light.",
+    "sped": " The {other} drove far above the limit.",
+    "braked_hard": " The {other} braked harder than drivers do.",
+}
+"""Errors of the opponent that the kind of conflict does not tell."""
 _CAREFUL: Final[dict[ConflictType, str]] = {
     "rear-end": "kept its distance",
     "crossing": "braked in time",
@@ -49,10 +67,10 @@ def row(group: Group) -> tuple[str, ...]:
         title(one),
         group.worth,
         one.side or "",
-        one.priority,
         one.action or "",
+        one.change,
         group.avoided_by,
-        f"{group.onset_s:.1f}" if _seconds(group) else "",
+        _last(one),
         "" if one.kind != "hit" else f"{group.delta_v_mps:.1f}",
     )
 
@@ -65,7 +83,9 @@ def facts(group: Group) -> list[list[str]]:
         f"{one.opponent} from": one.side,
         "priority": one.priority,
         "AV": one.action,
+        "smallest change": one.change,
         "avoided by": by_whom(one.worth, words=True),
+        "last moment": _moments(one),
         "onset": _seconds(group),
         "delta-v": f"up to {group.delta_v_mps:.1f} m/s" if one.kind == "hit" else "",
     }
@@ -89,9 +109,43 @@ def sentence(group: Group) -> str:
     one = group.example
     if one.kind != "hit":
         return f"The {one.kind}: {shown(' '.join(one.reason.split()))}"
-    red = f" The {one.opponent} ran a red light." if one.ran_red else ""
+    also = " The AV ran a red light." * (one.av_error == "ran_light")
+    error = "ran_light" if one.ran_red else one.opponent_error
+    also += _ALSO.get(error, "").format(other=one.opponent)
+    return f"{_happened(one)}{_judged(one)}.{also}"
+
+
+def summary(groups: Iterable[Group]) -> str:
+    """How many distinct causes the findings have; empty where none has a known cause."""
+    number, of = causes(groups)
+    return f"{counted(number, 'distinct cause')} in {counted(of, 'finding')}" if number else ""
+
+
+def _judged(one: Failure) -> str:
+    """What would have avoided it, or why it does not count."""
+    contrived = [_CONTRIVED[name] for name in one.reasons if name in _CONTRIVED]
+    if contrived:
+        return f". It is contrived: {' and '.join(contrived).format(other=one.opponent)}"
+    if one.change == "none":
+        return "; no change of the AV that was tried would have avoided it"
+    if one.change:
+        last = one.last_moment
+        moment = f"; the last moment to act was {last[1]:.1f} s before the hit" if last else ""
+        return f". It would have been enough {one.what}{moment}"
     danger = f". The danger showed {one.onset_s:.1f} s before the hit" if one.onset_s else ""
-    return f"{_happened(one)}{danger}; {_advice(one)}.{red}"
+    return f"{danger}; {_advice(one)}"
+
+
+def _last(one: Failure) -> str:
+    """The last moment to act, and for whom."""
+    return f"{one.last_moment[1]:.1f} ({one.last_moment[0]})" if one.last_moment else ""
+
+
+def _moments(one: Failure) -> str:
+    """The last moments of each driver."""
+    known = {name: at for name, at in one.last_moment_s.items() if at is not None}
+    said = ", ".join(f"{name} {at:.1f} s" for name, at in known.items())
+    return f"{said} before the hit" if said else ""
 
 
 def _happened(one: Failure) -> str:
@@ -99,10 +153,11 @@ def _happened(one: Failure) -> str:
     assert one.conflict is not None
     other, did = one.opponent, _did(one)
     turn = one.conflict.partition(" ")[0]
+    had = ", which had priority" * (one.priority == "opponent")
     by_av: dict[str, str] = {
         "rear-end": f"A {other} behind ran into the AV, which {did}",
-        "turn": f"The AV turned {turn} in front of an oncoming {other}",
-        "merging": f"The AV merged into the way of a {other} from {_from(one)}",
+        "turn": f"The AV turned {turn} in front of an oncoming {other}{had}",
+        "merging": f"The AV merged into the way of a {other} from {_from(one)}{had}",
         "lane change": f"The AV moved over into the way of a {other} {_beside(one)}",
     }
     by_other: dict[str, str] = {
@@ -113,6 +168,8 @@ def _happened(one: Failure) -> str:
         "head-on": f"An oncoming {other} came into the way of the AV",
         "crossing": f"A {other} from {_from(one)}{_right_of_way(one)} crossed in front of the AV",
     }
+    if one.av_error == "struck_standing":
+        return f"The AV {did} and ran into a {other} that stood"
     name = "turn" if one.conflict in ACROSS else one.conflict
     came = f"n oncoming {other}" if one.side == "ahead" else f" {other} from {_from(one)}"
     if one.turned == "AV" and one.action == "stood" and name in _WAITED:

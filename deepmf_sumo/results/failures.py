@@ -5,9 +5,9 @@ nonsense. A hit is described in the words of `judge.hits`.
 """
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Final, Literal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Final, Literal
 
 from deepmf_sumo.datatypes import RoadMap, Rollout
 from deepmf_sumo.errors import DeepmfError
@@ -41,6 +41,9 @@ class Failure:
         reason: what the planner did wrong.
         worth: what the hit is worth, and who avoids it from the onset on; None: not known.
         ordinary_mps2: rms acceleration of the opponent; None where it is not known.
+        reasons, av_error, opponent_error: of the hit, see `judge.ladder.Verdict`; empty in results
+            of versions without a ladder.
+        change, what, last_moment_s: of a finding, see `judge.causes.Cause`; empty where it is none.
     """
 
     run: Run
@@ -60,6 +63,22 @@ class Failure:
     ordinary_mps2: float | None = None
     opponent: str = "car"
     ran_red: bool = False
+    reasons: tuple[str, ...] = ()
+    av_error: str = ""
+    opponent_error: str = ""
+    change: str = ""
+    what: str = ""
+    last_moment_s: Mapping[str, float | None] = field(default_factory=dict)
+
+    @property
+    def last_moment(self) -> tuple[str, float] | None:
+        """The driver that could take over last and avoid the hit, and how long before it.
+
+        The search, which needs no time to react, only where no reference driver could.
+        """
+        known = [(at, name) for name, at in self.last_moment_s.items() if at is not None]
+        drivers = [one for one in known if one[1] != "search"]
+        return min(drivers or known)[::-1] if known else None
 
 
 def failures(results: Results) -> Iterator[tuple[Run, Failure | None, str]]:
@@ -115,8 +134,19 @@ def _of_hit(run: Run, rollout: Rollout, road: RoadMap | None) -> Failure:
         kind="hit",
         worth=run.worth,
         ordinary_mps2=run.metric("opponent_rms_acceleration"),
+        **_judged(run),
         **{name: getattr(hit, name) for name in _of_the_hit()},
     )
+
+
+def _judged(run: Run) -> dict[str, Any]:
+    """What the result says of errors and cause."""
+    verdict, cause = run.result.get("finding") or {}, run.result.get("cause") or {}
+    found = {name: cause[name] for name in ("change", "what", "last_moment_s") if cause}
+    if verdict:
+        found |= {name: verdict[name] for name in ("av_error", "opponent_error")}
+        found["reasons"] = tuple(verdict["reasons"])
+    return found
 
 
 def _of_the_hit() -> set[str]:

@@ -73,6 +73,10 @@ class Group:
             "rung": example.worth.rung if example.worth else None,
             "finding": self.kind == "finding" if hit else None,
             "avoided_by": list(drivers) if (drivers := _drivers(example)) is not None else None,
+            "av_error": example.av_error or None,
+            "opponent_error": example.opponent_error or None,
+            "change": example.change or None,
+            "last_moment_s": dict(example.last_moment_s) or None,
             "onset_s": self.onset_s,
             "delta_v_mps": round(self.delta_v_mps, 3) if hit else None,
             "opponent_rms_mps2": example.ordinary_mps2,
@@ -103,7 +107,8 @@ def _drivers(failure: Failure) -> tuple[str, ...] | None:
 def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
     """Groups of the failures of a number of runs, the worst first.
 
-    Errors of the planner come first, then findings: errors of the AV before avoidable hits, then by
+    Errors of the planner come first, then findings, of which each group has one cause: errors of
+    the AV before avoidable hits, what happened more often before what happened less often, then by
     how many drivers avoid them, delta-v, and how ordinary the opponent's motion is. Contrived and
     unavoidable hits follow, and last the runs that were out of time, which may be the machine's
     fault.
@@ -112,10 +117,25 @@ def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
     for failure in failures:
         found[_key(failure)].append(failure)
     groups = [Group(failures=tuple(sorted(one, key=_rank)), of=of) for one in found.values()]
-    return sorted(groups, key=lambda group: (_rank(group.example), -len(group.failures)))
+    return sorted(groups, key=_order)
+
+
+def causes(groups: Iterable[Group]) -> tuple[int, int]:
+    """The number of distinct causes, and of the findings that have one of them."""
+    found = [len(group.failures) for group in groups if group.example.change]
+    return len(found), sum(found)
+
+
+def _order(group: Group) -> tuple[Any, ...]:
+    place, rung, *rest = _rank(group.example)
+    often = -len(group.failures) if group.example.change else 0
+    return (place, rung, often, *rest, -len(group.failures))
 
 
 def _key(failure: Failure) -> Hashable:
+    """Findings of one cause: who erred how, the kind of conflict, the smallest change."""
+    if failure.change:
+        return failure.av_error, failure.opponent_error, failure.conflict, failure.change
     return (
         failure.kind,
         _NUMBER.sub("#", failure.reason),  # the same error at another step

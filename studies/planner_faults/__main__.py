@@ -1,15 +1,17 @@
-"""``python -m studies.planner_faults list | halves | measure``, from the top folder."""
+"""``python -m studies.planner_faults list | halves | measure | causes``, from the top folder."""
 
 # ruff: noqa: T201 - a command
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from deepmf_sumo.errors import DeepmfError
 from studies.planner_faults import measure
 from studies.planner_faults.faults import FAULTS
 from studies.planner_faults.halves import FROZEN, frozen_text, halves
+from studies.planner_faults.own_causes import first_cause
 
 
 def _list() -> int:
@@ -28,11 +30,23 @@ def _halves() -> int:
     return 1
 
 
+def _causes(folders: Sequence[Path]) -> int:
+    found = {folder.name: first_cause(folder.name, folder) for folder in folders}
+    for name, first in found.items():
+        said = f"{'own' if first.own else 'other'}: {first.sentence}" if first else "no finding"
+        print(f"{name:19} {said}")
+    number = sum(first is not None and first.own for first in found.values())
+    print(f"the first cause is the fault's own: {number} of {len(found)}")
+    return 0
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m studies.planner_faults")
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="all faults")
     commands.add_parser("halves", help="what held_out.txt contains; 1 where it differs")
+    own = commands.add_parser("causes", help="whether the first cause of a folder is its fault's")
+    own.add_argument("folders", type=Path, nargs="+", help="result folders, named by their faults")
     run = commands.add_parser("measure", help="which faults the gate reports for one method")
     run.add_argument("--method", default="deepmf", help="an adversary as in a spec, in YAML")
     run.add_argument("--budget", type=int, help="simulations of an attack")
@@ -66,6 +80,8 @@ def main() -> int:
     if given.command == "halves":
         return _halves()
     try:
+        if given.command == "causes":
+            return _causes(given.folders)
         print(measure.table(measure.measured(measure.Asked.of(given))))
     except DeepmfError as error:
         print(error, file=sys.stderr)

@@ -108,10 +108,70 @@ def test_groups_are_ranked_by_error_avoidability_severity_and_ordinary_motion():
     assert (values["runs"], values["of"], values["example"]) == (2, 40, "calm")
     assert (values["worth"], values["rung"], values["finding"]) == ("avoidable (B)", "B", True)
     assert values["avoided_by"] == ["cc", "search"]
-    assert words.row(groups[4])[::2] == ("2 of 40", "avoidable (B)", "", "cc, search", "5.0")
+    assert words.row(groups[4])[::2] == (
+        "2 of 40",
+        "avoidable (B)",
+        "held speed",
+        "cc, search",
+        "5.0",
+    )
     assert [group.kind for group in groups[-4:]] == [
         "not judged", "no finding", "no finding", "out of time",
     ]  # fmt: skip
+
+
+def finding(name, change="waits for the gap", rung="A", **more):
+    """A finding with its cause."""
+    values = {
+        "what": "to wait for the gap", "last_moment_s": {"cc": 2.1, "rss": 1.8, "search": 0.4},
+        "av_error": "took_priority", "reasons": ("took_priority",),
+    }  # fmt: skip
+    return hit(name, rung, change=change, **values | more)
+
+
+def test_findings_of_one_cause_are_one_row_and_what_happened_most_often_is_first():
+    found = [
+        finding("rare", conflict="merging", delta_v=9.0),
+        finding("one", side="left"),
+        finding("two", side="right", action="braked", by=("rss",), delta_v=4.0),
+        finding(
+            "avoidable", change="brakes harder", rung="B", av_error="", opponent_error="cut_in"
+        ),
+        finding("other change", change="reacts", delta_v=2.0),
+        hit("apart", "C", reasons=("av_stood",), delta_v=20.0),
+    ]
+    groups = grouped(found, 20)
+    names = [[one.run.run_id for one in group.failures] for group in groups]
+    assert names == [["one", "two"], ["rare"], ["other change"], ["avoidable"], ["apart"]]
+    assert words.summary(groups) == "4 distinct causes in 5 findings"
+    assert words.summary(grouped(found[-1:], 1)) == ""
+    values = groups[0].values()
+    assert (values["change"], values["av_error"]) == ("waits for the gap", "took_priority")
+    assert values["last_moment_s"] == {"cc": 2.1, "rss": 1.8, "search": 0.4}
+
+
+def test_the_sentence_of_a_finding_names_the_smallest_change_and_the_last_moment():
+    turn = {"conflict": "left turn across path", "turned": "AV", "side": "ahead"}
+    told = words.sentence(grouped([finding("a", priority="opponent", **turn)], 1)[0])
+    assert told == (
+        "The AV turned left in front of an oncoming car, which had priority. It would have been"
+        " enough to wait for the gap; the last moment to act was 1.8 s before the hit."
+    )
+    none = finding("a", "none", what="", last_moment_s={"cc": None}, conflict="crossing")
+    assert words.sentence(grouped([none], 1)[0]).endswith(
+        "; no change of the AV that was tried would have avoided it."
+    )
+    search = finding("a", last_moment_s={"cc": None, "search": 0.4})
+    assert "the last moment to act was 0.4 s before" in words.sentence(grouped([search], 1)[0])
+
+
+@pytest.mark.parametrize("reason", words._CONTRIVED)
+def test_a_contrived_hit_says_why(reason):
+    told = words.sentence(
+        grouped([hit("a", "C", reasons=(reason,), opponent="truck or bus")], 1)[0]
+    )
+    assert ". It is contrived: " in told
+    assert "{" not in told
 
 
 def test_an_error_at_another_step_is_the_same_and_another_error_is_not():
@@ -220,7 +280,8 @@ def test_the_groups_are_data(folder, capsys):
     [group] = json.loads(capsys.readouterr().out)
     assert group["run_ids"] == ["00-one", "01-two"]
     assert (group["runs"], group["of"], group["kind"]) == (2, 4, "hit")
-    assert group["sentence"].endswith("; a careful driver would have made room.")
+    assert ". It would have been enough to brake fully" in group["sentence"]
+    assert group["change"] == "reacts"
     assert group["folder"] == str(folder / "runs" / "00-one")
     assert main._run(["show", str(folder), "--failures", "--format", "csv"]) == 0
     assert "00-one 01-two" in capsys.readouterr().out

@@ -17,7 +17,7 @@ from deepmf_sumo.report.page.runs import RunPage, run_page
 from deepmf_sumo.report.palette import SCORES
 from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results import sessions, stored
-from deepmf_sumo.results.groups import grouped
+from deepmf_sumo.results.groups import Group, grouped
 from deepmf_sumo.risk import Network, Row
 from deepmf_sumo.spec.profiles import described, headline
 
@@ -39,11 +39,13 @@ def write(out: Path) -> Path:
     table, manifest = _table(out), _json(out / stored.MANIFEST)
     roads = Roads()
     pages = [run_page(out, row, roads) for row in table]
+    groups = grouped([page.failure for page in pages if page.failure], len(pages))
     networks, without_map = _networks(out, pages)
     content = {
         "title": out.resolve().name,
         "rows": [page.row for page in pages],
-        "failures": _failures(pages),
+        "causes": words.summary(groups),
+        "failures": _failures(pages, groups),
         "maps": [network.name for network in networks],
         "withoutMap": without_map,
         "switchedOff": sessions.switched_off(out),
@@ -72,10 +74,9 @@ def map_page(network: Network, rows: Sequence[Row], title: str) -> str:
     return _joined(content, {"map": [packed(maps.content(network, rows))]})
 
 
-def _failures(pages: Sequence[RunPage]) -> list[dict[str, Any]]:
+def _failures(pages: Sequence[RunPage], groups: Sequence[Group]) -> list[dict[str, Any]]:
     """Groups of failures, the worst first, with the numbers of their runs, the example first."""
     number = {page.failure.run.run_id: place for place, page in enumerate(pages) if page.failure}
-    found = [page.failure for page in pages if page.failure]
     return [
         {
             "title": words.title(group.example),
@@ -84,8 +85,9 @@ def _failures(pages: Sequence[RunPage]) -> list[dict[str, Any]]:
             "of": group.of,
             "runs": [number[one.run.run_id] for one in group.failures],
             "replay": group.example.kind == "hit",
+            "apart": group.kind == "no finding",
         }
-        for group in grouped(found, len(pages))
+        for group in groups
     ]
 
 

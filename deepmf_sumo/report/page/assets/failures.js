@@ -4,13 +4,20 @@ const MOST_FAILURES = 6;
 const BEFORE_S = 4;
 const AFTER_S = 0.5;
 const REST_S = 1;
-const failures = { groups: [], shown: MOST_FAILURES };
+const failures = { groups: [], causes: "", shown: MOST_FAILURES };
 
 function showFailures() {
-  const { groups, shown } = failures;
+  const { groups, causes, shown } = failures;
+  const apart = groups.findIndex((group) => group.apart);
   byId("failures-section").hidden = !runs.all.length;
   byId("failures").replaceChildren(
-    ...groups.slice(0, shown).map(failureCard),
+    ...(causes ? [make("p", { class: "causes" }, `${causes}.`)] : []),
+    ...groups
+      .slice(0, shown)
+      .flatMap((group, number) => [
+        ...(number === apart ? [make("h3", {}, "Apart: contrived and unavoidable hits")] : []),
+        failureCard(group),
+      ]),
     ...(groups.length ? [] : [make("p", {}, `No failure in ${counted(runs.all.length, "run")}.`)]),
     ...(groups.length > shown
       ? [

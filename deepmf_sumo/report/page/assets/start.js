@@ -95,6 +95,7 @@ function start() {
     Object.assign(groupOrders, content.orders);
     showNotices(content);
     failures.groups = content.failures ?? [];
+    failures.causes = content.causes ?? "";
     showFailures();
     showTotalsChoice();
     showAll();
