@@ -22,8 +22,8 @@ the careful driver (0.75 s after the onset, up to 7.6 m/s2).
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Literal, NamedTuple, get_args
+from dataclasses import dataclass, replace
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -105,10 +105,6 @@ class Cause:
     what: str
     last_moment_s: dict[str, float | None]
     changes: dict[str, bool]
-
-    def values(self) -> dict[str, Any]:
-        """As in ``result.json``."""
-        return asdict(self)
 
 
 @once

@@ -11,6 +11,7 @@ from typing import Final, Literal
 import numpy as np
 
 from deepmf_sumo.datatypes import RoadMap, Rollout, Tracks
+from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.datatypes.signals import FORBIDS, GOES, STOP_FIRST
 from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
@@ -35,7 +36,10 @@ _STOPPED_STEPS: Final = 10
 """A vehicle has stopped if it is never faster than 0.5 m/s in the last 10 steps."""
 _LATE_S: Final = 1.0
 """Braking is late if it begins later than 1 s after the onset."""
-_LONG_M: Final = 6.5
+_CLASSES: Final[dict[RoadUserClass, str]] = {
+    "car": "car", "truck": "truck or bus", "motorcycle": "motorcycle", "bicycle": "bicycle",
+    "pedestrian": "pedestrian", "other": "vehicle",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +57,7 @@ class Hit:
         braking_mps2: its hardest braking from the onset on, mean over 0.5 s.
         onset_s: from the onset to the contact.
         delta_v_mps: severity.
-        opponent: "car" or "truck or bus".
+        opponent: "car", "truck or bus" or another class of road users.
         ran_red: whether the opponent passed a red light.
     """
 
@@ -127,7 +131,7 @@ def described(
         braking_mps2=braking_mps2,
         onset_s=round((contact.step - onset) * rollout.dt_s, 3),
         delta_v_mps=contact.delta_v_mps,
-        opponent="car" if tracks.size_m[meeting.other, 0] < _LONG_M else "truck or bus",
+        opponent=_CLASSES[class_of(tracks.kinds[meeting.other], tracks.size_m[meeting.other])],
         ran_red=ran_red,
     )
 

@@ -194,6 +194,7 @@ class Result(TypedDict, total=False):
         opponent_score: softmax of the scores.
         metrics: by name.
         finding: of a hit, its `judge.ladder.Verdict`; None for a miss.
+        cause: of a finding, its `judge.causes.Cause`; None for other hits and misses.
         samples: the opponent's accelerations, for pooled naturalness.
         plans: their number.
         rules: of all plans: the rule that chose, or why there is no attack.
@@ -201,7 +202,6 @@ class Result(TypedDict, total=False):
         conversion: what was lost when a recording became a network.
         repairs: of the recorded scene.
         turns: where opponents take turns.
-        cause: of a finding, see `judge.causes.Cause`.
     """
 
     run_id: Required[str]
@@ -245,6 +245,7 @@ class Result(TypedDict, total=False):
     events: list[dict[str, Any]]
     metrics: dict[str, MetricValues]
     finding: dict[str, Any] | None
+    cause: dict[str, Any] | None
     samples: dict[str, Any] | None
     plans: int
     rules: list[str]
@@ -252,7 +253,6 @@ class Result(TypedDict, total=False):
     conversion: dict[str, Any] | None
     repairs: list[str]
     turns: list[dict[str, Any]] | None
-    cause: dict[str, Any]
 
 
 COLUMNS: Final = (
@@ -340,6 +340,7 @@ def finished(
         "events": [asdict(event) for event in rollout.events],
         "metrics": {value.name: _metric(value) for value in metrics},
         "finding": None if told is None else asdict(told),
+        "cause": _cause(decided),
         "samples": _samples(*decisive),
         "plans": len(rollout.plans),
         "rules": [plan.reason.rule for plan in rollout.plans if plan.reason],
@@ -354,10 +355,14 @@ def finished(
     }
     if by_turn is not None:
         result["turns"] = by_turn
-    cause = cause_of(decided)
-    if cause is not None:
-        result["cause"] = cause.values()
     return result
+
+
+def _cause(episode: Episode) -> dict[str, Any] | None:
+    """The cause of a finding."""
+    told = verdict(episode)
+    cause = cause_of(episode) if told is not None and told.finding else None
+    return None if cause is None else asdict(cause)
 
 
 def row(result: Result) -> dict[str, str]:

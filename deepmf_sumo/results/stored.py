@@ -134,6 +134,15 @@ class _Verdict(_Part):
     avoided_by: list[str]
 
 
+class _Cause(_Part):
+    """`judge.causes.Cause`."""
+
+    change: str
+    what: str
+    last_moment_s: dict[str, float | None]
+    changes: dict[str, bool]
+
+
 class _Planned(_Part):
     """`result.identity`."""
 
@@ -190,6 +199,7 @@ class _Finished(_Result):
     events: list[_Event] = []
     metrics: Mapping[str, _Metric]
     finding: _Verdict | None = None
+    cause: _Cause | None = None
     samples: _Samples | None = None
     rules: list[str] = []
     repairs: list[str] = []
