@@ -46,6 +46,7 @@ from deepmf_sumo.judge.conflict_types import ACROSS
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
+from deepmf_sumo.judge.metrics.driving import crossed_late
 
 Change = Literal[
     "stops at the light", "stays in its lane", "waits for the gap", "keeps to the limit",
@@ -164,6 +165,12 @@ def _tried(episode: Episode, encounter: Encounter, hit: Hit) -> list[Tried]:
 
 def _by_rules(episode: Episode, encounter: Encounter, hit: Hit, drive: Drive) -> Iterator[_Found]:
     """What is asked of the AV before there is a danger."""
+    yield (
+        10,
+        "stops at the light",
+        "to stop at the light",
+        _at_light(episode, encounter, hit, drive),
+    )
     if _has_to_wait(hit):
         entry_m = _entry_m(encounter)
         stop = None if entry_m is None else drive.stopping_before(entry_m - _MARGIN_M)
@@ -208,6 +215,25 @@ def _by_others(judged: Judgement) -> Iterator[tuple[Change, str, bool]]:
         "to brake or steer immediately at the first sign of danger",
         judged.manoeuvres > 0,
     )
+
+
+def _at_light(episode: Episode, encounter: Encounter, hit: Hit, drive: Drive) -> Floats | None:
+    """(K) arc lengths of the AV that stops where its light was yellow or red.
+
+    None where it was not, or no comfortable stop was possible once it had left green. Turning right
+    on red is allowed in places.
+    """
+    rollout, first = episode.rollout, encounter.first_step
+    if not rollout.signals or hit.meeting.turn_rad(0) < 0:
+        return None
+    steps = np.arange(rollout.tracks.steps)
+    seen = (steps > max(first, rollout.now)) & (steps <= first + encounter.contact)
+    late = crossed_late(rollout, episode.case, hit.meeting.av, seen)
+    if not late:
+        return None
+    crossed = max(late)
+    before_m = float(encounter.av_along_m[crossed - 1 - first])
+    return drive.stopping_before(before_m, max(0, crossed - late[crossed] - first))
 
 
 def _has_to_wait(hit: Hit) -> bool:

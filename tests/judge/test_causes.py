@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Lane, RoadMap
+from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
 from deepmf_sumo.judge import causes
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.encounter import encounter_of
@@ -13,7 +13,7 @@ from deepmf_sumo.judge.causes import cause_of
 from deepmf_sumo.judge.metrics import Episode
 
 from tests.support.drawn_attacks import NOW, STEPS, attack
-from tests.support.rollout_doubles import straight
+from tests.support.rollout_doubles import in_traffic, straight
 
 LENGTH = 4.8
 SECONDS = (np.arange(STEPS) - NOW) * 0.1
@@ -111,6 +111,29 @@ def test_an_av_in_the_way_of_what_it_waits_for_has_not_waited():
     )
     found = cause(straight(0, 0, 12), turn, road=crossing(gives_way=True))
     assert not found.changes.get("waits for the gap", False)
+
+
+@pytest.mark.parametrize(
+    ("yellow_s", "red_s", "applies"), [(1.0, 9.0, True), (9.0, 9.0, False), (3.2, 9.0, False)]
+)
+def test_who_drives_on_at_yellow_would_have_had_to_stop(yellow_s, red_s, applies):
+    """The stop line is 45 m ahead, the front 2.4 m; 12 m/s are 3.5 s, and a stop takes 21 m."""
+    road = crossing(gives_way=False)
+    lane = replace(road.lanes["east"], centre_m=np.array([[45.0, 0], [200, 0]]))
+    before = replace(lane, id="before", centre_m=np.array([[-50.0, 0], [45, 0]]))
+    road = RoadMap(lanes={**road.lanes, "east": lane, "before": before})
+    av, opponent = straight(0, 0, 12), straight(60, 50, 10, heading=-np.pi / 2)
+    rollout, case = attack(av, opponent, road=road)
+    case = in_traffic(case)
+    seconds = np.arange(rollout.tracks.steps - 1 - NOW) * 0.1
+    states = [
+        SignalState.GO if at < yellow_s else SignalState.CAUTION if at < red_s else SignalState.STOP
+        for at in seconds
+    ]
+    rollout = replace(rollout, signals=tuple({"east": state} for state in states))
+    found = cause_of(Episode(rollout, case))
+    assert found.changes.get("stops at the light", False) is applies
+    assert (found.what == "to stop at the light") is applies
 
 
 def test_who_drives_over_the_limit_would_have_had_to_keep_to_it():

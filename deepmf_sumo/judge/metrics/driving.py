@@ -190,14 +190,22 @@ def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:
 def late_at_signal_s(rollout: Rollout, case: Case, row: int, steps: Bools) -> float:
     """Longest time since a light left green when an agent's front crossed its stop line.
 
-    In one of the steps (T); as far as the rollout shows, 0 without such a crossing. Of lines that
-    are crossed together the least counts.
+    In one of the steps (T); as far as the rollout shows, 0 without such a crossing.
     """
-    late = 0
+    return max(crossed_late(rollout, case, row, steps).values(), default=0) * rollout.dt_s
+
+
+def crossed_late(rollout: Rollout, case: Case, row: int, steps: Bools) -> dict[int, int]:
+    """Steps of those (T) in which an agent's front crosses a stop line whose light is not green.
+
+    Each with the number of steps since the light left green, as far as the rollout shows. Of lines
+    that are crossed together the least counts.
+    """
+    late = {}
     for step, lane_ids in _crossed(rollout, case, row, steps).items():
         before = rollout.signals[: step - rollout.now]
-        late = max(late, min(_stopping(before, lane_id) for lane_id in lane_ids))
-    return late * rollout.dt_s
+        late[step] = min(_stopping(before, lane_id) for lane_id in lane_ids)
+    return {step: number for step, number in late.items() if number}
 
 
 def _stopping(signals: tuple[dict[str, SignalState], ...], lane_id: str) -> int:
