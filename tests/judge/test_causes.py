@@ -72,6 +72,8 @@ def test_who_follows_too_close_would_have_had_to_keep_its_distance():
     assert found.what == "to keep a time gap of 2 s (it kept 0.6 s)"
     far = cause(av, leader + np.array([10.0, 0, 0]), log=log + np.array([10.0, 0, 0]))
     assert far.what == "to keep a time gap of 2 s (it kept 1.1 s)"
+    # 2.2 s later it takes 44 m + 4.8 m, more than the 40 m of 2 s
+    assert not cause(braking(20, 6, 2.2), leader, log=log).changes["keeps its distance"]
     assert "keeps its distance" not in cause(braking(15, 2, 1.0), standing(45)).changes
 
 
