@@ -28,6 +28,7 @@ from deepmf_sumo.datatypes.scene import HISTORY_STEPS
 from deepmf_sumo.errors import PluginError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.geometry import frames, polylines
+from deepmf_sumo.geometry.ground import off_level
 from deepmf_sumo.judge import ladder
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
@@ -111,7 +112,8 @@ class Observer:
     """Arrays of a view.
 
     ``av``: (3) speed, length, width. ``agents``: (N, 8) the nearest first: 1, x, y, heading, vx,
-    vy, length, width; the rest are rows of zeros. ``path``: (20, 3) every 5 m ahead along the AV's
+    vy, length, width; the rest are rows of zeros. Vehicles on a bridge above or a road below
+    are left out. ``path``: (20, 3) every 5 m ahead along the AV's
     route: 1, x, y; rows of zeros beyond its end. Metres, m/s, radians; x ahead, y left.
 
     Args:
@@ -160,8 +162,10 @@ class Observer:
             [np.ones(len(local)), local, turned, velocity, tracks.size_m[:, :2]]
         )
         away = np.hypot(*local.T)
-        away[me] = np.inf
-        nearest: Floats = table[np.argsort(away, kind="stable")[:-1]]
+        now_m, z_m = tracks.position_m[:, -1], tracks.z_m[:, -1]
+        over = off_level(view.road, origin, float(z_m[me]), now_m, z_m)
+        away[over] = away[me] = np.inf
+        nearest: Floats = table[np.argsort(away, kind="stable")[: np.isfinite(away).sum()]]
         return nearest
 
 

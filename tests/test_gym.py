@@ -2,19 +2,21 @@
 
 import importlib
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from deepmf_sumo import spec, tasks
-from deepmf_sumo.datatypes import Command, Driver
+from deepmf_sumo.datatypes import Command, Driver, Lane, RoadMap
 from deepmf_sumo.errors import PlannerError, PluginError, UsageError
 from deepmf_sumo.judge.metrics import NotMeasurable
 from deepmf_sumo.simulation.sumo_api import sumo_seed
 from deepmf_sumo.sweep import episode
 
 from tests.support import tiny_network
+from tests.support.predictor_doubles import view_of
 
 pytestmark = pytest.mark.sumo
 
@@ -252,3 +254,24 @@ def test_of_hits_of_the_opponent_findings_may_count_alone(monkeypatch, finding, 
     hit = SimpleNamespace(contacts=[SimpleNamespace(kind="av_opponent")])
     assert (module.Reward(findings_only=True).of_end(hit, None) < 0) == counts
     assert module.Reward().of_end(hit, None) < 0
+
+
+def test_a_vehicle_on_the_bridge_above_is_not_observed():
+    pytest.importorskip("gymnasium")
+    ends = ((-100, 0), (100, 0), 0.0), ((0, -100), (0, 100), 8.0)
+    lanes = [
+        Lane(
+            id=f"{z}", kind="street", centre_m=np.array([a, b], float), z_m=np.full(2, z), width_m=3
+        )
+        for a, b, z in ends
+    ]
+    view = view_of({"av": (-9, 0, 0, 10.0), "over": (0, 5, 0, 9.0), "ahead": (20, 0, 0, 8.0)})
+    tracks = view.history
+    heights = np.where(np.arange(3) == tracks.row("over"), 8.0, 0.0)[:, None]
+    for z_m, seen in ((heights, ["ahead"]), (0.0 * heights, ["over", "ahead"])):
+        history = replace(tracks, z_m=np.repeat(z_m, tracks.steps, axis=1))
+        road = RoadMap(lanes={one.id: one for one in lanes})
+        observer = importlib.import_module(MODULE).Observer(4)
+        agents = observer.observe(replace(view, history=history, road=road))["agents"]
+        at = {"over": (9.0, 5.0), "ahead": (29.0, 0.0)}
+        assert [tuple(row[1:3]) for row in agents.tolist() if row[0]] == [at[one] for one in seen]

@@ -8,6 +8,7 @@ vehicle is on the middle of its lane; a vehicle whose track ends drives on to it
 
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
@@ -16,10 +17,11 @@ import numpy as np
 import shapely
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import AgentId, Bools, RoadMap, Rollout, Tracks, agent_ids
+from deepmf_sumo.datatypes import AgentId, Bools, Floats, RoadMap, Rollout, Tracks, agent_ids
 from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import boxes, frames
+from deepmf_sumo.network.sumo_net import read_once
 
 FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
@@ -29,6 +31,7 @@ _SHAPES: Final[dict[RoadUserClass, str]] = {
     "car": "passenger", "truck": "truck", "motorcycle": "motorcycle", "bicycle": "bicycle",
     "pedestrian": "pedestrian", "other": "passenger",
 }  # fmt: skip
+_RAIL: Final = ("tram", "rail_urban", "rail", "rail_electric", "rail_fast")
 _SEEN_M = 50.0
 """Width of what sumo-gui shows; its zoom of 100 shows the whole net."""
 _ON_LANE_M = 1.65
@@ -56,7 +59,7 @@ def _fill(folder: Path, run: Exportable) -> None:
     net_name = NET + ".gz" if net.suffix == ".gz" else NET
     shutil.copyfile(net, folder / net_name)
     tracks = rollout.tracks
-    on_lane = _on_lane(tracks, road)
+    on_lane = _on_lane(tracks, [lane.centre_m for lane in road.lanes.values()] + _rails(net))
     replayed = _from_first(on_lane) & tracks.valid
     replayed[[kind == "pedestrian" for kind in tracks.kinds]] = False
     additional = [TYPES, SHAPES]
@@ -83,9 +86,15 @@ def _same(file: Path, other: Path) -> None:
         shutil.copyfile(file, other)
 
 
-def _on_lane(tracks: Tracks, road: RoadMap) -> Bools:
+def _rails(net: Path) -> list[Floats]:
+    """(P, 2) each: lanes of trams and trains, which are no lanes of the road."""
+    lanes = (lane for edge in read_once(net).edges.values() for lane in edge.lanes)
+    return [one.shape_m[:, :2] for one in lanes if any(map(one.allows, _RAIL))]
+
+
+def _on_lane(tracks: Tracks, lanes: Sequence[Floats]) -> Bools:
     """(A, T) whether an agent's front bumper is on a lane."""
-    lines = [lane.centre_m for lane in road.lanes.values() if len(lane.centre_m) > 1]
+    lines = [line for line in lanes if len(line) > 1]
     on_lane = np.zeros(tracks.valid.shape, bool)
     if not lines:
         return on_lane

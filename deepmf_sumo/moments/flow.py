@@ -4,11 +4,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from deepmf_sumo.datatypes import Bools
-from deepmf_sumo.moments.moment import REACH_M, Flow, opponents
+from deepmf_sumo.moments.moment import REACH_M, Flow, off_level, opponents
 from deepmf_sumo.simulation.traffic_survey import Sightings
 
 _APART_M = 10.0 * REACH_M
 """Between sightings of one time and the next: farther than any vehicle looks."""
+_MOST = 9
+"""Vehicles that are looked at where the nearest may be on a bridge, with the own one."""
 
 
 def flows(sightings: Sightings, from_s: float | None = None) -> tuple[Flow, ...]:
@@ -50,6 +52,12 @@ def accompanied(sightings: Sightings) -> Bools:
     found = np.zeros(len(points), bool)
     if able.sum() < 2:  # no other vehicle
         return found
-    away, _ = cKDTree(points[able]).query(points[able], k=2, distance_upper_bound=REACH_M)
-    found[able] = np.isfinite(away[:, 1])
+    count = min(_MOST if sightings.ground else 2, int(able.sum()))
+    tree = cKDTree(points[able])
+    away, near = tree.query(points[able], k=count, distance_upper_bound=REACH_M)
+    rows = np.flatnonzero(able)
+    for rank in range(1, count):
+        there = np.flatnonzero(np.isfinite(away[:, rank]))
+        mine, others = rows[there], rows[near[there, rank]]
+        found[mine] |= ~off_level(sightings, mine, others)
     return found

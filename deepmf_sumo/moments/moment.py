@@ -9,6 +9,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, AgentId, Bools
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.simulation.road_users import kind_of
 from deepmf_sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
 
@@ -27,6 +28,7 @@ class Wish:
         pool: where moments are drawn by what others found: number of those that they are drawn
             from, see `promising`; 0 where all are spread.
         av, av_type: only this vehicle, only vehicles of this type.
+        av_types: of the type, where it is a distribution; empty: it is one type.
         at_s: only these times of the simulation; empty leaves them open.
         again: only these vehicles at these times; empty leaves them open.
         duration_s: of each attack.
@@ -42,6 +44,7 @@ class Wish:
     pool: int = 0
     av: AgentId | None = None
     av_type: str | None = None
+    av_types: tuple[str, ...] = ()
     at_s: tuple[float, ...] = ()
     again: tuple[VehicleTime, ...] = ()
     duration_s: float = 8.0
@@ -219,7 +222,21 @@ def around(sightings: Sightings, able: Bools, row: int, reach_m: float = REACH_M
     away = np.hypot(*(sightings.position_m[begin:end] - sightings.position_m[row]).T)
     near = (away < reach_m) & able[begin:end]
     near[row - begin] = False
-    return int(near.sum())
+    others = begin + np.flatnonzero(near)
+    return int((~off_level(sightings, np.full(len(others), row), others)).sum())
+
+
+def off_level(sightings: Sightings, rows: Ints, others: Ints) -> Bools:
+    """(M) which of others pass above or below the vehicles of rows, as on a bridge."""
+    off = np.zeros(len(rows), bool)
+    if sightings.ground is None:
+        return off
+    place_m, z_m = sightings.position_m, sightings.z_m
+    some = np.flatnonzero(clear(z_m[rows], z_m[others]))
+    one, other = rows[some], others[some]
+    reached_m = sightings.ground.arrived(place_m[one], z_m[one], place_m[other])
+    off[some] = clear(reached_m, z_m[other])
+    return off
 
 
 def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
@@ -288,7 +305,7 @@ def _moves(sightings: Sightings, duration_s: float) -> Bools:
 
 def _is_asked(body: Body, wish: Wish) -> bool:
     return (wish.av is None or body.id == wish.av) and (
-        wish.av_type is None or body.type == wish.av_type
+        wish.av_type is None or body.type in (wish.av_types or (wish.av_type,))
     )
 
 
@@ -320,7 +337,8 @@ def _check(sightings: Sightings, wish: Wish) -> None:
         "av_type": (wish.av_type, "type", sorted({body.type for body in sightings.bodies})),
     }
     for key, (name, kind, known) in names.items():
-        if name is not None and name not in known:
+        meant = wish.av_types or (name,) if key == "av_type" else (name,)
+        if name is not None and not set(meant) & set(known):
             nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[:3]
             raise UsageError(
                 f"{wish.named(key)} {name}: no such {kind} is on the road {span}{later}; there are"

@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Any, Final
 from zlib import crc32
 
+import numpy as np
+
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
+from deepmf_sumo.geometry.ground import CLEARANCE_M, ground_of
 from deepmf_sumo.moments.area import Area, area_of, inside
 from deepmf_sumo.moments.choice import choose, turns_of
 from deepmf_sumo.moments.encounters import encounters
@@ -21,6 +24,7 @@ from deepmf_sumo.moments.flow import flows
 from deepmf_sumo.moments.moment import Flow, Found, Moment, VehicleTime, Wish, check_times
 from deepmf_sumo.moments.promising import POOL
 from deepmf_sumo.network.sumo_net import NetFile, read_once
+from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results.stored import MOMENTS
 from deepmf_sumo.simulation import demand
 from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
@@ -74,6 +78,8 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     )
     configuration = read_configuration(source.network, source.sumo_options)
     check(configuration, wish)
+    if asked.av_type is not None:
+        wish = replace(wish, av_types=demand.types_of(configuration, asked.av_type))
     if asked.until_s is not None and asked.until_s <= configuration.begin_s:
         raise UsageError(
             f"{wish.named('until_s')} {asked.until_s:g}: {configuration.file.name} begins at"
@@ -127,7 +133,10 @@ def _search(search: _Search) -> None:
     scouting = search.scouting
     try:
         sightings = scout(scouting)
-        net = read_once(read_configuration(scouting.config, scouting.sumo_options).net)
+        file = read_configuration(scouting.config, scouting.sumo_options).net
+        net = read_once(file)
+        if len(sightings.z_m) and np.ptp(sightings.z_m) >= CLEARANCE_M:
+            sightings = replace(sightings, ground=ground_of(road_of_net(file)))
         met = encounters(sightings, net, search.wish.duration_s)
         area, duration_s = search.area, search.wish.duration_s
         within = inside(area, sightings, net, duration_s) if area else None

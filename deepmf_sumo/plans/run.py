@@ -145,7 +145,7 @@ def run(
     planned, read = fingerprinted(entries.tasks_of(rows, plan.seeds))
     outlined = layout.layout_of(plan, rows, planned)
     if options.resume and (options.out / layout.FILE).is_file():
-        layout.read_layout(options.out)  # refuses what another version made
+        _refuse_lost(options.out, layout.read_layout(options.out), outlined)
     chosen = shard.choose(planned) if shard else planned
     places = {place.scene: place.moment for entry in rows for place in entry.situations}
     if any(places.values()):
@@ -163,6 +163,23 @@ def run(
         finally:
             if (options.out / "runs.csv").is_file():
                 tables.write(options.out)
+
+
+def _refuse_lost(out: Path, before: Layout, now: Layout) -> None:
+    """Raise UsageError where a resumed folder has results that would be in no table any more."""
+    done = [one for one in before.runs.keys() - now.runs if (out / "runs" / one).is_dir()]
+    if not done:
+        return
+    gone = {
+        kind: [one for one in getattr(before, kind) if one not in getattr(now, kind)]
+        for kind in ("methods", "planners", "scenes")
+    }
+    what = "; ".join(f"{kind} {', '.join(names)}" for kind, names in gone.items() if names)
+    raise UsageError(
+        f"{out} has results of {len(done)} runs that this plan, as it is run now, does not have"
+        f" ({what or f'e.g. {min(done)}'}): --resume would leave them out of all tables. Run the"
+        " plan as before, without --without or --set, or give another folder for --out."
+    )
 
 
 def expected(out: Path, shard: Shard | None = None) -> int:

@@ -17,6 +17,15 @@ from deepmf_sumo.errors import PluginError, RunError
 from deepmf_sumo.geometry import frames
 
 _COLUMNS = ("step", "x_m", "y_m", "heading_rad")
+_SPEED = "speed_mps"
+_NEAR_M = 0.35
+"""A first pose farther from where the vehicle drives on to is away from it."""
+_FAR_M = 10.0
+"""One that begins farther away means another place: it is driven as given."""
+_TURNED_RAD = 0.15
+_FADES_S = 1.5
+_FADES_MPS = 3.0
+"""The way to a trajectory that begins elsewhere takes this time, and more if it is far."""
 _DAMAGED = (
     OSError,
     EOFError,
@@ -35,10 +44,13 @@ class Settings(plugins.Settings):
 
     Attributes:
         agent: id of the opponent.
-        poses: rows of x_m, y_m, heading_rad (box centre, radians), one for each step of 0.1 s.
-        file: a table (.csv, .csv.gz) with columns step, x_m, y_m, heading_rad, and optionally id
-            (rows of other agents are ignored), such as a tracks.csv.gz of a result; or an .npz with
-            arrays step (K), position_m (K, 2), heading_rad (K).
+        poses: rows of x_m, y_m, heading_rad (box centre, radians), and optionally speed_mps, one
+            for each step of 0.1 s. Speeds that are not stated follow from the poses. Where the
+            first one is up to 10 m beside the vehicle, it drives there from where it is.
+        file: a table (.csv, .csv.gz) with columns step, x_m, y_m, heading_rad, and optionally
+            speed_mps and id (rows of other agents are ignored), such as a tracks.csv.gz of a
+            result; or an .npz with arrays step (K), position_m (K, 2), heading_rad (K), and
+            optionally speed_mps (K).
         first_step: step of the first of ``poses``; null: the one after the current step.
     """
 
@@ -51,10 +63,14 @@ class Settings(plugins.Settings):
     def _one_source(self) -> Self:
         if (self.poses is None) == (self.file is None):
             raise ValueError("give exactly one of poses and file")
-        if self.poses is not None and (
-            not self.poses or any(len(pose) != 3 for pose in self.poses)
-        ):
-            raise ValueError("poses needs at least one row of three: x_m, y_m, heading_rad")
+        sizes = {len(pose) for pose in self.poses or ()}
+        if self.poses is not None and sizes not in ({3}, {4}):
+            raise ValueError(
+                "poses needs at least one row of three: x_m, y_m, heading_rad; with speed_mps all"
+                " rows have four"
+            )
+        if any(len(pose) == 4 and not pose[3] >= 0 for pose in self.poses or ()):
+            raise ValueError("a speed_mps of poses is below 0")
         if any(abs(pose[2]) > frames.TURNED_RAD for pose in self.poses or ()):
             raise ValueError(f"a heading_rad of poses is beyond {frames.TURNED_RAD:g} rad")
         if self.file is not None and self.first_step is not None:
@@ -92,14 +108,33 @@ class Trajectory:
         poses = self._poses[skipped:]
         row = view.history.row(self._agent)
         before = view.history.position_m[row, -1]
-        moved = np.diff(np.concatenate([before[None], poses[:, :2]]), axis=0)
+        placed = _begun(poses[:, :3], view, row)
+        led = bool((placed != poses[:, :3]).any())
+        moved = np.diff(np.concatenate([before[None], placed[:, :2]]), axis=0)
+        stated = None if led or poses.shape[1] < 4 else poses[:, 3]
         return Plan(
             agent_id=self._agent,
             first_step=view.step + 1,
-            position_m=poses[:, :2],
-            heading_rad=frames.wrap(poses[:, 2]),
-            speed_mps=np.hypot(*moved.T) / view.dt_s,
+            position_m=placed[:, :2],
+            heading_rad=frames.wrap(placed[:, 2]),
+            speed_mps=np.hypot(*moved.T) / view.dt_s if stated is None else stated,
         )
+
+
+def _begun(poses: Floats, view: View, row: int) -> Floats:
+    """The poses (K, 3), from where the vehicle is: a first pose elsewhere is led to smoothly."""
+    tracks, dt_s = view.history, view.dt_s
+    heading = float(tracks.heading_rad[row, -1])
+    ahead = tracks.speed_mps[row, -1] * dt_s * frames.unit(heading)
+    offset = poses[0, :2] - (tracks.position_m[row, -1] + ahead)
+    turned = float(frames.wrap(poses[0, 2] - heading))
+    away_m = float(np.hypot(*offset))
+    if away_m > _FAR_M or (away_m <= _NEAR_M and abs(turned) <= _TURNED_RAD):
+        return poses
+    seconds = max(_FADES_S, away_m / _FADES_MPS)
+    part = np.clip((1.0 + np.arange(len(poses))) * dt_s / seconds, 0.0, 1.0)[:, None]
+    left = 1.0 - part**2 * (3.0 - 2.0 * part)
+    return poses - left * np.array([*offset, turned])
 
 
 def build(
@@ -112,7 +147,7 @@ def build(
 
 
 def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:
-    """First step and (K, 3) poses of a file."""
+    """First step and (K, 3) poses of a file, or (K, 4) with speeds."""
     try:
         content = files.content(path)
         rows = _from_npz(content) if path.suffix == ".npz" else _from_csv(path, content, agent)
@@ -143,14 +178,14 @@ def _from_csv(path: Path, content: bytes, agent: AgentId) -> Floats:
     missing = [name for name in _COLUMNS if name not in (table.fieldnames or ())]
     if missing:
         raise ValueError(f"column {missing[0]} is missing")
-    rows = [
-        [float(row[name]) for name in _COLUMNS] for row in table if row.get("id", agent) == agent
-    ]
-    return np.asarray(rows, dtype=float).reshape(-1, len(_COLUMNS))
+    names = [*_COLUMNS, *({_SPEED} & set(table.fieldnames or ()))]
+    rows = [[float(row[name]) for name in names] for row in table if row.get("id", agent) == agent]
+    return np.asarray(rows, dtype=float).reshape(-1, len(names))
 
 
 def _from_npz(content: bytes) -> Floats:
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         columns = [arrays["step"][:, None], arrays["position_m"], arrays["heading_rad"][:, None]]
+        columns += [arrays[_SPEED][:, None]] if _SPEED in arrays else []
         rows: Floats = np.concatenate(columns, axis=1).astype(float)
     return rows

@@ -2,12 +2,16 @@
 
 import difflib
 import re
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+from xml.etree.ElementTree import Element
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.network.sumo_net import elements
+from deepmf_sumo.simulation.files_read import pieces, with_named
 from deepmf_sumo.simulation.sumo_config import Configuration
 
 _VEHICLES: Final = {"vehicle", "trip"}
@@ -64,6 +68,26 @@ def read(configuration: Configuration) -> Demand | None:
     except SimulationError:
         return None
     return demand if all(known) else None
+
+
+def types_of(configuration: Configuration, name: str) -> tuple[str, ...]:
+    """The types of a ``<vTypeDistribution>``, which SUMO draws by its seed; else the type itself.
+
+    Of all files that SUMO reads, those included too.
+    """
+    found: dict[str, None] = {}
+    for path in with_named([*configuration.routes, *configuration.additional]):
+        if any(b"<vTypeDistribution" in piece for piece in pieces(path)):
+            with suppress(SimulationError):  # SUMO says it better
+                for one in _distributions(path, name):
+                    found |= dict.fromkeys(one.get("vTypes", "").split())
+                    found |= dict.fromkeys(each.get("id", "") for each in one.iter("vType"))
+    return tuple(found) or (name,)
+
+
+def _distributions(path: Path, name: str) -> Iterator[Element]:
+    for element in elements(path, "additional"):
+        yield from (one for one in element.iter("vTypeDistribution") if one.get("id") == name)
 
 
 def _add(demand: Demand, file: Path) -> bool:

@@ -1,7 +1,7 @@
 """All files that SUMO reads for a configuration, those included that its files name in turn."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from html import unescape
 from pathlib import Path
@@ -38,7 +38,13 @@ def files_read(config: Path, beside: Mapping[str, str]) -> list[Path]:
             if is_read(name):
                 paths = sumo_options.paths(value, config.parent)
                 found |= dict.fromkeys(path for path in paths if path.exists())
-    left, seen = list(found)[1:], {path.resolve() for path in found}
+    return with_named([*found], begun=1)
+
+
+def with_named(paths: Sequence[Path], begun: int = 0) -> list[Path]:
+    """Files of SUMO, and all that they name in turn, each once; the ``begun`` first name none."""
+    found, left = dict.fromkeys(paths), list(paths)[begun:]
+    seen = {path.resolve() for path in found}
     while left:
         for path in _named_in(left.pop()):
             if path.is_file() and path.resolve() not in seen:
@@ -58,13 +64,13 @@ def _named_in(path: Path) -> Iterator[Path]:
     if path.is_dir():
         return
     with suppress(OSError):
-        for piece in _pieces(path):
+        for piece in pieces(path):
             for match in _NAMING.finditer(piece):
                 for name in _ATTRIBUTE.findall(match[2].decode("utf-8", "replace")):
                     yield from sumo_options.paths(unescape(name[0] or name[1]), path.parent)
 
 
-def _pieces(path: Path) -> Iterator[bytes]:
+def pieces(path: Path) -> Iterator[bytes]:
     """The content, unpacked; each piece begins with the end of the one before."""
     tail = b""
     with files.unpacked(path, _LARGEST) as stream:

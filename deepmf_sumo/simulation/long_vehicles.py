@@ -20,6 +20,7 @@ from deepmf_sumo import files
 from deepmf_sumo.datatypes import AgentId, Floats, agent_ids
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.polylines import Measured
+from deepmf_sumo.simulation.files_read import with_named
 from deepmf_sumo.simulation.sumo_api import SumoApi
 
 State = tuple[float, float, float, float, float]
@@ -220,12 +221,13 @@ class LongVehicles:
 
     def _from_files(self) -> Iterator[tuple[str, _Carriages]]:
         """Types with the attribute, which SUMO tells no client: of the files that it was given."""
-        for option in ("route-files", "additional-files"):
-            for name in str(self._api.simulation.getOption(option)).split(","):
-                path = Path(name.strip())
-                for tag in _types(path) if name.strip() and path.is_file() else ():
-                    usual = _BY_SHAPE.get(tag.get("guiShape", ""))
-                    yield tag.get("id", ""), _stated(tag.attrib, usual)
+        options = ("route-files", "additional-files")
+        told = ",".join(str(self._api.simulation.getOption(one)) for one in options).split(",")
+        paths = [path for name in told if name.strip() and (path := Path(name.strip())).is_file()]
+        for path in with_named(paths):
+            for tag in _types(path):
+                usual = _BY_SHAPE.get(tag.get("guiShape", ""))
+                yield tag.get("id", ""), _stated(tag.attrib, usual)
 
 
 def _stated(values: Mapping[str, str], usual: _Carriages | None) -> _Carriages:

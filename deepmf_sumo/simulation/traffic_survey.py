@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.datatypes import DT_S, Bools, Floats
 from deepmf_sumo.geometry import frames
+from deepmf_sumo.geometry.ground import Ground
 from deepmf_sumo.simulation.long_vehicles import LongVehicles
 from deepmf_sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.simulation.sumo_config import Configuration, Traffic, begun, read_configuration
@@ -90,9 +91,10 @@ class Sightings:
         bodies: (V). edges: names.
         time_s: (K) not decreasing. vehicle, edge: (K) index. following: (K) index of the next edge
             on the route, -1 at its end.
-        position_m: (K, 2) box centres. speed_mps: (K).
+        position_m: (K, 2) box centres. speed_mps: (K). z_m: (K) of the road at the front.
         to_end_m: (K) left of the edge; 0 inside the junction at its end, and there alone.
         parked: (K).
+        ground: of the network; None where no vehicle is above another.
         projected_m: the corners that were asked for, in the network's frame.
         warnings: SUMO's, see `sumo_words`.
     """
@@ -112,6 +114,8 @@ class Sightings:
     to_end_m: Floats
     speed_mps: Floats
     parked: Bools
+    z_m: Floats
+    ground: Ground | None = None
     projected_m: tuple[tuple[float, float], ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -230,9 +234,9 @@ class _Notes:
             parked = bool(vehicle.getStopState(name) & _PARKED)
             self.rows.extend((row, edge, following, parked))
             left = 0.0 if lane[0] == ":" else self._left_m(lane, vehicle.getLanePosition(name))
-            x, y = vehicle.getPosition(name)
+            x, y, z = vehicle.getPosition3D(name)
             speed = max(0.0, vehicle.getSpeed(name))
-            self.numbers.extend((now, x, y, vehicle.getAngle(name), length, left, speed))
+            self.numbers.extend((now, x, y, vehicle.getAngle(name), length, left, speed, z))
         return len(names)
 
     def _left_m(self, lane: str, at_m: float) -> float:
@@ -242,7 +246,7 @@ class _Notes:
     def sightings(
         self, begin: float, until: float, *, complete: bool, persons: bool, waiting: int
     ) -> Sightings:
-        numbers = np.array(self.numbers).reshape(-1, 7)
+        numbers = np.array(self.numbers).reshape(-1, 8)
         rows = np.array(self.rows).reshape(-1, 4)
         centre, _ = frames.from_sumo(numbers[:, 1:3], numbers[:, 3], numbers[:, 4])
         return Sightings(
@@ -261,6 +265,7 @@ class _Notes:
             to_end_m=numbers[:, 5],
             speed_mps=numbers[:, 6],
             parked=rows[:, 3].astype(bool),
+            z_m=numbers[:, 7],
         )
 
     def _body(self, name: str) -> tuple[int, float]:

@@ -19,7 +19,7 @@ from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec import Expect, Spec
 from deepmf_sumo.sweep import episode, fork, shards
-from deepmf_sumo.sweep.inputs import Input, fingerprinted
+from deepmf_sumo.sweep.inputs import Input, fingerprinted, of_exporter
 from deepmf_sumo.sweep.limits import TIMEOUT_S
 from deepmf_sumo.sweep.others import Others
 from deepmf_sumo.sweep.others import others as find_others
@@ -199,7 +199,8 @@ def begin(
     folder read with other content.
     """
     before = stored.inputs_of(store.out)
-    now = {str(one.path): one.digest for one in (*others.read, *read)}
+    wrote = [one for form in options.formats for one in of_exporter(form.name)]
+    now = {str(one.path): one.digest for one in (*others.read, *read, *wrote)}
     machine = {
         "executor": options.executor,
         "jobs": options.jobs,
@@ -297,20 +298,28 @@ def _kept(
         unbegun=others.unbegun,
         stale=others.stale,
         unwritten=tuple(
-            one for result in kept.values() for one in _unwritten(store, options, result)
+            one
+            for result in kept.values()
+            for one in _unwritten(store, options, result, known.changed)
         ),
     )
     return now, kept
 
 
-def _unwritten(store: Store, options: Options, ended: Result) -> Iterator[str]:
-    """Write a run in the formats that it is not there in; gives why it could not be."""
+def _unwritten(
+    store: Store, options: Options, ended: Result, changed: Sequence[str] = ()
+) -> Iterator[str]:
+    """Write a run in the formats that it is not there in; gives why it could not be.
+
+    Of an exporter whose code is among the ``changed`` files it is written anew.
+    """
     if not options.formats or ended["status"] != "ok":
         return
     run = Run.of_row(store.out, result_module.row(ended))
     for form in options.formats:
         path = form.place(run.folder)
-        if path.exists():  # the run itself wrote it, as sumo/
+        code = {str(one.path) for one in of_exporter(form.name)}
+        if path.exists() and code.isdisjoint(changed):  # also if the run itself wrote it, as sumo/
             continue
         made = exports.written(run, path, form)
         if made.outcome == "failed":

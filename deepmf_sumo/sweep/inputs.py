@@ -43,6 +43,13 @@ def inputs_of(tasks: Sequence[Task]) -> tuple[Input, ...]:
     return fingerprinted(tasks)[1]
 
 
+def of_exporter(name: str) -> tuple[Input, ...]:
+    """Code of an exporter of the user's: no run reads it, but what it wrote depends on it."""
+    module = plugins.module_of("exporters", name)
+    paths = user_code.of_module(module) if module else []
+    return tuple(Input(path=path, digest=got) for path in paths if (got := digest(path)))
+
+
 def fingerprinted(tasks: Sequence[Task]) -> tuple[list[Task], tuple[Input, ...]]:
     """The tasks, each with the digest of what it reads, and all that they read.
 

@@ -274,3 +274,16 @@ def test_encounters_are_attacked_first_where_they_are_preferred(tmp_path, capsys
     assert float(moment["encounter_s"]) < 2.0
     assert main._run(["attack", str(config), "--prefer", "crashes"]) == 2
     assert "'crashes' is not one of 'both', 'spread', 'encounters'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("included", [False, True])
+def test_types_of_a_distribution_are_those_of_all_files(tiny, included):
+    text = """<additional><vTypeDistribution id="mix" vTypes="old"><vType id="car1"/>
+        <vType id="lorry" vClass="truck"/></vTypeDistribution><vType id="old"/></additional>"""
+    (tiny / "mix.add.xml").write_text(text)
+    (tiny / "outer.add.xml").write_text('<additional><include href="mix.add.xml"/></additional>')
+    named = "outer.add.xml" if included else "mix.add.xml"
+    options = ("--additional-files", str(tiny / named))
+    configuration = read_configuration(tiny / "tiny.sumocfg", options)
+    assert demand.types_of(configuration, "mix") == ("old", "car1", "lorry")
+    assert demand.types_of(configuration, "car1") == ("car1",)

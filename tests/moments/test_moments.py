@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepmf_sumo.datatypes import Lane, RoadMap
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.geometry.ground import ground_of
 from deepmf_sumo.moments import search, warm_up
 from deepmf_sumo.moments.choice import choose
-from deepmf_sumo.moments.moment import Moment, Wish
+from deepmf_sumo.moments.flow import accompanied
+from deepmf_sumo.moments.moment import Moment, Wish, around, opponents
 from deepmf_sumo.simulation.traffic_survey import Body, Sightings
 
 SUMO_CONFIG = Path(__file__).resolve().parents[2] / "sumo_nets" / "four_way" / "four_way.sumocfg"
@@ -48,6 +51,7 @@ def traffic(*, pairs=6, permission="passenger", speed=5.0, apart=10.0, parked=Fa
         to_end_m=np.where(time_s > 40, 10.0, 500.0),
         speed_mps=np.full(len(rows), speed),
         parked=np.full(len(rows), parked),
+        z_m=np.zeros(len(rows)),
     )
 
 
@@ -248,3 +252,54 @@ def test_a_time_before_a_saved_state_is_refused_though_the_survey_saw_no_vehicle
     empty = replace(traffic(), bodies=(), begin_s=300.0, until_s=300.0)
     with pytest.raises(UsageError, match="100: the simulation begins at 300 s"):
         choose(empty, TURNS, Wish(count=1, at_s=(100.0,)))
+
+
+def bridge():
+    """The surface of a road along x at height 0, and of one across it 8 m above."""
+    lanes = [
+        Lane(id=name, kind="street", centre_m=np.array(line, float), z_m=np.full(2, z), width_m=3.2)
+        for name, line, z in (
+            ("below", ((-200, 0), (200, 0)), 0.0),
+            ("above", ((0, -200), (0, 200)), 8.0),
+        )
+    ]
+    return ground_of(RoadMap(lanes={one.id: one for one in lanes}))
+
+
+def two_roads(z_m, ground):
+    """One vehicle on the road below, and one 10 m away on the road above, for a minute."""
+    seen = traffic(pairs=1)
+    x = np.where(seen.vehicle == 0, -7.0, 0.0)
+    y = np.where(seen.vehicle == 0, 0.0, 7.0)
+    heights = np.where(seen.vehicle == 0, 0.0, z_m)
+    return replace(seen, position_m=np.column_stack([x, y]), z_m=heights, ground=ground)
+
+
+@pytest.mark.parametrize(("z_m", "near"), [(8.0, False), (0.0, True), (2.0, True)])
+def test_a_vehicle_on_the_bridge_above_is_not_around(z_m, near):
+    seen = two_roads(z_m, bridge())
+    able = opponents(seen)
+    assert around(seen, able, 0) == int(near)
+    assert accompanied(seen).all() == accompanied(seen).any() == near
+    assert around(two_roads(z_m, None), able, 0) == 1, "a network without levels"
+
+
+def test_a_vehicle_farther_up_the_slope_is_around():
+    line = np.array([[-200.0, 0.0], [200.0, 0.0]])
+    slope = Lane(id="up", kind="street", centre_m=line, z_m=np.array([0.0, 40.0]), width_m=3.2)
+    ground = ground_of(RoadMap(lanes={"up": slope}))
+    seen = traffic(pairs=1, apart=40.0, speed=0.0)
+    z_m = 20.0 + 0.1 * seen.position_m[:, 0]
+    seen = replace(seen, z_m=z_m, ground=ground)
+    assert np.ptp(z_m) == pytest.approx(4.0)
+    assert around(seen, opponents(seen), 0) == 1
+    assert accompanied(seen).all()
+
+
+def test_vehicles_of_a_distribution_are_of_each_of_its_types():
+    wish = Wish(count=8, av_type="mix", av_types=("t0", "t1"))
+    assert {one.av_type for one in choose(traffic(), TURNS, wish).moments} == {"t0", "t1"}
+    one = replace(wish, av_types=("t1", "gone"))
+    assert {one.av_type for one in choose(traffic(), TURNS, one).moments} == {"t1"}
+    with pytest.raises(UsageError, match="--av-type mix: no such type is on the road"):
+        choose(traffic(), TURNS, replace(wish, av_types=("gone",)))

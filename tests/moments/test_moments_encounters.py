@@ -47,6 +47,7 @@ def drive(ways, *, speed=10.0, permission="passenger", every_s=1.0, lengths=None
         edges=EDGES, time_s=time_s, vehicle=vehicle, edge=edge, following=following,
         position_m=np.column_stack([x, y]), to_end_m=left, speed_mps=np.full(len(rows), speed),
         parked=np.zeros(len(rows), bool),
+        z_m=np.zeros(len(rows)),
     )  # fmt: skip
 
 

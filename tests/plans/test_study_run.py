@@ -124,6 +124,18 @@ def test_other_plans_and_versions_are_not_merged(whole, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_method_left_out_does_not_lose_its_runs_without_a_word(whole, tmp_path):
+    file, folder = whole
+    out = tmp_path / "out"
+    shutil.copytree(folder, out)
+    before = (out / "runs.csv").read_bytes(), (out / "manifest.json").read_bytes()
+    text = tiny_plan.PLAN.partition("tables:")[0]
+    file = tiny_plan.write(file.parent, text, "without.yaml")
+    with pytest.raises(UsageError, match=r"results of 4 runs .* \(methods fixed\): --resume would"):
+        plans.run(plans.load(file, without=["fixed"]), options(out, resume=True))
+    assert before == ((out / "runs.csv").read_bytes(), (out / "manifest.json").read_bytes())
+
+
 def test_nothing_is_lost_or_doubled_by_kills(whole, tmp_path):
     """The command is killed again and again, its workers too, then goes on to the end."""
     file, folder = whole

@@ -54,12 +54,12 @@ def test_a_result_table_is_a_trajectory(tmp_path):
     file = tmp_path / "tracks.csv.gz"
     lines = ["step,time_s,id,x_m,y_m,heading_rad,speed_mps"]
     for step in range(5, 40):
-        lines += [f"{step},0,av,0,0,0,0", f"{step},0,b,{step - 18},3.5,0.25,10"]
+        lines += [f"{step},0,av,0,0,0,0", f"{step},0,b,{step - 18},3.5,0.125,10"]
     file.write_bytes(gzip.compress("\n".join(lines).encode()))
     plan = build(agent="b", file=str(file)).plan(VIEW)
     assert (plan.first_step, len(plan.position_m)) == (11, 29)
     np.testing.assert_allclose(plan.position_m[0], [-7, 3.5])
-    np.testing.assert_allclose(plan.heading_rad, 0.25)
+    np.testing.assert_allclose(plan.heading_rad, 0.125)
 
 
 def test_npz(tmp_path):
@@ -130,3 +130,60 @@ def test_a_pipe_is_no_file_to_wait_for(tmp_path, name):
     os.mkfifo(tmp_path / name)
     with pytest.raises(PluginError, match="it is a pipe, not a regular file"):
         build(agent="b", file=str(tmp_path / name))
+
+
+def test_a_trajectory_that_begins_elsewhere_begins_where_the_vehicle_is():
+    """At -8 m with 12 m/s; its poses begin 3 m beside it: 1.5 s later it is on them."""
+    aside = poses() + np.array([0.0, 3.0, 0.0])
+    plan = build(agent="b", poses=aside.tolist()).plan(VIEW)
+    before = np.array([[-8.0, 3.5]])
+    steps = np.diff(np.concatenate([before, plan.position_m]), axis=0)
+    assert np.abs(steps[:, 1]).max() < 0.32
+    np.testing.assert_allclose(steps[:, 0], 1.2)
+    np.testing.assert_allclose(plan.position_m[14:], aside[14:, :2])
+    assert abs(plan.position_m[0, 1] - 3.5) < 0.05
+    np.testing.assert_allclose(plan.speed_mps, np.hypot(*steps.T) / 0.1)
+
+
+def test_one_that_begins_turned_or_far_away_takes_its_time():
+    turned = poses() + np.array([0.0, 0.0, 1.0])
+    plan = build(agent="b", poses=turned.tolist()).plan(VIEW)
+    assert plan.heading_rad[0] < 0.05
+    np.testing.assert_allclose(plan.heading_rad[14:], 1.0)
+    ahead = poses(60) + np.array([9.0, 0.0, 0.0])
+    plan = build(agent="b", poses=ahead.tolist()).plan(VIEW)
+    assert (np.diff(plan.position_m[:, 0]) / 0.1).max() < 12.0 + 1.5 * 3.0 + 0.1
+    np.testing.assert_allclose(plan.position_m[29:], ahead[29:, :2])
+    away = poses() + np.array([20.0, 0.0, 0.0])
+    np.testing.assert_allclose(
+        build(agent="b", poses=away.tolist()).plan(VIEW).position_m, away[:, :2]
+    )
+
+
+@pytest.mark.parametrize("kind", ["poses", "npz", "csv"])
+def test_speeds_that_are_stated_are_driven(tmp_path, kind):
+    stated = np.full(30, 12.3)
+    if kind == "poses":
+        plan = build(agent="b", poses=np.column_stack([poses(), stated]).tolist()).plan(VIEW)
+    else:
+        file = tmp_path / f"plan.{kind}"
+        if kind == "npz":
+            np.savez(
+                file, step=np.arange(11, 41), position_m=poses()[:, :2], heading_rad=poses()[:, 2],
+                speed_mps=stated,
+            )  # fmt: skip
+        else:
+            lines = ["step,speed_mps,x_m,y_m,heading_rad"]
+            lines += [f"{11 + row},12.3,{x},{y},{h}" for row, (x, y, h) in enumerate(poses())]
+            file.write_text("\n".join(lines))
+        plan = build(agent="b", file=str(file)).plan(VIEW)
+    np.testing.assert_allclose(plan.speed_mps, 12.3)
+    np.testing.assert_allclose(plan.position_m, poses()[:, :2])
+
+
+@pytest.mark.parametrize(
+    "wrong", [[[1.0, 2.0, 0.0], [1.0, 2.0, 0.0, 3.0]], [[1.0, 2.0, 0.0, -1.0]]]
+)
+def test_speeds_are_of_all_rows_and_not_negative(wrong):
+    with pytest.raises(PluginError, match="speed_mps"):
+        build(agent="b", poses=wrong)

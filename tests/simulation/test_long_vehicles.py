@@ -13,6 +13,7 @@ import shapely
 import sumo
 
 from deepmf_sumo.exporters import fcd
+from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.judge.metrics.traffic_conflicts import Limits, find
 from deepmf_sumo.live.connection import shared
@@ -169,6 +170,22 @@ def test_types_say_how_many_boxes_there_are(folder, started):
         }
 
 
+def test_types_of_an_included_file_say_it_too(folder, started):
+    (folder / "included.add.xml").write_text(
+        '<additional><vType id="far" vClass="tram" length="42" carriageLength="14"/></additional>'
+    )
+    (folder / "outer.rou.xml").write_text(
+        '<routes><include href="included.add.xml"/><vehicle id="t" type="far" depart="0"'
+        ' departPos="120" departLane="1"><route edges="in up"/></vehicle></routes>'
+    )
+    (folder / "outer.sumocfg").write_text(CONFIG.format("outer"))
+    api = started(folder / "outer.sumocfg")
+    reader = TrafficReader(api)
+    while not api.vehicle.getIDList():
+        api.simulationStep()
+    assert set(reader.states()) == {"t", "t part 2", "t part 3"}
+
+
 def test_an_unknown_train_is_as_long_as_its_carriages():
     lengths = long_vehicles.divided(135.0, long_vehicles._Carriages(24.5, 16.4))
     assert (lengths[0], len(lengths), sum(lengths)) == (16.4, 6, pytest.approx(135.0))
@@ -240,3 +257,35 @@ def test_who_can_attack_is_the_same_when_moments_are_chosen_and_in_an_episode(fo
         api.simulationStep()
         driven |= {one for one in reader.read().ids if reader.body(one).kind == "vehicle"}
     assert able == driven == {"DEFAULT_VEHTYPE", "bus"}
+
+
+def test_a_tram_on_its_own_rails_is_replayed(folder, tmp_path):
+    """Its lane is no lane of the road; what SUMO then shows is read from its own output."""
+    (folder / "r.nod.xml").write_text(
+        '<nodes><node id="a" x="0" y="0"/><node id="b" x="300" y="0"/>'
+        '<node id="c" x="0" y="20"/><node id="d" x="300" y="20"/></nodes>'
+    )
+    (folder / "r.edg.xml").write_text(
+        '<edges><edge id="road" from="a" to="b"/>'
+        '<edge id="rail" from="c" to="d" allow="tram"/></edges>'
+    )
+    program = Path(sumo.SUMO_HOME) / "bin"
+    command = [program / "netconvert", "-n", "r.nod.xml", "-e", "r.edg.xml", "-o", "rails.net.xml"]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    vehicles = (
+        '<vType id="short" vClass="tram" length="9" maxSpeed="8"/>'
+        '<vehicle id="av" depart="0" departPos="40"><route edges="road"/></vehicle>'
+        '<vehicle id="t" type="short" depart="0" departPos="40"><route edges="rail"/></vehicle>'
+    )
+    config = configured(folder, "rails", vehicles)
+    config.write_text(config.read_text().replace("long.net", "rails.net"))
+    case = network_case(config, 3.0, "av", 30, seed=0)
+    rollout = simulate(case, idm.build(idm.Settings()), None, rng=np.random.default_rng(0))
+    assert "t" in rollout.tracks.ids
+    out = tmp_path / "sumo"
+    fcd.write(Exportable.of(rollout, case), out, fcd.Settings())
+    assert (out / fcd.REPLAY).read_text().count('id="t"') == rollout.tracks.steps
+    seen = tmp_path / "seen.xml"
+    replayed = [program / "sumo", "-c", out / fcd.CONFIG, "--fcd-output", seen]
+    subprocess.run(replayed, check=True, capture_output=True)
+    assert 'lane="rail_0"' in seen.read_text()
