@@ -12,7 +12,7 @@ from deepmf_sumo.judge.avoidability.encounter import encounter_of
 from deepmf_sumo.judge.causes import cause_of
 from deepmf_sumo.judge.metrics import Episode
 
-from tests.support.drawn_attacks import NOW, STEPS, attack
+from tests.support.drawn_attacks import NOW, STEPS, attack, cut_in
 from tests.support.rollout_doubles import in_traffic, straight
 
 LENGTH = 4.8
@@ -56,6 +56,19 @@ def test_late_braking_is_the_cause(gap_m, change):
     assert found.changes["drives 20 % slower"]  # 12 m/s, from 45 m on
 
 
+def test_no_reaction_sooner_than_a_drivers_is_asked_for_while_braking_harder_is_enough():
+    """It brakes 28.5 m before, 1.1 s after the onset: 0.5 s earlier is sooner than 0.75 s."""
+    found = cause(braking(15, 3.8, (60 - 28.5) / 15), standing(60))
+    assert found.changes["reacts 0.5 s earlier"]
+    assert found.what == "to brake harder, with 6 m/s2"
+
+
+def test_what_drives_beside_is_no_leader():
+    """A vehicle that cuts in is not followed when the danger shows."""
+    av, log = straight(0, 0, 16), straight(8.3 + LENGTH, 3.5, 8)
+    assert "keeps its distance" not in cause(av, cut_in(8.3, 8), log=log).changes
+
+
 def test_an_av_that_did_not_brake_would_have_had_to():
     found = cause(straight(0, 0, 15), standing(60))
     assert found.change == "reacts"
@@ -95,6 +108,16 @@ def test_who_takes_priority_would_have_had_to_wait():
     assert found.change == "waits for the gap"
     assert found.what == "to wait for the gap"
     assert "waits for the gap" not in cause(av, opponent, road=crossing(gives_way=False)).changes
+
+
+def test_an_av_that_waits_does_not_touch_what_passes():
+    """It stops 1 m before the way of the opponent, which is 2 m wide: 60 - 1 - 2.4 - 1 m."""
+    av, opponent = straight(0, 0, 12), straight(60, 50, 10, heading=-np.pi / 2)
+    episode = Episode(*attack(av, opponent, road=crossing(gives_way=True)))
+    encounter = encounter_of(episode.rollout, episode.case)
+    tried = causes._tried(episode, encounter, causes.hit_of(episode))
+    (wait,) = [one for one in tried if one.change == "waits for the gap"]
+    assert wait.along_m[-1] == pytest.approx(60 - 1 - 2.4 - 1, abs=0.3)
 
 
 def test_a_wait_that_needs_a_hard_stop_is_none():
