@@ -199,7 +199,7 @@ def _by_reaction(drive: Drive) -> Iterator[_Found]:
         yield place + beyond, name, f"to react {by_s:g} s earlier", drive.reacting_earlier(by_s)
     for place, hardest in zip((20, 22, 31), BRAKING_MPS2, strict=True):
         if drive.braking_mps2 + _HARDER_MPS2 <= hardest:
-            what = f"to brake harder, with {hardest:.0f} m/s2"
+            what = f"to brake with {hardest:.0f} m/s2 instead of {drive.braking_mps2:.0f}"
             yield place, "brakes harder", what, drive.braking_harder(hardest)
     what = f"to brake fully {DELAY_S:g} s after the danger showed"
     yield 24, "reacts", what, drive.reacting()
