@@ -41,8 +41,12 @@ def test_braking_that_is_too_weak_is_the_cause():
     assert found.change == "brakes harder"
     assert found.what == "to brake with 4 m/s2 instead of 2"
     assert not found.changes["reacts 0.5 s earlier"]
-    assert cause(braking(15, 2, 1.5), standing(45)).what.startswith("to brake with 6 m/s2")  # 22.5 m: 5
-    assert cause(braking(15, 2, 2.0), standing(45)).what.startswith("to brake with 8 m/s2")  # 15 m: 7.5
+    assert cause(braking(15, 2, 1.5), standing(45)).what.startswith(
+        "to brake with 6 m/s2"
+    )  # 22.5 m: 5
+    assert cause(braking(15, 2, 2.0), standing(45)).what.startswith(
+        "to brake with 8 m/s2"
+    )  # 15 m: 7.5
 
 
 @pytest.mark.parametrize(
