@@ -246,6 +246,7 @@ class Result(TypedDict, total=False):
     metrics: dict[str, MetricValues]
     finding: dict[str, Any] | None
     cause: dict[str, Any] | None
+    plain: dict[str, MetricValues]
     samples: dict[str, Any] | None
     plans: int
     rules: list[str]
@@ -338,9 +339,10 @@ def finished(
         "opponent_score": _opponent_score(decisive[0], task.spec.adversary.settings),
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
         "events": [asdict(event) for event in rollout.events],
-        "metrics": {value.name: _metric(value) for value in metrics},
+        "metrics": values_of(metrics),
         "finding": None if told is None else asdict(told),
         "cause": _cause(decided),
+        "plain": {},
         "samples": _samples(*decisive),
         "plans": len(rollout.plans),
         "rules": [plan.reason.rule for plan in rollout.plans if plan.reason],
@@ -516,6 +518,11 @@ def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
         "attack_mps2": np.round(changes.attack, 3).tolist(),
         "recorded_mps2": np.round(changes.unattacked, 3).tolist(),
     }
+
+
+def values_of(metrics: Iterable[MetricValue]) -> dict[str, Any]:
+    """Metrics by name, as in ``result.json``."""
+    return {value.name: _metric(value) for value in metrics}
 
 
 def _metric(value: MetricValue) -> Any:

@@ -200,6 +200,7 @@ class _Finished(_Result):
     metrics: Mapping[str, _Metric]
     finding: _Verdict | None = None
     cause: _Cause | None = None
+    plain: Mapping[str, _Metric] = {}
     samples: _Samples | None = None
     rules: list[str] = []
     repairs: list[str] = []
@@ -266,7 +267,7 @@ def _complete(part: _Part, found: dict[str, Any]) -> None:
         inside = found.setdefault(name, value.model_dump() if isinstance(value, _Part) else value)
         if isinstance(value, _Part):
             _complete(value, inside)
-        elif isinstance(value, list) or name == "metrics":
+        elif isinstance(value, list) or name in {"metrics", "plain"}:
             known = value.items() if isinstance(value, dict) else enumerate(value)
             for key, one in known:
                 if isinstance(one, _Part):

@@ -42,6 +42,7 @@ from deepmf_sumo.exporters import fcd
 from deepmf_sumo.exporters import scene as scene_file
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.judge import metrics
+from deepmf_sumo.judge.metrics.av_rules import MONITORS
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.policies.base import Policy
@@ -165,7 +166,7 @@ class Episode:
     def _attack(self, task: Task, folder: Path) -> result.Result:
         begin = time.perf_counter()
         _adversary_of(task)  # first, for what is wrong with the weights shows soonest
-        case = _with_unattacked(task, make_case(task, self.cache))
+        case, plain = _with_unattacked(task, make_case(task, self.cache))
         attack = attack_case(task, case, gui=self.gui)
         rollout = attack.rollout
         decisive = result.decisive_part(rollout, case)
@@ -185,6 +186,8 @@ class Episode:
             self.draw(*decisive, folder / "picture.png")
         wall_s = time.perf_counter() - begin
         found = result.finished(task, case, attack, measured, wall_s, by_turn, decided)
+        alone = metrics.measure(plain, case, only=MONITORS) if plain else []
+        found["plain"] = result.values_of(alone)
         wrong = result.not_finite(found)
         if wrong:
             raise RunError(f"{wrong} is not a finite number; the run is not used.")
@@ -292,8 +295,10 @@ def _recorded(record: RecordRef, cache: Path) -> tuple[Scene, SumoNet]:
     return scene, network.cached(scene, cache / "nets")
 
 
-def _with_unattacked(task: Task, case: Case) -> Case:
+def _with_unattacked(task: Task, case: Case) -> tuple[Case, Rollout | None]:
     """The case with its episode without attack, with which all attacks of the run are compared.
+
+    And that episode, in which the AV keeps or breaks rules, too; None where there is none.
 
     Simulated once a run, whatever the number of episodes of a search, and only where the traffic
     reacts: a log stays what it is. It comes first: SUMO is at the moment, and the copy that
@@ -301,9 +306,9 @@ def _with_unattacked(task: Task, case: Case) -> Case:
     """
     logged = isinstance(case, RecordedCase) and case.traffic == "log"
     if logged or task.spec.adversary.name == "none":
-        return case
+        return case, None
     rollout = fork.tried(task, lambda: _simulated(task, case, None), case)
-    return replace(case, unattacked=rollout.tracks)
+    return replace(case, unattacked=rollout.tracks), rollout
 
 
 def _simulated(

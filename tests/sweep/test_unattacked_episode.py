@@ -113,6 +113,6 @@ def test_it_is_one_more_episode_a_run_where_the_traffic_reacts(
     case = in_traffic(case_of()) if world == "net" else replace(case_of(), traffic=world)
     scenario = Path(__file__).parents[2] / "scenarios" / "cut_in.yaml"
     task = Task(run_id="one", spec=spec.load(scenario, [f"adversary={adversary}"]), scene="one")
-    found = episode._with_unattacked(task, case)
+    found, _ = episode._with_unattacked(task, case)
     assert calls == [None] * simulated
     assert (found.unattacked is not None) == bool(simulated)

@@ -15,7 +15,7 @@ is printed with results. Metrics of other packages join through the entry point 
 import functools
 import importlib
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
@@ -99,15 +99,15 @@ def own() -> dict[str, Metric]:
     return {one.name: one for one in every}
 
 
-def measure(rollout: Rollout, case: Case) -> list[MetricValue]:
+def measure(rollout: Rollout, case: Case, only: Sequence[str] = ()) -> list[MetricValue]:
     """`measured` of an episode without intermediate results."""
-    return measured(Episode(rollout, case))
+    return measured(Episode(rollout, case), only)
 
 
-def measured(episode: Episode) -> list[MetricValue]:
-    """All metrics, including those of other packages, in the order of their names."""
+def measured(episode: Episode, only: Sequence[str] = ()) -> list[MetricValue]:
+    """All metrics, including those of other packages, in the order of their names; or ``only``."""
     rollout, case = episode.rollout, episode.case
-    every = [plugins.load("metrics", name) for name in plugins.names("metrics")]
+    every = [plugins.load("metrics", name) for name in only or plugins.names("metrics")]
     return [
         one.of(episode) if isinstance(one, Metric) else one.measure(rollout, case) for one in every
     ]

@@ -8,9 +8,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Rollout
+from deepmf_sumo.datatypes import Floats, RecordedCase
 from deepmf_sumo.geometry import frames, road
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, driving, metric, once
+from deepmf_sumo.judge.metrics._surroundings import CEILING_MPS2, driven_steps
 from deepmf_sumo.judge.metrics.conflict import (
     Moving,
     braking_to_stay_behind,
@@ -20,9 +21,8 @@ from deepmf_sumo.judge.metrics.conflict import (
 
 CEILING_S: Final = 10.0
 """Of times: what is farther in the future says nothing about the driving."""
-CEILING_MPS2: Final = 10.0
-"""Of braking: no car brakes harder."""
 _NEAR_M: Final = 150.0
+_SLOWS_MPS2: Final = 1.0
 
 
 class Meetings(NamedTuple):
@@ -39,24 +39,12 @@ class Meetings(NamedTuple):
     braking_mps2: Floats
 
 
-def _steps(rollout: Rollout) -> Bools:
-    """(T) simulated steps with the AV, up to its first contact. Raises NotMeasurable if none."""
-    tracks = rollout.tracks
-    own = [one.step for one in rollout.contacts if one.kind in {"av_opponent", "av_other"}]
-    step = np.arange(tracks.steps)
-    found: Bools = tracks.valid[tracks.row(rollout.av_id)] & (step > rollout.now)
-    found &= step <= min(own, default=tracks.steps)
-    if not found.any():
-        raise NotMeasurable("the AV was not simulated")
-    return found
-
-
 @once
 def meetings(episode: Episode) -> Meetings:
     """Of an episode. Raises NotMeasurable where the AV was not simulated."""
     rollout = episode.rollout
     tracks, me = rollout.tracks, rollout.tracks.row(rollout.av_id)
-    steps = np.flatnonzero(_steps(rollout))
+    steps = np.flatnonzero(driven_steps(rollout))
     found = [Meetings(*(np.empty(0) for _ in Meetings._fields))]
     for row in range(tracks.agents):
         at = steps[tracks.valid[row, steps]] if row != me else steps[:0]
@@ -106,7 +94,7 @@ def av_required_braking(episode: Episode) -> float:
 def av_progress(episode: Episode) -> float:
     """Distance that the AV drove in the simulated steps, up to its first contact."""
     rollout = episode.rollout
-    row, steps = rollout.tracks.row(rollout.av_id), _steps(rollout)
+    row, steps = rollout.tracks.row(rollout.av_id), driven_steps(rollout)
     position = rollout.tracks.position_m[row, steps]
     return float(np.hypot(*np.diff(position, axis=0).T).sum())
 
@@ -114,10 +102,11 @@ def av_progress(episode: Episode) -> float:
 @metric("m/s", better="higher")
 def av_over_limit(episode: Episode) -> float:
     """Largest speed of the AV above the limit of the lane that it is on, over the simulated steps
-    up to its first contact; 0 where it keeps all limits.
+    up to its first contact; 0 where it keeps all limits. What is faster when the simulation takes
+    over slows down with 1 m/s2, and as fast as a recorded AV ever was is allowed.
     """
     rollout = episode.rollout
-    tracks, row, steps = rollout.tracks, rollout.tracks.row(rollout.av_id), _steps(rollout)
+    tracks, row, steps = rollout.tracks, rollout.tracks.row(rollout.av_id), driven_steps(rollout)
     limit = road.limit_mps(
         episode.case.road,
         tracks.position_m[row, steps],
@@ -126,7 +115,14 @@ def av_over_limit(episode: Episode) -> float:
     )
     if np.isnan(limit).all():
         raise NotMeasurable("no limit is known where the AV drove")
-    return max(0.0, float(np.nanmax(tracks.speed_mps[row, steps] - limit)))
+    since_s = (np.flatnonzero(steps) - rollout.now) * rollout.dt_s
+    begun = tracks.speed_mps[row, rollout.now] - _SLOWS_MPS2 * since_s
+    if isinstance(episode.case, RecordedCase):
+        log = episode.case.scene.tracks
+        mine = log.row(rollout.av_id)
+        begun = np.maximum(begun, log.speed_mps[mine, log.valid[mine]].max(initial=0.0))
+    over = tracks.speed_mps[row, steps] - np.fmax(limit, begun)
+    return max(0.0, float(np.nanmax(np.where(np.isnan(limit), np.nan, over))))
 
 
 @metric("s", better="higher")
@@ -139,4 +135,4 @@ def av_late_at_signal(episode: Episode) -> float:
     if not rollout.signals:
         raise NotMeasurable("the rollout has no states of traffic lights")
     row = rollout.tracks.row(rollout.av_id)
-    return driving.late_at_signal_s(rollout, episode.case, row, _steps(rollout))
+    return driving.late_at_signal_s(rollout, episode.case, row, driven_steps(rollout))

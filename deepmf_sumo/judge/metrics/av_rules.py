@@ -1,0 +1,298 @@
+"""Rules of the road and of comfort that the AV keeps or breaks, whether it is attacked or not.
+
+Each is a number of one episode, 0 where the AV keeps the rule. They need no attack: a run measures
+them on the attacked episode and on the same one without attack (`MONITORS`).
+"""
+
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, Rollout
+from deepmf_sumo.datatypes.signals import FORBIDS
+from deepmf_sumo.geometry import frames
+from deepmf_sumo.geometry.lane_map import MARGIN_M
+from deepmf_sumo.geometry.road import lanes_for_cars
+from deepmf_sumo.geometry.slow import WAITING_MPS
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, driving, metric, once
+from deepmf_sumo.judge.metrics._surroundings import (
+    CEILING_MPS2,
+    Approach,
+    DrivenSteps,
+    approaches,
+    driven_steps,
+    lane_ids,
+    unexplained,
+)
+from deepmf_sumo.judge.metrics.conflict import (
+    Moving,
+    braking_to_stay_behind,
+    slowing,
+    time_to_collision,
+)
+
+MONITORS: Final = (
+    "av_over_limit",
+    "av_late_at_signal",
+    "av_signal_braking",
+    "av_beyond_stop_line",
+    "av_red_run",
+    "av_right_of_way_taken",
+    "av_unexplained_stop",
+    "av_unexplained_braking",
+    "av_close_following",
+    "av_off_lane",
+    "av_frozen",
+    "av_ttc_min",
+    "av_time_gap_min",
+    "av_required_braking",
+    "av_progress",
+    "planner_hardest_braking",
+)
+"""Metrics of the AV alone: a run has them of its episode without attack, too."""
+
+_REACTION_S: Final = 1.0
+_COMFORTABLE_MPS2: Final = 3.0
+"""A driver who can stop with this, a second after the light changed, has to (ITE, yellow times)."""
+_AT_LINE_M: Final = 0.5
+_ACROSS_LINE_M: Final = 10.0
+_FOLLOWS_MPS: Final = 5.0
+_CLOSE_S: Final = 0.9
+"""Half of the speedometer's number in metres is 1.8 s; half of that is an offence in Germany."""
+_SAME_WAY_RAD: Final = float(np.pi / 6)
+_PRESENT_M: Final = 60.0
+_LONG_STEPS: Final = 5
+_FROZEN_MPS: Final = 0.0005
+_REPEATED_STEPS: Final = 3
+_CHANGING_MPS2: Final = 0.7
+_BESIDE_STEPS: Final = 2
+
+
+@metric("m/s2", better="higher")
+def av_signal_braking(episode: Episode) -> float:
+    """Largest constant braking that still stops the AV's front at the line of a light that is
+    yellow or red, over the simulated steps up to the AV's first contact; at most 10 m/s2, and 0
+    without a light at which it could have stopped with 3 m/s2 one second after the light changed.
+
+    Of lanes that begin at one line all lights must be yellow or red. Who begins to brake late, or
+    drives on where it could have stopped, has a large value.
+    """
+    drive = DrivenSteps.of(episode)
+    needed = [_to_stop_mps2(drive, one) for one in approaches(episode)]
+    return min(max(needed, default=0.0), CEILING_MPS2)
+
+
+def _to_stop_mps2(drive: DrivenSteps, approach: Approach) -> float:
+    speed, left_m = drive.speed_mps, approach.left_m
+    hardest = 0.0
+    for run in _slices.runs(approach.halts & (left_m > 0)):
+        room = left_m[run.start] - speed[run.start] * _REACTION_S
+        if room > 0 and speed[run.start] ** 2 / (2 * room) <= _COMFORTABLE_MPS2:
+            needed = speed[run] ** 2 / (2 * np.maximum(left_m[run], _AT_LINE_M))
+            hardest = max(hardest, float(needed.max()))
+    return hardest
+
+
+@metric("m", better="higher")
+def av_beyond_stop_line(episode: Episode) -> float:
+    """Largest distance by which the AV's front is beyond the line of a light, while it stands
+    (below 0.5 m/s) and the light is still yellow or red, as it was when the front crossed the line;
+    over the simulated steps up to the AV's first contact.
+    """
+    drive, worst = DrivenSteps.of(episode), 0.0
+    for one in approaches(episode):
+        over = one.left_m <= 0
+        begins = np.flatnonzero(over[1:] & ~over[:-1] & (one.left_m[:-1] < np.inf)) + 1
+        for run in _slices.runs(one.halts):
+            if any(run.start <= at < run.stop for at in begins):
+                beyond = np.where(drive.speed_mps < WAITING_MPS, -one.left_m, 0.0)[run]
+                worst = max(worst, float(beyond[beyond < _ACROSS_LINE_M].max(initial=0.0)))
+    return worst
+
+
+@metric("1", better="higher")
+def av_red_run(episode: Episode) -> float:
+    """1 where the middle of the AV's front bumper crosses stop lines of lanes in its direction that
+    all are red, in the simulated steps up to the AV's first contact, else 0.
+    """
+    rollout = episode.rollout
+    if not rollout.signals:
+        raise NotMeasurable("the rollout has no states of traffic lights")
+    row = rollout.tracks.row(rollout.av_id)
+    return driving.passed_on_red(rollout, episode.case, row, driven_steps(rollout))
+
+
+@metric("m/s2", better="higher")
+def av_right_of_way_taken(episode: Episode) -> float:
+    """Largest braking that the AV, moving on a lane inside a junction, asks of a vehicle that drives
+    on a lane with priority over it, over the simulated steps up to the AV's first contact; at most
+    10 m/s2. A vehicle whose light is red has none.
+    """
+    drive, road = DrivenSteps.of(episode), episode.case.road
+    if not any(one.gives_way_to for one in road.lanes.values()):
+        raise NotMeasurable("the map does not say who has priority")
+    hardest, inside = 0.0, lane_ids(episode)
+    for name in dict.fromkeys(inside):
+        lane = road.lanes.get(name or "")
+        if lane is None or not (lane.interpolating and lane.gives_way_to):
+            continue
+        on_it = np.array([one == name for one in inside]) & (drive.speed_mps > WAITING_MPS)
+        if not on_it.any():
+            continue
+        begin = int(np.flatnonzero(on_it)[0])
+        first = {one for one in lane.gives_way_to if drive.light(begin, one) not in FORBIDS}
+        for row in _with_priority(episode, drive, begin, first):
+            hardest = max(hardest, _asked_mps2(episode.rollout, drive.steps[on_it], row))
+    return min(hardest, CEILING_MPS2)
+
+
+def _with_priority(episode: Episode, drive: DrivenSteps, begin: int, first: set[str]) -> list[int]:
+    """Rows of vehicles near the AV at step ``begin`` that use one of some lanes from then on."""
+    tracks = episode.rollout.tracks
+    step, found = int(drive.steps[begin]), []
+    apart = np.hypot(*(tracks.position_m[:, step] - drive.position_m[begin]).T)
+    for row in np.flatnonzero(tracks.valid[:, step] & (apart < _PRESENT_M)).tolist():
+        if row == drive.row or tracks.kinds[row] != "vehicle":
+            continue
+        there = tracks.valid[row] & (np.arange(tracks.steps) >= step)
+        if first & set(lane_ids(episode, row, there)):
+            found.append(row)
+    return found
+
+
+def _asked_mps2(rollout: Rollout, steps: Ints, row: int) -> float:
+    """Braking that the AV at some steps asks of another, which has not begun to brake before."""
+    tracks, av = rollout.tracks, rollout.tracks.row(rollout.av_id)
+    steps = steps[tracks.valid[row, steps]]
+    if not len(steps):
+        return 0.0
+    other, mine = Moving.of(tracks, row, steps), Moving.of(tracks, av, steps)
+    soon = time_to_collision(other, mine)
+    brakes = slowing(tracks, av, rollout.dt_s)[steps]
+    return float(braking_to_stay_behind(other, mine, brakes, soon).max(initial=0.0))
+
+
+@metric("s", better="higher")
+def av_unexplained_stop(episode: Episode) -> float:
+    """Longest time for which the AV stands (below 0.5 m/s) without a reason that can be seen, over
+    the simulated steps up to its first contact.
+
+    Reasons are: a road user ahead within 60 m (and the way on which the AV stops with 2 m/s2) that
+    neither passes beside the AV nor drives away from it, a light
+    within 100 m that is not green, a lower limit or the end of the lane within 100 m, a lane within
+    60 m that gives way, and the first second.
+    """
+    drive = DrivenSteps.of(episode)
+    stands = (drive.speed_mps < WAITING_MPS) & unexplained(episode)
+    return _longest(stands) * episode.rollout.dt_s
+
+
+@metric("m/s2", better="higher")
+def av_unexplained_braking(episode: Episode) -> float:
+    """Hardest braking of the AV, mean of 0.5 s, without a reason that can be seen in the second
+    before and since, over the simulated steps up to its first contact; reasons are those of
+    `av_unexplained_stop`.
+    """
+    drive, dt_s = DrivenSteps.of(episode), episode.rollout.dt_s
+    free, speed = unexplained(episode), drive.speed_mps
+    before = round(1.0 / dt_s)
+    hardest = 0.0
+    for at in range(before, len(speed) - _LONG_STEPS):
+        if free[at - before : at + _LONG_STEPS + 1].all():
+            lost = float(speed[at] - speed[at + _LONG_STEPS])
+            hardest = max(hardest, lost / (_LONG_STEPS * dt_s))
+    return hardest
+
+
+@metric("s", better="higher")
+def av_close_following(episode: Episode) -> float:
+    """Longest time for which the AV, faster than 5 m/s and not slowing down, is less than 0.9 s
+    behind the place where a road user ahead in its direction (within 30 degrees) is at that moment,
+    over the simulated steps up to the AV's first contact.
+    """
+    drive, gap_s = DrivenSteps.of(episode), _gap_s(episode)
+    slower = np.concatenate([[0.0], np.diff(drive.speed_mps)]) < 0
+    close = (gap_s < _CLOSE_S) & (drive.speed_mps > _FOLLOWS_MPS) & ~slower
+    return _longest(close) * episode.rollout.dt_s
+
+
+@once
+def _gap_s(episode: Episode) -> Floats:
+    """(K) least time gap to a road user that drives ahead in the AV's direction."""
+    drive, tracks = DrivenSteps.of(episode), episode.rollout.tracks
+    least = np.full(len(drive.steps), np.inf)
+    for row in range(tracks.agents):
+        offset = tracks.position_m[row, drive.steps] - drive.position_m
+        turn = frames.difference(tracks.heading_rad[row, drive.steps], drive.heading_rad)
+        ahead = (offset * frames.unit(drive.heading_rad)).sum(-1) > 0
+        near = ahead & (np.hypot(*offset.T) < _PRESENT_M) & (np.abs(turn) < _SAME_WAY_RAD)
+        near &= tracks.valid[row, drive.steps]
+        if row == drive.row or not near.any():
+            continue
+        at = drive.steps[near]
+        other = Moving.of(tracks, row, at)
+        still = other._replace(
+            velocity_mps=np.zeros_like(other.velocity_mps), climb_mps=np.zeros(len(at))
+        )
+        least[near] = np.minimum(
+            least[near], time_to_collision(Moving.of(tracks, drive.row, at), still)
+        )
+    return least
+
+
+@metric("m", better="higher")
+def av_off_lane(episode: Episode) -> float:
+    """Largest distance by which a side of the AV's box, at its middle, is outside of all lanes for
+    cars that run in its direction (within 60 degrees), over the simulated steps up to its first
+    contact at which it is outside of junctions. A change between such lanes counts nothing.
+    """
+    drive, road = DrivenSteps.of(episode), episode.case.road
+    names = lane_ids(episode)
+    outside = np.array([bool(one) and not road.lanes[one or ""].interpolating for one in names])
+    aside = frames.unit(drive.heading_rad + np.pi / 2) * drive.size_m[1] / 2
+    sides = np.concatenate([drive.position_m + aside, drive.position_m - aside])
+    beyond = _beyond_m(road, sides, np.tile(drive.heading_rad, 2))
+    known = np.isfinite(beyond) & np.tile(outside, 2)
+    if not known.any():
+        raise NotMeasurable("the AV drove on no lane that is known")
+    return float(beyond[known].max())
+
+
+def _beyond_m(road: RoadMap, points_m: Floats, course_rad: Floats) -> Floats:
+    """(N) how far points lie beside the nearest lane of their course; inf where there is none."""
+    lanes = lanes_for_cars(road)
+    feet = lanes.feet(points_m, 2 * lanes.widest_m)
+    half = lanes.reach_m[lanes.lane[feet.segment]] - MARGIN_M
+    x, y = lanes.vector_m[feet.segment].T
+    along = np.cos(course_rad[feet.point] - np.arctan2(y, x)) > np.cos(np.pi / 3)
+    away = np.maximum(np.hypot(*feet.away_m.T) - half, 0.0)
+    found = np.full(len(points_m), np.inf)
+    np.minimum.at(found, feet.point[along], away[along])
+    return found
+
+
+@metric("s", better="higher")
+def av_frozen(episode: Episode) -> float:
+    """Longest time for which the AV's speed stays the same for 0.3 s or more (to 0.5 mm/s a step, above 1 m/s) while it
+    accelerates by more than 0.7 m/s2, or brakes by more, both just before and just after, over the
+    simulated steps up to its first contact: as if a command had been repeated.
+    """
+    drive, dt_s = DrivenSteps.of(episode), episode.rollout.dt_s
+    change = np.diff(drive.speed_mps)
+    still = (np.abs(change) < _FROZEN_MPS) & (drive.speed_mps[1:] > 1.0)
+    longest = 0
+    for run in _slices.runs(still):
+        before, after = change[: run.start][-_BESIDE_STEPS:], change[run.stop :][:_BESIDE_STEPS]
+        if len(before) and len(after):
+            least = _CHANGING_MPS2 * dt_s
+            same = (before.min() > least and after.min() > least) or (
+                before.max() < -least and after.max() < -least
+            )
+            steps = run.stop - run.start
+            longest = max(longest, steps * bool(same and steps >= _REPEATED_STEPS))
+    return longest * dt_s
+
+
+def _longest(mask: Bools) -> int:
+    """Steps of the longest uninterrupted stretch."""
+    return max((run.stop - run.start for run in _slices.runs(mask)), default=0)
