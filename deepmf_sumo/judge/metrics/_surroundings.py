@@ -83,7 +83,7 @@ class DrivenSteps(NamedTuple):
         return self.signals[at].get(lane_id)
 
 
-class Approach(NamedTuple):
+class StopApproach(NamedTuple):
     """A stop line that the AV comes to, or crosses.
 
     Attributes:
@@ -98,7 +98,7 @@ class Approach(NamedTuple):
 
 
 @once
-def approaches(episode: Episode) -> list[Approach]:
+def approaches(episode: Episode) -> list[StopApproach]:
     """All stop lines that the AV has ahead or crosses. Raises NotMeasurable without lights."""
     rollout = episode.rollout
     if not rollout.signals:
@@ -116,12 +116,12 @@ def approaches(episode: Episode) -> list[Approach]:
             lit = [[drive.light(at, one.lane_id) for one in lines] for at in range(len(left_m))]
             halts = np.array([all(one in HALTS for one in each) for each in lit])
             goes = np.array([all(one in GOES for one in each) for each in lit])
-            found.append(Approach(left_m, halts, goes))
+            found.append(StopApproach(left_m, halts, goes))
     return found
 
 
 def _left_m(drive: DrivenSteps, road: RoadMap, line: driving.StopLine) -> Floats:
-    """(K) see `Approach`."""
+    """(K) see `StopApproach`."""
     way = _way_to(road, line)
     front = drive.front_m
     foot = polylines.project(way, front)
@@ -250,6 +250,6 @@ def _features(road: RoadMap, name: str) -> list[tuple[float, float, bool]]:
 
 
 __all__ = [
-    "CEILING_MPS2", "Approach", "DrivenSteps", "approaches", "driven_steps", "lane_ids",
+    "CEILING_MPS2", "StopApproach", "DrivenSteps", "approaches", "driven_steps", "lane_ids",
     "unexplained",
 ]  # fmt: skip

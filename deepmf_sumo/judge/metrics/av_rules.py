@@ -17,7 +17,7 @@ from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, driving, metric, once
 from deepmf_sumo.judge.metrics._surroundings import (
     CEILING_MPS2,
-    Approach,
+    StopApproach,
     DrivenSteps,
     approaches,
     driven_steps,
@@ -82,7 +82,7 @@ def av_signal_braking(episode: Episode) -> float:
     return min(max(needed, default=0.0), CEILING_MPS2)
 
 
-def _to_stop_mps2(drive: DrivenSteps, approach: Approach) -> float:
+def _to_stop_mps2(drive: DrivenSteps, approach: StopApproach) -> float:
     speed, left_m = drive.speed_mps, approach.left_m
     hardest = 0.0
     for run in _slices.runs(approach.halts & (left_m > 0)):
@@ -124,9 +124,9 @@ def av_red_run(episode: Episode) -> float:
 
 @metric("m/s2", better="higher")
 def av_right_of_way_taken(episode: Episode) -> float:
-    """Largest braking that the AV, moving on a lane inside a junction, asks of a vehicle that drives
-    on a lane with priority over it, over the simulated steps up to the AV's first contact; at most
-    10 m/s2. A vehicle whose light is red has none.
+    """Largest braking that the AV, moving on a lane inside a junction, asks of a vehicle that
+    drives on a lane with priority over it, over the simulated steps up to the AV's first contact;
+    at most 10 m/s2. A vehicle whose light is red has none.
     """
     drive, road = DrivenSteps.of(episode), episode.case.road
     if not any(one.gives_way_to for one in road.lanes.values()):
@@ -273,9 +273,9 @@ def _beyond_m(road: RoadMap, points_m: Floats, course_rad: Floats) -> Floats:
 
 @metric("s", better="higher")
 def av_frozen(episode: Episode) -> float:
-    """Longest time for which the AV's speed stays the same for 0.3 s or more (to 0.5 mm/s a step, above 1 m/s) while it
-    accelerates by more than 0.7 m/s2, or brakes by more, both just before and just after, over the
-    simulated steps up to its first contact: as if a command had been repeated.
+    """Longest time, of at least 0.3 s, for which the AV's speed stays the same (to 0.5 mm/s a step,
+    above 1 m/s) while it accelerates by more than 0.7 m/s2, or brakes by more, both just before and
+    just after, over the simulated steps up to its first contact: as if a command had been repeated.
     """
     drive, dt_s = DrivenSteps.of(episode), episode.rollout.dt_s
     change = np.diff(drive.speed_mps)
