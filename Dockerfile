@@ -11,6 +11,7 @@ COPY pyproject.toml README.md LICENSE /src/
 COPY deepmf_sumo /src/deepmf_sumo
 COPY sumo_nets /src/sumo_nets
 COPY scenarios /src/scenarios
+COPY suite /src/suite
 COPY studies/paper.yaml /src/studies/paper.yaml
 RUN $INSTALL ${TORCH_BACKEND:+--torch-backend $TORCH_BACKEND} /src
 

@@ -62,7 +62,7 @@ def test_the_wheel_is_the_package_without_tests_and_studies(installed):
     assert {name.partition("-")[0] for name in top} == {"deepmf_sumo"}
     assert not [*installed.rglob("test_*.py")]
     assert (installed / "deepmf_sumo" / "py.typed").is_file()
-    assert {"sumo_nets", "scenarios", "paper.yaml"} <= {
+    assert {"sumo_nets", "scenarios", "suite", "paper.yaml"} <= {
         path.name for path in (installed / "deepmf_sumo" / "starter").iterdir()
     }
 

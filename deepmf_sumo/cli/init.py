@@ -23,7 +23,7 @@ def command(folder: Path) -> None:
     click.echo(f"  cd {folder} && deepmf-sumo run scenarios/*.yaml --out results")
 
 
-FOLDERS = ("scenarios", "sumo_nets")
+FOLDERS = ("scenarios", "suite", "sumo_nets")
 """Side by side, because specs name their network by a path relative to themselves."""
 
 

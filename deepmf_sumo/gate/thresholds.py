@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.gate.rows import Row
 from deepmf_sumo.results import statistics
-from deepmf_sumo.results.quantities import COMPARABLE, TTC_CEILING_S, Quantity, no_quantity
+from deepmf_sumo.results.quantities import COMPARABLE, RULES, TTC_CEILING_S, Quantity, no_quantity
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import Strict
@@ -21,6 +21,15 @@ from deepmf_sumo.spec.model import Strict
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=0)]
+
+
+def _known(name: str) -> str:
+    if name not in COMPARABLE:
+        raise PydanticCustomError("rule", "{rule}", {"rule": no_quantity(name)})
+    return name
+
+
+QuantityName = Annotated[str, AfterValidator(_known)]
 
 
 class Limits(Strict):
@@ -39,6 +48,7 @@ class Limits(Strict):
         max_failed_runs: failed, timed out or missing ones.
         max_skipped_runs: records that cannot be read.
         min_judged_runs: fewer of them are not enough for a judgement.
+        limits: by quantity, the worst value that a run may have; null: any.
     """
 
     max_av_collision_rate: Share | None = None
@@ -53,6 +63,7 @@ class Limits(Strict):
     max_failed_runs: Count | None = None
     max_skipped_runs: Count | None = None
     min_judged_runs: Count = 1
+    limits: dict[QuantityName, float | None] = {}
 
     @model_validator(mode="before")
     @classmethod
@@ -68,15 +79,10 @@ _NOW: Final = {"max_valid_collision_rate": "max_finding_rate"}
 """Bounds of earlier versions."""
 
 
-def _known(name: str) -> str:
-    if name not in COMPARABLE:
-        raise PydanticCustomError("rule", "{rule}", {"rule": no_quantity(name)})
-    return name
-
-
-QuantityName = Annotated[str, AfterValidator(_known)]
-COMPARED: Final = ("impact_mps",)
-"""One quantity, so that few specs suffice: every contact of the AV, by its relative speed."""
+COMPARED: Final = (
+    "impact_mps", "av_hardest_braking_mps2", "av_inverse_ttc_per_s", "av_inverse_time_gap_per_s",
+)  # fmt: skip
+"""Few, so that few units suffice: contacts by their relative speed, and how the AV drove."""
 SHOWN: Final = ("impact_mps", "av_collision_rate", "finding_rate", "ttc_s", "min_gap_m")
 """Shown to the reader, judged or not."""
 
@@ -114,6 +120,7 @@ class Thresholds(Limits):
 
     Attributes:
         max_failed_runs: without it a single one is too many.
+        limits: rules of the road and of comfort have some without it, see `quantities.RULES`.
         specs, networks, planners: by name; ``*`` and ``?`` stand for other characters.
     """
 
@@ -205,7 +212,7 @@ def _groups(thresholds: Thresholds, rows: Sequence[Row]) -> Iterator[tuple[str, 
 def _judge(group: str, limits: Limits, rows: Sequence[Row]) -> Iterator[Judgement]:
     for limit in Limits.model_fields:
         bound = getattr(limits, limit)
-        if bound is None:
+        if bound is None or limit == "limits":
             continue
         if limit in _COUNTS:
             yield _count(group, limit, bound, rows)
@@ -215,6 +222,47 @@ def _judge(group: str, limits: Limits, rows: Sequence[Row]) -> Iterator[Judgemen
             yield _greatest(group, limit, bound, rows)
         else:
             yield _rate(group, limit, bound, rows)
+
+    yield from _rules(group, limits, rows)
+
+
+RULES_KEPT: Final = "rules_broken"
+"""Limit of a judgement: how many of the limits that are set by default runs are beyond."""
+
+
+def _rules(group: str, limits: Limits, rows: Sequence[Row]) -> Iterator[Judgement]:
+    """Limits of quantities. Those that nobody set are one judgement together, if all hold.
+
+    Runs of earlier versions have no values, and without one nothing is said.
+    """
+    for name, bound in limits.limits.items():
+        if bound is not None:
+            yield _limit(group, name, bound, rows)
+    if not isinstance(limits, Thresholds):
+        return
+    unset = {name: one.limit for name, one in RULES.items() if name not in limits.limits}
+    found = [_limit(group, name, bound or 0.0, rows) for name, bound in unset.items()]
+    broken = [one for one in found if one.state == "broken"]
+    yield from broken
+    runs = max((one.runs for one in found), default=0)
+    if runs and not broken:
+        yield Judgement(
+            group=group, limit=RULES_KEPT, bound=0, value=0, unit="", runs=runs, state="held"
+        )
+
+
+def _limit(group: str, name: str, bound: float, rows: Sequence[Row]) -> Judgement:
+    """No run is worse."""
+    quantity, values = COMPARABLE[name], _values(name, rows)
+    if not values:
+        return _without_value(group, name, bound, quantity, rows)
+    lower = quantity.worse == "lower"
+    worst = (min if lower else max)(values.values())
+    blamed = [key for key, one in values.items() if (one < bound if lower else one > bound)]
+    return Judgement(
+        group=group, limit=name, bound=bound, value=worst, unit=quantity.unit, runs=len(values),
+        state="broken" if blamed else "held", blamed=tuple(blamed),
+    )  # fmt: skip
 
 
 def _count(group: str, limit: str, bound: int, rows: Sequence[Row]) -> Judgement:

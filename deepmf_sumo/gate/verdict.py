@@ -83,7 +83,10 @@ class Verdict:
         return f"; e.g. {row.run_id}: {row.reason}" if row and row.reason else ""
 
     def _broken(self) -> Iterator[str]:
-        yield from (sentence(one) for one in self.judgements if one.state == "broken")
+        for one in self.judgements:
+            if one.state == "broken":
+                at_most = one.limit in COMPARABLE and one.blamed
+                yield sentence(one) + (_where(one.blamed) if at_most else "")
         for each in self.comparisons or ():
             if each.state == "worse":
                 yield regression(each)
@@ -173,12 +176,19 @@ def sentence(one: Judgement) -> str:
     value, interval = figure(one.value, one.unit), ""
     if one.interval:
         interval = f"{one.interval[0]:.2g} to {one.interval[1]:.2g}, "
-    word = "at least" if one.limit.startswith("min_") else "at most"
+    lower = one.limit in COMPARABLE and COMPARABLE[one.limit].worse == "lower"
+    word = "at least" if lower or one.limit.startswith("min_") else "at most"
     bound = figure(one.bound, one.unit)
     return (
-        f"{one.group}: {one.limit} is {value} ({interval}{one.runs} run{_s(one.runs)}), allowed"
-        f" {word} {bound}"
+        f"{one.group}: {_failure(one.limit)}{one.limit} is {value}"
+        f" ({interval}{one.runs} run{_s(one.runs)}), allowed {word} {bound}"
     )
+
+
+def _where(blamed: Sequence[str]) -> str:
+    """``; in RUN, RUN and 3 more``."""
+    more = len(blamed) - _NAMED
+    return f"; in {', '.join(blamed[:_NAMED])}{f' and {more} more' * (more > 0)}"
 
 
 def regression(one: Comparison) -> str:
@@ -186,6 +196,7 @@ def regression(one: Comparison) -> str:
 
     What is worse also names where, most first: ``; most in 'cut-in' (+0.7), ...``.
     """
+    what = _failure(one.quantity) if one.state == "worse" else ""
     change = f"was {_mean(one.found.old, one.unit)} and is {_mean(one.found.new, one.unit)}"
     where = ""
     if one.state == "worse" and len(one.found.each) > 1:
@@ -193,7 +204,13 @@ def regression(one: Comparison) -> str:
         most = sorted(one.found.each, key=lambda unit: -sign * unit[1])[:_NAMED]
         worse = [f"'{name}' ({mean:+.3g})" for name, mean in most if sign * mean > one.tolerance]
         where = f"; most in {', '.join(worse)}" if worse else ""
-    return f"{one.group}: {one.quantity} {change}: {difference(one.found)}{where}"
+    return f"{one.group}: {what}{one.quantity} {change}: {difference(one.found)}{where}"
+
+
+def _failure(name: str) -> str:
+    """``red run: ``: the kind of failure that a worse value of a quantity is, if it has a name."""
+    quantity = COMPARABLE.get(name)
+    return f"{quantity.failure}: " if quantity and quantity.failure else ""
 
 
 def own_hits(one: SameAttacks) -> str:

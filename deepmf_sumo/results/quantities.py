@@ -7,9 +7,8 @@ differences treat all quantities alike.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from math import inf
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 from deepmf_sumo.results import findings
 from deepmf_sumo.results.result import ContactValues, Result, attacked, first_contact
@@ -59,6 +58,8 @@ class Quantity:
         largest: difference that intervals expect of a run that was not seen: of rates and of what
             has a ceiling the greatest that there can be, else about the greatest that is usual.
             None: what was seen says it.
+        limit: no run may be worse: a rule of the road or of comfort, which needs no baseline.
+        failure: what went wrong where it is worse, in words; empty: its name says it.
         in_table: whether it is a column of ``table.csv``.
         title: heading in readable tables, without unit. short: heading on the screen, with unit.
             digits: after the decimal point, there; of rates in per cent.
@@ -77,6 +78,8 @@ class Quantity:
     paired: bool = True
     rule_out: float = inf
     largest: float | None = None
+    limit: float | None = None
+    failure: str = ""
     in_table: bool = True
     title: str = ""
     short: str = ""
@@ -190,11 +193,25 @@ def _criticality(result: Result) -> float | None:
     return None if found is None else criticality(found["value"])
 
 
-def _inverse(name: str) -> Value:
-    """1 over a time in seconds: a change counts the more, the shorter the time."""
+def _worse(name: str, better: Better = "lower") -> Value:
+    """Of the attacked episode and of the same one without attack, where a run has that."""
 
     def value(result: Result) -> float | None:
-        found = metric(result, name)
+        kept = result.get("plain", {}).get(name)
+        plain = kept["value"] if kept else None
+        found = [one for one in (metric(result, name), plain) if one is not None]
+        worst = min if better == "lower" else max
+        return worst(found) if found else None
+
+    return value
+
+
+def _inverse(name: str) -> Value:
+    """1 over a time in seconds: a change counts the more, the shorter the time."""
+    least = _worse(name)
+
+    def value(result: Result) -> float | None:
+        found = least(result)
         return None if found is None else 1.0 / max(found, _AT_ONCE_S)
 
     return value
@@ -222,21 +239,55 @@ def _positive(value: float) -> bool:
 
 _RUNS: Final = "mean over attacked runs"
 _HITS: Final = "mean over hits"
+_BOTH: Final = "mean over judged runs, the worse of the attacked and the plain episode"
 
-_OF_THE_AV: Final[tuple[tuple[str, str, Better, str, float, float], ...]] = (
-    ("av_ttc_s", "s", "lower", "av_ttc_min", 1.0, 10.0),
-    ("av_time_gap_s", "s", "lower", "av_time_gap_min", 0.5, 10.0),
-    ("av_required_braking_mps2", "m/s2", "higher", "av_required_braking", 1.0, 10.0),
-    ("av_hardest_braking_mps2", "m/s2", "higher", "planner_hardest_braking", 1.0, 10.0),
-    ("av_over_limit_mps", "m/s", "higher", "av_over_limit", 1.0, 10.0),
-    ("av_late_at_signal_s", "s", "higher", "av_late_at_signal", 1.0, 10.0),
-    ("av_progress_m", "m", "lower", "av_progress", 10.0, 100.0),
-)
-"""Name, unit, what is worse for the AV, metric, `Quantity.rule_out` and `Quantity.largest`."""
+
+class _OfTheAv(NamedTuple):
+    """A quantity of the AV alone, see `Quantity`; ``metric``: whose worse value counts."""
+
+    name: str
+    unit: str
+    better: Better
+    metric: str
+    failure: str
+    rule_out: float
+    largest: float
+    limit: float | None = None
+
+
+_OF_THE_AV: Final = (
+    _OfTheAv("av_ttc_s", "s", "lower", "av_ttc_min", "near collision", 1.0, 10.0),
+    _OfTheAv("av_time_gap_s", "s", "lower", "av_time_gap_min", "short time gap", 0.5, 10.0),
+    _OfTheAv("av_required_braking_mps2", "m/s2", "higher", "av_required_braking",
+             "near collision", 1.0, 10.0),
+    _OfTheAv("av_hardest_braking_mps2", "m/s2", "higher", "planner_hardest_braking",
+             "harsh braking", 1.0, 10.0),
+    _OfTheAv("av_over_limit_mps", "m/s", "higher", "av_over_limit", "over the speed limit",
+             1.0, 10.0, limit=1.0),
+    _OfTheAv("av_late_at_signal_s", "s", "higher", "av_late_at_signal", "late at a signal",
+             1.0, 10.0),
+    _OfTheAv("av_signal_braking_mps2", "m/s2", "higher", "av_signal_braking",
+             "late at a signal", 1.0, 10.0, limit=5.0),
+    _OfTheAv("av_beyond_line_m", "m", "higher", "av_beyond_stop_line",
+             "stopped beyond the line", 1.0, 10.0, limit=2.0),
+    _OfTheAv("av_red_run_rate", "1", "higher", "av_red_run", "red run", RATE, 1.0, limit=0.0),
+    _OfTheAv("av_right_of_way_mps2", "m/s2", "higher", "av_right_of_way_taken",
+             "right of way taken", 1.0, 10.0, limit=6.0),
+    _OfTheAv("av_unexplained_stop_s", "s", "higher", "av_unexplained_stop",
+             "stop without reason", 1.0, 10.0, limit=3.0),
+    _OfTheAv("av_unexplained_braking_mps2", "m/s2", "higher", "av_unexplained_braking",
+             "braking without reason", 1.0, 10.0, limit=3.0),
+    _OfTheAv("av_close_following_s", "s", "higher", "av_close_following", "short time gap",
+             1.0, 10.0, limit=1.0),
+    _OfTheAv("av_off_lane_m", "m", "higher", "av_off_lane", "out of its lane", 0.5, 10.0,
+             limit=0.6),
+    _OfTheAv("av_frozen_s", "s", "higher", "av_frozen", "frozen command", 0.5, 10.0, limit=0.25),
+    _OfTheAv("av_progress_m", "m", "lower", "av_progress", "slow", 10.0, 100.0),
+)  # fmt: skip
 
 _INVERSE: Final = {
-    "av_inverse_ttc_per_s": "av_ttc_min",
-    "av_inverse_time_gap_per_s": "av_time_gap_min",
+    "av_inverse_ttc_per_s": ("av_ttc_min", "near collision"),
+    "av_inverse_time_gap_per_s": ("av_time_gap_min", "short time gap"),
 }
 
 QUANTITIES: Final = (
@@ -355,19 +406,21 @@ QUANTITIES: Final = (
     ),
     *(
         Quantity(
-            name=name, unit=unit, better=better, over="judged", in_table=False, rule_out=rule_out,
-            value=partial(metric, name=of), definition="mean over judged runs", metric=of,
-            largest=largest,
+            name=one.name, unit=one.unit, better=one.better, over="judged", in_table=False,
+            rule_out=one.rule_out, value=_worse(one.metric, one.better), definition=_BOTH,
+            metric=one.metric, rate=one.unit == "1", digits=0 if one.unit == "1" else 2,
+            largest=one.largest, limit=one.limit, failure=one.failure,
         )
-        for name, unit, better, of, rule_out, largest in _OF_THE_AV
+        for one in _OF_THE_AV
     ),
     *(
         Quantity(
             name=name, unit="1/s", better="higher", over="judged", in_table=False, rule_out=0.1,
             largest=1.0 / _AT_ONCE_S, value=_inverse(of), metric=of,
-            definition=f"mean over judged runs of 1 over the value, of at least {_AT_ONCE_S:g} s",
+            definition=f"{_BOTH}, of 1 over the value, of at least {_AT_ONCE_S:g} s",
+            failure=failure,
         )
-        for name, of in _INVERSE.items()
+        for name, (of, failure) in _INVERSE.items()
     ),
 )  # fmt: skip
 
@@ -382,10 +435,12 @@ COMPARABLE: Final = {
         "impact_mps", "av_collision_rate", "collision_rate", "finding_rate",
         "avoidable_rate", "av_at_fault_rate", "criticality", "ttc_s", "min_gap_m",
         "required_braking_mps2", "collision_speed_mps", "delta_v_mps",
-        *(name for name, *_ in _OF_THE_AV), *_INVERSE,
+        *(one.name for one in _OF_THE_AV), *_INVERSE,
     )
 }  # fmt: skip
 """What `check` and `compare` judge, by name: what is worse for the AV is said of each."""
+RULES: Final = {name: one for name, one in COMPARABLE.items() if one.limit is not None}
+"""What no run may break, whatever it is compared with, see `Quantity.limit`."""
 _NOW: Final = {"valid_collision_rate": "finding_rate"}
 """Names of earlier versions."""
 

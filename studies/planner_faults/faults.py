@@ -324,9 +324,14 @@ def _bearing(seen: Others) -> Floats:
 
 
 class Settings(PluginSettings):
-    """``fault``: a name of `FAULTS`, or ``none`` for the careful planner itself."""
+    """``fault``: a name of `FAULTS`, or ``none`` for the careful planner itself.
+
+    ``unguarded``: by its own IDM wherever SUMO may react to others, as copies with a fault of what
+    they see are there: the control, which has no fault.
+    """
 
     fault: str = "none"
+    unguarded: bool = False
 
     @field_validator("fault")
     @classmethod
@@ -347,7 +352,8 @@ class Faulty:
         return cls(settings)
 
     def __init__(self, settings: Settings) -> None:
-        self._fault = FAULTS.get(settings.fault, Fault(about=""))
+        control = Fault(about="", unguarded=settings.unguarded)
+        self._fault = FAULTS.get(settings.fault, control)
         self._planner = careful.Careful(careful.Settings(**self._fault.settings))
         self._episode = Episode(0.0)
 

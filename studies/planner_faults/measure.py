@@ -29,7 +29,7 @@ from deepmf_sumo.sweep import batch
 from studies.planner_faults.faults import FAULTS
 from studies.planner_faults.halves import halves
 
-SUITE: Final = Path(__file__).resolve().parent / "suite"
+SUITE: Final = Path(__file__).resolve().parents[2] / "suite"
 """Moments of the packaged networks' traffic: each is a situation of its own for the gate."""
 FAULTY: Final = "studies.planner_faults.faults:Faulty"
 _SHOWN: Final = 3

@@ -11,6 +11,7 @@ from deepmf_sumo.results import statistics
 
 from tests.support import gate_doubles
 
+IMPACT = Baseline(quantities=("impact_mps",))
 RATE = Baseline(quantities=("av_collision_rate",))
 
 
@@ -51,7 +52,7 @@ def test_few_equal_specs_rule_nothing_out(specs):
     assert (found.state, found.needed) == ("cannot tell", 14)
     assert states(RATE, rate_of(0, of=14), rate_of(0, of=14)) == ["passed"]
     impact = values_of("impact_mps", [0.0] * specs)
-    [found] = compared(Baseline(), impact, impact)
+    [found] = compared(IMPACT, impact, impact)
     assert (found.state, found.needed) == ("cannot tell", 19)
     assert 20 * (1 - 0.05 ** (1 / 19)) < 3 < 20 * (1 - 0.05 ** (1 / 18))
 
@@ -151,13 +152,13 @@ def test_what_may_be_much_worse_does_not_pass():
     """Four of five specs are worse and one is a little better: chance is 2 of 32, also no pass."""
     old = values_of("impact_mps", [3.0, 0.0, 4.0, 10.0, 17.4])
     new = values_of("impact_mps", [3.5, 10.0, 6.0, 17.4, 17.1])
-    [found] = compared(Baseline(), new, old)
+    [found] = compared(IMPACT, new, old)
     assert found.state == "cannot tell"
     assert found.needed > 5
     assert found.found.difference.high > 10
-    [back] = compared(Baseline(), old, new)
+    [back] = compared(IMPACT, old, new)
     assert back.state == "cannot tell"
-    wide = Baseline(rule_out={"impact_mps": 15.0})
+    wide = Baseline(quantities=("impact_mps",), rule_out={"impact_mps": 15.0})
     assert states(wide, new, old) == ["passed"]
 
 
@@ -263,7 +264,7 @@ def test_what_is_shown_is_not_judged():
         [gate_doubles.row(f"s{n}", impact_mps=0.0, ttc_s=ttc) for n in range(20)] for ttc in (5, 1)
     ]
     old, new = (gate_doubles.results_of(side, Path()) for side in rows)
-    found = {one.quantity: one.state for one in comparison.compare(Baseline(), new, old)}
+    found = {one.quantity: one.state for one in comparison.compare(IMPACT, new, old)}
     assert found == {
         "impact_mps": "passed", "av_collision_rate": "not judged",
         "finding_rate": "not judged", "ttc_s": "not judged", "min_gap_m": "not judged",

@@ -13,7 +13,9 @@ from tests.support import gate_doubles
 def thresholds(tmp_path, text=""):
     file = tmp_path / "t.yaml"
     file.write_text(f"version: 1\n{text}\n")
-    return gate.load(file)
+    found = gate.load(file)
+    alone = found.baseline.model_copy(update={"quantities": ("impact_mps",)})
+    return found.model_copy(update={"baseline": alone})
 
 
 @pytest.fixture

@@ -114,7 +114,7 @@ def test_a_car_that_is_put_on_a_bus_lane_is_seen_there_and_leaves_sumo_alive(who
         assert then[2] == "east_bay_1"
 
 
-SUITE = Path(__file__).resolve().parents[2] / "studies" / "planner_faults" / "suite"
+SUITE = Path(__file__).resolve().parents[2] / "suite"
 JUNCTION = """
 import sys
 import libsumo

@@ -218,7 +218,7 @@ def test_a_copy_is_attacked_at_the_moments_of_the_baseline(tmp_path):
         faults=("narrow",), specs=(), thresholds=None, out=tmp_path,
     )  # fmt: skip
     (file, *others) = sorted(measure.SUITE.glob("*.yaml"))
-    assert len(others) == 5
+    assert len(others) == 6
     assert measure.spec_of(file, asked, "none").source.moments.count == 3
     again = measure.spec_of(file, asked, "narrow", like=tmp_path).source.moments
     assert (again.of, again.count) == (tmp_path.resolve(), None)

@@ -250,6 +250,11 @@ def _features(road: RoadMap, name: str) -> list[tuple[float, float, bool]]:
 
 
 __all__ = [
-    "CEILING_MPS2", "StopApproach", "DrivenSteps", "approaches", "driven_steps", "lane_ids",
+    "CEILING_MPS2",
+    "DrivenSteps",
+    "StopApproach",
+    "approaches",
+    "driven_steps",
+    "lane_ids",
     "unexplained",
 ]  # fmt: skip

@@ -17,8 +17,8 @@ from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, driving, metric, once
 from deepmf_sumo.judge.metrics._surroundings import (
     CEILING_MPS2,
-    StopApproach,
     DrivenSteps,
+    StopApproach,
     approaches,
     driven_steps,
     lane_ids,
@@ -57,6 +57,7 @@ _COMFORTABLE_MPS2: Final = 3.0
 _AT_LINE_M: Final = 0.5
 _ACROSS_LINE_M: Final = 10.0
 _FOLLOWS_MPS: Final = 5.0
+_SLOWER_MPS: Final = 0.01
 _CLOSE_S: Final = 0.9
 """Half of the speedometer's number in metres is 1.8 s; half of that is an offence in Germany."""
 _SAME_WAY_RAD: Final = float(np.pi / 6)
@@ -64,7 +65,7 @@ _PRESENT_M: Final = 60.0
 _LONG_STEPS: Final = 5
 _FROZEN_MPS: Final = 0.0005
 _REPEATED_STEPS: Final = 3
-_CHANGING_MPS2: Final = 0.7
+_BRAKES_MPS2: Final = 0.7
 _BESIDE_STEPS: Final = 2
 
 
@@ -85,7 +86,7 @@ def av_signal_braking(episode: Episode) -> float:
 def _to_stop_mps2(drive: DrivenSteps, approach: StopApproach) -> float:
     speed, left_m = drive.speed_mps, approach.left_m
     hardest = 0.0
-    for run in _slices.runs(approach.halts & (left_m > 0)):
+    for run in _slices.runs(approach.halts & (left_m > 0) & np.isfinite(left_m)):
         room = left_m[run.start] - speed[run.start] * _REACTION_S
         if room > 0 and speed[run.start] ** 2 / (2 * room) <= _COMFORTABLE_MPS2:
             needed = speed[run] ** 2 / (2 * np.maximum(left_m[run], _AT_LINE_M))
@@ -211,7 +212,7 @@ def av_close_following(episode: Episode) -> float:
     over the simulated steps up to the AV's first contact.
     """
     drive, gap_s = DrivenSteps.of(episode), _gap_s(episode)
-    slower = np.concatenate([[0.0], np.diff(drive.speed_mps)]) < 0
+    slower = np.concatenate([[0.0], np.diff(drive.speed_mps)]) < -_SLOWER_MPS
     close = (gap_s < _CLOSE_S) & (drive.speed_mps > _FOLLOWS_MPS) & ~slower
     return _longest(close) * episode.rollout.dt_s
 
@@ -274,22 +275,20 @@ def _beyond_m(road: RoadMap, points_m: Floats, course_rad: Floats) -> Floats:
 @metric("s", better="higher")
 def av_frozen(episode: Episode) -> float:
     """Longest time, of at least 0.3 s, for which the AV's speed stays the same (to 0.5 mm/s a step,
-    above 1 m/s) while it accelerates by more than 0.7 m/s2, or brakes by more, both just before and
-    just after, over the simulated steps up to its first contact: as if a command had been repeated.
+    above 1 m/s) while it brakes with more than 0.7 m/s2 both just before and just after, over the
+    simulated steps up to its first contact: as if a command had been repeated.
+
+    A limit, or SUMO while it changes lanes, may well hold a speed between two accelerations.
     """
     drive, dt_s = DrivenSteps.of(episode), episode.rollout.dt_s
     change = np.diff(drive.speed_mps)
     still = (np.abs(change) < _FROZEN_MPS) & (drive.speed_mps[1:] > 1.0)
     longest = 0
     for run in _slices.runs(still):
-        before, after = change[: run.start][-_BESIDE_STEPS:], change[run.stop :][:_BESIDE_STEPS]
-        if len(before) and len(after):
-            least = _CHANGING_MPS2 * dt_s
-            same = (before.min() > least and after.min() > least) or (
-                before.max() < -least and after.max() < -least
-            )
-            steps = run.stop - run.start
-            longest = max(longest, steps * bool(same and steps >= _REPEATED_STEPS))
+        beside = [change[: run.start][-_BESIDE_STEPS:], change[run.stop :][:_BESIDE_STEPS]]
+        brakes = all(len(one) and one.max() < -_BRAKES_MPS2 * dt_s for one in beside)
+        steps = run.stop - run.start
+        longest = max(longest, steps * bool(brakes and steps >= _REPEATED_STEPS))
     return longest * dt_s
 
 

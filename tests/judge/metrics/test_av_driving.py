@@ -87,8 +87,15 @@ def test_limits_of_lanes_of_the_own_direction():
 
 
 def test_above_the_limit():
-    """At 13 m/s from x = -20: 5 above the limit of 8 of the first lane."""
-    assert measured("av_over_limit", *on_the_street(straight(-20, 0, 13))).value == pytest.approx(5)
+    """From 8 m/s on it accelerates for 8 s where 8 m/s are allowed.
+
+    At 13 m/s from the start on it should slow down with 1 m/s2: 4.6 s later, when the next lane
+    begins, 4.6 m/s are beyond what is allowed.
+    """
+    faster = measured("av_over_limit", *on_the_street(straight(-120, 0, 8, accel=1.0))).value
+    assert faster == pytest.approx(8, abs=0.11)
+    keeps = measured("av_over_limit", *on_the_street(straight(-33, 0, 13))).value
+    assert keeps == pytest.approx(4.6)
     assert measured("av_over_limit", *on_the_street(straight(40, 0, 11))).value == 0.0
     reason = measured("av_over_limit", *on_the_street(straight(0, 300, 11))).reason
     assert reason == "no limit is known where the AV drove"

@@ -1,0 +1,167 @@
+"""Rules of the road and of comfort: worked by hand on a crossing with a light."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from deepmf_sumo import plugins
+from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
+from deepmf_sumo.judge.metrics import own
+from deepmf_sumo.judge.metrics.av_rules import MONITORS
+
+from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight
+
+STEPS = 81
+AWAY = straight(0, -500, 10)
+GO, YELLOW, RED = SignalState.GO, SignalState.CAUTION, SignalState.STOP
+
+
+def lane(name, points, **more):
+    centre = np.array(points, float)
+    return Lane(
+        id=name, kind="street", centre_m=centre, z_m=np.zeros(len(centre)),
+        **{"width_m": 3.5, "speed_limit_mps": 14.0, **more},
+    )  # fmt: skip
+
+
+ROAD = RoadMap(
+    lanes={
+        one.id: one
+        for one in (
+            lane("to", [[-300, 0], [0, 0]], next=("over",)),
+            lane("over", [[0, 0], [20, 0]], previous=("to",), next=("on",), interpolating=True,
+                 gives_way_to=("across",)),
+            lane("on", [[20, 0], [500, 0]], previous=("over",)),
+            lane("from south", [[10, -300], [10, -10]], next=("across",)),
+            lane("across", [[10, -10], [10, 10]], previous=("from south",), next=("north",),
+                 interpolating=True),
+            lane("north", [[10, 10], [10, 300]], previous=("across",)),
+        )
+    }
+)  # fmt: skip
+
+
+def poses(x, speed):
+    """From speeds (K) after now, along the x axis: (T, 3)."""
+    speed = np.concatenate([np.full(11, speed[0]), speed])[:91]
+    along = x + (np.cumsum(speed) - np.cumsum(speed)[10]) * 0.1
+    return np.stack([along, np.zeros(91), np.zeros(91)], axis=1)
+
+
+def braking(x, speed, at_s, mps2):
+    seconds = np.arange(1, STEPS) * 0.1
+    return poses(x, np.maximum(0.0, speed - mps2 * np.maximum(0.0, seconds - at_s)))
+
+
+def measured(name, av, lights=None, **others):
+    case = dataclasses.replace(in_traffic(case_of()), road=ROAD)
+    rollout = rollout_of({"av": av, "b": AWAY, **others})
+    if lights:
+        lit = tuple({"over": one} for one in lights)
+        rollout = dataclasses.replace(rollout, signals=lit + (lit[-1],) * (80 - len(lit)))
+    return plugins.load("metrics", name).measure(rollout, case)
+
+
+def value(*arguments, **others):
+    return measured(*arguments, **others).value
+
+
+def test_monitors_are_metrics_and_zero_is_good():
+    assert set(MONITORS) <= set(own())
+    for name in MONITORS:
+        if name.startswith("av_") and not name.endswith(("_min", "_progress")):
+            assert value(name, straight(-250, 0, 12), [GO]) == pytest.approx(0.0, abs=1e-6), name
+
+
+def test_braking_that_a_light_asks_for():
+    """Yellow 60 m ahead at 12 m/s: 3 m/s2 after a second is enough. Later more is needed."""
+    front = -60 - 2.4
+    soon = value("av_signal_braking", braking(front, 12, 1.0, 2.0), [GO, YELLOW])
+    assert soon == pytest.approx(12**2 / (2 * 48), abs=0.1)
+    late = value("av_signal_braking", braking(front, 12, 3.5, 5.0), [GO, YELLOW])
+    assert late == pytest.approx(12**2 / (2 * (60 - 12 * 3.5)), abs=0.2)
+    assert value("av_signal_braking", straight(front, 0, 12), [GO, YELLOW]) == 10.0
+
+
+def test_no_light_asks_of_an_av_that_cannot_stop_any_more():
+    """Yellow 25 m ahead at 12 m/s: after a second 13 m are left, 5.5 m/s2."""
+    assert value("av_signal_braking", straight(-25 - 2.4, 0, 12), [GO, YELLOW]) == 0.0
+    assert "lights" in measured("av_signal_braking", straight(-25, 0, 12)).reason
+
+
+def test_a_light_asks_from_where_the_av_comes_into_its_lane():
+    """From the lane beside, 15 m before the line at 8 m/s: it could not stop in a second."""
+    av = poses(-65, np.full(80, 8.0))
+    av[:, 1] = np.interp(av[:, 0], [-50, -15 - 2.4], [3.5, 0.5])
+    assert value("av_signal_braking", av, [RED]) == 0.0
+    far = poses(-65, np.full(80, 8.0))
+    far[:, 1] = np.interp(far[:, 0], [-60, -40 - 2.4], [3.5, 0.5])
+    assert value("av_signal_braking", far, [RED]) == 10.0
+
+
+def test_standing_beyond_the_line():
+    """It stops 3 m beyond a line that it crossed at red; a line crossed at green does not count."""
+    av = braking(-2.4 - 12 * 1 - 12**2 / 8 + 3, 12, 1.0, 4.0)
+    assert value("av_beyond_stop_line", av, [RED]) == pytest.approx(3.0, abs=0.7)
+    assert value("av_beyond_stop_line", av, [GO] * 40 + [RED]) == 0.0
+    before = braking(-2.4 - 12 - 12**2 / 8 - 2, 12, 1.0, 4.0)
+    assert value("av_beyond_stop_line", before, [RED]) == 0.0
+
+
+@pytest.mark.parametrize(("lights", "run"), [([RED], 1.0), ([YELLOW], 0.0), ([GO, RED], 1.0)])
+def test_a_red_run(lights, run):
+    assert value("av_red_run", straight(-30, 0, 12), lights) == run
+
+
+def test_right_of_way():
+    """It crosses at 8 m/s; a vehicle with priority comes at 12 m/s 0.5 s too soon, or late."""
+    av = straight(-12, 0, 8)
+    near = straight(10, -36, 12, heading=np.pi / 2)
+    assert value("av_right_of_way_taken", av, south=near) > 2.0
+    assert value("av_right_of_way_taken", av, south=straight(10, -190, 12, heading=np.pi / 2)) == 0
+    assert value("av_right_of_way_taken", straight(-12, 0, 0), south=near) == 0.0
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_what_explains_a_stop(there):
+    """It stops on a free road, or behind one that stands."""
+    others = {"ahead": straight(150, 0, 0)} if there else {}
+    av = braking(60, 12, 2.0, 4.0)
+    expected = 0.0 if there else 3.0
+    assert value("av_unexplained_stop", av, **others) == pytest.approx(expected, abs=0.25)
+    hard = value("av_unexplained_braking", av, **others)
+    assert hard == pytest.approx(0.0 if there else 4.0, abs=0.01)
+
+
+def test_a_light_explains_a_stop_and_one_that_passes_does_not():
+    assert value("av_unexplained_braking", braking(-70, 12, 2.0, 4.0), [RED]) == 0.0
+    oncoming = straight(200, 3.5, 12, heading=np.pi)
+    assert value("av_unexplained_braking", braking(60, 12, 2.0, 4.0), oncoming=oncoming) > 3.9
+
+
+def test_following():
+    """8 m behind one as fast, 12 m/s: 0.67 s. Slowing down, or 12 m behind, it is none."""
+    near = {"leader": straight(60 + 4.8 + 8, 0, 12)}
+    assert value("av_close_following", straight(60, 0, 12), **near) == pytest.approx(8.0)
+    slowing = braking(60, 12, 0.0, 0.2)
+    assert value("av_close_following", slowing, **near) <= 0.1
+    far = {"leader": straight(60 + 4.8 + 12, 0, 12)}
+    assert value("av_close_following", straight(60, 0, 12), **far) == 0.0
+
+
+def test_out_of_its_lane():
+    """2 m wide on a lane of 3.5 m: 1.5 m aside its side is 0.75 m beyond the edge."""
+    assert value("av_off_lane", straight(60, 1.5, 12)) == pytest.approx(0.75)
+    assert value("av_off_lane", straight(60, 0.7, 12)) == 0.0
+
+
+def test_a_repeated_command():
+    """While it brakes with 2 m/s2 its speed stays the same for 0.5 s; not so after braking."""
+    speed = 12 - 0.2 * np.arange(80.0)
+    speed[20:] += 1.0
+    speed[20:25] = speed[19]
+    assert value("av_frozen", poses(60, np.maximum(speed, 0))) == pytest.approx(0.5)
+    assert value("av_frozen", poses(60, 13 - np.maximum(speed, 0))) == 0.0  # it accelerates
+    steady = np.concatenate([12 - 0.2 * np.arange(20), np.full(60, 8.0)])
+    assert value("av_frozen", poses(60, steady)) == 0.0
