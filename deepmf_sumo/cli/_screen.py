@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.risk.attacks import Network
     from deepmf_sumo.risk.comparison import Compared
-    from deepmf_sumo.risk.coverage import TypeRow
+    from deepmf_sumo.risk.coverage import Cell
+    from deepmf_sumo.risk.kinds import TypeRow
     from deepmf_sumo.risk.table import Row as PlaceRow
     from deepmf_sumo.sweep.batch import Progress
 
@@ -356,18 +357,13 @@ _MOST: Final = 30
 
 def show_risk(written: Sequence[Written], top: int) -> None:
     """One table for each network: movements and edges, by the lower end of the risk of a hit."""
-    from deepmf_sumo.report.table import counted
-    from deepmf_sumo.risk.coverage import by_type
+    from deepmf_sumo.risk.kinds import by_type
     from deepmf_sumo.risk.table import worst
 
     console = wide()
     for one in written:
         network = one.network
-        left = "".join(
-            f"; not counted: {counted(count, 'run')} {why}"
-            for why, count in network.left_out.items()
-        )
-        head = f"{network.name}: {counted(len(network.attacks), 'attack')}{left}{_overall(network)}"
+        head = f"{_counted_on(network)}{_overall(network)}"
         console.print(escape(head), soft_wrap=True)
         console.print(_filled(_HEADINGS, [_cells(row) for row in worst(one.rows)[:top]]))
         console.print(
@@ -390,6 +386,37 @@ def _overall(network: Network) -> str:
         f" drawn from: hits {100 * hits.rate:.0f} % ({100 * hits.low:.0f} to"
         f" {100 * hits.high:.0f} %)"
     )
+
+
+def show_coverage(found: Sequence[tuple[Network, Sequence[Cell]]]) -> None:
+    """The four tables of evidence of each network."""
+    from deepmf_sumo.report import evidence
+    from deepmf_sumo.risk.coverage import TABLES
+
+    console = wide()
+    for network, cells in found:
+        console.print(escape(_counted_on(network)), soft_wrap=True)
+        for table, title in TABLES.items():
+            console.print()
+            console.print(escape(title), style="bold", soft_wrap=True)
+            rows = [evidence.row(one) for one in cells if one.table == table]
+            grid = plain_grid(evidence.HEADINGS[:1], evidence.HEADINGS[1:-1])
+            grid.add_column(escape(evidence.HEADINGS[-1]), overflow="fold")
+            for row in rows:
+                grid.add_row(*map(escape, row))
+            console.print(grid)
+        console.print()
+        console.print(escape(evidence.NOTE), soft_wrap=True)
+
+
+def _counted_on(network: Network) -> str:
+    """The attacks on a network, and the runs that do not count."""
+    from deepmf_sumo.report.table import counted
+
+    left = "".join(
+        f"; not counted: {counted(count, 'run')} {why}" for why, count in network.left_out.items()
+    )
+    return f"{network.name}: {counted(len(network.attacks), 'attack')}{left}"
 
 
 def show_comparison(compared: Compared, names: tuple[str, str]) -> None:

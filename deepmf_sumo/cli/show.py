@@ -24,19 +24,30 @@ if TYPE_CHECKING:
 @click.option(
     "--failures", is_flag=True, help="Show what went wrong: failures in groups, the worst first."
 )
+@click.option(
+    "--coverage", is_flag=True,
+    help="Show what was attacked on networks, how it went, and what never was attacked.",
+)  # fmt: skip
 @format_option
 @click.option(
     "--csv", "csv_file", type=click.Path(dir_okay=False, path_type=Path), hidden=True,
     help="Write the rows to this file.",
 )  # fmt: skip
 def command(
-    folders: tuple[Path, ...], everything: bool, failures: bool, form: str, csv_file: Path | None
+    folders: tuple[Path, ...],
+    everything: bool,
+    failures: bool,
+    coverage: bool,
+    form: str,
+    csv_file: Path | None,
 ) -> None:
     """Show the result folders OUT... side by side, each spec of a folder separately.
 
     With --failures: hits of the opponent and errors of the planner in groups. Findings come first,
     grouped by their cause: who erred how, the kind of conflict, and the smallest change of the AV
     that would have avoided the hit. Contrived and unavoidable hits follow them.
+    With --coverage: four tables for each network, of environment, manoeuvre, kind of conflict and
+    rules of the road: attacks, conflicts, hits, findings, causes, or why nothing was attacked.
     Rates have 95 % intervals. Means are of the runs that have a value; below the table it says why
     others have none.
     """
@@ -45,9 +56,15 @@ def command(
     from deepmf_sumo.report import comparison
 
     screen.tell_switched_off(folders, err=form != "table")
+    if failures and coverage:
+        raise UsageError("--failures goes without --coverage; give one of them.")
+    if (failures or coverage) and (everything or csv_file):
+        name = "--failures" if failures else "--coverage"
+        raise UsageError(f"{name} goes without --all; its data: --format csv or json.")
+    if coverage:
+        _show_coverage(folders, form)
+        return
     if failures:
-        if everything or csv_file:
-            raise UsageError("--failures goes without --all; its data: --format csv or json.")
         _show_failures(folders, form)
         return
     groups = comparison.groups(folders)
@@ -88,6 +105,19 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
         if form != "json":  # a cell is a text
             values = [one | {"run_ids": " ".join(one["run_ids"])} for one in values]
         screen.emit(form, values)
+
+
+def _show_coverage(folders: tuple[Path, ...], form: str) -> None:
+    from deepmf_sumo import risk
+    from deepmf_sumo.cli import _screen as screen
+    from deepmf_sumo.report import evidence
+
+    found = [(one, risk.coverage(one)) for one in risk.read(folders)]
+    if form == "table":
+        screen.show_coverage(found)
+    else:
+        rows = [{"network": net.name} | evidence.values(one) for net, all_ in found for one in all_]
+        screen.emit(form, rows)
 
 
 def _warn(runs: "Sequence[Run]") -> None:

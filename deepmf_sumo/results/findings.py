@@ -148,7 +148,7 @@ def count(hits: Iterable[Worth | None]) -> Count:
 
 
 def counted(found: Count) -> str:
-    """The hits by their worth, e.g. ``3 findings: 1 error of the AV (A), 2 avoidable (B; ...)``."""
+    """The hits by their worth, e.g. ``3 findings: 1 by an error of the AV (A), ...``."""
     if not found.hits:
         return "no findings"
     parts = []
@@ -157,7 +157,7 @@ def counted(found: Count) -> str:
         by = ", ".join(f"{name} {number}" for name, number in found.avoided_by.items())
         whom = f"; avoided by {by}" if by else ""
         parts = [
-            f"{found.rungs['A']} {NAMES['A']} (A)",
+            f"{found.rungs['A']} by an {NAMES['A']} (A)",
             f"{found.rungs['B']} {NAMES['B']} (B{whom})",
         ]
     if found.valid:

@@ -8,12 +8,14 @@
 
 from deepmf_sumo.risk.attack_table import ATTACKED, attack_rows
 from deepmf_sumo.risk.attacks import Attacked, Conflict, Network, conflicts, read
-from deepmf_sumo.risk.coverage import by_type, coverage
+from deepmf_sumo.risk.coverage import Cell, coverage
+from deepmf_sumo.risk.kinds import by_type
 from deepmf_sumo.risk.table import Row, columns, rows, worst
 
 __all__ = [
     "ATTACKED",
     "Attacked",
+    "Cell",
     "Conflict",
     "Network",
     "Row",

@@ -20,6 +20,7 @@ from deepmf_sumo import files
 from deepmf_sumo.datatypes import DT_S, Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
+from deepmf_sumo.judge.ladder import FINDINGS
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import findings, statistics, stored
 from deepmf_sumo.results.findings import Worth
@@ -29,6 +30,7 @@ from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk import passing
 from deepmf_sumo.risk import places as places_module
+from deepmf_sumo.risk.driving import BEFORE_S, NOTHING, Driven, driven
 from deepmf_sumo.risk.passing import Traffic
 from deepmf_sumo.risk.places import Places, Spot
 from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
@@ -51,9 +53,12 @@ class Attacked:
         kind: of conflict that it is, or would have been; None where the opponent was not there.
         pet_s: least time between the two at a common place; None without one.
         speed_mps: of the AV when the attack began.
-        av, opponent: ids.
         weight: what it counts for in rates: 1, but where moments were drawn by what others found
             the number of moments that it stands for, relative to the mean.
+        driven: what the AV did up to 5 s before it was decided.
+        cause: who erred how, the kind of conflict and the smallest change of the AV that avoids it
+            (`judge.causes`); None without a finding, or where it is not known.
+        av, opponent: ids. opponent_kind: as in tracks, e.g. ``vehicle``; empty if it was not there.
     """
 
     folder: str
@@ -75,9 +80,12 @@ class Attacked:
     kind: ConflictType | None = None
     pet_s: float | None = None
     speed_mps: float = 0.0
+    driven: Driven = NOTHING
+    cause: tuple[str, ...] | None = None
     av: str = ""
     opponent: str = ""
     weight: float = 1.0
+    opponent_kind: str = ""
 
     @property
     def finding(self) -> bool:
@@ -122,7 +130,7 @@ def of_run(
     """
     parts = _parts(result)
     file = out / "runs" / result["run_id"] / "tracks.csv.gz"
-    found = read_tracks(file, [part.opponent for part in parts])
+    found = read_tracks(file)
     av = Spots(found, road, every, found.av_id, moment)
     # those that left before the attack began have no tracks
     there = [part.opponent for part in parts if part.opponent in found.tracks.ids]
@@ -167,6 +175,7 @@ def _attacked(
     step = next(iter((*hits, *others, first if nearest is None else nearest)))
     place_m: Floats = found.tracks.position_m[found.tracks.row(found.av_id), step]
     decided, against = spots.at(step), opponent.at(step) if opponent else OFF
+    kind = _kind(found, part.opponent, step, spots.road)
     return Attacked(
         folder=folder,
         run_id=result["run_id"],
@@ -184,12 +193,42 @@ def _attacked(
         delta_v_mps=part.metrics.get("delta_v"),
         against=against,
         criticality=criticality(part.metrics[SPARE]) if SPARE in part.metrics else None,
-        kind=_kind(found, part.opponent, step, spots.road),
+        kind=kind,
         pet_s=part.metrics.get("pet"),
         speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
+        driven=_driven(found, spots, first, step),
+        cause=_cause(result, kind) if hits and part.turn in {None, _first_hit(result)} else None,
         av=found.av_id,
         opponent=part.opponent,
+        opponent_kind=_kind_of(found, part.opponent),
     )
+
+
+def _kind_of(found: RecordedTracks, agent: str) -> str:
+    tracks = found.tracks
+    return tracks.kinds[tracks.row(agent)] if agent in tracks.ids else ""
+
+
+def _driven(found: RecordedTracks, spots: Spots, first: int, last: int) -> Driven:
+    """What the AV did, from the attack's begin on, but at most 5 s."""
+    begin = max(first, last - round(BEFORE_S / DT_S))
+    where = [spots.at(step) for step in range(begin, last + 1)]
+    row = found.tracks.row(found.av_id)
+    return driven(found.tracks, row, where, last, first, DT_S, spots.places)
+
+
+def _cause(result: Result, kind: ConflictType | None) -> tuple[str, ...] | None:
+    """Of the run's finding."""
+    verdict, cause = result.get("finding"), result.get("cause")
+    if not verdict or not cause or verdict["rung"] not in FINDINGS:
+        return None
+    return verdict["av_error"], verdict["opponent_error"], kind or "", cause["change"]
+
+
+def _first_hit(result: Result) -> int | None:
+    """Number of the turn that a run's verdict is of."""
+    turns = enumerate(result["turns"] or [], start=1)
+    return next((number for number, turn in turns if turn["ended"] == "contact"), None)
 
 
 def _kind(found: RecordedTracks, opponent: str, step: int, road: RoadMap) -> ConflictType | None:

@@ -92,10 +92,12 @@ class Places:
 
     Attributes:
         movements: by id, ``JUNCTION: EDGE -> EDGE``.
+        rings: ids of the junctions of roundabouts.
     """
 
     net: NetFile
     movements: dict[str, Movement]
+    rings: frozenset[str] = frozenset()
 
     @cached_property
     def lanes(self) -> dict[str, NetLane]:
@@ -250,7 +252,7 @@ def read(net_file: Path) -> Places:
     """The places of a .net.xml. Raises SimulationError where it is not one."""
     net = read_once(net_file)
     inner = {link.origin: link for link in net.links if link.origin.startswith(":")}
-    greens = _greens(net_file)
+    greens, rings = _lights_and_rings(net_file)
     by_edges: dict[tuple[str, str], list[NetLink]] = defaultdict(list)
     for link in net.links:
         ends = link.origin.rpartition("_")[0], link.target.rpartition("_")[0]
@@ -276,7 +278,7 @@ def read(net_file: Path) -> Places:
             rule=" / ".join(dict.fromkeys(filter(None, (_rule(one, greens) for one in links)))),
             lanes=tuple(lane for link in links for lane in _chain(link, inner)),
         )
-    return Places(net=net, movements=movements)
+    return Places(net=net, movements=movements, rings=rings)
 
 
 def _called(name: str, place: str) -> str:
@@ -298,15 +300,18 @@ def _chain(link: NetLink, inner: dict[str, NetLink]) -> list[str]:
     return lanes
 
 
-def _greens(net_file: Path) -> dict[tuple[str, int], set[str]]:
-    """What a link of a traffic light shows in its phases, in SUMO's letters."""
+def _lights_and_rings(net_file: Path) -> tuple[dict[tuple[str, int], set[str]], frozenset[str]]:
+    """What a link of a traffic light shows in its phases, and the junctions of roundabouts."""
     shown: dict[tuple[str, int], set[str]] = defaultdict(set)
+    rings: set[str] = set()
     for element in elements(net_file, "net"):
+        if element.tag == "roundabout":
+            rings.update(element.get("nodes", "").split())
         if element.tag == "tlLogic":
             for phase in element.iter("phase"):
                 for index, letter in enumerate(phase.get("state", "")):
                     shown[element.get("id", ""), index].add(letter)
-    return shown
+    return shown, frozenset(rings)
 
 
 def _rule(link: NetLink, greens: dict[tuple[str, int], set[str]]) -> str:

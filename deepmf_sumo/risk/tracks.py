@@ -1,6 +1,6 @@
 """How the AV and its opponents drove in a run -> the places that they were at."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -16,13 +16,13 @@ from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk.places import Movement, Places, Spot
 
 
-def read_tracks(file: Path, opponents: Sequence[str]) -> RecordedTracks:
-    """How the AV and its opponents drove.
+def read_tracks(file: Path) -> RecordedTracks:
+    """How all road users drove.
 
     Raises UsageError where the file is missing or damaged.
     """
     try:
-        return tracks.read_tracks(file, opponents)
+        return tracks.read_tracks(file)
     except FileNotFoundError:
         raise UsageError(f"{file} is missing; run it again.") from None
     except stored.DAMAGE as error:

@@ -12,6 +12,7 @@ import pytest
 from deepmf_sumo import risk as risk_module
 from deepmf_sumo import tables
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.judge.conflict_types import TYPES
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.report import page as report_page
 from deepmf_sumo.report import risk as files
@@ -270,14 +271,18 @@ def dumped(address):
 
 
 def test_kinds_and_coverage_have_tables(made):
-    for name, first in (("types.csv", "kind"), ("coverage.csv", "of")):
+    for name, first in (("types.csv", "kind"), ("coverage.csv", "table")):
         with (made.folder / name).open() as lines:
             table = list(csv.DictReader(lines))
         assert next(iter(table[0])) == first
     page = (made.folder / "risk.html").read_text("utf-8")
     content = json.loads(zlib.decompress(base64.b64decode(_text(page, "map-0"))))
     assert sum(row[2] for row in content["types"]) == 3
-    assert {of: all_ for of, _, all_, _ in content["covered"]}["speed"] == 6
+    assert [of for of, *_ in content["covered"]] == ["movement", "edge"]
+    titles, tables = zip(*content["evidence"], strict=True)
+    assert len(titles) == 4
+    assert [row[0] for row in tables[2]] == list(TYPES)
+    assert all(len(row) == len(content["evidenceHeadings"]) for rows in tables for row in rows)
 
 
 @pytest.mark.sumo

@@ -55,7 +55,8 @@ def test_totals():
     }
     assert table.totals(summary) == (
         "3 runs: 2 ok, 1 failed; AV hit by opponent in 1 of 2 attacked, 50 %"
-        " (95 % interval 9-91 %); 1 finding: 0 error of the AV (A), 1 avoidable (B; avoided by"
-        " cc 1, search 1); apart from these 0 contrived (C), 0 unavoidable (D); mean contact speed"
-        " 6.0 m/s; 1 with broken expectations"
+        " (95 % interval 9-91 %); 1 finding: 0 by an error of the AV (A), 1 avoidable (B;"
+        " avoided by cc 1, search 1); apart from these 0 contrived (C), 0 unavoidable (D);"
+        " mean contact speed 6.0 m/s; 1 with broken expectations"
     )
+    assert [line.partition(":")[0] for line in table.meanings(summary)] == ["B", "cc", "search"]

@@ -55,8 +55,8 @@ def test_hits_are_counted_by_rung_and_every_driver_is_named():
     found = findings.count(hits)
     assert (found.hits, found.findings, found.judged) == (4, 3, 4)
     assert findings.counted(found) == (
-        "3 findings: 1 error of the AV (A), 2 avoidable (B; avoided by cc 2, search 1); apart from"
-        " these 1 contrived (C), 0 unavoidable (D)"
+        "3 findings: 1 by an error of the AV (A), 2 avoidable (B; avoided by cc 2, search 1); apart"
+        " from these 1 contrived (C), 0 unavoidable (D)"
     )
     told = findings.legend(found)
     assert [line.partition(":")[0] for line in told] == ["A", "B", "C", "cc", "search"]

@@ -7,9 +7,11 @@ from deepmf_sumo import risk
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.conflict_types import Course, conflict_type
 from deepmf_sumo.network.sumo_road import road_of_net
+from deepmf_sumo.results import statistics
 from deepmf_sumo.risk import places as places_module
-from deepmf_sumo.risk.coverage import NO_CONFLICT
+from deepmf_sumo.risk.kinds import NO_CONFLICT
 
+from tests.support import worth_doubles
 from tests.support.risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
 
 CAR_M = np.array([4.8, 2.0])
@@ -98,18 +100,86 @@ def test_conflicts_have_a_row_a_kind(network):
     assert rows["head-on"].least_ttc_s is None
 
 
+def cells(network):
+    return {(one.table, one.subject, one.name): one for one in risk.coverage(network)}
+
+
 def test_what_was_never_attacked_is_there(network):
-    found = {(one.of, one.name): one for one in risk.coverage(network)}
+    found = cells(network)
     left = network.places.movement(*LEFT_IN).id
-    assert found["movement", left].attacks == 1
-    movements = [one for one in found.values() if one.of == "movement"]
+    assert found["place", "movement", left].attacks == 1
+    movements = [one for one in found.values() if one.subject == "movement"]
     assert len(movements) == network.places.count("movement")
     assert sum(one.attacks > 0 for one in movements) < len(movements)
-    assert found["turn", "left"].attacks >= 1
-    assert found["edge", "s_in"].attacks == 0
-    assert found["conflict", "rear-end"].hits == 1
-    assert found["speed", "30 to 50 km/h"].attacks == 4
-    assert sum(one.attacks for one in found.values() if one.of == "speed") == 4
+    assert found["place", "edge", "s_in"].attacks == 0
+    speed = "manoeuvre", "speed at the start"
+    assert found[*speed, "30 to 50 km/h"].attacks == 4
+    assert sum(one.attacks for key, one in found.items() if key[:2] == speed) == 4
+
+
+def test_each_attack_counts_in_the_cells_that_it_belongs_to(network):
+    """Three on the way to the junction, one that turns left there; one opponent behind hits."""
+    found = cells(network)
+    behind = found["conflict", "kind of conflict", "rear-end"]
+    assert (behind.conflicts, behind.hits, behind.findings) == (2, 1, 1)
+    assert behind.hit_rate == statistics.rate([[1.0], *[[0.0]] * (behind.attacks - 1)])
+    assert sum(one.attacks for key, one in found.items() if key[0] == "conflict") == 4
+    lanes = "environment", "lanes in the AV's direction"
+    assert sum(one.attacks for key, one in found.items() if key[:2] == lanes) == 4
+    around = "environment", "road users within 50 m at the start"
+    assert found[*around, "up to 2"].attacks == 4
+
+
+def test_a_cell_without_an_attack_says_why(network):
+    found = cells(network)
+    for key, one in found.items():
+        assert bool(one.reason) == (one.attacks == 0), key
+        if one.attacks == 0:
+            assert (one.conflicts, one.hits, one.findings, one.causes) == (0, 0, 0, 0)
+            assert one.hit_rate is None
+    assert found["environment", "junction", "roundabout"].reason == "no such place in the network"
+    assert found["rule", "rule", "stop"].reason == "no such place in the network"
+    assert found["environment", "weather", "rain, snow, fog"].reason == "never: SUMO has none"
+    assert found["manoeuvre", "manoeuvre", "stands"].reason == "not reached in 4 attacks"
+
+
+def finding(change):
+    """The metrics and keys of a finding with a cause."""
+    return {
+        "metrics": worth_doubles.metrics("A", by=()),
+        "finding": {"rung": "A", "reasons": [], "av_error": "struck_ahead", "opponent_error": "",
+                    "avoided_by": []},
+        "cause": {"change": change, "what": "", "last_moment_s": {}, "changes": {}},
+    }  # fmt: skip
+
+
+def test_findings_of_one_cause_are_one_cause(tmp_path):
+    out = Attacks(tmp_path / "out")
+    for number, change in enumerate(("reacts", "reacts", "brakes harder")):
+        scene = f"s{number}"
+        out.add(scene, av=eastward(), opponent=eastward(x=-144.0), hit=30, **finding(change))
+    contrived = finding("reacts") | {"metrics": worth_doubles.metrics("C")}
+    contrived["finding"] = contrived["finding"] | {"rung": "C", "av_error": "other"}
+    out.add("c", av=eastward(), opponent=eastward(x=-144.0), hit=30, **contrived)
+    out.add("old", av=eastward(), opponent=eastward(x=-144.0), hit=30,
+            metrics=worth_doubles.metrics("B"))  # fmt: skip
+    [network] = risk.read([out.out])
+    one = cells(network)["conflict", "kind of conflict", "rear-end"]
+    assert (one.attacks, one.hits, one.findings, one.causes) == (5, 5, 4, 2)
+
+
+def test_the_cause_is_of_the_turn_that_hit_first(tmp_path):
+    def turn(begin_s, ended):
+        return {"opponent": "foe", "begin_s": begin_s, "end_s": begin_s + 2.0, "ended": ended,
+                "outcome": "av_opponent" if ended == "contact" else "none",
+                "hit_speed_mps": None, "metrics": worth_doubles.metrics("A")}  # fmt: skip
+
+    out = Attacks(tmp_path / "out")
+    turns = [turn(0.0, "time"), turn(2.0, "contact")]
+    out.add("a", av=eastward(), opponent=eastward(x=-144.0), hit=45, turns=turns,
+            **finding("reacts"))  # fmt: skip
+    [network] = risk.read([out.out])
+    assert [one.cause is not None for one in network.attacks] == [False, True]
 
 
 FLOWS = """spec,network,edge,following,vehicles,near,hours
@@ -137,11 +207,20 @@ def test_flows_make_hits_per_passing_vehicle(tmp_path):
     assert began["hits_per_1000_vehicles"] == pytest.approx(500.0 * began["risk_hit"])
     assert (decided["counted"], decided["vehicles_per_hour"]) == ("decided", 120.0)
     assert decided["hits_per_1000_vehicles"] is None
-    found = {(one.of, one.name): one for one in risk.coverage(network)}
+    found = cells(network)
     left = network.places.movement(*LEFT_IN).id
-    assert found["movement", left].vehicles_per_hour == 40.0
-    assert found["edge", "s_in"].vehicles_per_hour == 0.0
-    assert found["turn", "left"].vehicles_per_hour is None
+    assert found["place", "movement", left].vehicles_per_hour == 40.0
+    assert found["place", "edge", "s_in"].vehicles_per_hour == 0.0
+    assert found["place", "edge", "s_in"].reason == "no traffic there while moments were chosen"
+    assert found["place", "edge", "w_in"].reason == "not reached in 1 attack"
+    assert found["manoeuvre", "manoeuvre", "left turn"].vehicles_per_hour == 40.0
+    assert found["manoeuvre", "manoeuvre", "left turn"].reason == "not reached in 1 attack"
+    right = found["manoeuvre", "manoeuvre", "right turn"]
+    assert (right.vehicles_per_hour, right.reason) == (
+        0.0, "no traffic there while moments were chosen",
+    )  # fmt: skip
+    assert found["rule", "rule", "change lanes"].vehicles_per_hour is not None
+    assert found["environment", "junction", "between junctions"].vehicles_per_hour is None
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,14 @@ import shapely
 
 from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.network.sumo_net import NetLane
+from deepmf_sumo.report.evidence import HEADINGS, NOTE, row
 from deepmf_sumo.report.page.columns import Column, short
 from deepmf_sumo.report.palette import RISK_CLASSES
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.results.statistics import PLACE_CONFIDENCE
 from deepmf_sumo.risk.attacks import Attacked, Network
-from deepmf_sumo.risk.coverage import MEANINGS, Covered, TypeRow, by_type, coverage
+from deepmf_sumo.risk.coverage import TABLES, Cell, coverage
+from deepmf_sumo.risk.kinds import MEANINGS, TypeRow, by_type
 from deepmf_sumo.risk.places import KINDS
 from deepmf_sumo.risk.table import COUNTED, DEFINITIONS, Row, columns
 
@@ -61,7 +63,7 @@ PLACE_COLUMNS: Final = (
 
 def content(network: Network, rows: Sequence[Row]) -> dict[str, Any]:
     """What the page needs of a map, as JSON values. The same rows give the same content."""
-    table = [columns(row) for row in rows]
+    table, cells = [columns(one) for one in rows], coverage(network)
     return {
         "network": network.name,
         "columns": [column.as_json() for column in PLACE_COLUMNS],
@@ -75,7 +77,10 @@ def content(network: Network, rows: Sequence[Row]) -> dict[str, Any]:
         "off": {counted: _off(network, counted) for counted in COUNTED},
         "definitions": dict(DEFINITIONS),
         "types": [_type(row) for row in by_type(network.attacks)],
-        "covered": _covered(network),
+        "covered": _covered(cells),
+        "evidence": _evidence(cells),
+        "evidenceHeadings": HEADINGS,
+        "evidenceNote": NOTE,
         "confidence": round(100 * PLACE_CONFIDENCE),
         "classes": RISK_CLASSES,
     }
@@ -86,18 +91,27 @@ def _type(row: TypeRow) -> list[Any]:
     return [MEANINGS[row.kind], *(short(value) for value in asdict(row).values())]
 
 
-def _covered(network: Network) -> list[list[Any]]:
-    """Of each subject how many of its values were attacked, of how many, and which never were."""
-    subjects: dict[str, list[Covered]] = {}
-    for one in coverage(network):
-        subjects.setdefault(one.of, []).append(one)
+def _covered(cells: Sequence[Cell]) -> list[list[Any]]:
+    """Of movements and edges how many were attacked, of how many, and which never were."""
+    subjects: dict[str, list[Cell]] = {}
+    for one in cells:
+        if one.table == "place":
+            subjects.setdefault(one.subject, []).append(one)
     return [
-        [of, sum(one.attacks > 0 for one in found), len(found), _never(found)]
-        for of, found in subjects.items()
+        [subject, sum(one.attacks > 0 for one in found), len(found), _never(found)]
+        for subject, found in subjects.items()
     ]
 
 
-def _never(found: Sequence[Covered]) -> list[str]:
+def _evidence(cells: Sequence[Cell]) -> list[list[Any]]:
+    """The title of each table, and its rows: cells of text."""
+    return [
+        [title, [list(row(one)) for one in cells if one.table == table]]
+        for table, title in TABLES.items()
+    ]
+
+
+def _never(found: Sequence[Cell]) -> list[str]:
     """The busiest first, with their flow where it is known."""
     never = [one for one in found if not one.attacks]
     if any(one.vehicles_per_hour for one in never):

@@ -7,6 +7,7 @@ from typing import Final
 
 from deepmf_sumo import files, risk, tables
 from deepmf_sumo.errors import OutputError
+from deepmf_sumo.report import evidence
 from deepmf_sumo.report.page.document import map_page
 from deepmf_sumo.report.risk import gis, sumo_files
 from deepmf_sumo.results import stored
@@ -86,7 +87,7 @@ def _write(folder: Path, network: Network, title: str, forms: Sequence[gis.Form]
     files.write(folder / CONFLICTS, tables.to_csv([asdict(one) for one in risk.conflicts(network)]))
     by_type = [asdict(one) for one in risk.by_type(network.attacks)]
     files.write(folder / TYPES, tables.to_csv(by_type))
-    covered = [asdict(one) for one in risk.coverage(network)]
+    covered = [evidence.values(one) for one in risk.coverage(network)]
     files.write(folder / COVERAGE, tables.to_csv(covered))
     attacks = tables.to_csv(risk.attack_rows(network), risk.ATTACKED, cell=tables.exact)
     files.write(folder / ATTACKS, attacks)

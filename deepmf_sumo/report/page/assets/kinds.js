@@ -15,10 +15,6 @@ const KIND_HEADINGS = [
 const COVERED_NAMES = {
   movement: ["movement", "movements"],
   edge: ["edge", "edges"],
-  turn: ["turn", "turns"],
-  "right of way": ["right of way", "rights of way"],
-  conflict: ["kind of conflict", "kinds of conflict"],
-  speed: ["speed", "speeds"],
 };
 
 function showKinds() {
@@ -31,6 +27,23 @@ function showKinds() {
   ]);
   byId("kinds").replaceChildren(
     ...tableOf(KIND_HEADINGS, rows, KIND_HEADINGS.map((_, column) => column).slice(1)),
+  );
+}
+
+/** The tables of evidence: what was attacked, how it went, and why something never was. */
+function showEvidence() {
+  const { evidence, evidenceHeadings, evidenceNote } = risk.content;
+  const numbers = evidenceHeadings.map((_, column) => column).slice(1, -1);
+  byId("evidence").replaceChildren(
+    make("p", { class: "hint" }, evidenceNote),
+    ...evidence.flatMap(([title, rows]) => [
+      make("h3", {}, title),
+      make(
+        "div",
+        { class: "wide" },
+        make("table", { class: "cards" }, ...tableOf(evidenceHeadings, rows, numbers)),
+      ),
+    ]),
   );
 }
 

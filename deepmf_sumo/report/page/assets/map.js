@@ -291,6 +291,7 @@ async function openMap(number, content) {
   const attacks = counted(risk.content.attacks.length, "attack");
   byId("map-origin").textContent = `network ${risk.content.network} · ${attacks}`;
   showKinds();
+  showEvidence();
   showCovered();
   shapeMap();
   fitAttacked();
