@@ -289,7 +289,8 @@ def test_kinds_and_coverage_have_tables(made):
 def test_a_browser_shows_kinds_and_what_was_never_attacked(made):
     shown = browsed(made)
     assert re.search(r"rear-end</span></td><td [^>]*>[12]</td>", shown)
-    assert re.search(r"\d of \d turns attacked", shown)
+    assert re.search(r"\d+ of \d+ edges attacked", shown)
+    assert "no such place in the network" in shown
 
 
 @pytest.mark.sumo
