@@ -8,7 +8,7 @@
 
 or, by its id, ``gymnasium.make("deepmf_sumo.gym:deepmf_sumo/Attack-v0", spec=...)``.
 
-Needs the extra `gym`. SUMO runs one simulation per process: for several environments at once use
+Needs the extra `gym`. SUMO runs one simulation per process: for several environments at a time use
 ``gymnasium.vector.AsyncVectorEnv``, which starts a process for each.
 """
 

@@ -99,7 +99,7 @@ def descend(
     iterations: int,
     deadline: float,
 ) -> Descent:
-    """Minimise a loss over perturbations of one trajectory, from R initial points at once.
+    """Minimise a loss over perturbations of one trajectory, from R initial points together.
 
     Args:
         loss: (R, W, 2) offsets from the trajectory -> (R).

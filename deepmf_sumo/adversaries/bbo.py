@@ -28,7 +28,7 @@ from deepmf_sumo.errors import PluginError
 
 _NOISE = 1e-4  # variance per amplitude: close points would make the kernel singular
 _FLAT = 1e-12  # smallest amplitude: that of a constant function
-_FACTORS = (0.5, 2.0)  # of all length scales at once,
+_FACTORS = (0.5, 2.0)  # of all length scales together,
 _AXIS_FACTORS = (0.6, 1 / 0.6)  # and of one at a time, that a fit tries
 _SHORTEST, _LONGEST = 0.1, 20.0
 

@@ -11,7 +11,7 @@ limits of motion among the constraints, the choice among the samples, and that t
 was in its earlier rollout. The objective of functionality is left out, because an episode here is
 8 s long and has no route to be kept from.
 
-``samples`` motions are drawn at once and tracked within the limits. Of those that meet the AV's
+``samples`` motions are drawn together and tracked within the limits. Of those that meet the AV's
 rollout, and no other road user before, the one with the least cost of road and others up to the
 contact attacks; else the cheapest of all that meet the AV; else the one that comes nearest.
 
@@ -56,7 +56,7 @@ class Settings(AimedSettings):
     """Guided sampling.
 
     Attributes:
-        samples: motions drawn at once. steps: noise levels.
+        samples: motions drawn together. steps: noise levels.
         guidance: the most that the costs move a motion at a level, in standard deviations of its
             components, times the share of noise that is left there; 0 draws ordinary motions and
             chooses among them.

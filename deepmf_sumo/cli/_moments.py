@@ -71,15 +71,15 @@ def no_conflict(results: Sequence[Result], looked: Sequence[tuple[Request, Found
     done = [one for one in results if one["status"] == "ok" and attacked(one)]
     least = [metric(one, "ttc_min") for one in done]
     near = any(one is not None and one <= CONFLICT_S for one in least)
-    if not done or near or any(one["outcome"] == "av_opponent" for one in done):
+    if not done or near or any(one["outcome"].startswith("av_") for one in done):
         return ""
     most = statistics.rate([[0.0]] * len(done)).high
     advice = [*_busiest(looked), f"more attacks (--moments {4 * len(done)})"]
     advice += ["more traffic (-- --scale 2)"]
     return (
-        f"no conflict in {counted(len(done), 'attack')}: no hit, and no time to collision of"
-        f" {CONFLICT_S:g} s or less. Up to {100 * most:.0f} % of other moments may have one. What"
-        f" may find it: {', '.join(advice)}"
+        f"no conflict in {counted(len(done), 'attack')}: no contact of the AV, and no time to"
+        f" collision of {CONFLICT_S:g} s or less. Up to {100 * most:.0f} % of other moments"
+        f" may have one. What may find it: {', '.join(advice)}"
     )
 
 

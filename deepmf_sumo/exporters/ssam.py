@@ -141,7 +141,7 @@ def trajectories(
 ) -> bytes:
     """The content of a file; a road user's number is its index in the motions, plus 1.
 
-    From step ``happened`` on accelerations are 0: standing at once after a contact is not braking.
+    From step ``happened`` on accelerations are 0: standing right after a contact is not braking.
     """
     high = version == "3.0"
     half = motions.size_m[motions.body, :1] / 2 * frames.unit(motions.heading_rad)

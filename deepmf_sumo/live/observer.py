@@ -218,7 +218,7 @@ class Observer:
             if domain not in self._subscribed or not self._moved(point, at):
                 poi.add(point, *at, _INVISIBLE)
                 self._subscribed = sorted({*self._subscribed, domain})
-            # answered at once
+            # answered immediately
             poi.subscribeContext(point, domain, self._radius_m, _VARIABLES[domain])
         self._at = at
         seen = self._seen()

@@ -180,7 +180,7 @@ def _serve(
                 _pass_on(outside, _Filter(sumo, folder), tell)
         except StuckError as error:
             tell("complaint", f"SUMO was ended: {error}")
-            tell("stuck")  # before it ends: `attach` sees that at once
+            tell("stuck")  # before it ends: `attach` sees that immediately
             tell("left")
             os.kill(pids[0], getattr(signal, "SIGKILL", signal.SIGTERM))  # it may heed no other
         except (OSError, EOFError) as error:
@@ -233,7 +233,7 @@ class _Sumo:
 
     def load(self, arguments: list[str]) -> None:
         """Go on with a SUMO of these arguments, once `attach` has left the one before."""
-        self._tell("load", json.dumps(arguments))  # before SUMO knows: `attach` goes on at once
+        self._tell("load", json.dumps(arguments))  # before SUMO knows: `attach` goes on immediately
         self.asked(_command(CLOSE, b""), may_take_long=True)
         self.close()
         inner, self._pids[0] = self._parent.recv()
@@ -297,7 +297,7 @@ def _pass_on(client: Wire, sumo: _Filter, tell: Tell) -> None:
             stepped = stepped or STEP in numbers
             if CLOSE in numbers:
                 closed = True
-                tell("left")  # before SUMO knows: the other client goes on at once
+                tell("left")  # before SUMO knows: the other client goes on immediately
             client.send(sumo.answered(body))
             if closed:
                 return

@@ -141,7 +141,7 @@ class Encounters:
 
     Attributes:
         rank: (K) 0 is the best; those without an encounter have the last rank.
-        apart_s: (K) time between the two, 0 where both are in the junction at once; nan
+        apart_s: (K) time between the two, 0 where both are in the junction together; nan
             where there is none.
         other: (K) index of the vehicle that is met; -1 where there is none, or it is not there yet
             or farther away than `FROM_M`.

@@ -91,7 +91,7 @@ class Moment:
         around: vehicles within reach of it.
         encounter_s: time between it and another vehicle on a path that meets its own, at a
             junction that it passes within the time of an attack, without any attack: 0 where both
-            are in the junction at once; None where there is no such vehicle.
+            are in the junction at the same time; None where there is no such vehicle.
         meets: that vehicle, if it is there and within 80 m when the attack begins.
         street: name of the edge in the network; empty where it has none.
     """

@@ -212,19 +212,6 @@ MOST_EDGES: Final = 50
 """Length of an extension at most, so that circular ones end."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeRoute:
-    """A route, and where the lane sequence could not be followed.
-
-    Attributes:
-        edges: SUMO edges; empty where no lane of the sequence is in the net.
-        broken_at: the first lane of the sequence that the route does not reach, or None.
-    """
-
-    edges: tuple[str, ...]
-    broken_at: str | None = None
-
-
 def edge_route(net: SumoNet, lane_ids: Sequence[str], extend_m: float = 200.0) -> tuple[str, ...]:
     """SUMO edges along a sequence of scene lanes, and on from there.
 
@@ -234,20 +221,13 @@ def edge_route(net: SumoNet, lane_ids: Sequence[str], extend_m: float = 200.0) -
         extend_m: how far to go on behind the last edge, straight on where that is possible.
 
     Returns:
-        Edges of which each pair is joined by a connection. Cut where the sequence breaks (see
-        `checked_route`); empty where no lane of the sequence is in the net.
+        Edges of which each pair is joined by a connection. Cut where the sequence breaks; empty
+        where no lane of the sequence is in the net.
     """
-    return checked_route(net, lane_ids, extend_m).edges
-
-
-def checked_route(net: SumoNet, lane_ids: Sequence[str], extend_m: float = 200.0) -> EdgeRoute:
-    """As `edge_route`, and where the sequence had to be cut."""
     joins = _joins(net.file)
-    stages = [
-        _Stage(_edges_of(net, lane_id), _inner(net, lane_id), lane_id) for lane_id in lane_ids
-    ]
+    stages = [_Stage(_edges_of(net, lane_id), _inner(net, lane_id)) for lane_id in lane_ids]
     route: list[str] = []
-    broken_at = None
+    whole = True
     for number, stage in enumerate(stages):
         if stage.edges:
             onward = joins.along(route, stage.edges)
@@ -256,13 +236,13 @@ def checked_route(net: SumoNet, lane_ids: Sequence[str], extend_m: float = 200.0
         else:
             onward = joins.across(route, stages[number:])
         if onward is None:
-            broken_at = stage.lane_id
+            whole = False
             break
         route += onward
     if route:
-        last = None if broken_at else _last_lane(net, lane_ids, route[-1])
+        last = _last_lane(net, lane_ids, route[-1]) if whole else None
         route += joins.extension(route[-1], last, extend_m)
-    return EdgeRoute(edges=tuple(route), broken_at=broken_at)
+    return tuple(route)
 
 
 class _Stage(NamedTuple):
@@ -270,7 +250,6 @@ class _Stage(NamedTuple):
 
     edges: list[str]
     inner: list[str]
-    lane_id: str
 
 
 def _edges_of(net: SumoNet, lane_id: str) -> list[str]:

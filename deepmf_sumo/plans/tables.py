@@ -111,7 +111,7 @@ def _variety(done: Sequence[Result]) -> Row:
 
 
 def _pooled(done: Sequence[Result]) -> Row:
-    """Naturalness of all runs' accelerations at once."""
+    """Naturalness of all runs' accelerations together."""
     samples = [
         Samples(np.array(one["samples"]["attack_mps2"]), np.array(one["samples"]["recorded_mps2"]))
         for one in done

@@ -1,7 +1,7 @@
 """Goals to trajectories: choice of modes, completion, combination of the scores of two networks.
 
 Modes are chosen by k-medoids from hundreds of weighted dense goals, for K independent sets of N
-goals at once.
+goals together.
 
 `gain` combines the goal scores of two networks as a product of experts (Hinton 2002, "Training
 products of experts by minimizing contrastive divergence", section 1). Both predict one vehicle in

@@ -56,7 +56,7 @@ def scenes(paths: Sequence[Path]) -> Iterator[Scene | Refusal]:
     """All scenes of the files and folders, one at a time; unusable records as a Refusal.
 
     A file of an unknown format is a Refusal too, but an error (ReaderError) if it is the only one.
-    Raises UsageError at once if a path does not exist.
+    Raises UsageError immediately if a path does not exist.
     """
     found = find(paths)
     if len(found) == 1:

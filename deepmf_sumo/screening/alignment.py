@@ -221,7 +221,7 @@ def _step(way: Way, found: Judged) -> None:
     before, behind = way.lane.speed_mps, way.target.speed_mps
     if way.turn == "straight" and before - behind > _STEP_MPS + 0.5 * KMH:
         said = (
-            f"the limit falls from {before / KMH:.0f} to {behind / KMH:.0f} km/h at once, from"
+            f"the limit falls from {before / KMH:.0f} to {behind / KMH:.0f} km/h in one step, from"
             f" {way.said}, at most {_STEP_MPS / KMH:.0f} km/h in one step"
         )
         found.cases.append(

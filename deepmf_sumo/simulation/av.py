@@ -249,8 +249,9 @@ class Av:
     def _behind_left_lane(self, speed: float) -> float | None:
         """SUMO's speed behind the next vehicle on the lane that the AV is shown leaving, or None.
 
-        For SUMO the AV is on its new lane at once, and follows only what is there. As long as its
-        box is in the way of a vehicle ahead on the old lane, it keeps its distance to that, too.
+        For SUMO the AV is on its new lane immediately, and follows only what is there. As long as
+        its box is in the way of a vehicle ahead on the old lane, it keeps its distance to that,
+        too.
         """
         leaving = self._motion.leaving()
         if not leaving:

@@ -2,7 +2,7 @@
 
 Where the traffic replays the log and the AV does the same whatever happens (`FixedPlanner`), SUMO
 would only move vehicles along known poses. The episode is put together here, all steps up to the
-next plan at once, with the recorder, schedule and judge of every episode: its rollout is that of
+next plan in one go, with the recorder, schedule and judge of every episode: its rollout is that of
 the loop over SUMO, without the events that tell where SUMO has the AV.
 """
 

@@ -26,7 +26,7 @@ class RouteAhead:
     def centre_line(self, length_m: float = 120.0) -> Floats | None:
         """(P, 2) from the front bumper on, P >= 2, or None off every lane.
 
-        SUMO keeps a lateral offset while it follows a lane; so does the line. On the opposite lane,
+        Also None on a last lane without length. SUMO keeps a lateral offset while it follows a lane; so does the line. On the opposite lane,
         to overtake, it leads back along that lane, to the end of the vehicle's own edge and on.
         """
         vehicle = self._api.vehicle
@@ -41,8 +41,10 @@ class RouteAhead:
             ahead = [self._shape(one) for one in lanes[1:-1]]
             line = np.concatenate([shape[::-1] if against else shape, *ahead])
             moved = np.hypot(*np.diff(line, axis=0).T) > 1e-3
-            self._line = polylines.Measured(line[np.concatenate([[True], moved])])
-        assert self._line is not None
+            line = line[np.concatenate([[True], moved])]
+            self._line = polylines.Measured(line) if len(line) > 1 else None
+        if self._line is None:
+            return None
         begin = self._shape_m(lane) - along if against else along
         along = self._line.along_m
         # at least a metre, so that the line has a direction
@@ -61,7 +63,12 @@ class RouteAhead:
         return position_m * self._shape_m(lane) / lane_m
 
     def _against(self, shape: Floats, along_m: float) -> bool:
-        """Whether the vehicle drives against its lane, as SUMO does to overtake."""
+        """Whether the vehicle drives against its lane, as SUMO does to overtake.
+
+        Networks have lanes inside junctions that are a single point: they have no direction.
+        """
+        if not np.ptp(shape, axis=0).any():
+            return False
         _, lane_rad = polylines.points_at(shape, np.array(along_m))
         heading_rad = np.radians(90.0 - float(self._api.vehicle.getAngle(self._id)))
         return bool(abs(frames.difference(lane_rad, heading_rad)) > _AGAINST_RAD)

@@ -2,10 +2,11 @@
 
 Without its sublane model SUMO changes lanes within one step. SUMO's own remedy
 (`lanechange.duration`) makes a vehicle that starts off-centre inside a junction stop there for
-ever. So SUMO changes lanes at once, and the vehicle that planners, policies and judges see moves
-from lane to lane within 3 s. Every other jump to the side is spread over 1.5 s: onto the opposite
-lane and back, onto the next edge or a junction, and that with which SUMO begins to drive a vehicle
-that was not on the middle of its lane. Apart from that a vehicle is shown where SUMO has it.
+ever. So SUMO changes lanes in one step, and the vehicle that planners, policies and judges see
+moves from lane to lane within 3 s. Every other jump to the side is spread over 1.5 s: onto the
+opposite lane and back, onto the next edge or a junction, and that with which SUMO begins to drive a
+vehicle that was not on the middle of its lane. Apart from that a vehicle is shown where SUMO has
+it.
 """
 
 from dataclasses import dataclass, replace

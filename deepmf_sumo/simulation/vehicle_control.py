@@ -113,7 +113,7 @@ class NetworkEnds:
 class HandOver:
     """Prepares a vehicle in SUMO for being placed at each step, and for being driven by SUMO again.
 
-    Three states crash SUMO 1.28 where a vehicle is on two lanes at once (the first with
+    Three states crash SUMO 1.28 where a vehicle is on two lanes together (the first with
     `lanechange.duration`, the second with the sublane model too):
 
     - A lane change under way moves a vehicle sideways by time, even while a client places it

@@ -390,7 +390,7 @@ def _pickled(one: object, shared: object) -> bytes:
 
 
 def _begin_life(parent: int) -> None:
-    """As a copy begins: in a group of its own, so that all of it can be ended at once."""
+    """As a copy begins: in a group of its own, so that all of it can be ended together."""
     global _is_copy  # noqa: PLW0603
     _is_copy = True
     os.setpgid(0, 0)

@@ -61,7 +61,7 @@ def fingerprinted(tasks: Sequence[Task]) -> tuple[list[Task], tuple[Input, ...]]
 
 
 class _Looked:
-    """Each file is looked at once: thousands of tasks may read the same ones."""
+    """Each file is read once: thousands of tasks may read the same ones."""
 
     def __init__(self) -> None:
         self._by_spec: dict[str, tuple[tuple[str, str], ...]] = {}

@@ -29,9 +29,10 @@ def looked(where="", near=(3, 8)):
 def test_ten_attacks_without_a_conflict_say_so_and_what_may_find_one():
     text = told.no_conflict([run(4.0), *[run()] * 9], looked())
     assert text == (
-        "no conflict in 10 attacks: no hit, and no time to collision of 1.5 s or less. Up to 31 %"
-        " of other moments may have one. What may find it: the edge where most have others near"
-        " them (--edge e1: 8 vehicles), more attacks (--moments 40), more traffic (-- --scale 2)"
+        "no conflict in 10 attacks: no contact of the AV, and no time to collision of 1.5 s or"
+        " less. Up to 31 % of other moments may have one. What may find it: the edge where most"
+        " have others near them (--edge e1: 8 vehicles), more attacks (--moments 40), more traffic"
+        " (-- --scale 2)"
     )
 
 

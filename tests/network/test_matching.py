@@ -5,7 +5,6 @@ import pytest
 
 from deepmf_sumo import network
 from deepmf_sumo.network.matching import (
-    checked_route,
     edge_of,
     edge_route,
     lane_sequence,
@@ -96,19 +95,17 @@ def test_a_route_that_ends_in_the_junction_leaves_it(net):
     assert [net.lane_of[f"{edge}_0"] for edge in route] == [("in0",), ("out3",)]
 
 
-def test_a_route_that_breaks_is_cut_there_and_says_so(net):
-    route = checked_route(net, ["in0", "S0", "out0", "over"])
-    assert route.broken_at == "over"
-    assert joined_in(net, route.edges)
-    assert net.lane_of[f"{route.edges[1]}_0"] == ("out0",)
+def test_a_route_that_breaks_is_cut_there(net):
+    route = edge_route(net, ["in0", "S0", "out0", "over"])
+    assert route == edge_route(net, ["in0", "S0", "out0"])
+    assert joined_in(net, route)
+    assert net.lane_of[f"{route[1]}_0"] == ("out0",)
 
 
 @pytest.mark.sumo
 def test_a_lane_change_within_an_edge_is_no_break(two_lanes, scene_of, tmp_path):
     net = network.convert(scene_of(two_lanes, path=[(5, 0), (100, 0)]), tmp_path / "net")
-    route = checked_route(net, ["r1", "l1", "l2"], extend_m=0.0)
-    assert route.broken_at is None
-    assert route.edges == (
+    assert edge_route(net, ["r1", "l1", "l2"], extend_m=0.0) == (
         edge_of(net.pieces["r1"][0].sumo_lane),
         edge_of(net.pieces["r2"][0].sumo_lane),
     )

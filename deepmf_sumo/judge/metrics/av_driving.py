@@ -82,9 +82,10 @@ def av_time_gap_min(episode: Episode) -> float:
 
 @metric("m/s2", better="higher")
 def av_required_braking(episode: Episode) -> float:
-    """Largest constant braking, along the heading of the AV and at once, that keeps it behind every
-    agent ahead which keeps its heading and its speed or braking, over the simulated steps up to the
-    AV's first contact; at most 10 m/s2 (more than a car can brake), 0 without a collision course.
+    """Largest constant braking, along the heading of the AV and immediately, that keeps it behind
+    every agent ahead which keeps its heading and its speed or braking, over the simulated steps up
+    to the AV's first contact; at most 10 m/s2 (more than a car can brake), 0 without a collision
+    course.
     """
     hardest = float(meetings(episode).braking_mps2.max(initial=0.0))
     return min(hardest, CEILING_MPS2)

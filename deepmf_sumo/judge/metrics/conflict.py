@@ -87,10 +87,10 @@ def slowing(tracks: Tracks, row: int, dt_s: float) -> Floats:
 def braking_to_stay_behind(a: Moving, b: Moving, slowing_mps2: Floats, ttc_s: Floats) -> Floats:
     """(K) least constant braking of ``a`` that keeps it behind ``b``.
 
-    ``a`` keeps its heading and brakes at once; ``b`` keeps its heading and its braking (K) until it
-    stands. 0 off a collision course (time to collision inf), inf if no braking is enough. At each
-    future time the boxes overlap for one interval of distances driven by ``a``, which has to stay
-    short of it, either braking or standing.
+    ``a`` keeps its heading and brakes immediately; ``b`` keeps its heading and its braking (K)
+    until it stands. 0 off a collision course (time to collision inf), inf if no braking is enough.
+    At each future time the boxes overlap for one interval of distances driven by ``a``, which has
+    to stay short of it, either braking or standing.
     """
     needed = np.zeros(len(ttc_s))
     some = np.isfinite(ttc_s)
@@ -193,8 +193,8 @@ class Conflict:
             or one passes over the other.
         drac_mps2: (K) relative speed over twice the time to collision; 0 off a collision course,
             inf in contact. For a follower and its leader: (speed difference)^2 / (2 gap).
-        braking_mps2: (K) least constant braking, along the AV's heading and at once, that keeps the
-            AV behind an opponent with constant heading and speed, or braking; 0 off a collision
+        braking_mps2: (K) least constant braking, along the AV's heading and immediately, that keeps
+            the AV behind an opponent with constant heading and speed, or braking; 0 off a collision
             course, inf if no braking is enough.
     """
 
@@ -286,9 +286,9 @@ def drac_max(episode: Episode) -> float:
 
 @metric("m/s2", better="higher")
 def required_deceleration(episode: Episode) -> float:
-    """Largest constant braking, along the heading of the AV and at once, that keeps it behind an
-    opponent which keeps its heading and its speed or braking, over the simulated steps, up to 1 s
-    before a contact; 0 without a collision course.
+    """Largest constant braking, along the heading of the AV and immediately, that keeps it behind
+    an opponent which keeps its heading and its speed or braking, over the simulated steps, up to 1
+    s before a contact; 0 without a collision course.
 
     After the required longitudinal deceleration of Brannstrom et al. (2008), with boxes, in two
     dimensions, without a reaction time.

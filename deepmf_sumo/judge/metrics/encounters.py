@@ -72,7 +72,7 @@ def time_to_spare(episode: Episode) -> float:
     tracks = rollout.tracks
     av = _trip(rollout, tracks.row(rollout.av_id))
     if len(av.step) == 0:
-        raise NotMeasurable("the AV left the simulation at once")
+        raise NotMeasurable("the AV left the simulation immediately")
     others = [
         _trip(rollout, row)
         for row, (agent_id, kind) in enumerate(zip(tracks.ids, tracks.kinds, strict=True))

@@ -53,7 +53,7 @@ def end_all(group: int) -> None:
     """Kill a group and all children until none is left: this process adopts their children."""
     while True:
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(group, signal.SIGKILL)  # all at once: one by one, they could fork faster
+            os.killpg(group, signal.SIGKILL)  # all together: one by one, they could fork faster
         for child in children():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)

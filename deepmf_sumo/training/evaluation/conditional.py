@@ -173,7 +173,7 @@ def given(future: Future) -> Futures:
 
 
 def given_both(one: Futures, other: Futures) -> Futures:
-    """Two conditions on the same agent at once."""
+    """Two conditions on the same agent at the same time."""
     return Futures(
         agent_id=one.agent_id,
         position_m=np.concatenate([one.position_m, other.position_m]),
