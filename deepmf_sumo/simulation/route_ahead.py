@@ -26,8 +26,9 @@ class RouteAhead:
     def centre_line(self, length_m: float = 120.0) -> Floats | None:
         """(P, 2) from the front bumper on, P >= 2, or None off every lane.
 
-        Also None on a last lane without length. SUMO keeps a lateral offset while it follows a lane; so does the line. On the opposite lane,
-        to overtake, it leads back along that lane, to the end of the vehicle's own edge and on.
+        Also None on a last lane without length. SUMO keeps a lateral offset while it follows a
+        lane; so does the line. On the opposite lane, to overtake, it leads back along that lane, to
+        the end of the vehicle's own edge and on.
         """
         vehicle = self._api.vehicle
         lane = vehicle.getLaneID(self._id)
