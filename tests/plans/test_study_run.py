@@ -249,7 +249,7 @@ def test_a_result_that_is_not_a_number_is_a_failed_run(whole, tmp_path, monkeypa
     from deepmf_sumo.sweep import episode
 
     value = MetricValue(name="pet", value=float("nan"), unit="s", better="lower")
-    monkeypatch.setattr(episode.metrics, "measured", lambda decided: [value])
+    monkeypatch.setattr(episode.metrics, "measured", lambda *_: [value])
     loaded = plans.load(whole[0])
     task = entries.tasks_of(entries.entries_of(loaded, tmp_path), (0,))[-1]
     (tmp_path / "runs").mkdir()
