@@ -342,12 +342,16 @@ def _touches_others(situation: Situation, own: Candidates, steps: Ints) -> Bools
     position, heading = futures.position_m[:, steps], futures.heading_rad[:, steps]
     touched = np.zeros(heading.shape, bool)
     z_m = situation.view.history.z_m[situation.view.history.row(situation.opponent_id), -1]
-    for row in np.flatnonzero(~clear(others.z_m, z_m)):
-        theirs = others.position_m[row, steps], others.heading_rad[row, steps]
-        hit = boxes.touching(position, heading, situation.size_m, *theirs, others.size_m[row])
-        hit &= others.valid[row, steps]
-        if not hit[:, 0].all():
-            touched |= hit
+    reach = (np.hypot(*situation.size_m) + np.hypot(*others.size_m.T))[:, None, None] / 2
+    low, high = position.min(axis=0) - reach, position.max(axis=0) + reach
+    theirs_m, theirs_rad = others.position_m[:, steps], others.heading_rad[:, steps]
+    near = ((theirs_m >= low) & (theirs_m <= high)).all(axis=-1) & others.valid[:, steps]
+    for row in np.flatnonzero(near.any(axis=1) & ~clear(others.z_m, z_m)):
+        at = np.flatnonzero(near[row])
+        theirs = theirs_m[row, at], theirs_rad[row, at], others.size_m[row]
+        hit = boxes.touching(position[:, at], heading[:, at], situation.size_m, *theirs)
+        if at[0] > 0 or not hit[:, 0].all():
+            touched[:, at] |= hit
     return touched
 
 

@@ -304,7 +304,7 @@ def _lane(episode: Episode, encounter: Encounter) -> AvPath:
 def last_moments_s(episode: Episode, encounter: Encounter) -> dict[str, float | None]:
     """For each reference driver and the search: the last moment to take over, before the hit."""
     starts = np.arange(encounter.contact)
-    approach = encounter.approach.repeated(len(starts))
+    approach = encounter.approach.among(np.zeros(len(starts), np.int64))
     outcome = reference_drivers.outcome(
         list(MODELS.values()), encounter.path, approach, encounter.av_along_m, starts
     )

@@ -1,11 +1,17 @@
 """`clean` and `on_road`: candidates stay on the road, and touch nobody before the AV."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import shapely
 
 from deepmf_sumo import plugins
+from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.policy import build
-from deepmf_sumo.deepmf.situation import Others
+from deepmf_sumo.deepmf.settings import LIMITS
+from deepmf_sumo.deepmf.situation import Others, Situation
+from deepmf_sumo.geometry import boxes
 
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import rollout_of, straight
@@ -81,6 +87,31 @@ def test_candidates_that_touch_a_third_vehicle_are_not_clean():
     through = (np.hypot(*(position - [10, 3.5]).transpose(2, 0, 1)) < 1.5) & before_contact(blocked)
     assert through.any()
     assert not blocked.allowed["clean"][through[:, ::3].any(axis=1)].any()
+
+
+def test_what_is_touched_is_found_pair_by_pair():
+    """Shapely's polygons, for all candidates, others and steps; one vehicle is touched now."""
+    agents = AGENTS | {"c": (10, 3.5, 0, 0), "d": (60, 0.5, 2, 6), "e": (-11, 4.5, 0, 12)}
+    agents |= {"f": (900, 0, 0, 5), "g": (3, 3.5, 0, 0)}  # all drive through the last
+    own = reason_of(agents, constraints=["clean"]).candidates
+    view = view_of(agents)
+    situation = Situation.of(view, "b", LIMITS)
+    steps = np.arange(0, 80, 8)
+    made = SimpleNamespace(forecast=own)
+    found = constraints._touches_others(situation, made, steps)
+    others = situation.others()
+    expected = np.zeros(found.shape, bool)
+    for other in range(len(others.size_m)):
+        theirs = others.position_m[other, steps], others.heading_rad[other, steps]
+        there = shapely.polygons(boxes.corners(*theirs, others.size_m[other]))
+        futures = own.futures.position_m[:, steps], own.futures.heading_rad[:, steps]
+        here = shapely.polygons(boxes.corners(*futures, situation.size_m))
+        hit = shapely.area(shapely.intersection(here, there)) > 1e-9
+        expected |= hit & ~hit[:, 0].all()
+    np.testing.assert_array_equal(found, expected)
+    assert expected[:, 1].all()
+    assert expected.any(axis=0).sum() > 3
+    assert not expected.all(axis=1).any()
 
 
 def test_a_vehicle_that_drives_off_the_lanes_may_come_onto_them():

@@ -40,6 +40,8 @@ GRADES: Final[tuple[Grade, ...]] = ("A", "B", "C", "D")
 By = Literal["any", "all", "cc", "fsm", "rss"]
 Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front", "active_lateral"]
 BEHIND_RAD: Final = np.radians(30)
+_QUICKEST: Final = ("cc", "rss", "fsm")
+"""The drivers by the time that their decisions take to compute."""
 _BUMPER_M = 0.1
 _PARTS_LEFT = np.linspace(0.95, 0.0, 20)  # of the step: at 40 m/s 0.2 m from one to the next
 
@@ -188,10 +190,16 @@ def avoidable(
     ahead_m = steady_m if av_along_m is None else av_along_m
     past_m = np.append(0.0, np.hypot(*np.diff(av_m, axis=0).T).cumsum())
     driven_m = np.concatenate([past_m[:-1], past_m[-1] + ahead_m])
-    models = list(MODELS.values()) if by in ("any", "all") else [MODELS[by]]
-    start = 0 if expected_m is None else _onsets(path, approach, driven_m, expected_m)
-    avoided = reference_drivers.outcome(models, path, approach, driven_m, start).avoided
-    return np.all(avoided, axis=0) if by == "all" else np.any(avoided, axis=0)
+    start = np.zeros(futures, np.int64)
+    if expected_m is not None:
+        start = _onsets(path, approach, driven_m, expected_m)
+    avoided = np.full(futures, by == "all")
+    for name in _QUICKEST if by in ("any", "all") else (by,):
+        open_ = np.flatnonzero(avoided == (by == "all"))  # the others are decided
+        if len(open_):
+            those = approach.among(open_), driven_m, start[open_]
+            avoided[open_] = reference_drivers.outcome([MODELS[name]], path, *those).avoided[0]
+    return avoided
 
 
 def _onsets(path: AvPath, approach: Approach, driven_m: Floats, expected_m: Floats) -> Ints:

@@ -17,7 +17,7 @@ area that the AV's box sweeps if it stays on its path.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Final, NamedTuple, Protocol, Self
+from typing import Final, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -116,15 +116,10 @@ class Approach:
         """Number of steps, K."""
         return int(self.heading_rad.shape[1])
 
-    def repeated(self, count: int) -> "Approach":
-        """The first motion, ``count`` times."""
-        known = {one.name: getattr(self, one.name) for one in fields(self)}
-        motions: dict[str, Any] = {
-            name: np.broadcast_to(value[:1], (count, *value.shape[1:]))
-            for name, value in known.items()
-            if name not in {"size_m", "av_size_m", "dt_s"}
-        }
-        return replace(self, **motions)
+    def among(self, rows: Ints) -> "Approach":
+        """These motions (M), in this order; a row may be named several times."""
+        names = {one.name for one in fields(self)} - {"size_m", "av_size_m", "dt_s"}
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def seen(self, step: int, along_m: Floats, speed_mps: Floats, braking_mps2: Floats) -> "Sight":
         """Perception of drivers at arc lengths, speeds and decelerations (D, N) at a step."""

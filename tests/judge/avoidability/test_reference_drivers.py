@@ -183,6 +183,29 @@ def test_many_futures_at_once_are_the_same_as_one_by_one():
     assert 0 < together.sum() < 8
 
 
+def test_any_and_all_are_what_each_driver_says():
+    """Also where each driver takes over at another time: futures that leave what was expected."""
+    rng = np.random.default_rng(1)
+    now, _, _ = leaders(12.0, 8.0, left_m=3.5)
+    seconds = np.arange(1, STEPS + 1) * DT
+    x = now.position_m[0] + rng.uniform(0, 12, (40, 1)) * seconds
+    y = 3.5 - np.minimum(rng.uniform(0, 4, (40, 1)) * seconds, 3.5)
+    futures = np.stack([x, y], -1), np.zeros((40, STEPS))
+    expected = np.stack([now.position_m[0] + 8.0 * np.arange(81) * DT, np.full(81, 3.5)], -1)
+    start = State(np.zeros(2), 0.0, 14.0)
+
+    def by(who):
+        known = (start, CAR, np.empty((0, 2)), now, CAR, *futures, DT, who)
+        return avoidable(*known, expected_m=expected)
+
+    each = np.stack([by(name) for name in reference_drivers.MODELS])
+    np.testing.assert_array_equal(by("any"), each.any(axis=0))
+    np.testing.assert_array_equal(by("all"), each.all(axis=0))
+    assert each.all(axis=0).any()
+    assert (each.any(axis=0) & ~each.all(axis=0)).any()
+    assert not each.any(axis=0).all()
+
+
 def test_the_path_ahead_is_followed():
     """A car that stands on the straight is of no concern to an AV that turns off before it."""
     bend = np.linspace(0, np.pi / 2, 40)
