@@ -1,7 +1,7 @@
 """``deepmf-sumo show``: the results of folders, side by side."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -102,8 +102,8 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
         screen.show_failures(rows, len(results.runs), worth, words.summary(groups))
     else:
         values = [{"sentence": words.sentence(group), **group.values()} for group in groups]
-        if form != "json":  # a cell is a text
-            values = [one | {"run_ids": " ".join(one["run_ids"])} for one in values]
+        if form != "json":
+            values = [{key: _cell(value) for key, value in one.items()} for one in values]
         screen.emit(form, values)
 
 
@@ -118,6 +118,13 @@ def _show_coverage(folders: tuple[Path, ...], form: str) -> None:
     else:
         rows = [{"network": net.name} | evidence.values(one) for net, all_ in found for one in all_]
         screen.emit(form, rows)
+
+
+def _cell(value: Any) -> Any:
+    """A cell is one text: names, or names with their values, one after the other."""
+    if isinstance(value, dict):
+        return " ".join(f"{name} {one}" for name, one in value.items() if one is not None)
+    return " ".join(value) if isinstance(value, list) else value
 
 
 def _warn(runs: "Sequence[Run]") -> None:
