@@ -14,7 +14,7 @@ velocities of standing vehicles exceed).
 """
 
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -34,9 +34,9 @@ from deepmf_sumo.judge.avoidability.encounter import (
 )
 from deepmf_sumo.judge.avoidability.reference_drivers import MODELS, Approach
 
-Grade = Literal["A", "B", "C", "D"]
-GRADES: Final[tuple[Grade, ...]] = ("A", "B", "C", "D")
-"""A: unavoidable. B: physically avoidable, but by no driver. C: by at least one. D: by all."""
+Grade = Literal["no driver", "emergency manoeuvre", "some drivers", "all drivers"]
+GRADES: Final[tuple[Grade, ...]] = get_args(Grade)
+"""What avoids a contact: nothing; a manoeuvre, but no driver; at least one driver; each of them."""
 By = Literal["any", "all", "cc", "fsm", "rss"]
 Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front", "active_lateral"]
 BEHIND_RAD: Final = np.radians(30)
@@ -69,7 +69,7 @@ class Judgement:
 
     @property
     def avoidable(self) -> bool:
-        """Whether one of the drivers would have avoided the contact: grade C or D."""
+        """Whether one of the drivers would have avoided the contact."""
         return any(self.avoided_by.values())
 
     @property
@@ -81,10 +81,10 @@ class Judgement:
     def grade(self) -> Grade:
         """See `GRADES`."""
         if all(self.avoided_by.values()):
-            return "D"
+            return "all drivers"
         if self.avoidable:
-            return "C"
-        return "B" if self.physically else "A"
+            return "some drivers"
+        return "emergency manoeuvre" if self.physically else "no driver"
 
 
 def judge(rollout: Rollout, case: Case) -> Judgement | None:

@@ -35,8 +35,8 @@ def avoidable_physically(episode: Episode) -> float:
 
 @metric("1", better="neither")
 def avoidance_grade(episode: Episode) -> float:
-    """Of contacts: 0 A unavoidable, 1 B avoided by some braking or steering without delay but by no
-    reference driver, 2 C avoided by some of the reference drivers, 3 D avoided by all.
+    """Of contacts: 0 unavoidable, 1 avoided by some braking or steering without delay but by no
+    reference driver, 2 avoided by some of the reference drivers, 3 avoided by all.
     """
     return grading.GRADES.index(judgement(episode).grade)
 

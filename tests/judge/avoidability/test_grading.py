@@ -22,7 +22,7 @@ def graded(*motions, **options):
 def test_hit_from_behind_while_standing_is_unavoidable_and_nobodys_fault_but_the_others():
     rollout, case = attack(straight(0, 0, 0), straight(-40, 0, 12))
     found = judge(rollout, case)
-    assert (found.grade, found.manoeuvres, found.avoidable) == ("A", 0, False)
+    assert (found.grade, found.manoeuvres, found.avoidable) == ("no driver", 0, False)
     assert found.hit_standing
     assert grading.collision_class(rollout, rollout.contacts[0]) == "av_stopped"
     assert grading.av_at_fault(rollout, case) is False
@@ -31,7 +31,7 @@ def test_hit_from_behind_while_standing_is_unavoidable_and_nobodys_fault_but_the
 def test_running_into_what_stands_far_ahead_is_avoided_by_all():
     rollout, case = attack(straight(0, 0, 12), straight(80, 0, 0))
     found = judge(rollout, case)
-    assert found.grade == "D"
+    assert found.grade == "all drivers"
     assert found.avoided_by == {"cc": True, "fsm": True, "rss": True}
     # the onset is the first step from which the gap is covered within 3 s
     gap = 80 - 4.8 - 12 * 0.1 * (found.onset_step - NOW)
@@ -43,9 +43,9 @@ def test_running_into_what_stands_far_ahead_is_avoided_by_all():
 def test_a_crossing_car_that_shows_half_a_second_before_is_unavoidable():
     seconds = (np.arange(91) - NOW) * 0.1
     late = np.stack([np.full(91, 10.0), -7.0 + 14 * seconds, np.full(91, np.pi / 2)], -1)
-    assert graded(straight(0, 0, 15), late).grade == "A"
+    assert graded(straight(0, 0, 15), late).grade == "no driver"
     early = late + np.array([20.0, -20.0, 0.0])
-    assert graded(straight(0, 0, 15), early).grade in {"C", "D"}
+    assert graded(straight(0, 0, 15), early).grade in {"some drivers", "all drivers"}
 
 
 def test_the_nearer_a_cut_in_the_worse_the_grade():
@@ -53,19 +53,19 @@ def test_the_nearer_a_cut_in_the_worse_the_grade():
     found = [graded(av, cut_in(gap, 8)) for gap in gaps]
     grades = [GRADES.index(one.grade) for one in found]
     assert grades == sorted(grades)
-    assert found[0].grade in {"A", "B"}
-    assert found[-1].grade == "D"
+    assert found[0].grade in {"no driver", "emergency manoeuvre"}
+    assert found[-1].grade == "all drivers"
 
 
 def test_only_a_free_lane_to_swerve_to_saves_a_fast_car():
     """45 m at 30 m/s: too short to stop (56 m), long enough to change lanes."""
     av, wall = straight(0, 0, 30), straight(49.8, 0, 0)
     alone = graded(av, wall)
-    assert alone.grade == "B"
+    assert alone.grade == "emergency manoeuvre"
     assert 0 < alone.manoeuvres < 20
     beside = {"c": straight(2, 3.5, 30), "d": straight(-6, 3.5, 30)}
-    assert graded(av, wall, others=beside).grade == "A"
-    assert graded(av, wall, road=straight_road(lanes=1)).grade == "A"
+    assert graded(av, wall, others=beside).grade == "no driver"
+    assert graded(av, wall, road=straight_road(lanes=1)).grade == "no driver"
     # who drives where the map has no lanes is not told to stay on them
     assert graded(av, wall, road=NO_ROAD).manoeuvres >= 2 * alone.manoeuvres
 
@@ -168,13 +168,13 @@ def test_grades_follow_from_who_avoids():
         manoeuvres=0,
         onset_step=10,
     )
-    assert (base.grade, base.hit_standing) == ("A", True)
-    assert replace(base, manoeuvres=1).grade == "B"
+    assert (base.grade, base.hit_standing) == ("no driver", True)
+    assert replace(base, manoeuvres=1).grade == "emergency manoeuvre"
     some = replace(base, avoided_by={"cc": False, "fsm": True})
     assert (some.grade, some.avoidable, some.physically, some.hit_standing) == (
-        "C",
+        "some drivers",
         True,
         True,
         False,
     )
-    assert replace(base, avoided_by={"cc": True, "fsm": True}).grade == "D"
+    assert replace(base, avoided_by={"cc": True, "fsm": True}).grade == "all drivers"
