@@ -30,7 +30,7 @@ from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk import passing
 from deepmf_sumo.risk import places as places_module
-from deepmf_sumo.risk.driving import BEFORE_S, NOTHING, Driven, driven
+from deepmf_sumo.risk.driving import NOTHING, Driven, driven
 from deepmf_sumo.risk.passing import Traffic
 from deepmf_sumo.risk.places import Places, Spot
 from deepmf_sumo.risk.tracks import OFF, Spots, nearest_step, read_tracks
@@ -55,7 +55,7 @@ class Attacked:
         speed_mps: of the AV when the attack began.
         weight: what it counts for in rates: 1, but where moments were drawn by what others found
             the number of moments that it stands for, relative to the mean.
-        driven: what the AV did up to 5 s before it was decided.
+        driven: where the AV was and what it did, up to the contact.
         cause: who erred how, the kind of conflict and the smallest change of the AV that avoids it
             (`judge.causes`); None without a finding, or where it is not known.
         av, opponent: ids. opponent_kind: as in tracks, e.g. ``vehicle``; empty if it was not there.
@@ -196,7 +196,7 @@ def _attacked(
         kind=kind,
         pet_s=part.metrics.get("pet"),
         speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
-        driven=_driven(found, spots, first, step),
+        driven=_driven(found, spots, first, step if hits or others else last),
         cause=_cause(result, kind) if hits and part.turn in {None, _first_hit(result)} else None,
         av=found.av_id,
         opponent=part.opponent,
@@ -210,11 +210,14 @@ def _kind_of(found: RecordedTracks, agent: str) -> str:
 
 
 def _driven(found: RecordedTracks, spots: Spots, first: int, last: int) -> Driven:
-    """What the AV did, from the attack's begin on, but at most 5 s."""
-    begin = max(first, last - round(BEFORE_S / DT_S))
-    where = [spots.at(step) for step in range(begin, last + 1)]
+    """Where the AV was and what it did from the attack's begin to its contact, or its end."""
     row = found.tracks.row(found.av_id)
-    return driven(found.tracks, row, where, last, first, DT_S, spots.places)
+    there = found.tracks.valid[row, first : last + 1]
+    if not there[0]:
+        return NOTHING
+    steps = len(there) if there.all() else int(there.argmin())  # it may leave the simulation
+    where = [spots.at(step) for step in range(first, first + steps)]
+    return driven(found.tracks, row, where, first, DT_S, spots.places)
 
 
 def _cause(result: Result, kind: ConflictType | None) -> tuple[str, ...] | None:

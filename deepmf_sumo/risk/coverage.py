@@ -2,8 +2,8 @@
 
 The tables say in which environment the AV was attacked, in which manoeuvre, in which kind of
 conflict, and which rules of the road were at stake. An attack counts in each cell that it belongs
-to, so that cells do not add up; there is no total, and no share of cells. A cell without an attack
-says why.
+to, from its begin to its contact or end, so that cells do not add up; there is no total, and no
+share of cells. A cell without an attack says why.
 """
 
 from collections import defaultdict
@@ -13,8 +13,6 @@ from itertools import pairwise
 from math import inf
 from typing import Final, Literal, NamedTuple
 
-import numpy as np
-
 from deepmf_sumo.judge.conflict_types import DEFINITIONS
 from deepmf_sumo.results.statistics import Interval
 from deepmf_sumo.risk import elements
@@ -22,13 +20,13 @@ from deepmf_sumo.risk.attacks import Attacked, Network
 from deepmf_sumo.risk.driving import MANOEUVRE_OF, MANOEUVRES, NEAR_M, merging
 from deepmf_sumo.risk.elements import KMH, Element, Site
 from deepmf_sumo.risk.passing import hours
-from deepmf_sumo.risk.places import Kind, Movement, Places
+from deepmf_sumo.risk.places import Kind, Places
 from deepmf_sumo.risk.table import happened, rate
 
 Table = Literal["environment", "manoeuvre", "conflict", "rule", "place"]
 TABLES: Final[Mapping[Table, str]] = {
-    "environment": "Environment, where the attack was decided",
-    "manoeuvre": "What the AV did in the 5 s before",
+    "environment": "Environment, where the AV was while it was attacked",
+    "manoeuvre": "What the AV did while it was attacked",
     "conflict": "Kind of conflict that it was, or would have been",
     "rule": "Rules of the road that were at stake",
 }
@@ -122,14 +120,14 @@ def coverage(network: Network) -> list[Cell]:
     """All cells of the four tables; then all movements and edges that vehicles may use."""
     groups: dict[Subject, list[Attacked]] = defaultdict(list)
     for one in network.attacks:
-        for key in _of(one, network.places):
+        for key in _of(one):
             groups[key].append(one)
     return [_cell(network, entry, groups[entry.key]) for entry in _entries(network.places)]
 
 
-def _of(one: Attacked, places: Places) -> Iterator[Subject]:
+def _of(one: Attacked) -> Iterator[Subject]:
     """The cells that an attack belongs to."""
-    for element in elements.at(places, one.decided, np.array(one.place_m)):
+    for element in one.driven.elements:
         yield Subject("environment", *element)
     density = next(name for below, name in _DENSITY if one.driven.near < below)
     yield Subject("environment", _AROUND, density)
@@ -138,7 +136,7 @@ def _of(one: Attacked, places: Places) -> Iterator[Subject]:
     yield Subject("manoeuvre", _SPEED, _speed(one.speed_mps))
     if one.kind:
         yield Subject("conflict", "kind of conflict", one.kind)
-    for rule in _at_stake(one, places):
+    for rule in _at_stake(one):
         yield Subject("rule", "rule", rule)
     yield Subject("place", "movement", one.began.movement)
     yield Subject("place", "edge", one.began.edge)
@@ -148,10 +146,8 @@ _AROUND: Final = f"road users within {NEAR_M:g} m at the start"
 _SPEED: Final = "speed at the start"
 
 
-def _at_stake(one: Attacked, places: Places) -> Iterator[str]:
-    movement = places.movements.get(one.decided.movement)
-    asked = _rules(movement) if movement else set()
-    yield from (name for name, (_, rules) in _RULES.items() if asked & rules)
+def _at_stake(one: Attacked) -> Iterator[str]:
+    yield from (name for name, (_, asks) in _RULES.items() if one.driven.rules & asks)
     if one.driven.at_limit:
         yield _LIMIT
     if "follows" in one.driven.manoeuvres:
@@ -227,9 +223,10 @@ class _Where(NamedTuple):
         several = _with(found, "2 lanes", "3 lanes and more")
         by_turn: dict[str, set[Site]] = defaultdict(set)
         by_rule: dict[str, set[Site]] = defaultdict(set)
-        for one in places.movements.values():
+        over = elements.over_junctions(places)
+        for one in (places.movements[name] for name in places.movements if name in over):
             by_turn[one.turn].add(("movement", one.id))
-            for rule in _rules(one):
+            for rule in one.rule.split(" / "):
                 by_rule[rule].add(("movement", one.id))
         turns = {str(name): frozenset(by_turn[turn]) for turn, name in MANOEUVRE_OF.items()}
         return cls(
@@ -242,7 +239,7 @@ class _Where(NamedTuple):
             conflicts={
                 "left turn across path": turns["left turn"],
                 "right turn across path": turns["right turn"],
-                "crossing": frozenset(("movement", name) for name in places.movements),
+                "crossing": frozenset(("movement", name) for name in over),
                 "lane change": several,
             },
             rules={
@@ -259,10 +256,6 @@ class _Where(NamedTuple):
 def _with(found: Mapping[Element, frozenset[Site]], *names: str) -> frozenset[Site]:
     """Where any of these elements is."""
     return frozenset(site for one, sites in found.items() if one.name in names for site in sites)
-
-
-def _rules(movement: Movement) -> set[str]:
-    return set(movement.rule.split(" / "))
 
 
 def _cell(network: Network, entry: _Entry, attacks: Sequence[Attacked]) -> Cell:

@@ -1,4 +1,4 @@
-"""What an AV did in the seconds before an attack on it was decided."""
+"""Where an AV was and what it did while it was attacked, up to a contact."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,8 @@ import numpy as np
 from deepmf_sumo.datatypes import Floats, Tracks
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.slow import STANDING_MPS
+from deepmf_sumo.risk import elements
+from deepmf_sumo.risk.elements import Element
 from deepmf_sumo.risk.places import Places, Spot
 
 Manoeuvre = Literal[
@@ -31,7 +33,7 @@ MANOEUVRES: Final[dict[Manoeuvre, str]] = {
     "stands": "all the time",
 }
 assert tuple(MANOEUVRES) == get_args(Manoeuvre)
-BEFORE_S: Final = 5.0
+_EVERY: Final = 5
 NEAR_M: Final = 50.0
 """Road users within this distance of the AV are the traffic around it."""
 
@@ -53,12 +55,15 @@ class Driven:
     """What an AV did.
 
     Attributes:
-        manoeuvres: all of them.
+        manoeuvres: all of them. elements: of the roads where it was. rules: of right of way, of the
+            movements that it drove on, see `places.Movement`.
         near: road users within `NEAR_M` when the attack began.
         at_limit: it drove with 90 % of the speed limit, or more.
     """
 
     manoeuvres: frozenset[Manoeuvre] = frozenset()
+    elements: frozenset[Element] = frozenset()
+    rules: frozenset[str] = frozenset()
     near: int = 0
     at_limit: bool = False
 
@@ -68,33 +73,47 @@ NOTHING: Final = Driven()
 
 
 def driven(
-    tracks: Tracks, av: int, spots: Sequence[Spot], last: int, began: int, dt_s: float,
-    places: Places,
-) -> Driven:  # fmt: skip
-    """What the AV, a row of the tracks, did up to the step ``last``.
+    tracks: Tracks, av: int, spots: Sequence[Spot], first: int, dt_s: float, places: Places
+) -> Driven:
+    """What the AV, a row of the tracks, did from the step ``first`` on.
 
     Args:
         tracks: of all road users.
         av: its row.
-        spots: where it was in the steps up to ``last``, one each.
-        last: the step at which the attack was decided.
-        began: the step at which it began.
+        spots: where it was in the steps from ``first`` on, one each.
+        first: the step at which the attack began.
         dt_s: of a step.
         places: of the network.
     """
-    span = slice(last + 1 - len(spots), last + 1)
-    found = {*_over(spots, places), *_along(spots), *_speeds(tracks.speed_mps[av, span])}
+    span = slice(first, first + len(spots))
+    found = {*_over(spots, places), *_along(spots, places), *_speeds(tracks.speed_mps[av, span])}
     if _follows(tracks, av, span) * dt_s >= _FOLLOWS_S - 1e-9:
         found.add("follows")
+    movements = [places.movements[name] for name in _movements(spots, places)]
     return Driven(
         manoeuvres=frozenset(found),
-        near=_near(tracks, av, began),
+        elements=frozenset(_elements(tracks.position_m[av, span], spots, places)),
+        rules=frozenset(rule for one in movements for rule in one.rule.split(" / ") if rule),
+        near=_near(tracks, av, first),
         at_limit=_at_limit(tracks.speed_mps[av, span], spots, places),
     )
 
 
+def _movements(spots: Sequence[Spot], places: Places) -> list[str]:
+    """Over junctions, those that the AV was on."""
+    over = elements.over_junctions(places)
+    return [name for name in dict.fromkeys(spot.movement for spot in spots) if name in over]
+
+
+def _elements(position_m: Floats, spots: Sequence[Spot], places: Places) -> Iterator[Element]:
+    """At every fifth step, and the last one."""
+    last = len(spots) - 1
+    for step in dict.fromkeys((*range(0, last, _EVERY), last)):
+        yield from elements.at(places, spots[step], position_m[step])
+
+
 def _over(spots: Sequence[Spot], places: Places) -> Iterator[Manoeuvre]:
-    for name in {spot.movement for spot in spots if spot.movement and not spot.edge}:
+    for name in _movements(spots, places):
         turn = places.movements[name].turn
         if turn in MANOEUVRE_OF:
             yield MANOEUVRE_OF[turn]
@@ -102,8 +121,8 @@ def _over(spots: Sequence[Spot], places: Places) -> Iterator[Manoeuvre]:
             yield "merge"
 
 
-def _along(spots: Sequence[Spot]) -> Iterator[Manoeuvre]:
-    if all(spot.edge for spot in spots):
+def _along(spots: Sequence[Spot], places: Places) -> Iterator[Manoeuvre]:
+    if not _movements(spots, places):
         yield "along a road"
     if any(one.edge and one.edge == two.edge and one.lane != two.lane
            for one, two in pairwise(spots)):  # fmt: skip

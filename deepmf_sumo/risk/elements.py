@@ -111,6 +111,13 @@ def junction(places: Places, name: str) -> str:
 
 
 @lru_cache(maxsize=8)
+def over_junctions(places: Places) -> frozenset[str]:
+    """Movements over a junction: not those over a joint of two roads, where nobody turns."""
+    movements = places.movements.values()
+    return frozenset(one.id for one in movements if junction(places, one.junction) != BETWEEN)
+
+
+@lru_cache(maxsize=8)
 def _arms(places: Places) -> dict[str, set[str]]:
     """The other ends of the roads at each junction."""
     found: dict[str, set[str]] = defaultdict(set)

@@ -124,8 +124,8 @@ def test_each_attack_counts_in_the_cells_that_it_belongs_to(network):
     assert (behind.conflicts, behind.hits, behind.findings) == (2, 1, 1)
     assert behind.hit_rate == statistics.rate([[1.0], *[[0.0]] * (behind.attacks - 1)])
     assert sum(one.attacks for key, one in found.items() if key[0] == "conflict") == 4
-    lanes = "environment", "lanes in the AV's direction"
-    assert sum(one.attacks for key, one in found.items() if key[:2] == lanes) == 4
+    assert found["environment", "speed limit", "30 to 50 km/h"].attacks == 4
+    assert found["environment", "junction", "between junctions"].attacks == 4
     around = "environment", "road users within 50 m at the start"
     assert found[*around, "up to 2"].attacks == 4
 

@@ -1,4 +1,4 @@
-"""What an AV did before an attack on it was decided."""
+"""Where an AV was and what it did while it was attacked."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ import pytest
 
 from deepmf_sumo.risk import driving
 from deepmf_sumo.risk import places as places_module
+from deepmf_sumo.risk.elements import BETWEEN, Element
 from deepmf_sumo.risk.places import Spot
 
 from tests.support.rollout_doubles import rollout_of
@@ -32,9 +33,8 @@ def path(speeds_mps, x=0.0, y=0.0, heading=0.0):
 
 def done(places, av, spots=None, began=0, **others):
     tracks = rollout_of({"av": av, "b": path(0.0, 900.0), **others}).tracks
-    last = STEPS - 1
     spots = spots or [IN_0] * STEPS
-    return driving.driven(tracks, 0, spots, last, began, 0.1, places)
+    return driving.driven(tracks, 0, spots[began:], began, 0.1, places)
 
 
 RAMP = np.r_[np.zeros(11), np.linspace(0, 10, STEPS - 11)]
@@ -94,7 +94,21 @@ def test_a_change_of_lane_is_within_an_edge(places):
 def test_a_turn_is_that_of_the_movement(places, target, name):
     movement = places.movement("w_in", target)
     over = Spot(lane=movement.lanes[0], junction=movement.junction, movement=movement.id)
-    assert done(places, path(10.0), [IN_0] * 30 + [over] * 21).manoeuvres == {name}
+    found = done(places, path(10.0), [IN_0] * 30 + [over] * 21)
+    assert found.manoeuvres == {name}
+    assert found.rules == set(movement.rule.split(" / "))
+    assert Element("junction", "traffic light") in found.elements
+    assert Element("junction", BETWEEN) in found.elements
+
+
+def test_a_joint_of_two_roads_is_no_junction(places):
+    """There the approach goes on with one more lane."""
+    movement = places.movement("w_approach", "w_in")
+    over = Spot(lane=movement.lanes[0], junction=movement.junction, movement=movement.id)
+    found = done(places, path(10.0), [over] * 5 + [IN_0] * 46)
+    assert found.manoeuvres == {"along a road"}
+    assert not found.rules
+    assert {one.name for one in found.elements if one.subject == "junction"} == {BETWEEN}
 
 
 def test_a_ramp_merges():
