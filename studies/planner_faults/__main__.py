@@ -31,7 +31,8 @@ def _halves() -> int:
 
 
 def _causes(folders: Sequence[Path]) -> int:
-    found = {folder.name: first_cause(folder.name, folder) for folder in folders}
+    copies = [folder for folder in folders if folder.name in FAULTS]
+    found = {folder.name: first_cause(folder.name, folder) for folder in copies}
     for name, first in found.items():
         said = f"{'own' if first.own else 'other'}: {first.sentence}" if first else "no finding"
         print(f"{name:19} {said}")
@@ -46,7 +47,9 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("list", help="all faults")
     commands.add_parser("halves", help="what held_out.txt contains; 1 where it differs")
     own = commands.add_parser("causes", help="whether the first cause of a folder is its fault's")
-    own.add_argument("folders", type=Path, nargs="+", help="result folders, named by their faults")
+    own.add_argument(
+        "folders", type=Path, nargs="+", help="result folders; those of faults are named by them"
+    )
     run = commands.add_parser("measure", help="which faults the gate reports for one method")
     run.add_argument("--method", default="deepmf", help="an adversary as in a spec, in YAML")
     run.add_argument("--budget", type=int, help="simulations of an attack")
