@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
+from deepmf_sumo.datatypes.scene import Neighbour
 from deepmf_sumo.judge import causes
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.encounter import encounter_of
@@ -104,6 +105,24 @@ def crossing(gives_way):
         id="south", kind="street", centre_m=np.array([[60.0, 150], [60, -150]]), z_m=np.zeros(2)
     )
     return RoadMap(lanes={"east": east, "south": south})
+
+
+def test_who_moves_over_would_have_had_to_stay_in_its_lane():
+    """The AV moves into the lane of a vehicle beside it, 3.5 m to the left, within 2 s."""
+    av, beside = straight(0, 0, 15), straight(1.0, 3.5, 15)
+    av[:, 1] = 3.5 * np.clip((SECONDS - 2.0) / 2.0, 0, 1)
+    ends = {"self_start": 0, "self_end": 1, "other_start": 0, "other_end": 1}
+    right, left = (
+        Lane(id=name, kind="street", centre_m=np.array([[-50.0, y], [300, y]]), z_m=np.zeros(2))
+        for name, y in (("right", 0.0), ("left", 3.5))
+    )
+    right = replace(right, left=(Neighbour(lane_id="left", **ends),))
+    left = replace(left, right=(Neighbour(lane_id="right", **ends),))
+    road = RoadMap(lanes={"right": right, "left": left})
+    found = cause(av, beside, road=road)
+    assert (found.change, found.what) == ("stays in its lane", "to stay in its lane")
+    ahead = {"c": straight(5 + LENGTH, 0, 2)}  # a vehicle that it would have driven into
+    assert not cause(av, beside, others=ahead, road=road).changes["stays in its lane"]
 
 
 def test_who_takes_priority_would_have_had_to_wait():
