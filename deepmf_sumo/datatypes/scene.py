@@ -189,7 +189,8 @@ class Tracks(Frozen):
         size_m: (A, 3) length, width, height. One size per agent: that of the current step, else of
             the valid step nearest to it.
         position_m: (A, T, 2) box centre in the scene's frame.
-        z_m: (A, T).
+        z_m: (A, T) height of the ground below the box; its middle is half its height above. Readers
+            and exporters convert: most formats of recordings have the middle.
         heading_rad: (A, T).
         velocity_mps: (A, T, 2) in the scene's frame.
         valid: (A, T) False if the agent was not observed at the step (all values are zero then).

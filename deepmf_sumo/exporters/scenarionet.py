@@ -105,7 +105,8 @@ def _tracks(scene: Scene) -> Described:
         if not valid.any():
             continue
         kind = _TYPES.get(tracks.kinds[row], "OTHER")
-        place = np.column_stack([tracks.position_m[row], tracks.z_m[row]])
+        middle_m = tracks.z_m[row] + height[row] / 2
+        place = np.column_stack([tracks.position_m[row], middle_m])
         size = {"length": tracks.size_m[row, 0], "width": tracks.size_m[row, 1],
                 "height": height[row]}  # fmt: skip
         found[agent] = {

@@ -97,7 +97,7 @@ def _tracks(scene: Scene, numbers: Numbers) -> list[pb.Track]:
             state = track.states.add(valid=bool(tracks.valid[row, step]))
             if state.valid:
                 state.center_x, state.center_y = tracks.position_m[row, step].tolist()
-                state.center_z = float(tracks.z_m[row, step])
+                state.center_z = float(tracks.z_m[row, step] + heights[row] / 2)
                 state.heading = float(tracks.heading_rad[row, step])
                 state.velocity_x, state.velocity_y = tracks.velocity_mps[row, step].tolist()
                 state.length, state.width = length, width

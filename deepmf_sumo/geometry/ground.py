@@ -1,8 +1,8 @@
 """Heights: which of two vehicles passes above the other, and how high the road is at a position.
 
-A vehicle's z is that of the road under it (SUMO) or of its middle (recordings). Neither says how
-high it reaches, so two vehicles meet if their heights differ by less than `CLEARANCE_M`, whatever
-they are: roads that cross leave each other more room than that.
+A vehicle's z is that of the ground under it. It does not say how high the vehicle reaches, so two
+vehicles meet if their heights differ by less than `CLEARANCE_M`, whatever they are: roads that
+cross leave each other more room than that.
 """
 
 from typing import Final

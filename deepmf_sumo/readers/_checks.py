@@ -264,11 +264,17 @@ def _finished(raw: RecordingTracks, now: int, av_id: str, repairs: list[str]) ->
         kinds=tuple(kinds),
         size_m=sizes,
         position_m=position[..., :2],
-        z_m=position[..., 2],
+        z_m=_ground_m(position[..., 2], sizes[:, 2], valid),
         heading_rad=np.where(valid, frames.wrap(np.where(valid, raw.heading_rad[rows], 0.0)), 0.0),
         velocity_mps=np.where(valid[..., None], raw.velocity_mps[rows], 0.0),
         valid=valid,
     )
+
+
+def _ground_m(middle_m: Floats, height_m: Floats, valid: Bools) -> Floats:
+    """(A, T) heights below the boxes: recordings tell those of their middles, and 0 for none."""
+    told = valid & (middle_m != 0.0)
+    return np.where(told, middle_m - height_m[:, None] / 2, middle_m)
 
 
 def _sizes(

@@ -23,7 +23,7 @@ class Pose:
     """Pose and speed of a box.
 
     ``course_rad``: direction of motion; None: its heading (backwards if the speed is negative).
-    ``z_m``: height of the road below it in SUMO, of the middle of the box in recordings.
+    ``z_m``: height of the ground below it, as in `datatypes.Tracks`.
     """
 
     x_m: float

@@ -246,7 +246,9 @@ def test_heights_are_as_recorded(read, tmp_path):
     for point in message.map_features[1].lane.polyline:
         point.z = 7.5
     scene = read(message, tmp_path)
-    assert scene.tracks.z_m[scene.tracks.row("7")].tolist() == [8.0] * 91
+    row = scene.tracks.row("7")
+    ground = 8.0 - scene.tracks.size_m[row, 2] / 2
+    assert scene.tracks.z_m[row].tolist() == [ground] * 91, "the middle is half a height above"
     assert set(scene.road.lanes["101"].z_m) == {7.5}
     assert set(scene.road.lanes["100"].z_m) == {0.5}
 
@@ -260,7 +262,8 @@ def test_heights_that_are_missing_are_0(read, tmp_path):
         point.z = np.nan
     scene = read(message, tmp_path)
     assert valid(scene, "7").all()
-    assert scene.tracks.z_m[0].tolist() == [0.0] * 20 + [1.0] * 71
+    ground = 1.0 - scene.tracks.size_m[0, 2] / 2
+    assert scene.tracks.z_m[0].tolist() == [0.0] * 20 + [ground] * 71
     assert not scene.road.lanes["101"].z_m.any()
     assert set(scene.repairs) == {
         "20 states without a height were taken to be at 0.",

@@ -28,7 +28,7 @@ def test_every_field_arrives(read):
     assert tracks.kinds == ("vehicle", "pedestrian", "vehicle")
     assert tracks.size_m[2] == pytest.approx(AV_SIZE)
     assert tracks.position_m[0, 20] == pytest.approx([5 + 12 * 2.0, 3.5])
-    assert tracks.z_m[0, 20] == 1.0
+    assert tracks.z_m[0, 20] == 1.0 - tracks.size_m[0, 2] / 2  # recorded: of the middle
     assert tracks.heading_rad[1, 5] == pytest.approx(np.pi / 2)
     assert tracks.velocity_mps[1, 5] == pytest.approx([0, 1.2])
     assert tracks.valid.sum(axis=1).tolist() == [91, 30, 91]
