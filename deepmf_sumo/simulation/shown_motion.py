@@ -102,6 +102,7 @@ class ShownMotion:
         self._last: tuple[Pose, str] | None = None
         self._earlier: Pose | None = None
         self._settling: _Settling | None = None
+        self._before_shown: Pose | None = None
 
     def restart(self, pose: Pose | None = None) -> None:
         """Forget the past: the vehicle was placed somewhere else.
@@ -110,6 +111,7 @@ class ShownMotion:
         """
         self._before, self._changes = None, []
         self._last, self._earlier, self._settling, self._handed = None, None, None, pose
+        self._before_shown = None
 
     @property
     def begun(self) -> Jump | None:
@@ -156,17 +158,39 @@ class ShownMotion:
             jump = None
         if jump == "teleport":
             self._settling = None
-        elif isinstance(jump, Jump):
-            left = self._settling
-            rest = (0.0, 0.0) if left is None else [one * left.share for one in left.jump]
+        before = self._shown(pose, aside)
+        if isinstance(jump, Jump):
+            kept = self._settling
+            rest = (0.0, 0.0) if kept is None else [one * kept.share for one in kept.jump]
             jump = Jump(jump.front_m + rest[0], jump.rear_m + rest[1])
             origin = "" if last is None or last[1] == lane else last[1]
             self._settling = _Settling(jump=jump, origin=origin)
+            if last is not None and not self._milder(self._shown(pose, aside), before, pose):
+                self._settling = (
+                    kept  # where SUMO's vehicle turns in a step, its bumpers jump alone
+                )
         if self._settling is not None:
             self._settling.share -= 1.0 / _SETTLING_STEPS
             if self._settling.share < 1e-9:
                 self._settling = None
+        self._before_shown = self._shown(pose, aside)
+        return self._before_shown
+
+    def _shown(self, pose: Pose, aside: Floats) -> Pose:
         return pose if self._settling is None else self._moved(pose, aside, self._settling)
+
+    def _milder(self, one: Pose, other: Pose, pose: Pose) -> bool:
+        """Whether a pose is less to the side of the last shown one than another."""
+        last = self._before_shown
+        if last is None:
+            return True
+        turn = frames.difference(pose.heading_rad, last.heading_rad)
+        left = frames.unit(np.array(pose.heading_rad - turn / 2 + np.pi / 2))
+        sides = [
+            abs(float(np.array([to.x_m - last.x_m, to.y_m - last.y_m]) @ left))
+            for to in (one, other)
+        ]
+        return sides[0] < sides[1]
 
     def _moved(self, pose: Pose, aside: Floats, settling: _Settling) -> Pose:
         """The pose with both bumpers to the side, by what is left of a jump."""
@@ -181,8 +205,8 @@ class ShownMotion:
     def _direction_rad(self, lane: str, pose: Pose) -> float:
         """Direction of travel of the lane at the front; the heading where that tells nothing."""
         line = self._line(lane) if lane else np.zeros((0, 2))
-        if len(line) < 2:
-            return pose.heading_rad
+        if len(line) < 2 or polylines.arc_lengths(line)[-1] < self._length_m:
+            return pose.heading_rad  # a lane shorter than the vehicle may have any direction
         front, _ = _bumpers(pose, self._length_m)
         along = float(polylines.project(line, front).heading_rad)
         against = np.cos(along - pose.heading_rad) < 0

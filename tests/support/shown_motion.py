@@ -21,6 +21,9 @@ from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, running
 AT_ONCE = ("--lanechange.duration", "0", "--lateral-resolution", "0")
 _CHANGE_S = 0.05, 3.05
 """After SUMO's lane change, whose time is that of its step's begin, poses may differ."""
+_JUMP_S = 1.55
+_JUMP_M = 0.3
+"""After a larger step of SUMO to the side without a lane change poses may differ."""
 _TURN_RAD = 0.6
 """A vehicle whose heading changes by more within 5 s makes a turn."""
 _TELEPORT_M = 8.0
@@ -64,7 +67,9 @@ class Row:
     Attributes:
         vehicles, turns, changes: how many there were.
         spread: changes in which SUMO's vehicle jumped and the shown one did not.
-        apart_m: largest distance outside lane changes.
+        jumps: SUMO's steps to the side of more than 0.3 m outside lane changes: where an edge
+            begins beside the one before.
+        apart_m: largest distance outside lane changes and the 1.5 s after jumps.
         between_m: how much farther outside the two lanes' centre lines a shown centre is in a
             spread change than SUMO's: in bends SUMO's is too.
         back_m: largest step of a shown centre away from the new lane during a change, with its rear
@@ -79,6 +84,7 @@ class Row:
     turns: int = 0
     changes: int = 0
     spread: int = 0
+    jumps: int = 0
     apart_m: float = 0.0
     between_m: float = 0.0
     back_m: float = 0.0
@@ -158,7 +164,8 @@ def _judge(
     for moment, origin in changes:
         row.changes += 1
         during = (time > moment + _CHANGE_S[0]) & (time < moment + _CHANGE_S[1])
-        changing |= during
+        # where the edge ends before, what is left of it is a jump
+        changing |= (time > moment + _CHANGE_S[0]) & (time < moment + _CHANGE_S[1] + _JUMP_S)
         step = int(np.argmax(during)) - 1
         jumped = step >= 0 and sumos[step] > 1.0
         spread = bool(jumped and ours[step] < 1.0)
@@ -170,6 +177,9 @@ def _judge(
             steps = np.diff(ways[:, 1])
             row.note(between_m=ways[:, 0].max(initial=0), back_m=np.nanmax(steps, initial=0))
     apart = np.hypot(*(shown - own).T)
+    for step in np.flatnonzero((sumos > _JUMP_M) & ~changing[1:]) + 1:
+        row.jumps += 1
+        changing |= (time >= time[step]) & (time < time[step] + _JUMP_S)
     lanes = {*vehicle.lanes, *(lane for _, lane in changes if lane in recorded.areas)} - {""}
     used = shapely.union_all([recorded.areas[lane] for lane in lanes])
     beyond, beyond_sumo = (shapely.distance(used, shapely.points(each)) for each in (shown, own))
