@@ -37,6 +37,8 @@ STRAIGHT: Final = "straight"
 _CHORD_M: Final = 10.0
 """Bends are measured by two chords of this length, of shorter edges by its halves."""
 _SAMPLE_M: Final = 5.0
+_SHORT_M: Final = 1.0
+"""The direction of shorter edges is a matter of rounding."""
 CROSSINGS: Final = "crossing for people"
 
 
@@ -149,19 +151,24 @@ def _of_edge(edge: NetEdge) -> Iterator[Element]:
 
 
 def _line(edge: NetEdge) -> tuple[shapely.LineString, float]:
-    """The edge's first lane, and the length of the chords."""
-    line = shapely.LineString(edge.lanes[0].shape_m[:, :2])
-    return line, min(_CHORD_M, line.length / 2)
+    """The edge's first lane, and the length of the chords; 0 where it is almost a point."""
+    shape_m = edge.lanes[0].shape_m[:, :2]
+    line = shapely.LineString(shape_m if len(shape_m) > 1 else np.repeat(shape_m, 2, axis=0))
+    return line, min(_CHORD_M, line.length / 2) if line.length >= _SHORT_M else 0.0
 
 
 def _bends(edge: NetEdge) -> set[str]:
     line, chord_m = _line(edge)
+    if not chord_m:
+        return {STRAIGHT}
     along = np.arange(chord_m, line.length - chord_m + 1e-6, _SAMPLE_M)
     return set(map(_class, _radius_m(line, along, chord_m)))
 
 
 def _bend(edge: NetEdge, place_m: Floats) -> str:
     line, chord_m = _line(edge)
+    if not chord_m:
+        return STRAIGHT
     along = shapely.line_locate_point(line, shapely.Point(place_m))
     inside = np.clip(along, chord_m, line.length - chord_m)
     return _class(_radius_m(line, np.array([inside]), chord_m)[0])

@@ -1,6 +1,7 @@
 from dataclasses import asdict
 
 from deepmf_sumo.report import table
+from deepmf_sumo.report.tables import layouts
 from deepmf_sumo.results import findings
 
 from tests.support import worth_doubles
@@ -60,3 +61,11 @@ def test_totals():
         " mean contact speed 6.0 m/s; 1 with broken expectations"
     )
     assert [line.partition(":")[0] for line in table.meanings(summary)] == ["B", "cc", "search"]
+
+
+def test_tables_of_versions_without_findings_are_read(tmp_path):
+    file = tmp_path / "table.csv"
+    file.write_text("method,valid_collision_rate,valid_collision_rate_lo\na,0.5,0.1\n")
+    assert layouts._rows(file) == [
+        {"method": "a", "finding_rate": "0.5", "finding_rate_lo": "0.1"},
+    ]

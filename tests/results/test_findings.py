@@ -3,8 +3,9 @@
 import pytest
 
 from deepmf_sumo.judge import ladder
-from deepmf_sumo.results import findings, quantities
+from deepmf_sumo.results import findings, junit, quantities
 from deepmf_sumo.results.findings import DRIVERS, Worth
+from deepmf_sumo.shrink import search
 
 from tests.support import gate_doubles, worth_doubles
 
@@ -49,7 +50,7 @@ def test_a_valid_hit_of_an_earlier_version_counts_as_a_finding(valid, word):
 
 def test_hits_are_counted_by_rung_and_every_driver_is_named():
     hits = [
-        worth_doubles.worth("A", by=()), worth_doubles.worth("B", by=("cc", "search")),
+        worth_doubles.worth("A", by=("fsm",)), worth_doubles.worth("B", by=("cc", "search")),
         worth_doubles.worth("B", by=("cc",)), worth_doubles.worth("C", by=("rss",)),
     ]  # fmt: skip
     found = findings.count(hits)
@@ -60,7 +61,7 @@ def test_hits_are_counted_by_rung_and_every_driver_is_named():
     )
     told = findings.legend(found)
     assert [line.partition(":")[0] for line in told] == ["A", "B", "C", "cc", "search"]
-    assert findings.by_whom(hits[0]) == "no driver"
+    assert findings.by_whom(worth_doubles.worth("D", by=())) == "no driver"
     assert findings.by_whom(hits[1]) == "cc, search"
     assert findings.by_whom(None) == ""
 
@@ -78,3 +79,26 @@ def test_counts_of_earlier_versions_and_of_what_was_not_judged():
 
 def test_each_driver_of_the_judge_has_words():
     assert tuple(DRIVERS) == ladder.DRIVERS
+
+
+@pytest.mark.parametrize(
+    ("first", "found", "as_much"),
+    [
+        (("B", ("cc",)), ("B", ("cc",)), True),
+        (("B", ("cc",)), ("B", ("cc", "rss")), True),
+        (("B", ("cc", "rss")), ("B", ("cc",)), False),
+        (("B", ("cc",)), ("A", ("cc",)), False),
+        (("A", ()), ("B", ("cc",)), False),
+    ],
+)
+def test_a_shrunk_hit_is_on_the_same_rung_and_whoever_avoided_it_still_does(first, found, as_much):
+    one, other = worth_doubles.worth(*first), worth_doubles.worth(*found)
+    assert search._as_much(other, one) == as_much
+    assert not search._as_much(None, one)
+    assert search._as_much(None, None)
+
+
+def test_a_test_case_says_what_the_hit_is_worth():
+    hit = gate_doubles.result(hit=True, metrics=valued(worth_doubles.metrics("C")))
+    assert junit._case(hit).output.startswith("outcome: av_opponent, contrived (C); files: ")
+    assert junit._case(gate_doubles.result()).output.startswith("outcome: none; files: ")

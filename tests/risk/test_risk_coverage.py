@@ -180,6 +180,26 @@ def test_the_cause_is_of_the_turn_that_hit_first(tmp_path):
             **finding("reacts"))  # fmt: skip
     [network] = risk.read([out.out])
     assert [one.cause is not None for one in network.attacks] == [False, True]
+    both = [{"kind": "av_opponent", "step": step, "first_id": "ego", "second_id": "foe",
+             "sector": 4, "relative_mps": 6.0} for step in (25, 45)]  # fmt: skip
+    out = Attacks(tmp_path / "both")
+    turns = [turn(0.0, "contact"), turn(2.0, "contact")]
+    out.add("a", av=eastward(), opponent=eastward(x=-144.0), hit=25, turns=turns,
+            **finding("reacts") | {"contacts": both})  # fmt: skip
+    [network] = risk.read([out.out])
+    assert [one.hit for one in network.attacks] == [True, True]
+    assert [one.cause is not None for one in network.attacks] == [True, False]
+
+
+def test_a_hit_that_could_not_be_judged_is_in_no_rate_of_findings(tmp_path):
+    out = Attacks(tmp_path / "out")
+    unknown = dict.fromkeys(("finding", "rung"))
+    out.add("a", av=eastward(), opponent=eastward(x=-144.0), hit=30, metrics=unknown)
+    out.add("b", av=eastward(), opponent=eastward(x=-144.0), hit=30)
+    [network] = risk.read([out.out])
+    one = cells(network)["conflict", "kind of conflict", "rear-end"]
+    assert (one.hits, one.findings, one.finding_rate.rate, one.hit_rate.rate) == (2, 1, 1.0, 1.0)
+    assert one.finding_rate.low < one.hit_rate.low
 
 
 FLOWS = """spec,network,edge,following,vehicles,near,hours
@@ -187,6 +207,7 @@ city,four_way,w_approach,,100,50,0.5
 city,four_way,w_in,,60,60,0.5
 city,four_way,w_in,n_out,20,10,0.5
 city,four_way,gone,,7,7,0.5
+city,four_way,n_in,,30,0,0.5
 other,four_way,w_in,,999,999,0.5
 """
 
@@ -212,6 +233,8 @@ def test_flows_make_hits_per_passing_vehicle(tmp_path):
     assert found["place", "movement", left].vehicles_per_hour == 40.0
     assert found["place", "edge", "s_in"].vehicles_per_hour == 0.0
     assert found["place", "edge", "s_in"].reason == "no traffic there while moments were chosen"
+    alone = "no vehicle there had another one near it"
+    assert found["place", "edge", "n_in"].reason == alone
     assert found["place", "edge", "w_in"].reason == "not reached in 1 attack"
     assert found["manoeuvre", "manoeuvre", "left turn"].vehicles_per_hour == 40.0
     assert found["manoeuvre", "manoeuvre", "left turn"].reason == "not reached in 1 attack"

@@ -60,7 +60,8 @@ def test_stops_and_starts(places, speeds_mps, found):
     ("gap_m", "y", "heading", "follows"),
     [
         (19.0, 0.0, 0.0, True), (21.0, 0.0, 0.0, False), (19.0, 1.7, 0.0, True),
-        (19.0, 2.1, 0.0, False), (-30.0, 0.0, 0.0, False), (19.0, 0.0, 3.1, False),
+        (19.0, 2.1, 0.0, False), (-30.0, 0.0, 0.0, False), (4.0, 0.0, 3.1, False),
+        (4.0, 0.0, 0.0, True),
     ],
 )  # fmt: skip
 def test_it_follows_what_is_at_most_two_seconds_ahead_in_its_path(

@@ -118,6 +118,13 @@ def test_a_bend_counts_where_the_av_is():
     assert elements._bend(edge, np.array([203.0, 3.0])) == "bend below 50 m"
 
 
+@pytest.mark.parametrize("shape", [[[1.0, 2, 0]], [[1.0, 2, 0]] * 2, [[0.0, 0, 0], [0.5, 0.5, 0]]])
+def test_an_edge_that_is_hardly_more_than_a_point_does_not_bend(shape):
+    edge = edge_of(np.array(shape))
+    assert elements._bends(edge) == {"straight"}
+    assert elements._bend(edge, np.zeros(2)) == "straight"
+
+
 def test_the_elements_of_a_place():
     places = of("four_way")
     left = next(one for one in places.movements.values() if one.turn == "left")
