@@ -47,7 +47,7 @@ def main() -> None:
     listed = hashlib.sha256(Path(cases.__file__).read_bytes()).hexdigest()[:6]
     before = STORE / f"{commit}-{listed}"
     if not before.is_dir():
-        _run_all(_checkout(commit), before, options.jobs)
+        _run_all(checkout(commit), before, options.jobs)
     now = STORE / PRESENT
     shutil.rmtree(now, ignore_errors=True)
     _run_all(ROOT, now, options.jobs)
@@ -100,7 +100,7 @@ def _git(*arguments: str) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
-def _checkout(commit: str) -> Path:
+def checkout(commit: str) -> Path:
     """The files of a commit, outside the work tree."""
     tree = STORE / "trees" / commit
     if not tree.is_dir():
