@@ -58,7 +58,7 @@ class DeepMF:
         """
         self.load()
         settings = self._settings
-        experience = Experience(one_opponent=settings.tried == 1)
+        experience = Experience(one_opponent=settings.tried == 1, several=self.several)
         begin, end = time.perf_counter(), deadline(budget)
         most = min(settings.tries, budget.simulations or settings.tries)
         best: tuple[_Rank, float, Rollout] | None = None

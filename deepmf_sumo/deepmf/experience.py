@@ -26,6 +26,7 @@ from deepmf_sumo.datatypes import (
     Floats,
     Forecast,
     Futures,
+    Heat,
     Rollout,
     View,
 )
@@ -89,19 +90,33 @@ class _Answers:
     wanted: Bools
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """Candidates of an opponent, its heat map, and the AV's reactions to each candidate."""
+
+    own: Candidates
+    heat: Heat | None
+    reactions: list[Forecast]
+
+
 @dataclass(slots=True, eq=False)
 class Experience:
     """The tries of one attack so far.
 
     Attributes:
         one_opponent: only the first opponent can attack.
+        several: more tries may follow from the same moment.
         given_up: opponents that others come before.
+        predicted: of opponents at a step, before their first plan; no try changes it until one is
+            of that opponent.
     """
 
     one_opponent: bool = False
+    several: bool = False
 
     _tries: list[_Try] = field(default_factory=list)
     given_up: set[AgentId] = field(default_factory=set)
+    predicted: dict[tuple[int, AgentId], Predicted] = field(default_factory=dict)
 
     def add(self, rollout: Rollout, *, wanted: bool) -> bool:
         """Remember a try; False if nothing new can be tried any more.

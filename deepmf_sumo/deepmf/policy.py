@@ -25,7 +25,7 @@ from deepmf_sumo.datatypes import (
 from deepmf_sumo.deepmf import candidates, constraints, scoring
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.constraints import Constraint, Mask
-from deepmf_sumo.deepmf.experience import Experience
+from deepmf_sumo.deepmf.experience import Experience, Predicted
 from deepmf_sumo.deepmf.opponent import choose, highest
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
@@ -89,7 +89,7 @@ class _Av:
 class DeepMF:
     """The policy. ``seconds`` is the wall time of all resets and plans so far."""
 
-    KEPT: tuple[str, ...] = ("seconds",)
+    KEPT: tuple[str, ...] = ("seconds", "predicted")
 
     def __init__(
         self,
@@ -113,6 +113,15 @@ class DeepMF:
     def period_steps(self) -> int | None:
         """Steps between plans; None: one plan."""
         return self._settings.period_steps
+
+    @property
+    def predicted(self) -> dict[tuple[int, AgentId], Predicted]:
+        """What the next try need not predict again."""
+        return self._experience.predicted
+
+    @predicted.setter
+    def predicted(self, found: dict[tuple[int, AgentId], Predicted]) -> None:
+        self._experience.predicted = found
 
     def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
         """Choose the opponent, before the first plan.
@@ -194,10 +203,9 @@ class DeepMF:
         )
         if attack.begun is None:
             attack.begun = view.step
-        own, heat = self._generate(situation, attack, watch)
-        predicted = self._reactions(av, own)
-        watch.lap("conditional")
-        reactions, counts = self._experience.informed(situation, own, predicted)
+        predicted = self._predict(situation, attack, av, watch)
+        own, heat = predicted.own, predicted.heat
+        reactions, counts = self._experience.informed(situation, own, predicted.reactions)
         pairs = candidates.pairs(
             situation,
             own,
@@ -212,6 +220,21 @@ class DeepMF:
         self.seconds += watch.seconds
         reason = self._reason(own, heat, reactions, pairs, choice, masks, watch)
         return _planned(situation, own, choice, reason)
+
+    def _predict(
+        self, situation: Situation, attack: _Attack, av: _Av, watch: Stopwatch
+    ) -> Predicted:
+        """Candidates and reactions; those of an earlier try as long as it tells nothing new."""
+        kept, moment = self._experience, (situation.view.step, situation.opponent_id)
+        same = kept.several and attack.last is None and situation.unattacked is av.unattacked
+        if same and moment in kept.predicted:
+            return kept.predicted[moment]
+        own, heat = self._generate(situation, attack, watch)
+        found = Predicted(own, heat, self._reactions(av, own))
+        watch.lap("conditional")
+        if same:
+            kept.predicted[moment] = found
+        return found
 
     def _generate(
         self, situation: Situation, attack: _Attack, watch: Stopwatch

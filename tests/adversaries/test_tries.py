@@ -100,6 +100,39 @@ def test_the_answer_to_what_was_tried_is_known():
     assert not np.allclose(simulate.plans[0].position_m, simulate.plans[1].position_m, atol=0.1)
 
 
+@pytest.mark.parametrize("values", [{}, {"constraints": ["fair", "clean"]}, {"conditional": False}])
+def test_what_no_try_changes_is_predicted_once(monkeypatch, values):
+    made = {}
+    for shared in (True, False):
+        predictors = Doubles()
+        monkeypatch.setattr(weights, "cached_predictors", lambda name, it=predictors: it)
+        monkeypatch.setattr(
+            "deepmf_sumo.adversaries.deepmf.Experience",
+            lambda several, shared=shared, **others: Experience(
+                several=several and shared, **others
+            ),
+        )
+        simulate = Simulation()
+        attack(simulate, tries=4, **values)
+        calls = [agent for agent, _ in predictors.marginal.calls]
+        made[shared] = simulate.plans, calls.count("b"), calls.count("c")
+    assert made[True][1:] < made[False][1:]
+    assert len(made[True][0]) == len(made[False][0]) == 4
+    for one, other in zip(made[True][0], made[False][0], strict=True):
+        assert one.agent_id == other.agent_id
+        np.testing.assert_array_equal(one.position_m, other.position_m)
+        np.testing.assert_array_equal(one.reason.value, other.reason.value)
+        np.testing.assert_array_equal(one.reason.collides, other.reason.collides)
+
+
+def test_nothing_is_kept_where_no_try_follows():
+    """A policy of a live attack has no end: it may not gather predictions."""
+    settings = plugins.settings("policies", "deepmf", {"tried_opponents": 2})
+    experience = Experience()
+    Simulation()(build(settings, Doubles(), experience=experience))
+    assert experience.predicted == {}
+
+
 def test_the_weight_of_an_answer_falls_with_the_distance_from_what_was_tried():
     simulate = Simulation()
     attack(simulate, tries=2, opponent="b", tried_opponents=1)
