@@ -7,10 +7,11 @@ changes have an order, and the first that avoids the hit is its cause:
 1. What the rules of the road ask of every driver before there is a danger: it asks for no effort,
    only for patience. It stops at the light, stays in its lane, waits for the gap, keeps to the
    limit, keeps its distance; and it does not brake in front of a vehicle behind it.
-2. What a reference driver does once there is a danger, the milder first: it brakes up to 4 m/s2
-   (comfortable), reacts 0.5 s earlier, brakes up to 6 m/s2 (as hard as two of the three reference
-   drivers), reacts 1 s earlier; an AV that never braked reacts at all. No reaction comes sooner
-   than 0.75 s after the onset, which is the drivers' own.
+2. What a reference driver does once there is a danger, the milder first: it brakes on, where it
+   accelerated again on a course to the collision, brakes up to 4 m/s2 (comfortable), reacts 0.5 s
+   earlier, brakes up to 6 m/s2 (as hard as two of the three reference drivers), reacts 1 s earlier;
+   an AV that never braked reacts at all. No reaction comes sooner than 0.75 s after the onset,
+   which is the drivers' own.
 3. More than reference drivers do: a reaction sooner than that, braking up to 8 m/s2 (grip).
 4. It drives 20 % slower. A speed below the limit is no error, and a later AV also avoids by chance
    what crosses its path.
@@ -28,16 +29,18 @@ from typing import Final, Literal, NamedTuple, get_args
 import numpy as np
 
 from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.geometry import boxes, road
+from deepmf_sumo.geometry import boxes, frames, road
 from deepmf_sumo.judge.accident_types import CUT_IN_S
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import AvPath, along_lanes
 from deepmf_sumo.judge.avoidability.changes import Drive
 from deepmf_sumo.judge.avoidability.encounter import (
     Encounter,
+    Moving,
     ThirdParties,
     encounter_of,
     hit_by,
+    on_collision_course,
     third_parties_of,
 )
 from deepmf_sumo.judge.avoidability.grading import Judgement, evasive_manoeuvres
@@ -50,8 +53,9 @@ from deepmf_sumo.judge.metrics.driving import crossed_late
 
 Change = Literal[
     "stops at the light", "stays in its lane", "waits for the gap", "keeps to the limit",
-    "keeps its distance", "does not brake", "reacts 0.5 s earlier", "reacts 1 s earlier",
-    "brakes harder", "reacts", "drives 20 % slower", "sees the danger", "evades", "none",
+    "keeps its distance", "does not brake", "brakes on", "reacts 0.5 s earlier",
+    "reacts 1 s earlier", "brakes harder", "reacts", "drives 20 % slower", "sees the danger",
+    "evades", "none",
 ]  # fmt: skip
 CHANGES: Final[tuple[Change, ...]] = get_args(Change)
 
@@ -153,6 +157,7 @@ def _tried(episode: Episode, encounter: Encounter, hit: Hit) -> list[Tried]:
         for place, change, what, along in (
             *_by_rules(episode, encounter, hit, drive),
             *_by_reaction(drive),
+            (19, "brakes on", "to go on braking", _on(encounter, drive)),
             (40, "drives 20 % slower", "to drive 20 % slower", drive.slower(SLOWER)),
         )
         if along is not None
@@ -234,6 +239,21 @@ def _at_light(episode: Episode, encounter: Encounter, hit: Hit, drive: Drive) ->
     crossed = max(late)
     before_m = float(encounter.av_along_m[crossed - 1 - first])
     return drive.stopping_before(before_m, max(0, crossed - late[crossed] - first))
+
+
+def _on(encounter: Encounter, drive: Drive) -> Floats | None:
+    """(K) arc lengths of the AV that brakes on; None where no collision showed when it ceased."""
+    if drive.release is None:
+        return None
+    at, approach = slice(drive.release, drive.release + 1), encounter.approach
+    centre, heading = encounter.path.at(encounter.av_along_m[at])
+    velocity = drive.at(drive.release) * frames.unit(heading)
+    av = Moving(centre, velocity, heading, approach.av_size_m)
+    opponent = Moving(
+        approach.position_m[0, at], approach.velocity_mps[0, at], approach.heading_rad[0, at],
+        approach.size_m,
+    )  # fmt: skip
+    return drive.braking_on() if on_collision_course(av, opponent).any() else None
 
 
 def _has_to_wait(hit: Hit) -> bool:

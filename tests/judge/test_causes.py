@@ -68,6 +68,21 @@ def test_no_reaction_sooner_than_a_drivers_is_asked_for_while_braking_harder_is_
     assert found.what == "to brake with 6 m/s2 instead of 4"
 
 
+def test_who_accelerates_again_would_have_had_to_brake_on():
+    """It brakes from 15 to 9 m/s with 4 m/s2, 30 m before, and then keeps on accelerating."""
+    speed = np.full(STEPS, 15.0)
+    speed[30:45] = 15 - 0.4 * np.arange(1, 16)
+    speed[45:] = 9 + 0.2 * np.arange(1, STEPS - 44)
+    along = np.concatenate([[0.0], np.cumsum(speed[:-1]) * 0.1])
+    av = np.stack([along - along[NOW], np.zeros(STEPS), np.zeros(STEPS)], -1)
+    found = cause(av, standing(62))
+    assert (found.change, found.what) == ("brakes on", "to go on braking")
+    # what moves over only later is no reason to go on
+    late = straight(62 + LENGTH, 4.0, 0)
+    late[:, 1] = np.where(np.arange(STEPS) < 55, 4.0, 1.5)
+    assert "brakes on" not in cause(av, late).changes
+
+
 def test_what_drives_beside_is_no_leader():
     """A vehicle that cuts in is not followed when the danger shows."""
     av, log = straight(0, 0, 16), straight(8.3 + LENGTH, 3.5, 8)

@@ -12,6 +12,7 @@ from typing import Final, Self
 import numpy as np
 
 from deepmf_sumo.datatypes import Bools, Floats
+from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S, JERK_MPS3, CompetentCareful
 
 BRAKES_MPS2: Final = 1.0
@@ -110,6 +111,29 @@ class Drive:
         slower = np.clip(before - lost, 0.0, self.speed_mps)
         braked = np.arange(len(slower)) >= self.reaction
         return self._driven(np.where(braked, slower, self.speed_mps))
+
+    @cached_property
+    def release(self) -> int | None:
+        """Step from which it accelerated again after its reaction, by more than 1 m/s.
+
+        None if it did not, or if it had stopped before: then it set off.
+        """
+        if self.reaction is None:
+            return None
+        speed = self.speed_mps[self.reaction : self.contact]
+        slowest = int(speed.argmin())
+        again = speed[-1] - speed[slowest] > BRAKES_MPS2 and speed[slowest] > WAITING_MPS
+        return self.reaction + slowest if again else None
+
+    def braking_on(self) -> Floats | None:
+        """From its release on it brakes as before; None if it did not accelerate again."""
+        if self.reaction is None or self.release is None:
+            return None
+        speed, since = self.speed_mps, max(self.release - _WINDOW, self.reaction - 1)
+        lost = (speed[since] - speed[self.release]) / ((self.release - since) * self.dt_s)
+        after_s = np.maximum(np.arange(len(speed)) - self.release, 0) * self.dt_s
+        slower = np.maximum(speed[self.release] - max(lost, BRAKES_MPS2) * after_s, 0.0)
+        return self._driven(np.where(after_s > 0, slower, speed))
 
     def reacting(self) -> Floats | None:
         """A stop like that of the careful driver, 0.75 s after the onset; None if it braked."""

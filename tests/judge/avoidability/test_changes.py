@@ -61,6 +61,28 @@ def test_harder_braking_stops_after_v2_over_2a(hardest):
     assert driven(15).braking_harder(6.0) is None
 
 
+def released(slowest, contact=50):
+    """From 10 m/s it brakes with 2 m/s2 to a speed, then accelerates with 2 m/s2."""
+    steps = round((10 - slowest) / 2 / DT)
+    speed = np.concatenate(
+        [np.full(10, 10.0), 10 - 0.2 * np.arange(1, steps + 1),
+         slowest + 0.2 * np.arange(1, STEPS - 10 - steps)]
+    )  # fmt: skip
+    along = np.concatenate([[0.0], np.cumsum(speed) * DT])[:STEPS]
+    along[contact:] = along[contact] + speed[contact - 1] * DT * np.arange(STEPS - contact)
+    return Drive(along_m=along, onset=5, contact=contact, dt_s=DT), 10 + steps
+
+
+def test_an_av_that_brakes_on_stops_from_where_it_accelerated_again():
+    drive, release = released(6.0)
+    assert drive.release == release - 1
+    stop = drive.along_m[release] + 6**2 / (2 * 2)
+    assert drive.braking_on()[-1] == pytest.approx(stop, abs=0.4)
+    assert driven(10, 2.5).braking_on() is None
+    assert driven(10).braking_on() is None
+    assert released(0.0, 80)[0].braking_on() is None  # it had stopped, and set off
+
+
 def test_an_av_that_never_braked_stops_like_the_careful_driver():
     """0.75 s at 10 m/s, a ramp of 0.6 s at 12.65 m/s3, then 7.59 m/s2."""
     ramp_m, after_mps = 10 * 0.6 - 12.65 * 0.6**3 / 6, 10 - 12.65 * 0.6**2 / 2
