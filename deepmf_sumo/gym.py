@@ -32,7 +32,7 @@ from deepmf_sumo.geometry.ground import off_level
 from deepmf_sumo.judge import ladder
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
-from deepmf_sumo.spec import Spec
+from deepmf_sumo.spec import Spec, profiles
 from deepmf_sumo.sweep import episode
 
 try:
@@ -205,7 +205,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
     Terminated: contact, or the AV arrived; truncated: the time limit was reached.
 
     Args:
-        spec: a spec, or its file.
+        spec: a spec, or its file. Each attack has one episode, whatever the spec's ``tries``.
         agents: number of the nearest agents that are observed.
         reward: see `Reward`; a mapping has its keys.
         render_mode: ``rgb_array``: `render` gives a picture of what is around the AV.
@@ -234,7 +234,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
             raise UsageError(f"render_mode is {render_mode!r}; it can be 'rgb_array' or None.")
         self.render_mode = render_mode
         self._reward = reward if isinstance(reward, Reward) else _reward(reward)
-        self._spec = spec if isinstance(spec, Spec) else specs.load(Path(spec))
+        self._spec = _in_one_try(spec if isinstance(spec, Spec) else specs.load(Path(spec)))
         self._tasks = tasks.plan([self._spec], cache_folder())
         self._observer = Observer(agents)
         self._next = 0
@@ -373,6 +373,15 @@ _TAKEN: Final = (
     "No episode is running: another environment of this process has begun one, and SUMO runs one"
     " simulation per process; use gymnasium.vector.AsyncVectorEnv for several at a time."
 )
+
+
+def _in_one_try(spec: Spec) -> Spec:
+    """The spec with one episode for an attack, since the AV's driver learns between episodes."""
+    choice = spec.adversary
+    if not profiles.applies_to(choice.name):
+        return spec
+    once = choice.model_copy(update={"settings": profiles.in_one_try(choice.settings)})
+    return spec.model_copy(update={"adversary": once})
 
 
 def _accelerated(view: View, action: Floats) -> Command:

@@ -25,7 +25,7 @@ from tests.support.predictor_doubles import Doubles, view_of
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
-FAIR = ("fair", "no_rear_end", "on_road", "with_traffic")
+FAIR = ("fair", "no_rear_end", "on_road", "telling", "with_traffic")
 ON_NETWORK = {"network": str(CONFIG), "start_s": 40.0, "av": {"vehicle": "av"}}
 
 
@@ -83,9 +83,12 @@ def test_a_resolved_spec_reads_back_to_itself(tmp_path, profile, adversary):
         ({"constraints": []}, ()),
         ({"constraints": ["on_road", "clean", "on_road"]}, ("clean", "on_road")),
         ({"sector": "front"}, FAIR),
-        ({"sector": "rear"}, ("on_road", "with_traffic")),  # a ram, which hardly any driver avoids
-        ({"sector": 4}, ("on_road", "with_traffic")),
-        ({"goal": "avoidable"}, ("no_rear_end",)),  # which asks for more itself
+        (
+            {"sector": "rear"},
+            ("on_road", "telling", "with_traffic"),
+        ),  # a ram, which hardly any driver avoids
+        ({"sector": 4}, ("on_road", "telling", "with_traffic")),
+        ({"goal": "finding"}, FAIR),
         ({"form": "paper"}, ()),
         ({"rule": "pair"}, FAIR),
         ({"aggressiveness": 0.5}, FAIR),
@@ -259,7 +262,7 @@ def test_a_wish_for_the_rear_contradicts_both_spellings(tmp_path, version, adver
 @pytest.mark.parametrize(
     ("keys", "switched", "told"),
     [
-        ({}, "fair: false", "[no_rear_end, on_road, with_traffic]"),
+        ({}, "fair: false", "[no_rear_end, on_road, telling, with_traffic]"),
         ({"profile": "any"}, "fair: true", "[fair], or profile: fair"),
         ({"profile": "any"}, "lawful: true", "[lawful], or profile: lawful"),
         ({"profile": "any"}, "no_rear_end: false", "[]"),
@@ -326,7 +329,7 @@ def of_api(monkeypatch, **arguments):
 
 
 def test_every_door_means_the_same_attack(tmp_path, monkeypatch):
-    """Where nothing is said: a spec, `attack`, a program, a running simulation, a plan."""
+    """Where nothing is said: a spec, `attack`, a program, a plan; a running simulation once."""
     doors = {
         "spec": spec.load(written(tmp_path)),
         "attack": of_attack(CONFIG, monkeypatch=monkeypatch, tmp_path=tmp_path)[0],
@@ -339,8 +342,11 @@ def test_every_door_means_the_same_attack(tmp_path, monkeypatch):
     [row] = entries.entries_of(plan.load(file), tmp_path)
     doors["plan"] = row.specs[0]
     found = {name: (one.profile, settings_of(one)) for name, one in doors.items()}
+    live = Settings(rule="likeliest", constraints=FAIR)
+    assert found.pop("live") == ("fair", live)
     assert all(one == found["spec"] for one in found.values())
-    assert found["spec"] == ("fair", Settings(rule="likeliest", constraints=FAIR))
+    searched = {"goal": "finding", "tries": 4}
+    assert found["spec"] == ("fair", live.model_copy(update=searched))
 
 
 @pytest.mark.parametrize("profile", list(profiles.PROFILES))
@@ -352,8 +358,8 @@ def test_every_door_takes_a_profile(tmp_path, monkeypatch, profile):
         of_attack(CONFIG, "--set", sets, monkeypatch=monkeypatch, tmp_path=tmp_path)[0],
         of_api(monkeypatch, profile=profile),
         of_api(monkeypatch, sets=[sets]),
-        attacker.spec_of(attacker.Wish(avs=("ego",), sets=(sets,))),
     ]
+    live = attacker.spec_of(attacker.Wish(avs=("ego",), sets=(sets,)))
     values = {"version": 3, "name": "p", "source": ON_NETWORK, "planners": {"idm": "idm"}}
     for keys in (
         {"profile": profile, "methods": {"a": "deepmf"}},
@@ -363,8 +369,47 @@ def test_every_door_takes_a_profile(tmp_path, monkeypatch, profile):
         file.write_text(yaml.safe_dump({**values, **keys}))
         [row] = entries.entries_of(plan.load(file), tmp_path)
         doors.append(row.specs[0])
-    assert {one.profile for one in doors} == {profile}
+    assert {one.profile for one in (live, *doors)} == {profile}
     assert all(settings_of(one) == settings_of(doors[0]) for one in doors)
+    once = {"goal": "hit", "tries": 1}
+    assert settings_of(live) == settings_of(doors[0]).model_copy(update=once)
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({}, ("finding", 4)),
+        ({"adversary": {"opponent": "b"}}, ("finding", 4)),
+        ({"adversary": {"tries": 1}}, ("finding", 1)),
+        ({"adversary": {"tries": 9}}, ("finding", 9)),
+        ({"adversary": {"goal": "avoidable"}}, ("finding", 4)),
+        ({"adversary": {"goal": "hit"}}, ("hit", 1)),
+        ({"adversary": {"goal": "hit", "tries": 3}}, ("hit", 3)),
+        ({"adversary": {"constraints": ["on_road"]}}, ("hit", 1)),  # another kind of attack
+        ({"adversary": {"sector": "rear"}}, ("hit", 1)),  # a ram is no finding
+        ({"adversary": {"sector": "front"}}, ("finding", 4)),
+        ({"adversary": "G"}, ("hit", 1)),
+        ({"adversary": {"version": "S1"}}, ("hit", 1)),
+        ({"duration_s": 30.0}, ("hit", 1)),  # opponents in turn
+        ({"duration_s": 30.0, "opponents": "one"}, ("finding", 4)),
+        ({"profile": "any"}, ("hit", 1)),
+        ({"profile": "lawful"}, ("hit", 1)),
+        ({"profile": "paper"}, ("hit", 1)),
+        ({"version": 2}, ("hit", 1)),
+    ],
+)
+def test_the_search_for_a_finding_is_the_default(tmp_path, keys, expected):
+    """Of one opponent, offline, where the spec means no other attack."""
+    found = settings_of(spec.load(written(tmp_path, **keys)))
+    assert (found.goal, found.tries) == expected
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_goal_of_older_specs_has_its_constraints(tmp_path, version):
+    choice = {"name": "deepmf", "goal": "avoidable", "constraints": ["no_rear_end"], "tries": 3}
+    found = settings_of(spec.load(written(tmp_path, version=version, adversary=choice)))
+    assert (found.goal, found.tries) == ("finding", 3)
+    assert found.constraints == ("clean", "fair", "no_rear_end")
 
 
 def test_a_plan_says_opponents_and_turns_as_a_spec(tmp_path):
@@ -495,7 +540,7 @@ def test_what_contradicts_all_conflicts(tmp_path, capsys, sets, told):
         ([], ("on_road",)),
         (["adversary.constraints=[]"], ()),
         (["adversary.constraints=[clean]"], ("clean",)),
-        (["adversary.goal=avoidable"], ()),
+        (["adversary.goal=finding"], ("on_road",)),
         (["adversary.form=paper"], ()),
     ],
 )
@@ -525,7 +570,7 @@ def test_the_headline(meant, expected):
 @pytest.mark.parametrize(
     ("profile", "constraints", "expected"),
     [
-        ("fair", FAIR, "fair (fair, no_rear_end, on_road, with_traffic)"),
+        ("fair", FAIR, "fair (fair, no_rear_end, on_road, telling, with_traffic)"),
         ("fair", (), "fair (no constraints)"),
         ("any", (), "any"),
         ("any", ("on_road",), "any (on_road)"),

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -15,11 +15,21 @@ from deepmf_sumo.deepmf.policy import DeepMF as Policy
 from deepmf_sumo.deepmf.policy import Predictors
 from deepmf_sumo.deepmf.policy import build as build_policy
 from deepmf_sumo.deepmf.settings import Goal, Settings
+from deepmf_sumo.judge.ladder import RUNGS, verdict
 from deepmf_sumo.judge.metrics import Episode
-from deepmf_sumo.judge.metrics.collision import valid_collision
 
-_Rank = tuple[bool, ...]
-"""What an episode reached; the first is the goal."""
+
+class _Reached(NamedTuple):
+    """What an episode reached.
+
+    Attributes:
+        rank: of two episodes that with the higher one is better; the first says whether the goal
+            is reached.
+        values: of its trial.
+    """
+
+    rank: tuple[bool, ...]
+    values: dict[str, float]
 
 
 class DeepMF:
@@ -61,13 +71,14 @@ class DeepMF:
         experience = Experience(one_opponent=settings.tried == 1, several=self.several)
         begin, end = time.perf_counter(), deadline(budget)
         most = min(settings.tries, budget.simulations or settings.tries)
-        best: tuple[_Rank, float, Rollout] | None = None
+        best: tuple[tuple[bool, ...], float, Rollout] | None = None
         trials: list[Trial] = []
         while True:
             policy = self._policy(case, experience)
             rollout = simulate(policy)
-            rank, gap = _REACHED[settings.goal](rollout, case), _gap_m(rollout)
-            trials.append(Trial(values=_named(settings.goal, rank), objective=0.0 - gap))
+            rank, values = _REACHED[settings.goal](rollout, case)
+            gap = _gap_m(rollout)
+            trials.append(Trial(values=values, objective=0.0 - gap))
             if best is None or (rank, -gap) > (best[0], -best[1]):
                 best = rank, gap, rollout
             more = experience.add(rollout, wanted=rank[0]) and not rank[0] and len(trials) < most
@@ -89,24 +100,24 @@ class DeepMF:
         return build_policy(self._settings, self._predictors, *who, experience)
 
 
-def _hit(rollout: Rollout, case: Case) -> _Rank:
-    return (rollout.first("av_opponent") is not None,)
-
-
-def _avoidable(rollout: Rollout, case: Case) -> _Rank:
+def _hit(rollout: Rollout, case: Case) -> _Reached:
     hit = rollout.first("av_opponent") is not None
-    return hit and valid_collision.compute(Episode(rollout, case)) > 0, hit
+    return _Reached((hit,), {"hit": float(hit)})
 
 
-_REACHED: Final[dict[Goal, Callable[[Rollout, Case], _Rank]]] = {
+def _finding(rollout: Rollout, case: Case) -> _Reached:
+    """A finding; of hits that are none any is better than a miss. ``rung``: as of the metric."""
+    found = verdict(Episode(rollout, case))
+    if found is None:
+        return _Reached((False, False), {"hit": 0.0, "finding": 0.0})
+    values = {"hit": 1.0, "finding": float(found.finding), "rung": float(RUNGS.index(found.rung))}
+    return _Reached((found.finding, True), values)
+
+
+_REACHED: Final[dict[Goal, Callable[[Rollout, Case], _Reached]]] = {
     "hit": _hit,
-    "avoidable": _avoidable,
+    "finding": _finding,
 }
-
-
-def _named(goal: Goal, rank: _Rank) -> dict[str, float]:
-    names = ("hit",) if goal == "hit" else ("avoidable", "hit")
-    return {name: float(one) for name, one in zip(names, rank, strict=True)}
 
 
 def _gap_m(rollout: Rollout) -> float:

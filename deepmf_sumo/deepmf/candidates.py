@@ -31,6 +31,7 @@ from deepmf_sumo.deepmf.scoring import Pairs
 from deepmf_sumo.deepmf.situation import Levels, Situation
 from deepmf_sumo.deepmf.tracking import Tracked
 from deepmf_sumo.geometry import boxes, frames, impact, road
+from deepmf_sumo.judge.ladder import MOMENT_S
 from deepmf_sumo.predictors.base import Prediction
 
 NO_SECTOR: Final = -1
@@ -39,6 +40,7 @@ _LEAST = 1e-12  # probabilities below are rounding errors
 _COMFORT_STEPS = 30  # 3 s; most of what follows is planned again before it is driven
 _ROAD_EVERY = 3
 _SECOND_STEPS = 10
+_MOMENT_STEPS = round(MOMENT_S / DT_S)
 _OFF_ROAD = 4.0  # m2/s5: a second off the road weighs as a mean acceleration of 2 m/s2
 
 
@@ -186,7 +188,7 @@ def against_traffic(
         steps = np.arange(0, situation.horizon, every)
         wrong = _wrong_side(situation, own, rows, steps)
         more[rows] = (wrong & (steps <= until[rows, None])).sum(axis=1)
-    return np.asarray((more > 0) & (before.sum() + more > _SECOND_STEPS))
+    return np.asarray((more > 0) & (before.sum() + more > _MOMENT_STEPS))
 
 
 def _wrong_side(situation: Situation, own: Candidates, rows: Ints, steps: Ints) -> Bools:
@@ -345,6 +347,21 @@ def delta_v(
     relative = np.hypot(*(apart - before).T) / DT_S
     change[row, mode] = relative * area / (area + av_area)
     return change
+
+
+def av_moves(situation: Situation, reactions: Sequence[Forecast], collision_step: Floats) -> Floats:
+    """(N1, N2) fastest the AV is in the last second before a collision, m/s; 0 without contact."""
+    fastest, horizon = np.zeros(collision_step.shape), reactions[0].futures.position_m.shape[1]
+    row, mode = np.nonzero(collision_step < horizon)
+    after = collision_step[row, mode].astype(int)[:, None] - np.arange(_SECOND_STEPS)
+    av = _stacked([reaction.futures.position_m for reaction in reactions])
+    moved = av[row[:, None], mode[:, None], np.maximum(after, 1)]
+    moved = moved - av[row[:, None], mode[:, None], np.maximum(after - 1, 0)]
+    speed = np.where(after >= 1, np.hypot(*np.moveaxis(moved, -1, 0)) / DT_S, 0.0)
+    view = situation.view
+    now = float(view.history.speed_mps[view.history.row(view.av_id), -1])
+    fastest[row, mode] = np.maximum(speed.max(axis=1), np.where(after[:, -1] < 1, now, 0.0))
+    return fastest
 
 
 def pairs(

@@ -18,6 +18,8 @@ from deepmf_sumo.deepmf.candidates import (
     Candidates,
     References,
     against_traffic,
+    av_moves,
+    delta_v,
     leaves_road,
     rear_ends,
 )
@@ -31,10 +33,12 @@ from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.judge.avoidability.av_path import State
 from deepmf_sumo.judge.avoidability.counterfactual import likeliest
 from deepmf_sumo.judge.avoidability.grading import Past, avoidable
+from deepmf_sumo.judge.ladder import LEAST_DELTA_V_MPS, WALKING_MPS
 
 Scope = Literal["driven", "attack", "preferred"]
 _EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other
 _REFUSALS = 12  # verifying a candidate takes some milliseconds
+_TELLING_SHARE = 0.5  # of a candidate's collision mass
 _BEHIND_SHARE = 0.1  # of a candidate's collision mass; some AVs may brake in any case
 
 
@@ -414,6 +418,28 @@ class NoRearEnd(Constraint):
         return allowed
 
 
+class Telling(Constraint):
+    """The hit says something about the AV: it drives, and is pushed by more than a touch.
+
+    An AV that stands can do nothing, and a touch harms nobody (`judge.ladder`).
+    """
+
+    name = "telling"
+    scope = "attack"
+
+    def __init__(self, settings: Settings) -> None: ...
+
+    def allowed(
+        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
+    ) -> Bools:
+        step, sizes = pairs.collision_step, (situation.size_m, situation.av_size_m)
+        pushed = delta_v(own.forecast.futures, reactions, *sizes, step) >= LEAST_DELTA_V_MPS
+        tells = pushed & (av_moves(situation, reactions, step) >= WALKING_MPS)
+        mass = (pairs.reaction_probability * (pairs.collides & tells)).sum(axis=1)
+        allowed: Bools = mass >= _TELLING_SHARE * pairs.mass
+        return allowed
+
+
 class Sector(Constraint):
     """The AV is first hit in the wanted sector."""
 
@@ -436,7 +462,7 @@ class Sector(Constraint):
 
 
 CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (
-    Sector, Lawful, Clean, Fair, OnRoad, WithTraffic, NoRearEnd,
+    Sector, Lawful, Clean, Fair, OnRoad, WithTraffic, NoRearEnd, Telling,
 )  # fmt: skip
 """All constraints; their candidates are added in this order."""
 

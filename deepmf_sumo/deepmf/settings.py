@@ -24,7 +24,7 @@ from deepmf_sumo.spec.profiles import SWITCHES, with_listed
 SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
 ]
-Goal = Literal["hit", "avoidable"]
+Goal = Literal["hit", "finding"]
 LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
 """Default limits on an opponent's accelerations, which all aimed methods share."""
 _RANKED = frozenset({"argmax", "partner"})
@@ -103,12 +103,12 @@ class Settings(plugins.Settings):
             breaks no traffic rule (`deepmf.traffic_rules`); ``no_rear_end``: it does not drive into
             the AV's rear end from behind; ``on_road``, ``with_traffic``, ``clean``. By default
             those of the spec's profile.
-        goal: what ends the tries: a ``hit``; or an ``avoidable`` one, with the metric
-            `valid_collision` 1: candidates are then ``fair``, and ``clean`` (see
-            `deepmf.constraints`).
+        goal: what ends the tries: a ``hit``, or a ``finding``: a hit that is the AV's error or
+            avoidable, and not contrived (`judge.ladder`). ``avoidable`` of earlier specs is a
+            finding, with the constraints ``fair`` and ``clean``.
         tries: maximum number of episodes; each knows what the AV did in those before, see
             `deepmf.experience`. The first that reaches the goal is the attack, without one the
-            best. Offline only.
+            best: a hit before a miss, then the nearest. Offline only.
     """
 
     form: Literal["paper", "extended"] = "extended"
@@ -146,13 +146,8 @@ class Settings(plugins.Settings):
         if isinstance(values, dict):
             values = with_listed(values)
             for switch in SWITCHES:
-                if switch in values and values[switch] is not False:
+                if switch in values:
                     raise ValueError(f"{switch} is {values[switch]!r}; it must be true or false")
-                if switch in values:  # it contradicts the goal
-                    raise ValueError(
-                        f"goal 'avoidable' drives {switch} candidates alone; leave {switch}: false"
-                        " out"
-                    )
         if isinstance(values, dict) and values.get("form") == "paper":
             return _PAPER | {"reactions": _PAPER_REACTIONS} | values
         return values
@@ -234,8 +229,7 @@ class Settings(plugins.Settings):
     def constrained(self) -> frozenset[str]:
         """Names of the constraints on the choice."""
         sector = () if self.sector is None else ("sector",)
-        goal = ("clean", "fair") if self.goal == "avoidable" else ()
-        return frozenset({*sector, *goal, *self.constraints})
+        return frozenset({*sector, *self.constraints})
 
     @property
     def period_steps(self) -> int | None:

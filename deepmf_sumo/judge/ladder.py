@@ -39,8 +39,8 @@ WALKING_MPS: Final = 1.4
 """An AV that is slower creeps."""
 LEAST_DELTA_V_MPS: Final = 5.0 / 3.6
 """Less harms nobody, and often not even the cars."""
-MOMENT_S: Final = 0.5
-"""Drivers that cut a corner or drift over the middle are back after it, or have met somebody."""
+MOMENT_S: Final = 1.0
+"""Drivers that cut a corner or drift over the middle are back by then, or have met somebody."""
 LAST_S: Final = 1.0
 AHEAD_S: Final = 3.0
 """What has stood for this time has been there for long enough, as in `CUT_IN_S` for what drives."""
@@ -49,6 +49,8 @@ HARDEST_MPS2: Final = 6.0
 LIMIT: Final = 1.3
 """Times the limit; SUMO's drivers exceed it by a tenth or two."""
 MOVED_OVER_M: Final = 0.5
+_REAR: Final = {3, 4, 5}
+"""Impact sectors of the rear end and its corners."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +107,8 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
 
     - It stood or crept during the last second: others drive into it, and it can do nothing.
     - Nobody is hurt.
-    - The opponent rams it from behind, which can be done anywhere.
+    - The opponent rams it from behind, or moves over into its rear from behind: that can be done
+      anywhere, and the AV hardly sees it.
     - The opponent drives against the traffic, or leaves the road, for more than a moment. That is
       where no lane of its direction is under its middle: whoever cuts a corner within its own half
       is on such a lane, and in junctions lanes lie in most directions. Overtaking on the oncoming
@@ -119,7 +122,7 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
         yield "av_stood"
     if hit.delta_v_mps < LEAST_DELTA_V_MPS:
         yield "low_delta_v"
-    if hit.conflict == "rear-end" and hit.turned == "AV":
+    if _rams(episode.rollout, hit):
         yield "rammed"
     yield from _astray(episode)
     try:
@@ -129,6 +132,15 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
         pass
     if not collision_clean.compute(episode):
         yield "touched_another"
+
+
+def _rams(rollout: Rollout, hit: Hit) -> bool:
+    """Whether the opponent, which came from the AV's direction, drives into its rear end."""
+    if hit.conflict == "rear-end":
+        return hit.turned == "AV"
+    contact = rollout.first("av_opponent")
+    assert contact is not None
+    return hit.conflict == "lane change" and hit.turned == "opponent" and contact.sector in _REAR
 
 
 def _astray(episode: Episode) -> Iterator[str]:

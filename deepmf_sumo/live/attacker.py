@@ -127,6 +127,10 @@ def spec_of(wish: Wish) -> Spec:
                 " seed can be set."
             )
         assign(document, assignment)
+    choice = values["adversary"]
+    if isinstance(choice, dict):  # a running simulation cannot be tried again
+        choice.setdefault("goal", "hit")
+        choice.setdefault("tries", 1)
     spec = of_document(document)
     if spec.adversary.name != "deepmf":
         raise UsageError(

@@ -31,16 +31,21 @@ class Profile:
         constraints: of the opponent. form: of the method.
         rule: by which the opponent's plan is chosen; None leaves it to the form.
         in_turn: in an attack of more than `LONG_S` opponents take turns.
+        tries: maximum number of episodes of an attack, of which the first finding ends it; 1: one
+            episode, whatever it finds.
     """
 
     constraints: tuple[str, ...] = ()
     form: Literal["paper", "extended"] = "extended"
     rule: str | None = "likeliest"
     in_turn: bool = True
+    tries: int = 1
 
 
 PROFILES: Final[dict[ProfileName, Profile]] = {
-    "fair": Profile(constraints=("fair", "no_rear_end", "on_road", "with_traffic")),
+    "fair": Profile(
+        constraints=("fair", "no_rear_end", "on_road", "telling", "with_traffic"), tries=4
+    ),
     "any": Profile(),
     "lawful": Profile(constraints=("lawful",)),
     "paper": Profile(form="paper", rule=None, in_turn=False),
@@ -56,6 +61,9 @@ ALL_CONFLICTS: Final = ("on_road",)
 DEFAULT_RULES: Final = {1: "expected", 2: "likeliest", 3: PROFILES["any"].rule or ""}
 """The rule of DeepMF in its form ``extended`` where none is said, by version of the spec."""
 
+GOAL: Final = "finding"
+"""What ends the tries of a profile that has several."""
+_EARLIER_GOAL: Final = "avoidable"
 SWITCHES: Final = ("fair", "lawful", "no_rear_end")
 """Constraints that versions 1 and 2 have as settings of their own, true or false, too."""
 _REAR: Final = ("rear", 4)
@@ -77,12 +85,9 @@ def applies_to(adversary: str) -> bool:
 def left_open(names: Iterable[str], settings: Mapping[str, Any]) -> list[str]:
     """Constraints of a profile that fit to DeepMF's settings, where these state none.
 
-    An attack on the rear end is a ram, which hardly any driver could avoid; the goal ``avoidable``
-    has stricter constraints of its own.
+    An attack on the rear end is a ram, which hardly any driver could avoid.
     """
     away = {"no_rear_end", "fair"} if settings.get("sector") in _REAR else set()
-    if settings.get("goal") == "avoidable":
-        away |= {"fair", "on_road", "with_traffic"}
     return sorted({*names} - away)
 
 
@@ -115,6 +120,8 @@ def _of_version_3(found: dict[str, Any], choice: dict[str, Any]) -> dict[str, An
     if not (isinstance(name, str) and name in PROFILES):
         return found  # which is refused where keys are checked
     if applies_to(str(choice.get("name"))):
+        if choice.get("goal") == _EARLIER_GOAL:
+            choice = {**choice, "goal": GOAL}
         if choice.get("form") == "paper":
             name = found["profile"] = "paper"
         found["adversary"] = _profiled(choice, name)
@@ -123,7 +130,28 @@ def _of_version_3(found: dict[str, Any], choice: dict[str, Any]) -> dict[str, An
     if "opponents" not in found:
         turns = PROFILES[name].in_turn and _is_long(found) and _takes_turns(choice)
         found["opponents"] = "in_turn" if turns else "one"
+    if applies_to(str(choice.get("name"))) and found["opponents"] == "one":
+        found["adversary"] = _searched(found["adversary"], choice, PROFILES[name])
     return found
+
+
+def _searched(
+    settings: dict[str, Any], stated: Mapping[str, Any], profile: Profile
+) -> dict[str, Any]:
+    """DeepMF's settings with the tries of the profile, unless the spec means another attack.
+
+    That is one with constraints of its own, with a period between plans (the versions as published
+    know of no tries), for any hit, or on the rear end, which cannot become a finding.
+    """
+    other = {"constraints", "period_s"} & stated.keys() or stated.get("goal", GOAL) != GOAL
+    if profile.tries == 1 or other or stated.get("sector") in _REAR:
+        return settings
+    return {"goal": GOAL, "tries": profile.tries, **settings}
+
+
+def in_one_try(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """An adversary's settings for one episode, where it cannot be tried again."""
+    return {key: value for key, value in settings.items() if key not in {"goal", "tries"}}
 
 
 def _profiled(choice: dict[str, Any], name: ProfileName) -> dict[str, Any]:
@@ -157,25 +185,24 @@ def _as_list(choice: Mapping[str, Any], switch: str, profile: Profile) -> str:
 def with_listed(settings: Mapping[str, Any]) -> dict[str, Any]:
     """DeepMF's settings, their constraints in one list, each once, in the order of their names.
 
-    Switches that are false switch nothing off; one that contradicts the goal, or is neither true
-    nor false, is left for the settings to refuse.
+    Switches that are false switch nothing off; one that is neither true nor false is left for the
+    settings to refuse. The goal ``avoidable`` had constraints of its own.
     """
     found, listed = dict(settings), _in_order(settings.get("constraints", ()))
     known = _are_names(listed)  # what is none is refused
     names = {*listed} if known else set()
+    if found.get("goal") == _EARLIER_GOAL:
+        found["goal"] = GOAL
+        names |= {"clean", "fair"}
     for switch in SWITCHES:
         if found.get(switch) is True:
             names.add(switch)
-        elif found.get(switch) is not False or _contradicts_goal(found, switch):
+        elif found.get(switch) is not False:
             continue
         del found[switch]
     if known and (names or "constraints" in found):
         found["constraints"] = sorted(names)
     return found
-
-
-def _contradicts_goal(settings: Mapping[str, Any], switch: str) -> bool:
-    return switch == "fair" and settings.get("goal") == "avoidable"
 
 
 def _in_order(names: Any) -> Any:

@@ -25,11 +25,11 @@ def doubles(monkeypatch):
 
 
 class Simulation:
-    """The AV drives ``av``; the opponent its first plan; a hit from the ``hit``-th try on."""
+    """The AV drives ``av``; the opponent its first plan; a hit in the tries ``hit``."""
 
     def __init__(self, av=None, hit=None):
         self.av = straight(0, 0, 10) if av is None else av
-        self.hit, self.plans = hit, []
+        self.hit, self.plans = hit or (), []
 
     def __call__(self, policy):
         opponent = policy.reset(VIEW, np.random.default_rng(0))
@@ -41,7 +41,7 @@ class Simulation:
         count = min(len(own) - begin, len(plan.position_m))
         own[begin : begin + count, :2] = plan.position_m[:count]
         paths |= {"av": self.av, opponent: own}
-        hits = self.hit == len(self.plans)
+        hits = len(self.plans) in self.hit
         contacts = [contact_of(step=begin + 20, second=opponent)] if hits else []
         return rollout_of(paths, opponent_id=opponent, plans=[plan], contacts=contacts)
 
@@ -53,7 +53,7 @@ def attack(simulate, budget=None, **values):
 
 
 def test_a_hit_ends_the_tries():
-    simulate = Simulation(hit=3)
+    simulate = Simulation(hit=(3,))
     found = attack(simulate, tries=5)
     assert found.simulations == len(simulate.plans) == 3
     assert found.rollout.first("av_opponent") is not None
@@ -164,17 +164,39 @@ def test_a_collision_that_missed_the_goal_does_not_count_again(monkeypatch):
     assert second.collision_step[again, likeliest] == 80
 
 
-def test_the_goal_ends_the_tries(monkeypatch):
-    never = SimpleNamespace(compute=lambda episode: 0.0)
-    monkeypatch.setattr("deepmf_sumo.adversaries.deepmf.valid_collision", never)
-    simulate = Simulation(hit=1)
-    found = attack(simulate, tries=2, goal="avoidable", opponent="b")
+def verdicts(monkeypatch, *rungs):
+    """The rungs of the hits of successive tries."""
+    told = iter(rungs)
+
+    def verdict(episode):
+        if episode.rollout.first("av_opponent") is None:
+            return None
+        rung = next(told)
+        return SimpleNamespace(rung=rung, finding=rung in "AB")
+
+    monkeypatch.setattr("deepmf_sumo.adversaries.deepmf.verdict", verdict)
+
+
+@pytest.mark.parametrize("rung", ["A", "B"])
+def test_a_finding_ends_the_tries(monkeypatch, rung):
+    verdicts(monkeypatch, "C", "D", rung)
+    simulate = Simulation(hit=(1, 2, 3, 4))
+    found = attack(simulate, tries=6, goal="finding")
+    assert [trial.values["rung"] for trial in found.trials] == [2.0, 3.0, "AB".index(rung)]
+    assert [trial.values["finding"] for trial in found.trials] == [0.0, 0.0, 1.0]
+    assert found.rollout.plans[0] is simulate.plans[2]
+
+
+def test_a_hit_that_is_no_finding_is_the_attack_where_there_is_none(monkeypatch):
+    verdicts(monkeypatch, "C")
+    simulate = Simulation(hit=(2,))
+    found = attack(simulate, tries=3, goal="finding")
     assert [trial.values for trial in found.trials] == [
-        {"avoidable": 0.0, "hit": 1.0},
-        {"avoidable": 0.0, "hit": 0.0},
+        {"hit": 0.0, "finding": 0.0},
+        {"hit": 1.0, "finding": 0.0, "rung": 2.0},
+        {"hit": 0.0, "finding": 0.0},
     ]
-    assert found.rollout.first("av_opponent") is not None  # the best, where none reaches the goal
-    assert all(plan.reason.fair is not None for plan in simulate.plans)
+    assert found.rollout.plans[0] is simulate.plans[1]
 
 
 def test_an_opponent_that_repeats_itself_gives_way_to_another():
@@ -191,7 +213,7 @@ def test_nobody_attacks():
     assert not Experience().add(rollout, wanted=False)
 
 
-@pytest.mark.parametrize("values", [{"tries": 2}, {"goal": "avoidable"}])
+@pytest.mark.parametrize("values", [{"tries": 2}, {"goal": "finding"}])
 def test_the_published_form_has_one_try_and_one_goal(values):
     with pytest.raises(PluginError, match=next(iter(values))):
         plugins.settings("adversaries", "deepmf", {"form": "paper", **values})
@@ -209,9 +231,9 @@ def test_an_only_opponent_that_repeats_itself_ends_the_tries():
     assert not experience.add(rollout, wanted=False)
 
 
-def test_the_goal_avoidable_contradicts_unfair():
-    with pytest.raises(PluginError, match="leave fair: false out"):
-        plugins.settings("adversaries", "deepmf", {"goal": "avoidable", "fair": False})
+def test_the_goal_avoidable_is_a_finding_with_the_constraints_that_it_had():
+    found = plugins.settings("adversaries", "deepmf", {"goal": "avoidable"})
+    assert (found.goal, found.constraints) == ("finding", ("clean", "fair"))
 
 
 def test_a_case_without_an_opponent_has_no_trials():
