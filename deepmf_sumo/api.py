@@ -93,6 +93,7 @@ def attack(
     moments_of: str | Path | None = None,
     duration_s: float | None = None,
     opponents: Literal["one", "in_turn"] | None = None,
+    tries: int | None = None,
     planner: str | Mapping[str, Any] | None = None,
     profile: spec.ProfileName | None = None,
     all_conflicts: bool = False,
@@ -135,6 +136,8 @@ def attack(
         moments_of: a result folder, or its moments.csv: attack the same vehicles at the same times.
         duration_s: of an attack; None means 8 s.
         opponents: ``one``, or one after another ``in_turn``; None means one up to 15 s.
+        tries: simulate an attack at most this often, until it finds an error of the AV or a hit
+            that was avoidable; None means 4 times, once for opponents in turn.
         planner: what drives the AV: a name, or a mapping with ``name`` and settings; None means
             ``idm``.
         profile: the kind of attack, see `deepmf_sumo.spec`; None means ``fair``.
@@ -168,7 +171,7 @@ def attack(
     documents = moments_module.documents(
         paths,
         {key: value for key, value in keys.items() if value is not None},
-        sets,
+        sets if tries is None else (f"adversary.tries={tries}", *sets),
         sumo_options=sumo_options,
         all_conflicts=all_conflicts,
         from_s=from_s,

@@ -438,6 +438,8 @@ SAVED = {
     "until_s": ["--until", 90],
     "duration_s": ["--duration", 30],
     "opponents": ["--duration", 30, "--opponents", "one"],
+    "tries": ["--tries", 1],
+    "how": ["--draw", "promising"],
     "all_conflicts": ["--all-conflicts"],
     "all_conflicts ": ["--all-conflicts", "--set", "adversary.sector=rear"],
     "planner": ["--planner", "sumo"],
@@ -491,6 +493,8 @@ def test_a_program_says_all_that_the_command_says(tmp_path, monkeypatch):
          {"planner": {"name": "idm", "perception": "corridor"}}),
         (["--duration", 30], {"duration_s": 30.0}),
         (["--duration", 30, "--opponents", "one"], {"duration_s": 30.0, "opponents": "one"}),
+        (["--tries", 1], {"tries": 1}),
+        (["--draw", "promising"], {"draw": "promising"}),
         (["--all-conflicts"], {"all_conflicts": True}),
         (["--polygon", "area.xml", "--at", 40], {"polygon": "area.xml", "at_s": [40.0]}),
         (["-n", 3, "--seed", 7, "--from", 5, "--until", 90],
@@ -499,7 +503,7 @@ def test_a_program_says_all_that_the_command_says(tmp_path, monkeypatch):
         [attacked] = of_attack(CONFIG, *options, monkeypatch=monkeypatch, tmp_path=tmp_path)
         assert of_api(monkeypatch, **arguments) == attacked
     names = set(inspect.signature(api.attack).parameters)
-    here = {"count": "moments", "of": "moments_of", "configs": "configs"}
+    here = {"count": "moments", "of": "moments_of", "how": "draw", "configs": "configs"}
     options = {here.get(one.name, one.name) for one in attack_command.command.params}
     of_the_screen = {"mapped", "file", "gui", "device", "thresholds", "baseline", "formats"}
     of_sweeps = {"executor", "shard", "minutes", "junit"}

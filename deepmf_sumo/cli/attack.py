@@ -80,6 +80,11 @@ if TYPE_CHECKING:
     help="Attack with one opponent, or with one after another.  [default: one up to 15 s]",
 )  # fmt: skip
 @click.option(
+    "--tries", type=click.IntRange(1, 1000),
+    help="Simulate an attack at most this often, until it finds an error of the AV, or a hit that"
+    " was avoidable; 1 is a quick look.  [default: 4; 1 for opponents in turn]",
+)  # fmt: skip
+@click.option(
     "--all-conflicts", is_flag=True,
     help="Let opponents drive into the AV from behind, against the traffic, or so that no driver"
     " could avoid it, as well. Without it DeepMF does not: that can be done anywhere, and says"
@@ -176,6 +181,8 @@ def _documents(
     """The specs that the options are short for."""
     from deepmf_sumo import moments
 
+    if wanted["tries"] is not None:
+        sets = (f"adversary.tries={wanted['tries']}", *sets)
     keys = {key: value for key in _KEYS if (value := wanted[key]) is not None}
     if "planner" in keys:
         keys["planner"] = {"name": keys["planner"]}

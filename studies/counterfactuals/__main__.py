@@ -18,12 +18,13 @@ from unittest.mock import patch
 import numpy as np
 
 from deepmf_sumo.datatypes import AgentId, Case, Rollout, TrafficCase
+from deepmf_sumo.judge import hits
 from deepmf_sumo.judge.avoidability import encounter
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.judge.avoidability.grading import GRADES, Judgement, judge
 from deepmf_sumo.judge.metrics import Episode
 from deepmf_sumo.judge.metrics.avoidability import judgement
-from deepmf_sumo.judge.metrics.collision import valid_collision
+from deepmf_sumo.judge.metrics.findings import finding
 from deepmf_sumo.results import artifacts
 from deepmf_sumo.results.reader import Results, Run
 
@@ -33,7 +34,7 @@ _NOTHING: Final = Counterfactual(by="lane", position_m=np.zeros((0, 2)), known=n
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """A hit: its judgement in each of `WAYS`, and whether it is valid by it.
+    """A hit: its judgement in each of `WAYS`, and whether it is a finding by it.
 
     ``kept``: whether the run's own grade is that of ``now``: folders round positions.
     """
@@ -65,12 +66,15 @@ def judged(run: Run) -> Judged:
     }
     judgements, valid = {}, {}
     for way, answer in answers.items():
-        with patch.object(encounter, "counterfactual", answer):
+        with (
+            patch.object(encounter, "counterfactual", answer),
+            patch.object(hits, "counterfactual", answer),
+        ):
             found = judge(rollout, case)
             assert found is not None
             episode = Episode(rollout, case)
             judgements[way] = judgement(episode)
-            valid[way] = valid_collision.compute(episode) > 0
+            valid[way] = finding.compute(episode) > 0
     now = GRADES.index(judgements["now"].grade)
     return Judged(
         method=run.method,

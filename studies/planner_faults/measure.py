@@ -193,9 +193,7 @@ def _found(
 ) -> Found:
     """A planner's runs; with a baseline, what the gate says of them."""
     done = Results.of(out).done
-    metrics = [
-        sum(run.metric(one) == 1 for run in done) for one in ("avoidable", "valid_collision")
-    ]
+    metrics = [sum(run.metric(one) == 1 for run in done) for one in ("avoidable", "finding")]
     found = Found(
         planner=name,
         runs=len(done),

@@ -1,14 +1,12 @@
-"""Collisions: time, speed, kind, and whether the attack is a valid one."""
+"""Collisions: time, speed and kind."""
 
 from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.geometry import frames, road
+from deepmf_sumo.geometry import frames
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES, accident_type_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric
-from deepmf_sumo.judge.metrics.avoidability import judgement
-from deepmf_sumo.judge.metrics.driving import feasible
 
 _LEAST_MPS: Final = 1e-6
 
@@ -108,31 +106,6 @@ def third_party(episode: Episode) -> float:
 def av_third_party(episode: Episode) -> float:
     """Number of contacts of the AV with agents other than the opponent."""
     return sum(contact.kind == "av_other" for contact in episode.rollout.contacts)
-
-
-@metric("1", better="higher")
-def valid_collision(episode: Episode) -> float:
-    """1 if AV and opponent collided, neither hit another agent before, the opponent drove within
-    the limits of a car and did not leave the road, and a reference driver would have avoided the
-    collision; else 0.
-
-    A miss counts 0: the mean is a rate over attacked scenes, like that of `collision`.
-    """
-    if not collision_clean.compute(episode):
-        return 0.0
-    try:
-        possible = bool(feasible.compute(episode))
-    except NotMeasurable:  # the policy never drove the opponent: nothing to check
-        possible = True
-    return judgement(episode).avoidable and possible and not _leaves_road(episode)
-
-
-def _leaves_road(episode: Episode) -> bool:
-    """Whether the opponent leaves the road while the policy drives it."""
-    rollout, row = episode.rollout, _slices.opponent_row(episode.rollout)
-    places = _slices.places(rollout, (row, _slices.driven(rollout, row)))
-    inside = road.on_road(episode.case.road, *places)
-    return bool((~inside & np.maximum.accumulate(inside)).any())
 
 
 @metric("number", better="neither")

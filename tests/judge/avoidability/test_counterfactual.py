@@ -67,7 +67,7 @@ def test_the_grade_is_that_of_the_motion(world):
     assert found[0].onset_step == 32
 
 
-OF_MOTION = ("avoidance_grade", "valid_collision", "path_sspd_cut", "acceleration_wasserstein")
+OF_MOTION = ("avoidance_grade", "finding", "path_sspd_cut", "acceleration_wasserstein")
 ADVERSARIES = [  # all that are found; two of them descend for seconds
     pytest.param(name, marks=[pytest.mark.slow] * (name in {"art", "strive"}))
     for name in plugins.names("adversaries")
